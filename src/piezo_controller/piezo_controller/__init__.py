@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tracking control of a piezo-actuated stage: inverse feedforward and multirate H-infinity feedback."""

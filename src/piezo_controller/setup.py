@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: BSD-3-Clause
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package = "piezo_controller"
+
+setup(
+    name=package,
+    version="0.1.0",
+    packages=find_packages(include=[package, package + ".*"]),
+    package_data={package: ["*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + package]),
+        ("share/" + package, ["package.xml"]),
+        ("share/" + package + "/config", glob("config/*.yaml")),
+    ],
+    zip_safe=False,
+    maintainer="The maintainers",
+    maintainer_email="maintainers@example.org",
+    description="Tracking control of a piezo-actuated stage: inverse feedforward and multirate H-infinity feedback.",
+    license="BSD-3-Clause",
+    entry_points={
+        "console_scripts": [
+            "controller = piezo_controller.controller_node:main",
+            "design = piezo_controller.design_command:main",
+        ],
+    },
+)

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: BSD-3-Clause
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package = "piezo_identification"
+
+setup(
+    name=package,
+    version="0.1.0",
+    packages=find_packages(include=[package, package + ".*"]),
+    package_data={package: ["*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + package]),
+        ("share/" + package, ["package.xml"]),
+        ("share/" + package + "/config", glob("config/*.yaml")),
+    ],
+    zip_safe=False,
+    maintainer="The maintainers",
+    maintainer_email="maintainers@example.org",
+    description="Identification of a piezo-actuated stage: experiments, estimators, the node and the offline commands.",
+    license="BSD-3-Clause",
+    entry_points={
+        "console_scripts": [
+            "identification = piezo_identification.identification_node:main",
+            "identify = piezo_identification.identify_command:main",
+            "simulate = piezo_identification.simulate_command:main",
+        ],
+    },
+)

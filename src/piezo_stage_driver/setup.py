@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: BSD-3-Clause
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package = "piezo_stage_driver"
+
+setup(
+    name=package,
+    version="0.1.0",
+    packages=find_packages(include=[package, package + ".*"]),
+    package_data={package: ["*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + package]),
+        ("share/" + package, ["package.xml"]),
+        ("share/" + package + "/config", glob("config/*.yaml")),
+    ],
+    zip_safe=False,
+    maintainer="The maintainers",
+    maintainer_email="maintainers@example.org",
+    description="The stage node over a backend protocol: limits, watchdog, sample blocks, waveforms, feedforward and feedback.",
+    license="BSD-3-Clause",
+    entry_points={
+        "console_scripts": [
+            "stage = piezo_stage_driver.stage_node:main",
+        ],
+    },
+)
