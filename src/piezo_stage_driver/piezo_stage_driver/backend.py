@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the stage node asks of the hardware, or of its simulation."""
+
+from typing import Protocol
+
+import numpy as np
+
+
+class StageBackend(Protocol):
+    """An amplifier and a displacement sensor on one sample clock.
+
+    Attributes
+    ----------
+    sample_rate_hz : float
+        Rate of the sample clock.
+    """
+
+    sample_rate_hz: float
+
+    def open(self) -> None:
+        """Start the sample clock with the amplifier at the rest voltage."""
+
+    def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
+        """Play samples and return what was measured meanwhile.
+
+        Parameters
+        ----------
+        voltage_v : ndarray, shape (n,)
+            Each is held for one sample period.
+
+        Returns
+        -------
+        displacement_um : ndarray, shape (n,)
+            Sample i is taken at the instant at which ``voltage_v[i]`` is applied,
+            and so does not yet respond to it.
+        """
+
+    def close(self) -> None:
+        """Stop the sample clock; the amplifier stays at its last voltage."""

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The slow branch: answers to blocks, each held for one tick."""
+
+import math
+
+
+class FeedbackError(ValueError):
+    """An answer that is not a voltage."""
+
+
+class FeedbackHold:
+    """Feedback voltage of every tick since tracking began.
+
+    The block published at the start of tick k is answered during tick k; the answer
+    acts in tick k + 1. Where none came in time the last one is held and counted.
+
+    Parameters
+    ----------
+    first_tick : int
+        The tick in which tracking began; the block of the next one is the first
+        that asks for an answer.
+    """
+
+    def __init__(self, first_tick):
+        self.voltage_v = 0.0
+        self.missed = 0
+        self.missed_in_a_row = 0
+        self._first_tick = first_tick
+        self._answers = {}
+
+    def answer(self, tick, voltage_v):
+        """Keep the answer to the block of ``tick``.
+
+        Raises
+        ------
+        FeedbackError
+            If the voltage is not a finite number.
+        """
+        if not math.isfinite(voltage_v):
+            raise FeedbackError(f'the feedback for tick {tick} is not a finite number')
+        self._answers[tick] = voltage_v
+
+    def awaited(self, tick):
+        """Whether ``tick`` cannot be played yet without missing an answer."""
+        return tick - 1 > self._first_tick and tick - 1 not in self._answers
+
+    def begin(self, tick):
+        """Take over the answer that acts in ``tick``; return whether the last is held instead."""
+        if tick - 1 <= self._first_tick:
+            return False
+        held = tick - 1 not in self._answers
+        self.voltage_v = self._answers.get(tick - 1, self.voltage_v)
+        self.missed += held
+        self.missed_in_a_row = self.missed_in_a_row + 1 if held else 0
+        self._answers = {k: v for k, v in self._answers.items() if k >= tick}
+        return held

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What voltage may reach the amplifier."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+FLAG_RANGE_LIMITED = 1
+FLAG_SLEW_LIMITED = 2
+
+
+class LimitError(ValueError):
+    """A voltage that the stage must not play."""
+
+
+@dataclass(frozen=True)
+class VoltageLimits:
+    """Range and slew rate that the stage enforces under every client.
+
+    Attributes
+    ----------
+    minimum_v, maximum_v : float
+        Range (V), both ends allowed.
+    slew_v_per_s : float
+        Largest change from one sample of the clock to the next, per sample period (V/s).
+    """
+
+    minimum_v: float
+    maximum_v: float
+    slew_v_per_s: float
+
+    def __post_init__(self):
+        if not self.minimum_v < self.maximum_v:
+            raise LimitError(f'the voltage range [{self.minimum_v}, {self.maximum_v}] V is empty: '
+                             'let minimum_voltage_v be below maximum_voltage_v')
+
+    def check(self, voltage_v, sample_period_s, previous_v=None):
+        """Refuse a voltage sequence that leaves the range or jumps.
+
+        Parameters
+        ----------
+        voltage_v : ndarray, shape (n,)
+        sample_period_s : float
+            Period of the sample clock: a change takes place within one sample (s).
+        previous_v : float, optional
+            Voltage before the first sample.
+
+        Raises
+        ------
+        LimitError
+            Names the first sample at fault.
+        """
+        voltage_v = np.asarray(voltage_v, dtype=float)
+        if voltage_v.size == 0:
+            raise LimitError('the voltage sequence is empty: send at least one sample')
+        bad = np.flatnonzero(~np.isfinite(voltage_v))
+        if bad.size:
+            raise LimitError(f'voltage sample {bad[0]} is not a finite number: '
+                             'send finite voltages only')
+        bad = np.flatnonzero((voltage_v < self.minimum_v) | (voltage_v > self.maximum_v))
+        if bad.size:
+            raise LimitError(
+                f'voltage sample {bad[0]} is {voltage_v[bad[0]]:g} V, outside '
+                f'[{self.minimum_v:g}, {self.maximum_v:g}] V: scale or shift the sequence')
+        steps = np.diff(voltage_v if previous_v is None else np.r_[previous_v, voltage_v])
+        largest_step_v = self.slew_v_per_s * sample_period_s
+        bad = np.flatnonzero(np.abs(steps) > largest_step_v * (1 + 1e-9))
+        if bad.size:
+            at = bad[0] + (previous_v is None)
+            raise LimitError(
+                f'the voltage jumps by {abs(steps[bad[0]]):.4g} V to sample {at}, more than the '
+                f'{largest_step_v:.4g} V that the slew limit allows: make the change slower')
+
+    def apply(self, voltage_v, previous_v, sample_period_s):
+        """Hold a voltage within the limits.
+
+        Parameters
+        ----------
+        voltage_v : ndarray, shape (n,)
+        previous_v : float
+            Voltage before the first sample.
+        sample_period_s : float
+            Period of the sample clock (s).
+
+        Returns
+        -------
+        limited_v : ndarray, shape (n,)
+        flags : int
+            ``FLAG_RANGE_LIMITED`` and ``FLAG_SLEW_LIMITED`` where they took effect.
+        """
+        flags = 0
+        limited_v = np.clip(voltage_v, self.minimum_v, self.maximum_v)
+        if not np.array_equal(limited_v, voltage_v):
+            flags |= FLAG_RANGE_LIMITED
+        largest_step_v = self.slew_v_per_s * sample_period_s * (1 + 1e-9)
+        steps = np.diff(limited_v, prepend=previous_v)
+        if np.abs(steps).max(initial=0.0) > largest_step_v:
+            flags |= FLAG_SLEW_LIMITED
+            for i, wanted_v in enumerate(limited_v):
+                step_v = np.clip(wanted_v - previous_v, -largest_step_v, largest_step_v)
+                previous_v = limited_v[i] = previous_v + step_v
+        return limited_v, flags
