@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The whole stage: Preisach hysteresis, then creep, then electric and vibration dynamics."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_models.linear import (
+    CreepDynamics,
+    ElectricVibrationDynamics,
+    continue_linear,
+    equilibrium_state,
+    zoh,
+)
+from piezo_models.preisach import PreisachMemory, PreisachModel
+
+
+@dataclass(eq=False)
+class StageMemory:
+    """What the stage remembers: the past of its hysteresis and the state of `StageModel.linear`."""
+
+    hysteresis: PreisachMemory
+    linear_state: np.ndarray
+
+    def copy(self):
+        """An independent memory with the same past."""
+        return StageMemory(self.hysteresis.copy(), self.linear_state.copy())
+
+
+@dataclass(frozen=True, eq=False)
+class StageModel:
+    """Cascade of hysteresis, creep, and electric and vibration dynamics, Fig. 4.3.
+
+    Parameters
+    ----------
+    hysteresis : PreisachModel
+    creep : CreepDynamics
+    dynamics : ElectricVibrationDynamics
+    """
+
+    hysteresis: PreisachModel
+    creep: CreepDynamics
+    dynamics: ElectricVibrationDynamics
+
+    def linear(self):
+        """Continuous `control.StateSpace` from hysteresis output to displacement."""
+        return self.creep.state_space() * self.dynamics.state_space()
+
+    def response(self, frequency_hz):
+        """Complex response of `linear` at the given frequencies."""
+        return self.creep.response(frequency_hz) * self.dynamics.response(frequency_hz)
+
+    def memory(self, rest_voltage_v=0.0, hysteresis=None, settled=True):
+        """Memory of a stage at rest.
+
+        Parameters
+        ----------
+        rest_voltage_v : float
+            Voltage reached from negative saturation; not used if `hysteresis` is given.
+        hysteresis : PreisachMemory, optional
+            Past of the hysteresis, in place of that; copied.
+        settled : bool
+            True: the stage has rested for so long that the creep is over, and the linear states
+            are in equilibrium with the hysteresis output. False: they are zero.
+
+        Returns
+        -------
+        StageMemory
+        """
+        if hysteresis is None:
+            hysteresis = self.hysteresis.memory()
+            self.hysteresis.simulate([rest_voltage_v], hysteresis)
+        else:
+            hysteresis = hysteresis.copy()
+        held = hysteresis.hysteresis_um if settled else 0.0
+        return StageMemory(hysteresis, equilibrium_state(self.linear(), held))
+
+    def simulate(self, voltage_v, sample_period_s, memory=None):
+        """Displacement at the sample instants, each measured before its voltage acts.
+
+        Parameters
+        ----------
+        voltage_v : (N,) array_like
+            Each held for a sample period.
+        sample_period_s : float
+        memory : StageMemory, optional
+            Past of the stage; continued, and updated in place. By default the stage has rested at
+            0 V, reached from negative saturation, until the creep was over.
+
+        Returns
+        -------
+        (N,) array
+            Displacement in um.
+
+        Raises
+        ------
+        ValueError
+            If a voltage is not finite or the sample period is not positive.
+        """
+        memory = self.memory() if memory is None else memory
+        system = zoh(self.linear(), sample_period_s)
+        hysteresis = self.hysteresis.simulate(voltage_v, memory.hysteresis)
+        displacement, memory.linear_state = continue_linear(
+            system, hysteresis, memory.linear_state
+        )
+        return displacement

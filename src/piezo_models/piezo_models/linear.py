@@ -1,0 +1,333 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Linear dynamics behind the hysteresis: creep, electric and vibration dynamics, and sampling.
+
+The state space is a cascade of sections of first and second order whose states have the size of
+their input, so that creep poles of hundredths of rad/s and modes of thousands of rad/s stand side
+by side without the cancellation of high-order polynomials.
+"""
+
+from dataclasses import dataclass
+from functools import reduce
+
+import control
+import numpy as np
+from numba import njit
+
+
+@dataclass(frozen=True)
+class CreepDynamics:
+    """Creep, eq. (4.4), with unit high-frequency gain: the product of (s + z) / (s + p).
+
+    Parameters
+    ----------
+    poles_rad_per_s, zeros_rad_per_s : sequence of float
+        Positive p and z, as many of one as of the other. Empty for no creep.
+    """
+
+    poles_rad_per_s: tuple = ()
+    zeros_rad_per_s: tuple = ()
+
+    def __post_init__(self):
+        _set_positive(self, "poles_rad_per_s")
+        _set_positive(self, "zeros_rad_per_s")
+        if len(self.poles_rad_per_s) != len(self.zeros_rad_per_s):
+            raise ValueError(
+                f"creep has {len(self.poles_rad_per_s)} poles and {len(self.zeros_rad_per_s)} "
+                "zeros; give one zero for each pole"
+            )
+
+    def state_space(self):
+        """Continuous `control.StateSpace`."""
+        sections = [
+            ([[-p]], [[p]], [[z / p - 1.0]], [[1.0]])
+            for p, z in zip(self.poles_rad_per_s, self.zeros_rad_per_s, strict=True)
+        ]
+        return _cascade(sections)
+
+    def response(self, frequency_hz):
+        """Complex response at the given frequencies, in the shape of `frequency_hz`."""
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
+        response = np.ones_like(s)
+        for p, z in zip(self.poles_rad_per_s, self.zeros_rad_per_s, strict=True):
+            response = response * (s + z) / (s + p)
+        return response
+
+
+@dataclass(frozen=True)
+class ElectricVibrationDynamics:
+    """Electric lag and vibration modes, eq. (4.3), with unit DC gain.
+
+    Parameters
+    ----------
+    time_constant_s : float
+        Time constant of the electric lag, 1 / (tau s + 1).
+    mode_frequencies_rad_per_s, damping_ratios : sequence of float
+        One of each for a mode.
+    antiresonance_frequencies_rad_per_s, antiresonance_damping_ratios : sequence of float, optional
+        One of each for a pair of zeros; no more of them than modes.
+    """
+
+    time_constant_s: float
+    mode_frequencies_rad_per_s: tuple = ()
+    damping_ratios: tuple = ()
+    antiresonance_frequencies_rad_per_s: tuple = ()
+    antiresonance_damping_ratios: tuple = ()
+
+    def __post_init__(self):
+        if not (np.isfinite(self.time_constant_s) and self.time_constant_s > 0):
+            raise ValueError(f"time_constant_s is {self.time_constant_s}; give a positive time")
+        object.__setattr__(self, "time_constant_s", float(self.time_constant_s))
+        for name in (
+            "mode_frequencies_rad_per_s",
+            "damping_ratios",
+            "antiresonance_frequencies_rad_per_s",
+            "antiresonance_damping_ratios",
+        ):
+            _set_positive(self, name)
+        modes, antiresonances = (
+            len(self.mode_frequencies_rad_per_s),
+            len(self.antiresonance_frequencies_rad_per_s),
+        )
+        if len(self.damping_ratios) != modes:
+            raise ValueError(
+                f"there are {modes} mode frequencies and {len(self.damping_ratios)} damping "
+                "ratios; give one of each for a mode"
+            )
+        if len(self.antiresonance_damping_ratios) != antiresonances:
+            raise ValueError(
+                f"there are {antiresonances} antiresonance frequencies and "
+                f"{len(self.antiresonance_damping_ratios)} antiresonance damping ratios; give one "
+                "of each for an antiresonance"
+            )
+        if antiresonances > modes:
+            raise ValueError(
+                f"there are {antiresonances} antiresonances and {modes} modes; "
+                "give no more antiresonances than modes"
+            )
+
+    def _modes(self):
+        """For each mode its w, zeta, and the pair of zeros that share its section, or None."""
+        antiresonances = list(
+            zip(
+                self.antiresonance_frequencies_rad_per_s,
+                self.antiresonance_damping_ratios,
+                strict=True,
+            )
+        )
+        antiresonances += [None] * (len(self.mode_frequencies_rad_per_s) - len(antiresonances))
+        return zip(
+            self.mode_frequencies_rad_per_s, self.damping_ratios, antiresonances, strict=True
+        )
+
+    def state_space(self):
+        """Continuous `control.StateSpace`."""
+        rate = 1.0 / self.time_constant_s
+        sections = [([[-rate]], [[rate]], [[1.0]], [[0.0]])]
+        for w, zeta, antiresonance in self._modes():
+            position, velocity, direct = 1.0, 0.0, 0.0
+            if antiresonance is not None:
+                wz, zeta_z = antiresonance
+                direct = (w / wz) ** 2
+                position = 1.0 - direct
+                velocity = 2.0 * (zeta_z * w / wz - zeta * direct)
+            sections.append(
+                (
+                    [[0.0, w], [-w, -2.0 * zeta * w]],
+                    [[0.0], [w]],
+                    [[position, velocity]],
+                    [[direct]],
+                )
+            )
+        return _cascade(sections)
+
+    def response(self, frequency_hz):
+        """Complex response at the given frequencies, in the shape of `frequency_hz`."""
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
+        response = 1.0 / (self.time_constant_s * s + 1.0)
+        for w, zeta, antiresonance in self._modes():
+            response = response / _quadratic(s, w, zeta)
+            if antiresonance is not None:
+                response = response * _quadratic(s, *antiresonance)
+        return response
+
+
+def _quadratic(s, frequency, damping):
+    ratio = s / frequency
+    return ratio * ratio + 2.0 * damping * ratio + 1.0
+
+
+def _set_positive(instance, name):
+    values = tuple(float(value) for value in getattr(instance, name))
+    if not all(np.isfinite(value) and value > 0 for value in values):
+        raise ValueError(f"{name} is {values}; give positive numbers")
+    object.__setattr__(instance, name, values)
+
+
+def _cascade(sections):
+    """Series connection, the first section first."""
+    systems = [control.ss(*matrices) for matrices in sections]
+    return reduce(lambda first, second: second * first, systems, control.ss([], [], [], [[1.0]]))
+
+
+def zoh(system, sample_period_s):
+    """Exact discrete system for an input held over each sample period.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous; its states are kept.
+    sample_period_s : float
+
+    Returns
+    -------
+    control.StateSpace
+        Discrete, with `dt` = `sample_period_s`.
+
+    Raises
+    ------
+    ValueError
+        If the system is discrete already, or the sample period is not positive.
+    """
+    if not system.isctime(strict=False):
+        raise ValueError("the system is discrete already; give the continuous one")
+    if not (np.isfinite(sample_period_s) and sample_period_s > 0):
+        raise ValueError(f"sample_period_s is {sample_period_s}; give a positive time")
+    if system.nstates == 0:
+        return control.ss(system.A, system.B, system.C, system.D, sample_period_s)
+    return system.sample(sample_period_s, method="zoh")
+
+
+def zoh_response(system, frequency_hz, sample_period_s):
+    """Response of the ZOH-sampled system: that of the discrete system at exp(j 2 pi f T).
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous, one input and one output.
+    frequency_hz : array_like
+    sample_period_s : float
+
+    Returns
+    -------
+    complex array
+        In the shape of `frequency_hz`.
+    """
+    discrete = zoh(system, sample_period_s)
+    _check_single(discrete)
+    frequency = np.asarray(frequency_hz, dtype=float)
+    z = np.exp(2j * np.pi * frequency.ravel() * sample_period_s)
+    response = np.full(z.size, discrete.D[0, 0], dtype=complex)
+    states = discrete.nstates
+    # Blocks bound the memory that the stacked matrices take.
+    for start in range(0, z.size if states else 0, 4096):
+        block = slice(start, start + 4096)
+        resolvent = z[block, None, None] * np.eye(states) - discrete.A
+        right = np.broadcast_to(discrete.B, (resolvent.shape[0], states, 1))
+        response[block] += (discrete.C @ np.linalg.solve(resolvent, right))[:, 0, 0]
+    return response.reshape(frequency.shape)[()]
+
+
+def equilibrium_state(system, held_input=1.0):
+    """State of a continuous system in which it rests under a constant input.
+
+    The ZOH-sampled system shares its states and so its equilibrium.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous and stable.
+    held_input : float
+
+    Returns
+    -------
+    (n,) array
+    """
+    return np.linalg.solve(system.A, -system.B[:, 0] * held_input) if system.nstates else np.zeros(0)
+
+
+def simulate_linear(discrete_system, input, initial_state=None):
+    """Output y[n] = C x[n] + D v[n] of a discrete system with x[n + 1] = A x[n] + B v[n].
+
+    Parameters
+    ----------
+    discrete_system : control.StateSpace
+        Discrete, one input and one output.
+    input : (N,) array_like
+    initial_state : (n,) array_like, optional
+        State at the first sample; zero by default.
+
+    Returns
+    -------
+    (N,) array
+    """
+    states = discrete_system.nstates
+    state = np.zeros(states) if initial_state is None else initial_state
+    return continue_linear(discrete_system, input, state)[0]
+
+
+def continue_linear(discrete_system, input, state):
+    """Output of `simulate_linear` and the state after the last sample, to go on from.
+
+    Parameters
+    ----------
+    discrete_system : control.StateSpace
+        Discrete, one input and one output.
+    input : (N,) array_like
+    state : (n,) array_like
+        State at the first sample; left as it is.
+
+    Returns
+    -------
+    output : (N,) array
+    state : (n,) array
+        State at the sample after the last.
+    """
+    _check_single(discrete_system)
+    if not discrete_system.isdtime(strict=True):
+        raise ValueError("the system is continuous; sample it with zoh() first")
+    samples = np.ascontiguousarray(input, dtype=float)
+    state = np.array(state, dtype=float)
+    if samples.ndim != 1:
+        raise ValueError(f"the input has {samples.ndim} dimensions; give one sequence")
+    if state.shape != (discrete_system.nstates,):
+        raise ValueError(
+            f"the state has shape {state.shape}; the system has {discrete_system.nstates} states"
+        )
+    output = _run(
+        np.ascontiguousarray(discrete_system.A.T),
+        np.ascontiguousarray(discrete_system.B[:, 0]),
+        np.ascontiguousarray(discrete_system.C[0]),
+        discrete_system.D[0, 0],
+        samples,
+        state,
+    )
+    return output, state
+
+
+def _check_single(system):
+    if (system.ninputs, system.noutputs) != (1, 1):
+        raise ValueError(
+            f"the system has {system.ninputs} inputs and {system.noutputs} outputs; "
+            "give one with a single input and output"
+        )
+
+
+@njit(cache=True)
+def _run(transposed, gains, weights, direct, samples, state):
+    size = state.size
+    output = np.empty(samples.size)
+    following = np.empty(size)
+    for n in range(samples.size):
+        v = samples[n]
+        y = direct * v
+        for i in range(size):
+            following[i] = gains[i] * v
+        for j in range(size):
+            x = state[j]
+            y += weights[j] * x
+            for i in range(size):
+                following[i] += transposed[j, i] * x
+        for i in range(size):
+            state[i] = following[i]
+        output[n] = y
+    return output

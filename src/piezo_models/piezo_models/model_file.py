@@ -1,0 +1,353 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The model file: one versioned JSON document, written atomically and read strictly."""
+
+import json
+import math
+import os
+import tempfile
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from piezo_models.cascade import StageModel
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.preisach import PreisachModel
+
+FORMAT = "piezo_stage_model"
+VERSION = 1
+
+# A density of 1000 x 1000 cells fits.
+_LARGEST_FILE_BYTES = 32 * 2**20
+
+
+class ModelFileError(ValueError):
+    """A model file that cannot be read or written: says path, field and cure."""
+
+
+@dataclass
+class IdentifiedModel:
+    """A stage model with what is known of its identification.
+
+    Parameters
+    ----------
+    model : StageModel
+    voltage_range_v : (float, float)
+        Voltages that the identification covered.
+    sample_periods_s : dict of str to float
+        Sample period of each experiment, by its name.
+    errors : dict of str to float, or to such a dict
+        Errors on data that was not fitted, units in the names.
+    recordings : list of {"path": str, "sha256": str}
+        Where the model came from.
+    created : str
+        Time of creation, ISO 8601; now by default.
+    """
+
+    model: StageModel
+    voltage_range_v: tuple
+    sample_periods_s: dict = field(default_factory=dict)
+    errors: dict = field(default_factory=dict)
+    recordings: list = field(default_factory=list)
+    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+
+
+def save_model(path, identified):
+    """Write a model file; the file at `path` is replaced at once or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+    identified : IdentifiedModel
+
+    Raises
+    ------
+    ModelFileError
+        If the model does not satisfy what `load_model` asks for, or the file cannot be written.
+    """
+    path = Path(path)
+    document = _document(identified)
+    _Reader(path).identified_model(document)
+    temporary = None
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", dir=path.parent, prefix=path.name, suffix=".tmp", delete=False, encoding="utf-8"
+        ) as file:
+            temporary = file.name
+            file.write(_render(document) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        # Temporary files are private; the model is as readable as any new file.
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        raise ModelFileError(
+            f"{path}: cannot be written ({error.strerror}); choose a writable directory"
+        ) from error
+
+
+def load_model(path):
+    """Read a model file.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    IdentifiedModel
+
+    Raises
+    ------
+    ModelFileError
+        If the file is missing, is not a model file of this version, or has a missing, unknown or
+        invalid field.
+    """
+    path = Path(path)
+    try:
+        size = path.stat().st_size
+        if size > _LARGEST_FILE_BYTES:
+            raise ModelFileError(
+                f"{path}: has {size} bytes, more than the {_LARGEST_FILE_BYTES} of any model; "
+                "give a model file"
+            )
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ModelFileError(
+            f"{path}: cannot be read ({error.strerror}); give an existing model file"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise ModelFileError(f"{path}: is not text; give a model file") from error
+    try:
+        document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise ModelFileError(f"{path}: is not valid JSON ({error}); save the model again") from error
+    return _Reader(path).identified_model(document)
+
+
+def _document(identified):
+    model = identified.model
+    hysteresis, dynamics = model.hysteresis, model.dynamics
+    density = hysteresis.density_um_per_v2
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "created": identified.created,
+        "voltage_range_v": [float(voltage) for voltage in identified.voltage_range_v],
+        "sample_periods_s": _plain(identified.sample_periods_s),
+        "errors": _plain(identified.errors),
+        "recordings": [dict(recording) for recording in identified.recordings],
+        "creep": {
+            "poles_rad_per_s": list(model.creep.poles_rad_per_s),
+            "zeros_rad_per_s": list(model.creep.zeros_rad_per_s),
+        },
+        "dynamics": {
+            "time_constant_s": dynamics.time_constant_s,
+            "mode_frequencies_rad_per_s": list(dynamics.mode_frequencies_rad_per_s),
+            "damping_ratios": list(dynamics.damping_ratios),
+            "antiresonance_frequencies_rad_per_s": list(
+                dynamics.antiresonance_frequencies_rad_per_s
+            ),
+            "antiresonance_damping_ratios": list(dynamics.antiresonance_damping_ratios),
+        },
+        "hysteresis": {
+            "voltage_min_v": hysteresis.voltage_min_v,
+            "voltage_max_v": hysteresis.voltage_max_v,
+            "offset_um": hysteresis.offset_um,
+            "density_um_per_v2": [row[: i + 1].tolist() for i, row in enumerate(density)],
+        },
+    }
+
+
+def _plain(value):
+    """Numbers of NumPy as plain ones, in dicts of any depth."""
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _render(value, indent=""):
+    """JSON with one line per field, and per row of a matrix."""
+    inner = indent + "  "
+    if isinstance(value, dict) and value:
+        fields = [f"{inner}{json.dumps(key)}: {_render(v, inner)}" for key, v in value.items()]
+        return "{\n" + ",\n".join(fields) + "\n" + indent + "}"
+    if isinstance(value, list) and any(isinstance(entry, (list, dict)) for entry in value):
+        entries = [f"{inner}{_render(entry, inner)}" for entry in value]
+        return "[\n" + ",\n".join(entries) + "\n" + indent + "]"
+    return json.dumps(value, allow_nan=False)
+
+
+def _unique(pairs):
+    fields = {}
+    for name, value in pairs:
+        if name in fields:
+            raise ValueError(f"field {name} is repeated")
+        fields[name] = value
+    return fields
+
+
+def _refuse_constant(name):
+    raise ValueError(f"{name} is no number")
+
+
+def _umask():
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+class _Reader:
+    """Checks a document field by field; each refusal names the path, the field and the cure."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def refuse(self, name, problem, cure):
+        raise ModelFileError(f"{self.path}: {name} {problem}; {cure}")
+
+    def identified_model(self, document):
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            self.refuse("format", f'is not "{FORMAT}"', "give a model file")
+        if document.get("version") != VERSION or isinstance(document["version"], bool):
+            self.refuse(
+                "version",
+                f"is {json.dumps(document.get('version'))[:40]}, not {VERSION}",
+                "identify the model again with this release",
+            )
+        top = self.fields(
+            document,
+            "",
+            "format",
+            "version",
+            "created",
+            "voltage_range_v",
+            "sample_periods_s",
+            "errors",
+            "recordings",
+            "creep",
+            "dynamics",
+            "hysteresis",
+        )
+        low, high = self.numbers(top["voltage_range_v"], "voltage_range_v", length=2)
+        if not low < high:
+            self.refuse("voltage_range_v", "does not increase", "give [lowest, highest]")
+        if not isinstance(top["created"], str):
+            self.refuse("created", "is not text", "give an ISO 8601 time")
+        periods = self.number_tree(top["sample_periods_s"], "sample_periods_s")
+        for name, period in periods.items():
+            if isinstance(period, dict) or period <= 0:
+                self.refuse(f"sample_periods_s.{name}", "is not positive", "give a time in s")
+        return IdentifiedModel(
+            model=StageModel(
+                self.hysteresis(top["hysteresis"]),
+                self.creep(top["creep"]),
+                self.dynamics(top["dynamics"]),
+            ),
+            voltage_range_v=(low, high),
+            sample_periods_s=periods,
+            errors=self.number_tree(top["errors"], "errors"),
+            recordings=self.recordings(top["recordings"]),
+            created=top["created"],
+        )
+
+    def hysteresis(self, value):
+        fields = self.fields(
+            value, "hysteresis.", "voltage_min_v", "voltage_max_v", "offset_um", "density_um_per_v2"
+        )
+        name = "hysteresis.density_um_per_v2"
+        rows = fields["density_um_per_v2"]
+        if not isinstance(rows, list) or not rows:
+            self.refuse(name, "is not a list of rows", "give row i with its i + 1 cells")
+        density = np.zeros((len(rows), len(rows)))
+        for i, row in enumerate(rows):
+            density[i, : i + 1] = self.numbers(row, f"{name}[{i}]", length=i + 1)
+            if (density[i] < 0).any():
+                self.refuse(f"{name}[{i}]", "holds a negative cell", "fit a non-negative density")
+        return self.built(
+            PreisachModel,
+            "hysteresis",
+            self.number(fields["voltage_min_v"], "hysteresis.voltage_min_v"),
+            self.number(fields["voltage_max_v"], "hysteresis.voltage_max_v"),
+            density,
+            self.number(fields["offset_um"], "hysteresis.offset_um"),
+        )
+
+    def creep(self, value):
+        names = ("poles_rad_per_s", "zeros_rad_per_s")
+        fields = self.fields(value, "creep.", *names)
+        return self.built(
+            CreepDynamics, "creep", *(self.numbers(fields[name], f"creep.{name}") for name in names)
+        )
+
+    def dynamics(self, value):
+        names = (
+            "mode_frequencies_rad_per_s",
+            "damping_ratios",
+            "antiresonance_frequencies_rad_per_s",
+            "antiresonance_damping_ratios",
+        )
+        fields = self.fields(value, "dynamics.", "time_constant_s", *names)
+        return self.built(
+            ElectricVibrationDynamics,
+            "dynamics",
+            self.number(fields["time_constant_s"], "dynamics.time_constant_s"),
+            *(self.numbers(fields[name], f"dynamics.{name}") for name in names),
+        )
+
+    def recordings(self, value):
+        if not isinstance(value, list):
+            self.refuse("recordings", "is not a list", "give path and sha256 of each recording")
+        for i, recording in enumerate(value):
+            fields = self.fields(recording, f"recordings[{i}].", "path", "sha256")
+            if not all(isinstance(entry, str) for entry in fields.values()):
+                self.refuse(f"recordings[{i}]", "is not text", "give path and sha256 as text")
+        return value
+
+    def built(self, kind, name, *arguments):
+        try:
+            return kind(*arguments)
+        except ValueError as error:
+            raise ModelFileError(f"{self.path}: {name}: {error}") from error
+
+    def fields(self, value, prefix, *names):
+        """The object itself, once it has exactly these fields."""
+        if not isinstance(value, dict):
+            self.refuse(prefix.rstrip("."), "is not an object", "save the model again")
+        for name in names:
+            if name not in value:
+                self.refuse(f"{prefix}{name}", "is missing", "save the model again")
+        for name in value:
+            if name not in names:
+                self.refuse(f"{prefix}{name}", "is unknown to this version", "remove it")
+        return value
+
+    def number(self, value, name):
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            try:
+                number = float(value)
+            except OverflowError:
+                number = math.inf
+            if math.isfinite(number):
+                return number
+        self.refuse(name, "is not a finite number", "give a finite number")
+
+    def numbers(self, value, name, length=None):
+        if not isinstance(value, list) or (length is not None and len(value) != length):
+            count = "numbers" if length is None else f"{length} numbers"
+            self.refuse(name, f"is not a list of {count}", f"give {count}")
+        return [self.number(entry, f"{name}[{i}]") for i, entry in enumerate(value)]
+
+    def number_tree(self, value, name):
+        """Finite numbers by name, in objects of any depth."""
+        if not isinstance(value, dict):
+            self.refuse(name, "is not an object", "give numbers by name")
+        return {
+            key: self.number_tree(entry, f"{name}.{key}")
+            if isinstance(entry, dict)
+            else self.number(entry, f"{name}.{key}")
+            for key, entry in value.items()
+        }
