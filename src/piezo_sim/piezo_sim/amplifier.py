@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Voltage amplifier behind a digital-to-analogue converter."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numba import njit
+
+from piezo_sim.effect import Surroundings, parameter, require
+
+
+@njit(cache=True)
+def quantise(value, low, step, codes):
+    """Nearest of the levels low + k step, k = 0..codes - 1."""
+    code = np.rint((value - low) / step)
+    return low + step * min(max(code, 0.0), codes - 1.0)
+
+
+@njit(cache=True)
+def _drive(samples, output_v, voltage_min_v, step_v, codes, largest_change_v):
+    for n in range(samples.size):
+        command_v = quantise(samples[n], voltage_min_v, step_v, codes)
+        change_v = command_v - output_v
+        if change_v > largest_change_v:
+            output_v += largest_change_v
+        elif change_v < -largest_change_v:
+            output_v -= largest_change_v
+        else:
+            output_v = command_v
+        samples[n] = output_v
+    return output_v
+
+
+@dataclass(frozen=True)
+class VoltageAmplifier:
+    """Range, resolution and slew rate of the amplifier.
+
+    The levels of the converter divide the range evenly and include both ends. The slew rate limits
+    the change from one sample to the next; the output is held within a sample.
+    """
+
+    name: ClassVar[str] = "voltage_amplifier"
+
+    voltage_min_v: float = parameter("V")
+    voltage_max_v: float = parameter("V")
+    converter_bits: int = parameter("1")
+    slew_rate_v_per_s: float = parameter("V/s")
+
+    def __post_init__(self):
+        require(
+            self.voltage_min_v < self.voltage_max_v,
+            self,
+            "voltage_min_v must be below voltage_max_v.",
+        )
+        require(
+            1 <= self.converter_bits <= 32, self, "converter_bits must be an integer from 1 to 32."
+        )
+        require(self.slew_rate_v_per_s > 0.0, self, "slew_rate_v_per_s must be positive.")
+
+    @property
+    def step_v(self) -> float:
+        """Distance of two levels of the converter."""
+        return (self.voltage_max_v - self.voltage_min_v) / (2**self.converter_bits - 1)
+
+    def start(self, surroundings: Surroundings) -> "AmplifierRunner":
+        """Start at the rest voltage."""
+        return AmplifierRunner(self, surroundings.sample_period_s)
+
+
+class AmplifierRunner:
+    """Amplifier with its present output."""
+
+    def __init__(self, effect: VoltageAmplifier, sample_period_s: float):
+        self._levels = (effect.voltage_min_v, effect.step_v, float(2**effect.converter_bits))
+        self._largest_change_v = effect.slew_rate_v_per_s * sample_period_s
+        self._output_v = effect.voltage_min_v
+
+    def rest(self, level: float) -> float:
+        """Settle at the converter's level next to the command `level`."""
+        self._output_v = quantise(level, *self._levels)
+        return self._output_v
+
+    def apply(self, samples: np.ndarray) -> None:
+        """Replace commanded voltages by output voltages."""
+        self._output_v = _drive(samples, self._output_v, *self._levels, self._largest_change_v)

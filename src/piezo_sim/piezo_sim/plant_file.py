@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Strict reading of a plant file: every parameter with value, unit and source."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import yaml
+
+from piezo_sim.amplifier import VoltageAmplifier
+from piezo_sim.effect import Effect, PlantConfigError
+from piezo_sim.hysteresis import PreisachHysteresis
+from piezo_sim.linear import Creep, ElectricLag, VibrationMode
+from piezo_sim.sensor import DisplacementSensor
+
+# A further effect of the plant is one new module and one more entry here.
+EFFECTS = {
+    effect.name: effect
+    for effect in (
+        VoltageAmplifier,
+        PreisachHysteresis,
+        Creep,
+        ElectricLag,
+        VibrationMode,
+        DisplacementSensor,
+    )
+}
+
+
+@dataclass(frozen=True)
+class PlantConfig:
+    """Effects of the plant, each section in the order in which the signal passes it.
+
+    Attributes
+    ----------
+    amplifier : tuple of Effect
+        From the commanded voltage to the applied voltage, V.
+    stage : tuple of Effect
+        From the applied voltage, V, to the true displacement, um.
+    sensor : tuple of Effect
+        From the true displacement to the measured displacement, um.
+    """
+
+    amplifier: tuple[Effect, ...]
+    stage: tuple[Effect, ...]
+    sensor: tuple[Effect, ...]
+
+
+def read_plant(path: str | Path | None = None) -> PlantConfig:
+    """Read a plant file.
+
+    Parameters
+    ----------
+    path : path, optional
+        YAML file; by default the plant of thesis chapter 4 that comes with this package.
+
+    Raises
+    ------
+    PlantConfigError
+        If the file cannot be read, or a section, effect or parameter is unknown, missing, without
+        unit or source, not finite, or impossible.
+    """
+    file = resources.files("piezo_sim") / "plant.yaml" if path is None else Path(path)
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise PlantConfigError(f"{file}: the plant file cannot be read: {error}.") from None
+    try:
+        return parse_plant(text)
+    except PlantConfigError as error:
+        raise PlantConfigError(f"{file}: {error}") from None
+
+
+def parse_plant(text: str) -> PlantConfig:
+    """Parse the text of a plant file; see `read_plant`."""
+    try:
+        content = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise PlantConfigError(f"not a YAML file: {' '.join(str(error).split())}.") from None
+    sections = [field.name for field in dataclasses.fields(PlantConfig)]
+    _check_names("the plant file", content, sections)
+    return PlantConfig(
+        **{
+            section: tuple(
+                _effect(f"{section}[{index}]", entry)
+                for index, entry in enumerate(_list(section, content[section]))
+            )
+            for section in sections
+        }
+    )
+
+
+def _list(where: str, value) -> list:
+    if not isinstance(value, list) or not value:
+        raise PlantConfigError(f"{where} must be a list of at least one effect.")
+    return value
+
+
+def _check_names(where: str, mapping, expected: list[str]) -> None:
+    if not isinstance(mapping, dict):
+        raise PlantConfigError(f"{where} must hold {', '.join(expected)}.")
+    for name in mapping:
+        if name not in expected:
+            raise PlantConfigError(
+                f"{where} has an unknown entry {name!r}; it may hold {', '.join(expected)}."
+            )
+    for name in expected:
+        if name not in mapping:
+            raise PlantConfigError(f"{where} lacks {name}; add it.")
+
+
+def _effect(where: str, entry) -> Effect:
+    name = entry.get("effect") if isinstance(entry, dict) else None
+    if name not in EFFECTS:
+        raise PlantConfigError(
+            f"{where} names an unknown effect {name!r}; known are {', '.join(EFFECTS)}."
+        )
+    where = f"{where} {name}"
+    fields = dataclasses.fields(EFFECTS[name])
+    _check_names(where, entry, ["effect"] + [field.name for field in fields])
+    values = {field.name: _value(where, field, entry[field.name]) for field in fields}
+    return EFFECTS[name](**values)
+
+
+def _value(where: str, field: dataclasses.Field, entry):
+    where = f"{where}: {field.name}"
+    _check_names(where, entry, ["value", "unit", "source"])
+    unit = field.metadata["unit"]
+    if entry["unit"] != unit:
+        raise PlantConfigError(f"{where} has the unit {entry['unit']!r}; state it in {unit!r}.")
+    if not isinstance(entry["source"], str) or not entry["source"].strip():
+        raise PlantConfigError(f"{where} has no source; say where the value comes from.")
+    value = entry["value"]
+    if field.type is int:
+        if type(value) is not int:
+            raise PlantConfigError(f"{where} must be an integer, not {value!r}.")
+        return value
+    if field.type is float:
+        return _number(where, value)
+    if not isinstance(value, list):
+        raise PlantConfigError(f"{where} must be a list of numbers, not {value!r}.")
+    return tuple(_number(where, item) for item in value)
+
+
+def _number(where: str, value) -> float:
+    if type(value) not in (int, float):
+        raise PlantConfigError(f"{where} must be a number, not {value!r}.")
+    if not math.isfinite(value):
+        raise PlantConfigError(f"{where} must be finite, not {value!r}.")
+    return float(value)

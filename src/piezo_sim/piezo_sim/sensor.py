@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Displacement sensor (LVDT) in front of an analogue-to-digital converter."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numba import njit
+
+from piezo_sim.amplifier import quantise
+from piezo_sim.effect import Surroundings, parameter, require
+
+# Noise is drawn ahead in blocks: one draw for 40 samples would cost more than all the rest.
+_NOISE_BLOCK = 4096
+
+
+@njit(cache=True)
+def _measure(samples, noise, noise_rms_um, displacement_min_um, step_um, codes):
+    for n in range(samples.size):
+        samples[n] = quantise(
+            samples[n] + noise_rms_um * noise[n], displacement_min_um, step_um, codes
+        )
+
+
+@dataclass(frozen=True)
+class DisplacementSensor:
+    """White Gaussian noise on every sample, then the levels of the converter."""
+
+    name: ClassVar[str] = "displacement_sensor"
+
+    noise_rms_um: float = parameter("um")
+    displacement_min_um: float = parameter("um")
+    displacement_max_um: float = parameter("um")
+    converter_bits: int = parameter("1")
+
+    def __post_init__(self):
+        require(self.noise_rms_um >= 0.0, self, "noise_rms_um must not be negative.")
+        require(
+            self.displacement_min_um < self.displacement_max_um,
+            self,
+            "displacement_min_um must be below displacement_max_um.",
+        )
+        require(
+            1 <= self.converter_bits <= 32, self, "converter_bits must be an integer from 1 to 32."
+        )
+
+    @property
+    def step_um(self) -> float:
+        """Distance of two levels of the converter."""
+        span_um = self.displacement_max_um - self.displacement_min_um
+        return span_um / (2**self.converter_bits - 1)
+
+    def start(self, surroundings: Surroundings) -> "SensorRunner":
+        """Start the noise from the seed."""
+        return SensorRunner(self, surroundings.seed)
+
+
+class SensorRunner:
+    """Sensor with its stream of noise."""
+
+    def __init__(self, effect: DisplacementSensor, seed: int):
+        self._noise_rms_um = effect.noise_rms_um
+        self._levels = (
+            effect.displacement_min_um,
+            effect.step_um,
+            float(2**effect.converter_bits),
+        )
+        self._generator = np.random.Generator(np.random.PCG64(seed))
+        self._noise = np.empty(0)
+
+    def rest(self, level: float) -> float:
+        """The sensor has no state of its own."""
+        return level
+
+    def apply(self, samples: np.ndarray) -> None:
+        """Replace displacements by measured displacements."""
+        _measure(samples, self._next_noise(samples.size), self._noise_rms_um, *self._levels)
+
+    def _next_noise(self, count: int) -> np.ndarray:
+        missing = count - self._noise.size
+        if missing > 0:
+            blocks = -(-missing // _NOISE_BLOCK)
+            fresh = self._generator.standard_normal(blocks * _NOISE_BLOCK)
+            self._noise = np.concatenate([self._noise, fresh])
+        noise, self._noise = self._noise[:count], self._noise[count:]
+        return noise

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The simulated stage behind the backend protocol."""
+
+import numpy as np
+import pytest
+
+from piezo_sim.backend import SimulatedStage
+
+
+def opened(**options):
+    stage = SimulatedStage(**options)
+    stage.open()
+    return stage
+
+
+def chunked(stage, voltage_v, size):
+    """Measured and true displacement, played in calls of `size` samples."""
+    pairs = [
+        (stage.exchange(voltage_v[first : first + size]), stage.true_displacement_um)
+        for first in range(0, voltage_v.size, size)
+    ]
+    return tuple(np.concatenate(part) for part in zip(*pairs, strict=True))
+
+
+def wandering_voltage(count):
+    steps = np.random.default_rng(7).normal(0.0, 3.0, count)
+    return 50.0 + 90.0 * np.sin(np.cumsum(steps) / 60.0)
+
+
+def test_calls_of_any_size_give_the_same_samples_to_the_bit():
+    voltage_v = wandering_voltage(10_000)
+    whole = chunked(opened(seed=3), voltage_v, voltage_v.size)
+    for size in (1, 40, 1000, 4096, 4097):
+        parts = chunked(opened(seed=3), voltage_v, size)
+        assert all(np.array_equal(a, b) for a, b in zip(whole, parts, strict=True))
+
+
+def test_opening_again_repeats_the_same_samples():
+    voltage_v = wandering_voltage(5000)
+    stage = opened(seed=3)
+    first = stage.exchange(voltage_v)
+    stage.close()
+    stage.open()
+    assert np.array_equal(stage.exchange(voltage_v), first)
+
+
+def test_another_seed_changes_the_noise_and_not_the_position():
+    voltage_v = wandering_voltage(5000)
+    one, other = opened(seed=1), opened(seed=2)
+    assert not np.array_equal(one.exchange(voltage_v), other.exchange(voltage_v))
+    assert np.array_equal(one.true_displacement_um, other.true_displacement_um)
+
+
+def test_a_voltage_acts_only_after_its_own_sample():
+    rest_um = opened().exchange(np.zeros(100))
+    moved = opened()
+    voltage_v = np.zeros(100)
+    voltage_v[50:] = 40.0
+    moved_um = moved.exchange(voltage_v)
+    assert np.array_equal(moved_um[:51], rest_um[:51])
+    assert np.all(np.diff(moved.true_displacement_um[50:]) > 0.0)
+
+
+def test_the_stage_opens_at_rest_near_zero():
+    stage = opened()
+    stage.exchange(np.zeros(40_000))
+    assert np.ptp(stage.true_displacement_um) < 1e-9
+    assert abs(stage.true_displacement_um[0]) < 0.01
+
+
+def test_exchange_refuses_what_it_cannot_play():
+    stage = SimulatedStage()
+    with pytest.raises(RuntimeError, match="call open"):
+        stage.exchange(np.zeros(40))
+    stage.open()
+    with pytest.raises(ValueError, match=r"voltage_v\[2\] is nan"):
+        stage.exchange([0.0, 1.0, np.nan])
+    with pytest.raises(ValueError, match="one dimension"):
+        stage.exchange(np.zeros((2, 2)))
+    stage.close()
+    with pytest.raises(RuntimeError, match="call open"):
+        stage.exchange(np.zeros(40))
+
+
+def test_a_refused_call_leaves_the_stage_untouched():
+    voltage_v = wandering_voltage(200)
+    expected = opened(seed=5).exchange(voltage_v)
+    stage = opened(seed=5)
+    with pytest.raises(ValueError):
+        stage.exchange([100.0, np.inf])
+    assert np.array_equal(stage.exchange(voltage_v), expected)
+
+
+@pytest.mark.parametrize("options", [{"seed": -1}, {"sample_rate_hz": 0.0}])
+def test_impossible_options_are_refused(options):
+    with pytest.raises(ValueError, match=next(iter(options))):
+        SimulatedStage(**options)
