@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: BSD-3-Clause
+SHELL := bash
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+in_environment := source install/setup.bash &&
+
+.PHONY: help setup demo test bench clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
+
+setup: ## make the environment and build the packages; skips what is done
+	@tools/setup
+
+demo: ## identify and control the simulated stage; report in runs/demo
+	@./run piezo_bringup demo --output runs/demo
+
+test: setup ## check the style, then run the unit and the integration tests
+	@$(in_environment) .venv/bin/ruff check . && .venv/bin/python -m pytest src test
+
+bench: setup ## measure speed and accuracy beside peers
+	@$(in_environment) .venv/bin/python benchmarks/run.py
+
+clean: ## remove the environment and everything built
+	rm -rf .venv build install log
