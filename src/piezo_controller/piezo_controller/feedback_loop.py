@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The feedback at run time: one error in, one voltage out, every tick."""
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+
+class MultirateFeedback:
+    """Runs a feedback controller tick by tick with a limited voltage.
+
+    Where the limit cuts the voltage, an observer keeps the controller's state in agreement with
+    the voltage that was given (anti-windup).
+
+    Parameters
+    ----------
+    controller : FeedbackController
+    max_feedback_v : float
+        Largest voltage given, of either sign (V).
+
+    Raises
+    ------
+    ValueError
+        `max_feedback_v` is not positive.
+    """
+
+    def __init__(self, controller, max_feedback_v=20.0):
+        if not max_feedback_v > 0:
+            raise ValueError(f'max_feedback_v is {max_feedback_v:g}: give a positive voltage')
+        self._a = np.ascontiguousarray(controller.A)
+        self._b = np.ravel(controller.B)
+        self._c = np.ravel(controller.C)
+        self._d = float(np.squeeze(controller.D))
+        self._observer = _observer_gain(controller)
+        self._max_v = float(max_feedback_v)
+        self.reset()
+
+    def reset(self):
+        """Forget all errors so far."""
+        self._state = np.zeros(len(self._a))
+
+    def step(self, expected_um, displacement_um):
+        """Answer the block of one tick.
+
+        Parameters
+        ----------
+        expected_um, displacement_um : ndarray, shape (n,), or float
+            Reference and measured displacement of the tick's samples, or their means.
+
+        Returns
+        -------
+        voltage_v : float
+            To be held over the tick after the one in which this is computed.
+        """
+        error_um = np.mean(expected_um) - np.mean(displacement_um)
+        wanted_v = self._c @ self._state + self._d * error_um
+        voltage_v = min(max(wanted_v, -self._max_v), self._max_v)
+        self._state = (self._a @ self._state + self._b * error_um
+                       + self._observer * (voltage_v - wanted_v))
+        return float(voltage_v)
+
+
+def _observer_gain(controller):
+    """Gain that corrects the state by the part of the voltage that was cut off.
+
+    That of the Kalman predictor for an unknown error of 1 um and a voltage known within 1 V.
+    """
+    a, b, c, d = (np.atleast_2d(m) for m in (controller.A, controller.B, controller.C,
+                                             controller.D))
+    output_noise = d @ d.T + 1.0
+    covariance = solve_discrete_are(a.T, c.T, b @ b.T, output_noise, s=b @ d.T)
+    gain = (a @ covariance @ c.T + b @ d.T) / (c @ covariance @ c.T + output_noise)
+    return gain[:, 0]

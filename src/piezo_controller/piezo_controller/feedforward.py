@@ -1,0 +1,299 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Voltage that makes the model of a stage follow a periodic reference (thesis 5.2.2)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from piezo_models.inversion import invert_linear_periodic
+from piezo_models.linear import simulate_linear, zoh
+
+MODES = ('open_loop', 'feedforward')
+
+RAMP_S = 0.05
+FADE_S = 0.05
+SETTLE_S = 0.1
+ALIGNMENT_SAMPLES = 40
+# Above it the stage passes too little for an inverse; what a reference holds there is left out.
+BANDWIDTH_HZ = 4000.0
+CORRECTIONS = 4
+BISECTIONS = 14
+VOLTAGE = 'voltages', 'V'
+STATIC_DISPLACEMENT = 'voltages that at rest would displace', 'um'
+
+
+class UnreachableReference(ValueError):
+    """A reference that the amplifier cannot follow; says which amplitude it can.
+
+    Attributes
+    ----------
+    reachable_um : float
+        Peak-to-peak amplitude within reach of the same reference scaled about its mean; zero if
+        its mean is out of reach already.
+    """
+
+    def __init__(self, message, reachable_um):
+        super().__init__(message)
+        self.reachable_um = reachable_um
+
+
+@dataclass(frozen=True, eq=False)
+class FeedforwardPlan:
+    """Voltage to play and displacement to expect, sample by sample.
+
+    Attributes
+    ----------
+    once_voltage_v, reference_once_um : ndarray, shape (n,)
+        Played first: from the start voltage down to the model's lowest voltage, which wipes out
+        the hysteresis' past, up to the reference's centre, then fading the reference in.
+    period_voltage_v, reference_period_um : ndarray, shape (m,)
+        Repeated from then on.
+    feedback_start_sample : int
+        Where feedback may begin: before it the stage's past is not the model's.
+    """
+
+    once_voltage_v: np.ndarray
+    period_voltage_v: np.ndarray
+    reference_once_um: np.ndarray
+    reference_period_um: np.ndarray
+    feedback_start_sample: int
+
+    def voltage_v(self, first_sample, count):
+        """Voltages of `count` samples from `first_sample` on (V)."""
+        return _play(self.once_voltage_v, self.period_voltage_v, first_sample, count)
+
+    def expected_um(self, first_sample, count):
+        """Displacements to expect of `count` samples from `first_sample` on (um)."""
+        return _play(self.reference_once_um, self.reference_period_um, first_sample, count)
+
+
+def plan_feedforward(reference_um, model, mode='feedforward', *, voltage_range_v=(-20.0, 120.0),
+                     slew_limit_v_per_s=2e6, sample_period_s=25e-6, start_voltage_v=0.0,
+                     duration_s=1.0):
+    """Plan the voltage that makes a model at rest follow a periodic reference.
+
+    The linear dynamics are inverted harmonic by harmonic on the sampled model (4.22), the
+    hysteresis exactly and with its memory. Creep does not end within a run: the mean is chosen
+    such that the displacement has the reference's mean over `duration_s`.
+
+    Parameters
+    ----------
+    reference_um : ndarray, shape (m,)
+        One period of the displacement.
+    model : piezo_models.cascade.StageModel
+    mode : str
+        ``feedforward``; or ``open_loop``, which knows no more than the gain of the whole range
+        and the mean.
+    voltage_range_v : tuple of float
+    slew_limit_v_per_s, sample_period_s, start_voltage_v : float
+    duration_s : float
+        How long the periodic part is to be played (s).
+
+    Returns
+    -------
+    FeedforwardPlan
+
+    Raises
+    ------
+    UnreachableReference
+        The voltage would leave the range or exceed the slew limit; names what is reachable.
+    ValueError
+        The model's range does not fit the amplifier's, or `mode` is unknown.
+    """
+    reference_um = np.asarray(reference_um, dtype=float)
+    hysteresis = model.hysteresis
+    lowest_v, highest_v = voltage_range_v
+    if mode not in MODES:
+        raise ValueError(f'unknown mode {mode!r} of the feedforward: use one of {", ".join(MODES)}')
+    if not lowest_v <= hysteresis.voltage_min_v <= start_voltage_v <= highest_v:
+        raise ValueError(
+            f'the model begins at {hysteresis.voltage_min_v:g} V, the amplifier at {lowest_v:g} V, '
+            f'the run at {start_voltage_v:g} V: identify the model over the amplifier\'s range')
+    planner = _Planner(model, len(reference_um), mode, highest_v,
+                       slew_limit_v_per_s, sample_period_s, start_voltage_v, duration_s)
+    try:
+        return planner.plan(reference_um)
+    except _OutOfReach as reason:
+        raise _unreachable(planner, reference_um, reason) from None
+
+
+def minimum_jerk(count):
+    """Smooth rise from 0 towards 1, which the sample after the last would reach.
+
+    The quintic has neither speed nor acceleration at its ends, and so excites no vibration.
+    """
+    t = np.arange(count) / count
+    return t**3 * (10 - 15 * t + 6 * t**2)
+
+
+class _OutOfReach(Exception):
+    """Why the amplifier cannot follow."""
+
+
+class _Planner:
+    """Plans references of one period length for one model; see `plan_feedforward`."""
+
+    def __init__(self, model, period, mode, highest_v, slew_limit_v_per_s, sample_period_s,
+                 start_voltage_v, duration_s):
+        self.hysteresis = model.hysteresis
+        self.period = period
+        self.mode = mode
+        self.highest_v = highest_v
+        self.slew_limit_v_per_s = slew_limit_v_per_s
+        self.sample_period_s = sample_period_s
+        self.start_voltage_v = start_voltage_v
+        self.linear = model.linear()
+        self.sampled = zoh(self.linear, sample_period_s)
+
+        ramp, fade = self._aligned(RAMP_S), self._aligned(FADE_S)
+        # The hysteresis repeats itself once a whole period has been played.
+        settle = self._aligned(max(SETTLE_S, period * sample_period_s))
+        self.ramp = minimum_jerk(ramp)
+        self.fade_start = 2 * ramp
+        self.once = self.fade_start + fade + settle
+        self.fade = np.r_[minimum_jerk(fade), np.ones(settle + period)]
+        self.fade_phase = np.arange(self.fade_start - self.once, period) % period
+
+        rest = model.memory(start_voltage_v)
+        self.rest_memory = rest.hysteresis
+        self.rest_hysteresis_um = rest.hysteresis.hysteresis_um
+        self.rest_displacement_um = float(self.sampled.C[0] @ rest.linear_state)
+        periods = max(round(duration_s / (period * sample_period_s)), 1)
+        self.mean_weights = self._mean_weights(periods * period)
+
+        low_um, high_um = self.hysteresis.output_range_um
+        travel_v = self.hysteresis.voltage_max_v - self.hysteresis.voltage_min_v
+        self.gain_um_per_v = (high_um - low_um) / travel_v
+
+    def _aligned(self, time_s):
+        ticks = math.ceil(time_s / self.sample_period_s / ALIGNMENT_SAMPLES - 1e-9)
+        return ticks * ALIGNMENT_SAMPLES
+
+    def _mean_weights(self, window):
+        """Weights of the hysteresis outputs in the mean displacement after the once part."""
+        in_window = np.zeros(self.once + window)
+        in_window[self.once:] = 1 / window
+        return simulate_linear(self.sampled, in_window[::-1])[::-1]
+
+    def plan(self, reference_um):
+        """The plan for one reference; raises `_OutOfReach`."""
+        mean_um = reference_um.mean()
+        wave = self._wave(reference_um - mean_um)
+        level, level_gain = mean_um, self.mean_weights[self.fade_start:].sum()
+        if self.mode == 'open_loop':
+            level = self.hysteresis.voltage_min_v + (
+                mean_um - self.hysteresis.output_range_um[0]) / self.gain_um_per_v
+            level_gain *= self.gain_um_per_v
+        for _ in range(CORRECTIONS):
+            _, hysteresis_um = self._play(level, wave)
+            level += (mean_um - self._mean_displacement_um(hysteresis_um)) / level_gain
+        voltage_v, hysteresis_um = self._play(level, wave)
+        self._check_slew(voltage_v)
+        return FeedforwardPlan(voltage_v[:self.once], voltage_v[self.once:],
+                               self._expected_once_um(hysteresis_um, reference_um),
+                               reference_um.copy(), self.fade_start)
+
+    def _wave(self, alternating_um):
+        """One period of what drives the reference without its mean: um, or V in open loop."""
+        if self.mode == 'open_loop':
+            return alternating_um / self.gain_um_per_v
+        harmonics = np.fft.rfft(alternating_um)
+        frequency_hz = np.fft.rfftfreq(self.period, self.sample_period_s)
+        harmonics[(frequency_hz > BANDWIDTH_HZ) | (frequency_hz == 0)] = 0
+        within_um = np.fft.irfft(harmonics, self.period)
+        return invert_linear_periodic(within_um, self.linear, self.sample_period_s)
+
+    def _play(self, level, wave):
+        """Voltage, and the model's hysteresis output, of the once part and one period."""
+        lowest_v = self.hysteresis.voltage_min_v
+        target = level + self.fade * wave[self.fade_phase]
+        if self.mode == 'open_loop':
+            self._check_range(target, lowest_v, self.highest_v, VOLTAGE)
+            centre_v = level
+        else:
+            self._check_range(target, *self.hysteresis.output_range_um, STATIC_DISPLACEMENT)
+            centre_v = self.hysteresis.invert([level])[0]
+        voltage_v = np.r_[self.start_voltage_v + (lowest_v - self.start_voltage_v) * self.ramp,
+                          lowest_v + (centre_v - lowest_v) * self.ramp]
+        memory = self.rest_memory.copy()
+        hysteresis_um = self.hysteresis.simulate(voltage_v, memory)
+        if self.mode == 'open_loop':
+            played_v, played_um = target, self.hysteresis.simulate(target, memory)
+        else:
+            played_v, played_um = self.hysteresis.invert(target, memory), target
+        self._check_range(played_v, lowest_v, self.highest_v, VOLTAGE)
+        return np.r_[voltage_v, played_v], np.r_[hysteresis_um, played_um]
+
+    def _mean_displacement_um(self, hysteresis_um):
+        """Of the model over the run, after the once part."""
+        repeats = len(self.mean_weights) // self.period
+        run_um = np.r_[hysteresis_um[:self.once], np.tile(hysteresis_um[self.once:], repeats)]
+        deviation_um = run_um[:len(self.mean_weights)] - self.rest_hysteresis_um
+        return self.rest_displacement_um + self.mean_weights @ deviation_um
+
+    def _expected_once_um(self, hysteresis_um, reference_um):
+        """The model's displacement in the once part, led over to the reference by its end."""
+        deviation_um = hysteresis_um[:self.once] - self.rest_hysteresis_um
+        expected_um = self.rest_displacement_um + simulate_linear(self.sampled, deviation_um)
+        last_period_um = np.roll(reference_um, self.period - self.once % self.period)
+        creep_um = reference_um.mean() - expected_um[-self.period:].mean()
+        lead = self.fade[:self.once - self.fade_start]
+        expected_um[self.fade_start:] += lead * creep_um
+        return expected_um
+
+    def _check_range(self, values, lowest, highest, quantity):
+        rounding = 1e-9 * (highest - lowest)
+        if values.min() < lowest - rounding or values.max() > highest + rounding:
+            name, unit = quantity
+            raise _OutOfReach(f'it takes {name} from {values.min():.4g} to {values.max():.4g} '
+                              f'{unit}, available are {lowest:.4g} to {highest:.4g} {unit}')
+
+    def _check_slew(self, voltage_v):
+        steps_v = np.abs(np.diff(np.r_[voltage_v, voltage_v[self.once]]))
+        slew_v_per_s = steps_v.max() / self.sample_period_s
+        if slew_v_per_s > self.slew_limit_v_per_s:
+            raise _OutOfReach(f'it takes {slew_v_per_s:.3g} V/s, more than the slew limit of '
+                              f'{self.slew_limit_v_per_s:.3g} V/s')
+
+
+def _unreachable(planner, reference_um, reason):
+    """The refusal that names the largest amplitude within reach, found by bisection."""
+    mean_um, travel_um = reference_um.mean(), np.ptp(reference_um)
+
+    def within_reach(scale):
+        try:
+            planner.plan(mean_um + scale * (reference_um - mean_um))
+        except _OutOfReach:
+            return False
+        return True
+
+    if not within_reach(0.0):
+        low_um, high_um = planner.hysteresis.output_range_um
+        return UnreachableReference(
+            f'the amplifier cannot hold the reference\'s mean of {mean_um:.4g} um: '
+            f'the stage reaches about {low_um:.4g} to {high_um:.4g} um', 0.0)
+    reachable, beyond = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = (reachable + beyond) / 2
+        if within_reach(middle):
+            reachable = middle
+        else:
+            beyond = middle
+    reachable_um = _rounded_down(reachable * travel_um)
+    return UnreachableReference(
+        f'the amplifier cannot follow {travel_um:.4g} um peak to peak about {mean_um:.4g} um: '
+        f'{reason}; {reachable_um:g} um peak to peak is within reach', reachable_um)
+
+
+def _rounded_down(value):
+    """To three significant digits."""
+    if value <= 0:
+        return 0.0
+    digits = 2 - math.floor(math.log10(value))
+    return math.floor(value * 10**digits) / 10**digits
+
+
+def _play(once, period, first, count):
+    sample = np.arange(first, first + count)
+    repeated = period[(sample - len(once)) % len(period)]
+    return np.where(sample < len(once), once[np.minimum(sample, len(once) - 1)], repeated)

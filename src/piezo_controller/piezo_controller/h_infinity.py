@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Discrete H-infinity synthesis: the controller of smallest closed-loop norm."""
+
+import control
+import numpy as np
+from slycot import sb10dd
+from slycot.exceptions import SlycotArithmeticError
+
+
+class NoController(ValueError):
+    """No stabilising controller keeps the closed loop below the largest norm tried."""
+
+
+def synthesise(plant, largest_norm=100.0, tolerance=1e-4):
+    """Find the H-infinity (sub)optimal controller of a generalised plant by bisection.
+
+    Parameters
+    ----------
+    plant : control.StateSpace
+        Discrete; its last input is the control, its last output the measurement.
+    largest_norm : float
+        Where the bisection begins.
+    tolerance : float
+        Relative width at which the bisection ends.
+
+    Returns
+    -------
+    controller : control.StateSpace
+        From measurement to control.
+    norm : float
+        Bound that the closed loop keeps (gamma).
+
+    Raises
+    ------
+    NoController
+        Even `largest_norm` is out of reach.
+    """
+    upper, lower = largest_norm, 0.0
+    best = _admissible(plant, upper)
+    if best is None:
+        raise NoController(f'no stabilising controller keeps the closed loop below '
+                           f'{largest_norm:g}: relax the weights')
+    while upper - lower > tolerance * upper:
+        # A geometric mean finds the order of magnitude first.
+        middle = np.sqrt(upper * max(lower, 1e-3 * upper))
+        candidate = _admissible(plant, middle)
+        if candidate is None:
+            lower = middle
+        else:
+            upper, best = middle, candidate
+    return best, upper
+
+
+def close(plant, controller):
+    """Close the loop of a generalised plant: the lower linear fractional transformation.
+
+    Parameters
+    ----------
+    plant, controller : control.StateSpace
+        As for and from `synthesise`.
+
+    Returns
+    -------
+    control.StateSpace
+        From the exogenous inputs to the regulated outputs.
+    """
+    return plant.lft(controller, nu=1, ny=1)
+
+
+def is_stable(system):
+    """Whether all poles of a discrete system lie inside the unit circle."""
+    return bool(np.abs(system.poles()).max(initial=0.0) < 1.0)
+
+
+def _admissible(plant, norm):
+    """The controller for one bound, or None where there is none."""
+    outputs, inputs = plant.D.shape
+    try:
+        _, *matrices = sb10dd(plant.nstates, inputs, outputs, 1, 1, norm,
+                              plant.A, plant.B, plant.C, plant.D)[:5]
+    except SlycotArithmeticError:
+        return None
+    controller = control.ss(*matrices, plant.dt)
+    return controller if is_stable(close(plant, controller)) else None

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a feedback loop is worth: bandwidth, margins, settling."""
+
+import control
+import numpy as np
+
+from piezo_controller.h_infinity import is_stable
+
+BAND_EDGE = 1 / np.sqrt(2)
+SETTLED = 0.05
+LONGEST_SETTLING_TICKS = 2000
+
+
+def loop_responses(plant, controller, frequency_hz):
+    """Responses of the open loop and of its sensitivity.
+
+    Parameters
+    ----------
+    plant, controller : control.StateSpace
+        Discrete, one input, one output.
+    frequency_hz : ndarray
+
+    Returns
+    -------
+    loop, sensitivity : ndarray of complex
+        ``L = G K`` and ``1 / (1 + L)``.
+    """
+    points = np.exp(2j * np.pi * np.asarray(frequency_hz) * plant.dt)
+    loop = plant(points, squeeze=True) * controller(points, squeeze=True)
+    return loop, 1 / (1 + loop)
+
+
+def measure_loop(plant, controller, gain_spread):
+    """Measure a closed loop.
+
+    Parameters
+    ----------
+    plant, controller : control.StateSpace
+        Discrete; negative feedback of the plant's output to the controller.
+    gain_spread : float
+        The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
+
+    Returns
+    -------
+    dict
+        ``bandwidth_hz`` (where the sensitivity first reaches -3 dB), ``peak_sensitivity`` and
+        its ``peak_frequency_hz``, ``gain_margin``, ``phase_margin_deg``,
+        ``settling_to_5_percent_s`` (after a step disturbance of the output),
+        ``stable_within_gain_spread``.
+    """
+    frequency_hz = np.geomspace(0.1, 0.5 / plant.dt, 8000)[:-1]
+    loop, sensitivity = loop_responses(plant, controller, frequency_hz)
+    size = np.abs(sensitivity)
+    gain_margin, phase_margin_deg = _margins(loop)
+    gains = np.linspace(1 - gain_spread, 1 + gain_spread, 5)
+    return {
+        'bandwidth_hz': float(frequency_hz[np.argmax(size > BAND_EDGE)]),
+        'peak_sensitivity': float(size.max()),
+        'peak_frequency_hz': float(frequency_hz[size.argmax()]),
+        'gain_margin': gain_margin,
+        'phase_margin_deg': phase_margin_deg,
+        'settling_to_5_percent_s': _settling_s(plant, controller),
+        'stable_within_gain_spread': all(
+            is_stable(control.feedback(gain * plant * controller, 1)) for gain in gains),
+    }
+
+
+def _margins(loop):
+    """Gain margin (factor) and phase margin (degrees) from a dense frequency response."""
+    real, imaginary, size = loop.real, loop.imag, np.abs(loop)
+    crossing = (imaginary[:-1] * imaginary[1:] < 0) & (real[:-1] < 0)
+    unity = (size[:-1] - 1) * (size[1:] - 1) < 0
+    gain_margin = 1 / size[:-1][crossing].max(initial=1e-12)
+    phase_margin = np.pi - np.abs(np.angle(loop[:-1][unity])).max(initial=0.0)
+    return float(gain_margin), float(np.degrees(phase_margin))
+
+
+def _settling_s(plant, controller):
+    sensitivity = control.feedback(1, plant * controller)
+    time_s = np.arange(LONGEST_SETTLING_TICKS) * plant.dt
+    error = np.abs(control.step_response(sensitivity, time_s).outputs)
+    outside = np.flatnonzero(error > SETTLED)
+    return float((outside[-1] + 1) * plant.dt) if outside.size else 0.0

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Weights of the feedback design: what is asked of the loop, at which frequency."""
+
+import math
+from dataclasses import asdict, dataclass, fields
+from importlib.resources import files
+from pathlib import Path
+
+import control
+import yaml
+from scipy.signal import zpk2ss
+
+
+class WeightsError(ValueError):
+    """A weights file that does not describe a design."""
+
+
+@dataclass(frozen=True)
+class Weight:
+    """``gain * prod(z - zero) / prod(z - pole)`` at the tick's rate."""
+
+    gain: float
+    zeros: tuple = ()
+    poles: tuple = ()
+
+    def state_space(self, sample_period_s):
+        """The weight as a discrete ``control.StateSpace``."""
+        if not self.poles:
+            return control.ss([], [], [], [[self.gain]], sample_period_s)
+        return control.ss(*zpk2ss(self.zeros, self.poles, self.gain), sample_period_s)
+
+
+@dataclass(frozen=True)
+class DesignWeights:
+    """Weights of the generalised plant (thesis fig. 5.5).
+
+    Attributes
+    ----------
+    sample_period_s : float
+        The tick (s).
+    performance, control, reference, noise, disturbance : Weight
+        ``w1``, ``w2``, ``w_r``, ``w_n``, ``w_d`` of (5.15) and (5.16).
+    feedforward_error : float
+        ``w_delta`` of (5.12).
+    hysteresis_uncertainty : float
+        ``w_u``: the hysteresis' gain lies within ``1 +- w_u`` of its nominal value.
+    """
+
+    sample_period_s: float
+    performance: Weight
+    control: Weight
+    reference: Weight
+    noise: Weight
+    disturbance: Weight
+    feedforward_error: float
+    hysteresis_uncertainty: float
+
+    def as_dict(self):
+        """Plain numbers and lists, in the layout of the weights file."""
+        return {name: {key: list(item) if isinstance(item, tuple) else item
+                       for key, item in value.items()} if isinstance(value, dict) else value
+                for name, value in asdict(self).items()}
+
+
+def load_weights(path=None):
+    """Read a weights file.
+
+    Parameters
+    ----------
+    path : path-like, optional
+        YAML; without it the thesis' weights are read.
+
+    Returns
+    -------
+    DesignWeights
+
+    Raises
+    ------
+    WeightsError
+        Names the file, the entry and what it should be.
+    """
+    source = Path(path) if path is not None else files(__package__) / 'weights.yaml'
+    try:
+        entries = yaml.safe_load(source.read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = str(error).replace('\n', ' ')
+        raise WeightsError(f'the weights file {source} cannot be read: {reason}') from None
+    names = [field.name for field in fields(DesignWeights)]
+    if not isinstance(entries, dict) or set(entries) != set(names):
+        raise WeightsError(f'the weights file {source} must have exactly the entries '
+                           f'{", ".join(names)}')
+    return DesignWeights(**{
+        field.name: (_weight if field.type is Weight else _positive)(
+            entries[field.name], field.name, source)
+        for field in fields(DesignWeights)})
+
+
+def _positive(value, name, source):
+    if not _is_number(value) or value <= 0:
+        raise WeightsError(f'{name} in the weights file {source} is {value!r}: '
+                           'give a positive number')
+    return float(value)
+
+
+def _weight(entry, name, source):
+    where = f'{name} in the weights file {source}'
+    if not isinstance(entry, dict) or set(entry) != {'gain', 'zeros', 'poles'}:
+        raise WeightsError(f'{where} must have exactly gain, zeros and poles')
+    roots = entry['zeros'], entry['poles']
+    if not all(isinstance(r, list) and all(_is_number(x) for x in r) for r in roots):
+        raise WeightsError(f'zeros and poles of {where} must be lists of real numbers')
+    if len(entry['zeros']) > len(entry['poles']):
+        raise WeightsError(f'{where} has more zeros than poles: give as many poles')
+    if any(abs(pole) >= 1 for pole in entry['poles']):
+        raise WeightsError(f'{where} has a pole on or outside the unit circle, for which no '
+                           'controller exists: use 0.9997 for integral action')
+    gain = _positive(entry['gain'], f'gain of {name}', source)
+    return Weight(gain, *(tuple(float(x) for x in r) for r in roots))
+
+
+def _is_number(value):
+    return (isinstance(value, (int, float)) and not isinstance(value, bool)
+            and math.isfinite(value))
