@@ -7,20 +7,14 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from piezo_sim.converter import quantise
 from piezo_sim.effect import Surroundings, parameter, require
 
 
 @njit(cache=True)
-def quantise(value, low, step, codes):
-    """Nearest of the levels low + k step, k = 0..codes - 1."""
-    code = np.rint((value - low) / step)
-    return low + step * min(max(code, 0.0), codes - 1.0)
-
-
-@njit(cache=True)
-def _drive(samples, output_v, voltage_min_v, step_v, codes, largest_change_v):
+def _drive(samples, output_v, voltage_min_v, step_v, levels, largest_change_v):
     for n in range(samples.size):
-        command_v = quantise(samples[n], voltage_min_v, step_v, codes)
+        command_v = quantise(samples[n], voltage_min_v, step_v, levels)
         change_v = command_v - output_v
         if change_v > largest_change_v:
             output_v += largest_change_v

@@ -100,9 +100,7 @@ class LinearRunner:
 
     def apply(self, samples: np.ndarray) -> None:
         """Replace inputs by outputs at the start of each sample."""
-        _advance(
-            samples, self._state, self._following, self._a_columns, self._b, self._system.c
-        )
+        _advance(samples, self._state, self._following, self._a_columns, self._b, self._system.c)
 
 
 @dataclass(frozen=True)
@@ -130,9 +128,7 @@ class Creep:
         """One state for each pole."""
         system = None
         for pole, zero in zip(self.poles_rad_per_s, self.zeros_rad_per_s, strict=True):
-            section = StateSpace(
-                np.array([[-pole]]), np.array([1.0]), np.array([zero - pole]), 1.0
-            )
+            section = StateSpace(np.array([[-pole]]), np.array([1.0]), np.array([zero - pole]), 1.0)
             system = section if system is None else series(system, section)
         return system
 

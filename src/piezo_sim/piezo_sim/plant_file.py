@@ -113,7 +113,7 @@ def _check_names(where: str, mapping, expected: list[str]) -> None:
 
 def _effect(where: str, entry) -> Effect:
     name = entry.get("effect") if isinstance(entry, dict) else None
-    if name not in EFFECTS:
+    if not isinstance(name, str) or name not in EFFECTS:
         raise PlantConfigError(
             f"{where} names an unknown effect {name!r}; known are {', '.join(EFFECTS)}."
         )

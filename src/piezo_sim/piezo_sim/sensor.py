@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from piezo_sim.amplifier import quantise
+from piezo_sim.converter import quantise
 from piezo_sim.effect import Surroundings, parameter, require
 
 # Noise is drawn ahead in blocks: one draw for 40 samples would cost more than all the rest.
@@ -15,10 +15,10 @@ _NOISE_BLOCK = 4096
 
 
 @njit(cache=True)
-def _measure(samples, noise, noise_rms_um, displacement_min_um, step_um, codes):
+def _measure(samples, noise, noise_rms_um, displacement_min_um, step_um, levels):
     for n in range(samples.size):
         samples[n] = quantise(
-            samples[n] + noise_rms_um * noise[n], displacement_min_um, step_um, codes
+            samples[n] + noise_rms_um * noise[n], displacement_min_um, step_um, levels
         )
 
 
