@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Definitions of installed ROS message types, as a recording embeds them."""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from ament_index_python import PackageNotFoundError, get_package_share_directory
+
+SEPARATOR = "\n" + "=" * 80 + "\n"
+PRIMITIVES = re.compile(
+    r"(bool|byte|char|w?string(<=\d+)?|float32|float64|u?int(8|16|32|64))$")
+
+
+@dataclass(frozen=True)
+class MessageDefinition:
+    """What a reader needs to decode a type without having it installed.
+
+    Attributes
+    ----------
+    type_name : str
+        For instance ``std_msgs/msg/Header``.
+    text : str
+        The ``.msg`` file followed by those of every type it uses (schema encoding ``ros2msg``).
+    type_hash : str
+        RIHS01 hash of the type, empty where it is unknown.
+    """
+
+    type_name: str
+    text: str
+    type_hash: str = ""
+
+
+def installed_definition(type_name):
+    """Read the definition of an installed message type.
+
+    Parameters
+    ----------
+    type_name : str
+        For instance ``std_msgs/msg/Header``.
+
+    Returns
+    -------
+    MessageDefinition
+
+    Raises
+    ------
+    ValueError
+        If the name has another shape or the type is not installed.
+    """
+    texts = {}
+    _collect(type_name, texts)
+    dependencies = [
+        f"MSG: {name.replace('/msg/', '/')}\n{text}"
+        for name, text in texts.items() if name != type_name]
+    return MessageDefinition(
+        type_name, SEPARATOR.join([texts[type_name], *dependencies]), _type_hash(type_name))
+
+
+def _collect(type_name, texts):
+    if type_name in texts:
+        return
+    texts[type_name] = _interface_file(type_name, ".msg").read_text(encoding="utf-8")
+    package = type_name.split("/")[0]
+    for used in _used_types(texts[type_name], package):
+        _collect(used, texts)
+
+
+def _used_types(text, package):
+    """Full names of the message types that a definition's fields have."""
+    for line in text.splitlines():
+        fields = line.split("#")[0].split()
+        if not fields:
+            continue
+        field_type = re.sub(r"\[.*\]$", "", fields[0])
+        if PRIMITIVES.match(field_type):
+            continue
+        parts = field_type.split("/")
+        yield f"{parts[0] if len(parts) > 1 else package}/msg/{parts[-1]}"
+
+
+def _type_hash(type_name):
+    description = _interface_file(type_name, ".json")
+    hashes = json.loads(description.read_text(encoding="utf-8"))["type_hashes"]
+    return next(entry["hash_string"] for entry in hashes if entry["type_name"] == type_name)
+
+
+def _interface_file(type_name, suffix):
+    parts = type_name.split("/")
+    if len(parts) != 3 or parts[1] != "msg":
+        raise ValueError(f"'{type_name}' is no message type: write it as 'std_msgs/msg/Header'.")
+    try:
+        share = get_package_share_directory(parts[0])
+    except (PackageNotFoundError, OSError):
+        raise ValueError(
+            f"Package '{parts[0]}' of type '{type_name}' is not installed: "
+            "source the install that has it.") from None
+    path = Path(share, "msg", parts[2] + suffix)
+    if not path.is_file():
+        raise ValueError(f"Package '{parts[0]}' has no message '{parts[2]}': {path} is missing.")
+    return path

@@ -1,0 +1,384 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Node that records the stage's topics: services start_recording and stop_recording."""
+
+import functools
+import importlib
+import inspect
+import shutil
+import time
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from piezo_node_tools.parameters import declare
+from piezo_node_tools.quality import SAMPLES
+from piezo_node_tools.spinning import run_node
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.task import Future
+
+from piezo_interfaces.srv import StartRecording, StopRecording
+from piezo_recorder import sample_block
+from piezo_recorder.message_definition import installed_definition
+from piezo_recorder.sample_block import SampleCount
+from piezo_recorder.writer import FLUSH_PERIOD_S, RecordingWriter
+
+DISCOVERY_TIMEOUT_S = 5.0
+ARRIVAL_TIMEOUT_S = 5.0
+POLL_PERIOD_S = 0.01
+DIAGNOSTICS_PERIOD_S = 1.0
+MEGABYTE = 1e6
+
+
+class RecordingSession:
+    """One recording and the counts of its samples.
+
+    Parameters
+    ----------
+    writer : RecordingWriter
+    definitions : dict of str to MessageDefinition
+        By topic.
+    sample_rate_hz : float
+        Rate of the sample clock.
+    """
+
+    def __init__(self, writer, definitions, sample_rate_hz):
+        self.writer = writer
+        self.ended_early = ""
+        self.closed = False
+        self._channels = {
+            topic: writer.add_topic(topic, definition)
+            for topic, definition in definitions.items()}
+        self._counts = {
+            topic: SampleCount(sample_rate_hz) for topic, definition in definitions.items()
+            if definition.type_name == sample_block.TYPE_NAME}
+
+    @property
+    def path(self):
+        return str(self.writer.path)
+
+    @property
+    def samples(self):
+        """Samples received of the first topic of samples."""
+        return next(iter(self._counts.values())).samples
+
+    @property
+    def missing(self):
+        """Gaps in the sample index of the first topic of samples."""
+        return next(iter(self._counts.values())).missing
+
+    def receive(self, topic, data, time_ns):
+        """Write one message and count its samples."""
+        self.writer.write(self._channels[topic], data, time_ns)
+        if topic in self._counts:
+            self._counts[topic].add(data)
+
+    def missing_until(self, last_sample):
+        """Samples still to come on the topic that is furthest behind.
+
+        A topic that never sent anything, such as the ground truth of a stage that has none,
+        is not waited for, except the first.
+        """
+        first, *others = self._counts.values()
+        started = [first, *(count for count in others if count.end is not None)]
+        return max(count.missing_until(last_sample) for count in started)
+
+    def close(self):
+        self.closed = True
+        self.writer.close()
+
+
+class Recorder(LifecycleNode):
+    """Record topics as they arrive, undecoded, into rosbag2 directories."""
+
+    def __init__(self):
+        super().__init__("recorder")
+        declare(self, "topics", ["stage/samples", "stage/feedback", "stage/ground_truth"],
+                "Topics to record; the first of samples is the one that is counted.")
+        declare(self, "types", [sample_block.TYPE_NAME, "piezo_interfaces/msg/FeedbackVoltage",
+                                sample_block.TYPE_NAME],
+                "Message types of the topics, in the same order.")
+        declare(self, "sample_rate_hz", sample_block.DEFAULT_SAMPLE_RATE_HZ,
+                "Rate of the stage's sample clock (Hz).", 1.0, 1e9)
+        declare(self, "minimum_free_mb", 200,
+                "Free disk space (megabyte) below which a recording is refused or closed.",
+                0, 1_000_000_000)
+        declare(self, "autostart", True, "Configure and activate without being asked.")
+        self._session = None
+        self._definitions = {}
+        self._subscriptions_by_topic = {}
+        self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._housekeeping = []
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._create_waiting_service(StartRecording, "start_recording", self._start_recording)
+        self._create_waiting_service(StopRecording, "stop_recording", self._stop_recording)
+        if self.get_parameter("autostart").value:
+            self.trigger_configure()
+            self.trigger_activate()
+
+    # --- Lifecycle
+
+    def on_configure(self, state):
+        topics = self.get_parameter("topics").value
+        types = self.get_parameter("types").value
+        if len(topics) != len(types):
+            self.get_logger().error(
+                f"Parameter topics names {len(topics)} topics, types {len(types)}: "
+                "give one type for each topic.")
+            return TransitionCallbackReturn.FAILURE
+        if sample_block.TYPE_NAME not in types:
+            self.get_logger().error(
+                f"Parameter types has no {sample_block.TYPE_NAME}: record at least one of it.")
+            return TransitionCallbackReturn.FAILURE
+        try:
+            self._definitions = {
+                self.resolve_topic_name(topic): installed_definition(type_name)
+                for topic, type_name in zip(topics, types, strict=True)}
+        except ValueError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state):
+        # Connected from here on: a subscription made only when a recording starts could miss
+        # the first samples.
+        for topic, definition in self._definitions.items():
+            self._subscriptions_by_topic[topic] = self.create_subscription(
+                _message_class(definition.type_name), topic,
+                functools.partial(self._receive, topic), SAMPLES, raw=True)
+        return super().on_activate(state)
+
+    def on_deactivate(self, state):
+        self.close()
+        for subscription in self._subscriptions_by_topic.values():
+            self.destroy_subscription(subscription)
+        self._subscriptions_by_topic = {}
+        return super().on_deactivate(state)
+
+    def on_shutdown(self, state):
+        self.close()
+        return TransitionCallbackReturn.SUCCESS
+
+    def close(self):
+        """Close the recording that runs, if any."""
+        if self._recording:
+            self._end("the recorder was stopped")
+
+    # --- Services
+
+    def _create_waiting_service(self, service_type, name, callback):
+        """Create a service whose callback is a coroutine.
+
+        The events executor does not await it but passes it on as if it were the response.
+        """
+        service = self.create_service(service_type, name, callback)
+        send_response = service.send_response
+
+        def answer(response, header):
+            if not inspect.iscoroutine(response):
+                send_response(response, header)
+                return
+
+            async def answer_later():
+                send_response(await response, header)
+
+            self.executor.create_task(answer_later)
+
+        service.send_response = answer
+
+    async def _start_recording(self, request, response):
+        refusal = self._refusal(request)
+        if not refusal and not await self._stage_is_there():
+            refusal = (f"Nobody publishes {self._samples_topic}: "
+                       "start the stage, or set the parameter topics.")
+        # Asked again: another request may have come while this one waited.
+        refusal = refusal or self._refusal(request)
+        if not refusal:
+            try:
+                self._session = self._new_session(request)
+            except OSError as error:
+                refusal = _sentence(error)
+        if refusal:
+            self.get_logger().error(refusal)
+            response.message = refusal
+            return response
+        self._start_housekeeping()
+        self.get_logger().info(f"Recording into {self._session.path}")
+        response.success = True
+        response.path = self._session.path
+        return response
+
+    def _refusal(self, request):
+        """Say why a recording cannot start now; empty if it can."""
+        name = request.name
+        if not self._subscriptions_by_topic:
+            return "The recorder is not active: activate it first."
+        if self._recording:
+            return f"{self._session.path} is being recorded: stop it first."
+        if not name or Path(name).name != name or name == "..":
+            return f"'{name}' cannot name a recording: give a name without a path."
+        if len(request.attachment_names) != len(request.attachment_contents):
+            return (f"{len(request.attachment_names)} attachment names came with "
+                    f"{len(request.attachment_contents)} contents: give one for each.")
+        free_mb = _free_mb(Path(request.directory))
+        if free_mb < self._minimum_free_mb:
+            return (f"Only {free_mb:.0f} MB are free in {request.directory}: "
+                    f"make room for {self._minimum_free_mb} MB.")
+        return ""
+
+    async def _stage_is_there(self):
+        samples = self._subscriptions_by_topic[self._samples_topic]
+        return await self._until(
+            lambda: samples.get_publisher_count() > 0, DISCOVERY_TIMEOUT_S)
+
+    def _new_session(self, request):
+        sample_rate_hz = self.get_parameter("sample_rate_hz").value
+        writer = RecordingWriter(Path(request.directory, request.name), sample_rate_hz)
+        session = RecordingSession(writer, self._definitions, sample_rate_hz)
+        for name, content in zip(
+                request.attachment_names, request.attachment_contents, strict=True):
+            writer.attach(name, content.encode())
+        return session
+
+    async def _stop_recording(self, request, response):
+        session = self._session
+        if session is None:
+            response.message = "Nothing is being recorded: start a recording first."
+            return response
+        late = 0
+        if request.last_sample:
+            await self._until(
+                lambda: session.closed or not session.missing_until(request.last_sample),
+                ARRIVAL_TIMEOUT_S)
+            late = session.missing_until(request.last_sample)
+        if not session.closed:
+            self._end()
+        if self._session is session:
+            self._session = None
+        if session.ended_early:
+            response.message = f"The recording was closed early: {session.ended_early}."
+        elif late:
+            response.message = (f"{late} samples up to {request.last_sample} had not arrived "
+                                f"after {ARRIVAL_TIMEOUT_S:g} s; the recording ends before them.")
+        response.success = not response.message
+        response.path = session.path
+        response.samples = session.samples
+        response.missing_samples = session.missing + late
+        return response
+
+    async def _until(self, condition, timeout_s):
+        """Wait until a condition holds; return whether it does."""
+        future = Future()
+        deadline = time.monotonic() + timeout_s
+
+        def check():
+            if condition() or time.monotonic() > deadline:
+                future.set_result(None)
+
+        if not condition():
+            timer = self.create_timer(POLL_PERIOD_S, check, clock=self._steady_clock)
+            await future
+            self.destroy_timer(timer)
+        return condition()
+
+    # --- Recording
+
+    @property
+    def _recording(self):
+        return self._session is not None and not self._session.closed
+
+    @property
+    def _samples_topic(self):
+        return next(topic for topic, definition in self._definitions.items()
+                    if definition.type_name == sample_block.TYPE_NAME)
+
+    @property
+    def _minimum_free_mb(self):
+        return self.get_parameter("minimum_free_mb").value
+
+    def _receive(self, topic, data):
+        if not self._recording:
+            return
+        try:
+            self._session.receive(topic, data, self.get_clock().now().nanoseconds)
+        except OSError as error:
+            self._end(_sentence(error))
+
+    def _start_housekeeping(self):
+        self._housekeeping = [
+            self.create_timer(FLUSH_PERIOD_S, self._flush, clock=self._steady_clock),
+            self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics,
+                              clock=self._steady_clock)]
+
+    def _flush(self):
+        free_mb = _free_mb(self._session.writer.path)
+        if free_mb < self._minimum_free_mb:
+            self._end(f"only {free_mb:.0f} MB were free on the disk")
+            return
+        try:
+            self._session.writer.flush()
+        except OSError as error:
+            self._end(_sentence(error))
+
+    def _end(self, ended_early=""):
+        session = self._session
+        session.ended_early = ended_early
+        for timer in self._housekeeping:
+            self.destroy_timer(timer)
+        try:
+            session.close()
+        except OSError as error:
+            session.ended_early = ended_early or _sentence(error)
+        if session.ended_early:
+            self.get_logger().error(f"{session.path} was closed early: {session.ended_early}.")
+        else:
+            self.get_logger().info(f"Recorded {session.samples} samples into {session.path}")
+        self._publish_diagnostics()
+
+    def _publish_diagnostics(self):
+        session = self._session
+        status = DiagnosticStatus(
+            name=f"{self.get_name()}: recording", level=DiagnosticStatus.OK,
+            message="closed" if session.closed else "recording")
+        if session.ended_early:
+            status.level = DiagnosticStatus.ERROR
+            status.message = f"closed early: {session.ended_early}"
+        elif session.missing:
+            status.level = DiagnosticStatus.WARN
+            status.message = f"{session.missing} samples missing"
+        values = {
+            "path": session.path,
+            "messages": session.writer.message_count,
+            "samples": session.samples,
+            "missing_samples": session.missing,
+            "free_mb": round(_free_mb(session.writer.path)),
+        }
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+
+def _message_class(type_name):
+    package, _, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def _free_mb(path):
+    path = path.absolute()
+    existing = next(folder for folder in (path, *path.parents) if folder.exists())
+    return shutil.disk_usage(existing).free / MEGABYTE
+
+
+def _sentence(error):
+    """Text of an OSError without its number."""
+    if error.strerror is None:
+        return str(error)
+    return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
+
+
+def main():
+    run_node(Recorder)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What recorder and reader know of the message piezo_interfaces/msg/SampleBlock."""
+
+import enum
+import struct
+
+TYPE_NAME = "piezo_interfaces/msg/SampleBlock"
+DEFAULT_SAMPLE_RATE_HZ = 40_000.0
+
+
+class Flag(enum.IntFlag):
+    """Bits of SampleBlock's ``flags``."""
+
+    RANGE_LIMITED = 1
+    SLEW_LIMITED = 2
+    FEEDBACK_HELD = 4
+    RAMPING = 8
+    PLAYING = 16
+    TRACKING = 32
+    STOPPED = 64
+
+
+class SampleCount:
+    """Running count of the samples of one topic, in constant memory.
+
+    Parameters
+    ----------
+    sample_rate_hz : float
+        Rate of the stage's sample clock.
+
+    Attributes
+    ----------
+    samples : int
+        Samples received.
+    missing : int
+        Samples of the clock that no block covers, between the first block and the last.
+    end : int
+        Index on the sample clock behind the last block.
+    """
+
+    def __init__(self, sample_rate_hz=DEFAULT_SAMPLE_RATE_HZ):
+        self._sample_rate_hz = sample_rate_hz
+        self.samples = 0
+        self.missing = 0
+        self.end = None
+
+    def add(self, data):
+        """Count one serialised SampleBlock (bytes)."""
+        first, period_s, samples = block_span(data)
+        if self.end is not None:
+            self.missing += max(0, first - self.end)
+        self.samples += samples
+        self.end = first + samples * max(1, round(period_s * self._sample_rate_hz))
+
+    def missing_until(self, last_sample):
+        """Return how many samples of the clock are still to come, ``last_sample`` included."""
+        return max(0, last_sample + 1 - self.end) if self.end is not None else last_sample + 1
+
+
+def block_span(data):
+    """Read where a serialised SampleBlock lies, without decoding its samples.
+
+    Parameters
+    ----------
+    data : bytes
+        CDR as received.
+
+    Returns
+    -------
+    first_sample : int
+    sample_period_s : float
+    samples : int
+    """
+    order = "<" if data[1] & 1 else ">"
+    frame_id_length, = struct.unpack_from(order + "I", data, 12)
+    # After the frame id CDR aligns to 8 bytes, counted from behind its own 4-byte header.
+    offset = 4 + -(-(12 + frame_id_length) // 8) * 8
+    first_sample, sample_period_s, _tick, samples = struct.unpack_from(
+        order + "QdQI", data, offset)
+    return first_sample, sample_period_s, samples
