@@ -12,6 +12,7 @@ from piezo_stage_driver.engine import FLAG_TRACKING
 from piezo_stage_driver.stage_node import StageNode
 
 from piezo_sim.backend import SimulatedStage
+from piezo_sim.paced import PacedStage
 
 GROUND_TRUTH_SAMPLES = 4000
 
@@ -50,9 +51,10 @@ def create_simulated_stage(node):
     """Make the backend that the node's parameters describe."""
     seed = declare(node, 'seed', 1, 'Seed of the sensor noise.', 0, 2**31 - 1)
     plant = declare(node, 'plant', '', 'Plant file (YAML); empty for the default plant.')
-    rate = node.get_parameter('sample_rate_hz').value
-    paced = node.get_parameter('timing').value != 'lockstep'
-    return SimulatedStage(seed=seed, plant=plant or None, sample_rate_hz=rate, paced=paced)
+    stage = SimulatedStage(
+        plant or None, seed, node.get_parameter('sample_rate_hz').value,
+        node.get_parameter('rest_voltage_v').value)
+    return stage if node.get_parameter('timing').value == 'lockstep' else PacedStage(stage)
 
 
 def main(args=None):

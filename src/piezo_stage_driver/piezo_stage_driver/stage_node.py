@@ -16,7 +16,6 @@ from piezo_node_tools.parameters import declare
 from piezo_node_tools.quality import FEEDBACK, SAMPLES
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -29,9 +28,6 @@ from piezo_stage_driver.limits import VoltageLimits
 NANOSECONDS = 1_000_000_000
 IDLE_WAIT_S = 0.05
 COMMAND_TIMEOUT_S = 5.0
-# A slow subscriber may lag by this many blocks before the simulated stage waits for it.
-BLOCKS_BETWEEN_ACKNOWLEDGEMENTS = 200
-ACKNOWLEDGEMENT_TIMEOUT_S = 30.0
 
 
 class StageNode(LifecycleNode):
@@ -54,7 +50,6 @@ class StageNode(LifecycleNode):
         self._backend = self._engine = self._loop = None
         self._commands = queue.SimpleQueue()
         self._goal = self._goal_done = None
-        self._blocks_since_acknowledgement = 0
         self._samples_since_joint_state = self._samples_since_clock = 0
         self._answer_deadline = None
         self._epoch_ns = 0
@@ -62,7 +57,7 @@ class StageNode(LifecycleNode):
         self._samples = self.create_publisher(SampleBlock, 'samples', SAMPLES)
         self._joint_states = self.create_publisher(JointState, 'joint_states', 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._clock = (self.create_publisher(ClockMessage, '/clock', 10)
+        self._clock_publisher = (self.create_publisher(ClockMessage, '/clock', 10)
                        if self._lockstep else None)
         self.create_subscription(FeedbackVoltage, 'feedback', self._on_feedback, FEEDBACK)
         self.create_service(LoadFeedforward, 'load_feedforward', self._on_load_feedforward)
@@ -264,7 +259,6 @@ class StageNode(LifecycleNode):
         self._publish_progress()
         if self._lockstep:
             self._publish_clock(samples)
-            self._wait_for_slow_subscribers()
 
     def _publish_joint_state(self, block, samples):
         self._samples_since_joint_state += samples
@@ -281,16 +275,7 @@ class StageNode(LifecycleNode):
         if self._samples_since_clock < self._sample_rate_hz / 100 and not self._engine.idle:
             return
         self._samples_since_clock = 0
-        self._clock.publish(ClockMessage(clock=self._stamp(self._engine.next_sample)))
-
-    def _wait_for_slow_subscribers(self):
-        self._blocks_since_acknowledgement += 1
-        if (self._blocks_since_acknowledgement < BLOCKS_BETWEEN_ACKNOWLEDGEMENTS
-                and not self._engine.idle):
-            return
-        self._blocks_since_acknowledgement = 0
-        if not self._samples.wait_for_all_acked(Duration(seconds=ACKNOWLEDGEMENT_TIMEOUT_S)):
-            self.get_logger().error('a subscriber of samples does not keep up')
+        self._clock_publisher.publish(ClockMessage(clock=self._stamp(self._engine.next_sample)))
 
     def _publish_diagnostics(self):
         engine = self._engine

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Let a simulated stage keep the pace of the wall clock."""
+
+import time
+
+import numpy as np
+
+# Further behind than this the clock is set anew instead of being caught up with.
+LARGEST_LAG_S = 0.1
+
+
+class PacedStage:
+    """A backend whose exchanges last as long as their samples.
+
+    Parameters
+    ----------
+    backend : StageBackend
+        What answers; its other attributes are passed on.
+    """
+
+    def __init__(self, backend):
+        self._backend = backend
+        self._due_s = 0.0
+
+    def __getattr__(self, name):
+        return getattr(self._backend, name)
+
+    def open(self) -> None:
+        """Start the backend and the clock."""
+        self._backend.open()
+        self._due_s = time.monotonic()
+
+    def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
+        """Play voltages in real time; see ``StageBackend.exchange``."""
+        displacement_um = self._backend.exchange(voltage_v)
+        self._due_s += len(voltage_v) / self._backend.sample_rate_hz
+        wait_s = self._due_s - time.monotonic()
+        if wait_s > 0.0:
+            time.sleep(wait_s)
+        elif wait_s < -LARGEST_LAG_S:
+            self._due_s = time.monotonic()
+        return displacement_um
