@@ -100,7 +100,5 @@ class StageModel:
         memory = self.memory() if memory is None else memory
         system = zoh(self.linear(), sample_period_s)
         hysteresis = self.hysteresis.simulate(voltage_v, memory.hysteresis)
-        displacement, memory.linear_state = continue_linear(
-            system, hysteresis, memory.linear_state
-        )
+        displacement, memory.linear_state = continue_linear(system, hysteresis, memory.linear_state)
         return displacement

@@ -242,7 +242,7 @@ def equilibrium_state(system, held_input=1.0):
     -------
     (n,) array
     """
-    return np.linalg.solve(system.A, -system.B[:, 0] * held_input) if system.nstates else np.zeros(0)
+    return np.linalg.solve(system.A, -held_input * system.B[:, 0])
 
 
 def simulate_linear(discrete_system, input, initial_state=None):

@@ -124,7 +124,9 @@ def load_model(path):
     try:
         document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
-        raise ModelFileError(f"{path}: is not valid JSON ({error}); save the model again") from error
+        raise ModelFileError(
+            f"{path}: is not valid JSON ({error}); save the model again"
+        ) from error
     return _Reader(path).identified_model(document)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Preisach hysteresis with a piecewise-constant density, evaluated exactly through its Everett function.
+"""Preisach hysteresis with a piecewise-constant density, exact through its Everett function.
 
 The relays are 0/1, as in the thesis, eq. (2.1) and (4.2). The output is a sum of Everett
 integrals over the remembered voltage extremes, so a sample costs a table look-up, whatever the
@@ -15,6 +15,9 @@ from numba import njit
 
 # A target this far outside the output range, relative to its span, is rounding and not a mistake.
 _RANGE_TOLERANCE = 1e-9
+
+# A sum of Everett integrals is known to this part of the largest output.
+_ROUNDING = 16 * np.finfo(float).eps
 
 
 @dataclass(eq=False)
@@ -42,9 +45,7 @@ class PreisachMemory:
 
     def copy(self):
         """An independent memory with the same past."""
-        return replace(
-            self, extremes_v=self.extremes_v.copy(), outputs_um=self.outputs_um.copy()
-        )
+        return replace(self, extremes_v=self.extremes_v.copy(), outputs_um=self.outputs_um.copy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +140,16 @@ class PreisachModel:
         -------
         array
             Exact integral; zero where `alpha_v` <= `beta_v`.
+
+        Raises
+        ------
+        ValueError
+            If a voltage is not finite.
         """
         limits = self.voltage_min_v, self.voltage_max_v
         alpha, beta = np.broadcast_arrays(np.clip(alpha_v, *limits), np.clip(beta_v, *limits))
+        if not (np.isfinite(alpha).all() and np.isfinite(beta).all()):
+            raise ValueError("alpha_v and beta_v must be finite voltages")
         values = _everett_values(alpha.ravel(), beta.ravel(), *self._grid, *self._table)
         return values.reshape(alpha.shape)[()]
 
@@ -155,7 +163,9 @@ class PreisachModel:
         if memory is None:
             return self.memory()
         if memory.model is not self:
-            raise ValueError("the memory belongs to another model; take one from this model's memory()")
+            raise ValueError(
+                "the memory belongs to another model; take one from this model's memory()"
+            )
         return memory
 
     def simulate(self, voltage_v, memory=None):
@@ -223,14 +233,19 @@ class PreisachModel:
         slack = _RANGE_TOLERANCE * (high - low)
         if target.size and (target.min() < low - slack or target.max() > high + slack):
             raise ValueError(
-                f"the hysteresis output cannot go from {target.min():.6g} to {target.max():.6g} um; "
+                f"the hysteresis output cannot span {target.min():.6g} to {target.max():.6g} um; "
                 f"the reachable range is {low:.6g} to {high:.6g} um"
             )
         memory = self._own(memory)
         voltage, memory.extremes_v, memory.outputs_um, memory.top = _invert(
             np.clip(target, low, high),
-            memory.extremes_v, memory.outputs_um, memory.top, *self._grid, *self._table,
-        )  # fmt: skip
+            _ROUNDING * (abs(low) + high - low),
+            memory.extremes_v,
+            memory.outputs_um,
+            memory.top,
+            *self._grid,
+            *self._table,
+        )
         return voltage
 
     def gain_um_per_v(self, voltage_v=None):
@@ -385,7 +400,7 @@ def _simulate(
 
 @njit(cache=True)
 def _root(quadratic, linear, value):
-    """Root in [0, 1] of quadratic x^2 + linear x = value, all non-negative, without cancellation."""
+    """Root of quadratic x^2 + linear x = value in [0, 1]; all non-negative, so nothing cancels."""
     denominator = linear + np.sqrt(linear * linear + 4.0 * quadratic * value)
     if denominator <= 0.0:
         return 0.0
@@ -393,20 +408,25 @@ def _root(quadratic, linear, value):
 
 
 @njit(cache=True)
-def _rise(target, beta, cells, diagonal):
-    """Lowest position alpha, in cells, at which the Everett function from `beta` is `target`."""
+def _rise(target, rounding, beta, cells, diagonal):
+    """Lowest position alpha, in cells, at which the Everett function from `beta` is `target`.
+
+    No flat stretch is crossed for a rest within `rounding`.
+    """
     size = diagonal.size
     j = _cell_of(beta, size)
     y = j + 1 - beta
     corner = diagonal[j] * y * y
-    if target <= corner:
-        return beta + np.sqrt(target / diagonal[j]) if target > 0.0 else beta
+    if target <= corner + rounding:
+        if corner > 0.0:
+            return beta + np.sqrt(min(max(target, 0.0), corner) / diagonal[j])
+        return beta
     if j == size - 1:
         return float(size)
     low, high = j + 1, size - 1
     while low < high:
         middle = (low + high + 1) // 2
-        if cells[middle, j, 0] + y * cells[middle, j, 2] + corner < target:
+        if cells[middle, j, 0] + y * cells[middle, j, 2] + corner < target - rounding:
             low = middle
         else:
             high = middle - 1
@@ -415,20 +435,25 @@ def _rise(target, beta, cells, diagonal):
 
 
 @njit(cache=True)
-def _fall(target, alpha, cells, diagonal):
-    """Highest position beta, in cells, at which the Everett function to `alpha` is `target`."""
+def _fall(target, rounding, alpha, cells, diagonal):
+    """Highest position beta, in cells, at which the Everett function to `alpha` is `target`.
+
+    No flat stretch is crossed for a rest within `rounding`.
+    """
     size = diagonal.size
     i = _cell_of(alpha, size)
     x = alpha - i
     corner = diagonal[i] * x * x
-    if target <= corner:
-        return alpha - np.sqrt(target / diagonal[i]) if target > 0.0 else alpha
+    if target <= corner + rounding:
+        if corner > 0.0:
+            return alpha - np.sqrt(min(max(target, 0.0), corner) / diagonal[i])
+        return alpha
     if i == 0:
         return 0.0
     low, high = 0, i - 1
     while low < high:
         middle = (low + high) // 2
-        if cells[i, middle, 0] + x * cells[i, middle, 1] + corner < target:
+        if cells[i, middle, 0] + x * cells[i, middle, 1] + corner < target - rounding:
             high = middle
         else:
             low = middle + 1
@@ -437,7 +462,18 @@ def _fall(target, alpha, cells, diagonal):
 
 
 @njit(cache=True)
-def _invert(target, extremes, outputs, top, voltage_min, voltage_max, cell_width, cells, diagonal):
+def _invert(
+    target,
+    rounding,
+    extremes,
+    outputs,
+    top,
+    voltage_min,
+    voltage_max,
+    cell_width,
+    cells,
+    diagonal,
+):
     voltage = np.empty(target.size)
     scale = 1.0 / cell_width
     for n in range(target.size):
@@ -454,7 +490,7 @@ def _invert(target, extremes, outputs, top, voltage_min, voltage_max, cell_width
                 top -= 2
             else:
                 beta = (extremes[top] - voltage_min) * scale
-                alpha = _rise(goal - outputs[top], beta, cells, diagonal)
+                alpha = _rise(goal - outputs[top], rounding, beta, cells, diagonal)
                 ceiling = extremes[top - 1] if top >= 2 else voltage_max
                 v = min(max(voltage_min + alpha * cell_width, v), ceiling)
             top += 1
@@ -469,7 +505,7 @@ def _invert(target, extremes, outputs, top, voltage_min, voltage_max, cell_width
                 top -= 2
             else:
                 alpha = (extremes[top] - voltage_min) * scale
-                beta = _fall(outputs[top] - goal, alpha, cells, diagonal)
+                beta = _fall(outputs[top] - goal, rounding, alpha, cells, diagonal)
                 v = max(min(voltage_min + beta * cell_width, v), extremes[top - 1])
             top += 1
         if top == extremes.size:

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import json
+import os
+
+import numpy as np
+import pytest
+
+from piezo_models import model_file
+from piezo_models.cascade import StageModel
+from piezo_models.linear import ElectricVibrationDynamics
+from piezo_models.model_file import IdentifiedModel, ModelFileError, load_model, save_model
+from piezo_models.preisach import PreisachModel
+
+
+@pytest.fixture
+def identified(stage):
+    return IdentifiedModel(
+        model=stage,
+        voltage_range_v=(-20.0, 120.0),
+        sample_periods_s={"creep": 0.01, "dynamics": np.float64(25e-6)},
+        errors={"e_y_percent": 0.123, "unseen": {"rms_um": np.float32(0.5)}},
+        recordings=[{"path": "runs/größe/creep", "sha256": "ab" * 32}],
+    )
+
+
+@pytest.fixture
+def path(tmp_path, identified):
+    path = tmp_path / "model with space.json"
+    save_model(path, identified)
+    return path
+
+
+def change(path, edit):
+    document = json.loads(path.read_text())
+    edit(document)
+    path.write_text(json.dumps(document))
+
+
+def test_model_comes_back_to_the_bit(path, identified):
+    loaded = load_model(path)
+    was, now = identified.model, loaded.model
+    assert np.array_equal(now.hysteresis.density_um_per_v2, was.hysteresis.density_um_per_v2)
+    for name in ("voltage_min_v", "voltage_max_v", "offset_um"):
+        assert getattr(now.hysteresis, name) == getattr(was.hysteresis, name)
+    assert now.creep == was.creep
+    assert now.dynamics == was.dynamics
+    assert loaded.voltage_range_v == identified.voltage_range_v
+    assert loaded.sample_periods_s == identified.sample_periods_s
+    assert loaded.errors == identified.errors
+    assert loaded.recordings == identified.recordings
+    assert loaded.created == identified.created
+
+
+def test_second_saving_is_the_same_text(path, tmp_path):
+    again = tmp_path / "again.json"
+    save_model(again, load_model(path))
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_antiresonances_are_kept(identified, tmp_path, uneven_model):
+    dynamics = ElectricVibrationDynamics(1e-3, (900.0,), (0.1,), (700.0,), (0.05,))
+    identified.model = StageModel(uneven_model, identified.model.creep, dynamics)
+    save_model(tmp_path / "m.json", identified)
+    assert load_model(tmp_path / "m.json").model.dynamics == dynamics
+
+
+def test_file_is_readable_with_a_row_of_the_density_a_line(path):
+    lines = path.read_text().splitlines()
+    start = next(n for n, line in enumerate(lines) if '"density_um_per_v2"' in line)
+    for i, line in enumerate(lines[start + 1 : start + 21]):
+        assert len(json.loads(line.strip().rstrip(","))) == i + 1
+    assert max(map(len, lines)) < 600
+
+
+def remove(*names):
+    def edit(document):
+        for name in names[:-1]:
+            document = document[name]
+        del document[names[-1]]
+
+    return edit
+
+
+def put(value, *names):
+    def edit(document):
+        for name in names[:-1]:
+            document = document[name]
+        document[names[-1]] = value
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("edit", "field"),
+    [
+        (remove("format"), "format"),
+        (put("something else", "format"), "format"),
+        (put(2, "version"), "version is 2, not 1"),
+        (put(True, "version"), "version"),
+        (remove("version"), "version"),
+        (remove("hysteresis"), "hysteresis is missing"),
+        (remove("hysteresis", "offset_um"), "hysteresis.offset_um is missing"),
+        (remove("creep", "zeros_rad_per_s"), "creep.zeros_rad_per_s is missing"),
+        (remove("dynamics", "time_constant_s"), "dynamics.time_constant_s is missing"),
+        (remove("recordings", 0, "sha256"), "recordings[0].sha256 is missing"),
+        (put(1, "surprise"), "surprise is unknown"),
+        (put([], "hysteresis"), "hysteresis is not an object"),
+        (put("2", "hysteresis", "offset_um"), "hysteresis.offset_um is not a finite number"),
+        (put(True, "hysteresis", "offset_um"), "hysteresis.offset_um is not a finite number"),
+        (put(10**400, "hysteresis", "offset_um"), "hysteresis.offset_um is not a finite number"),
+        (put(200.0, "hysteresis", "voltage_min_v"), "hysteresis: the voltage range"),
+        (put([], "hysteresis", "density_um_per_v2"), "density_um_per_v2 is not a list of rows"),
+        (put([1.0], "hysteresis", "density_um_per_v2", 3), "density_um_per_v2[3]"),
+        (put(None, "hysteresis", "density_um_per_v2", 3, 2), "density_um_per_v2[3][2]"),
+        (put(-1e-9, "hysteresis", "density_um_per_v2", 3, 2), "density_um_per_v2[3] holds a neg"),
+        (put([1.0], "creep", "poles_rad_per_s"), "creep: "),
+        (put(-1.0, "dynamics", "time_constant_s"), "dynamics: time_constant_s"),
+        (put([120.0, -20.0], "voltage_range_v"), "voltage_range_v"),
+        (put([1.0], "voltage_range_v"), "voltage_range_v"),
+        (put({"creep": 0}, "sample_periods_s"), "sample_periods_s.creep"),
+        (put({"e": {"f": "x"}}, "errors"), "errors.e.f"),
+        (put("x", "recordings"), "recordings"),
+        (put(5, "created"), "created"),
+    ],
+)
+def test_unsound_file_is_refused_with_path_and_field(path, edit, field):
+    change(path, edit)
+    with pytest.raises(ModelFileError) as refusal:
+        load_model(path)
+    message = str(refusal.value)
+    assert message.startswith(f"{path}: ")
+    assert field in message
+    assert len(message.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "not valid JSON"),
+        (b"not json", "not valid JSON"),
+        (b"{" + b'"format": NaN}', "NaN"),
+        (b'{"format": 1, "format": 1}', "repeated"),
+        (b"[" * 100_000, "not valid JSON"),
+        (b"1" * 5000, "not valid JSON"),
+        (b"\xff\xfe\x00", "not text"),
+        (b"[1, 2]", "format"),
+        (b"null", "format"),
+    ],
+)
+def test_other_content_is_refused(tmp_path, content, problem):
+    path = tmp_path / "other.json"
+    path.write_bytes(content)
+    with pytest.raises(ModelFileError, match=problem) as refusal:
+        load_model(path)
+    assert str(path) in str(refusal.value)
+
+
+def test_infinity_written_as_a_large_number_is_refused(path):
+    text = path.read_text().replace('"offset_um": -3.0', '"offset_um": 1e999')
+    path.write_text(text)
+    with pytest.raises(ModelFileError, match="hysteresis.offset_um is not a finite number"):
+        load_model(path)
+
+
+def test_missing_file_and_directory_are_refused(tmp_path):
+    for path in (tmp_path / "absent.json", tmp_path):
+        with pytest.raises(ModelFileError, match="cannot be read"):
+            load_model(path)
+
+
+def test_huge_file_is_refused_unread(tmp_path):
+    path = tmp_path / "huge.json"
+    path.touch()
+    os.truncate(path, 10**11)
+    with pytest.raises(ModelFileError, match="more than"):
+        load_model(path)
+
+
+def test_unsound_model_is_not_saved_and_the_old_file_stays(path, identified):
+    before = path.read_bytes()
+    identified.errors = {"e_y_percent": float("nan")}
+    with pytest.raises(ModelFileError, match="errors.e_y_percent"):
+        save_model(path, identified)
+    identified.errors = {}
+    density = -np.eye(2)
+    identified.model = StageModel(
+        PreisachModel(0.0, 1.0, density), identified.model.creep, identified.model.dynamics
+    )
+    with pytest.raises(ModelFileError, match="negative"):
+        save_model(path, identified)
+    assert path.read_bytes() == before
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+def test_interrupted_writing_leaves_the_old_file(path, identified, monkeypatch):
+    before = path.read_bytes()
+
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(model_file.os, "replace", fail)
+    identified.created = "later"
+    with pytest.raises(ModelFileError, match="No space left"):
+        save_model(path, identified)
+    assert path.read_bytes() == before
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+def test_directory_that_is_not_there_is_refused(tmp_path, identified):
+    with pytest.raises(ModelFileError, match="cannot be written"):
+        save_model(tmp_path / "absent" / "model.json", identified)
+
+
+def test_saved_file_is_as_readable_as_any_new_file(path, tmp_path):
+    plain = tmp_path / "plain"
+    plain.touch()
+    assert path.stat().st_mode == plain.stat().st_mode
