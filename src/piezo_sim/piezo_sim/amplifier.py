@@ -7,21 +7,20 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from piezo_sim.converter import quantise
+from piezo_sim.converter import Converter
 from piezo_sim.effect import Surroundings, parameter, require
 
 
 @njit(cache=True)
-def _drive(samples, output_v, voltage_min_v, step_v, levels, largest_change_v):
+def _slew(samples, output_v, largest_change_v):
     for n in range(samples.size):
-        command_v = quantise(samples[n], voltage_min_v, step_v, levels)
-        change_v = command_v - output_v
+        change_v = samples[n] - output_v
         if change_v > largest_change_v:
             output_v += largest_change_v
         elif change_v < -largest_change_v:
             output_v -= largest_change_v
         else:
-            output_v = command_v
+            output_v = samples[n]
         samples[n] = output_v
     return output_v
 
@@ -30,8 +29,7 @@ def _drive(samples, output_v, voltage_min_v, step_v, levels, largest_change_v):
 class VoltageAmplifier:
     """Range, resolution and slew rate of the amplifier.
 
-    The levels of the converter divide the range evenly and include both ends. The slew rate limits
-    the change from one sample to the next; the output is held within a sample.
+    The slew rate limits the change from one sample to the next; the output is held within a sample.
     """
 
     name: ClassVar[str] = "voltage_amplifier"
@@ -52,11 +50,6 @@ class VoltageAmplifier:
         )
         require(self.slew_rate_v_per_s > 0.0, self, "slew_rate_v_per_s must be positive.")
 
-    @property
-    def step_v(self) -> float:
-        """Distance of two levels of the converter."""
-        return (self.voltage_max_v - self.voltage_min_v) / (2**self.converter_bits - 1)
-
     def start(self, surroundings: Surroundings) -> "AmplifierRunner":
         """Start at the rest voltage."""
         return AmplifierRunner(self, surroundings.sample_period_s)
@@ -66,15 +59,20 @@ class AmplifierRunner:
     """Amplifier with its present output."""
 
     def __init__(self, effect: VoltageAmplifier, sample_period_s: float):
-        self._levels = (effect.voltage_min_v, effect.step_v, float(2**effect.converter_bits))
+        self._converter = Converter(
+            effect.voltage_min_v, effect.voltage_max_v, effect.converter_bits
+        )
         self._largest_change_v = effect.slew_rate_v_per_s * sample_period_s
         self._output_v = effect.voltage_min_v
 
     def rest(self, level: float) -> float:
         """Settle at the converter's level next to the command `level`."""
-        self._output_v = quantise(level, *self._levels)
+        samples = np.array([level])
+        self._converter.apply(samples)
+        self._output_v = float(samples[0])
         return self._output_v
 
     def apply(self, samples: np.ndarray) -> None:
         """Replace commanded voltages by output voltages."""
-        self._output_v = _drive(samples, self._output_v, *self._levels, self._largest_change_v)
+        self._converter.apply(samples)
+        self._output_v = _slew(samples, self._output_v, self._largest_change_v)

@@ -1,12 +1,28 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Levels of a digital-to-analogue or analogue-to-digital converter."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 
 
 @njit(cache=True)
-def quantise(value, low, step, levels):
-    """Nearest of the levels low + k step, k = 0..levels - 1."""
-    level = np.rint((value - low) / step)
-    return low + step * min(max(level, 0.0), levels - 1.0)
+def _quantise(samples, low, step, highest):
+    for n in range(samples.size):
+        level = np.rint((samples[n] - low) / step)
+        samples[n] = low + step * min(max(level, 0.0), highest)
+
+
+@dataclass(frozen=True)
+class Converter:
+    """A converter whose levels divide the range from low to high evenly and include both ends."""
+
+    low: float
+    high: float
+    bits: int
+
+    def apply(self, samples: np.ndarray) -> None:
+        """Replace samples, float64 of shape (N,), by the nearest levels."""
+        highest = 2.0**self.bits - 1.0
+        _quantise(samples, self.low, (self.high - self.low) / highest, highest)

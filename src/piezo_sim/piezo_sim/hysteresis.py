@@ -1,5 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rate-independent Preisach hysteresis (thesis eq. (4.2)) on a memory of extremes."""
+"""Rate-independent Preisach hysteresis (thesis eq. (4.2)) with a continuous density.
+
+With span d = alpha - beta and middle m = (alpha + beta) / 2 the density is
+
+    mu(alpha, beta) = (broad + ridge exp(-d / width)) (1 + modulation cos(k (m - centre))),
+
+a product of a function of the span and a function of the middle, hence not a sum
+f(alpha) + g(beta). The integral over the triangle beta <= beta' <= alpha' <= alpha keeps the form:
+E = G0(d) + modulation cos(k (m - centre)) G1(d), with G1(d) = 2/k int_0^d g(x) sin(k (d - x)/2) dx
+for a density profile g(x) in the span.
+The output follows from the remembered extremes of the voltage and this integral, without a grid.
+"""
 
 import math
 from dataclasses import dataclass
@@ -8,8 +19,41 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from piezo_sim.density import everett_um
 from piezo_sim.effect import Surroundings, parameter, require
+
+
+# Numba's cache overlooks changes in other files: compiled functions that call each other stay here.
+@njit(cache=True)
+def density_um_per_v2(alpha_v, beta_v, broad, ridge, width_v, modulation, centre_v, period_v):
+    """Preisach density at (alpha, beta), alpha >= beta (mu of thesis eq. (4.2))."""
+    span = alpha_v - beta_v
+    middle = 0.5 * (alpha_v + beta_v)
+    profile = broad + ridge * math.exp(-span / width_v)
+    return profile * (1.0 + modulation * math.cos(2.0 * math.pi / period_v * (middle - centre_v)))
+
+
+@njit(cache=True)
+def everett_um(alpha_v, beta_v, broad, ridge, width_v, modulation, centre_v, period_v):
+    """Integral of the density over the triangle between beta and alpha, um."""
+    span = alpha_v - beta_v
+    middle = 0.5 * (alpha_v + beta_v)
+    wavenumber = 2.0 * math.pi / period_v
+    half = 0.5 * wavenumber
+    phase = half * span
+    sine = math.sin(phase)
+    cosine = math.cos(phase)
+    decay_less_one = math.expm1(-span / width_v)
+    rate = 1.0 / width_v
+
+    uniform = 0.5 * broad * span * span + ridge * width_v * (span + width_v * decay_less_one)
+    broad_wave = broad * (1.0 - cosine) / half
+    ridge_wave = (
+        ridge
+        * (half * (decay_less_one + (1.0 - cosine)) + rate * sine)
+        / (half * half + rate * rate)
+    )
+    wave = (broad_wave + ridge_wave) / half
+    return uniform + modulation * math.cos(wavenumber * (middle - centre_v)) * wave
 
 
 @njit(cache=True)
@@ -33,8 +77,6 @@ def _follow(samples, extremes_v, outputs_um, depth, last_v, last_um, offset_um, 
             voltage >= extremes_v[depth - 1] if rising else voltage <= extremes_v[depth - 1]
         ):
             depth -= 2
-        if depth == 1 and voltage <= extremes_v[0]:
-            depth = 0
         extreme = extremes_v[depth]
         if depth % 2 == 0:
             last_um = outputs_um[depth] + everett_um(voltage, extreme, *shape)
@@ -47,7 +89,7 @@ def _follow(samples, extremes_v, outputs_um, depth, last_v, last_um, offset_um, 
 
 @dataclass(frozen=True)
 class PreisachHysteresis:
-    """Preisach hysteresis with the continuous density of `piezo_sim.density`; relays are 0 or 1."""
+    """Preisach hysteresis with the density of this module; relays are 0 or 1."""
 
     name: ClassVar[str] = "preisach_hysteresis"
 
@@ -78,7 +120,7 @@ class PreisachHysteresis:
 
     @property
     def shape(self) -> tuple[float, ...]:
-        """Parameters of the density, in the order of `piezo_sim.density`."""
+        """Parameters of the density, in the order of `everett_um`."""
         return (
             self.broad_density_um_per_v2,
             self.ridge_density_um_per_v2,

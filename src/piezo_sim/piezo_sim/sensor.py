@@ -5,21 +5,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numba import njit
 
-from piezo_sim.converter import quantise
+from piezo_sim.converter import Converter
 from piezo_sim.effect import Surroundings, parameter, require
 
 # Noise is drawn ahead in blocks: one draw for 40 samples would cost more than all the rest.
 _NOISE_BLOCK = 4096
-
-
-@njit(cache=True)
-def _measure(samples, noise, noise_rms_um, displacement_min_um, step_um, levels):
-    for n in range(samples.size):
-        samples[n] = quantise(
-            samples[n] + noise_rms_um * noise[n], displacement_min_um, step_um, levels
-        )
 
 
 @dataclass(frozen=True)
@@ -44,12 +35,6 @@ class DisplacementSensor:
             1 <= self.converter_bits <= 32, self, "converter_bits must be an integer from 1 to 32."
         )
 
-    @property
-    def step_um(self) -> float:
-        """Distance of two levels of the converter."""
-        span_um = self.displacement_max_um - self.displacement_min_um
-        return span_um / (2**self.converter_bits - 1)
-
     def start(self, surroundings: Surroundings) -> "SensorRunner":
         """Start the noise from the seed."""
         return SensorRunner(self, surroundings.seed)
@@ -60,10 +45,8 @@ class SensorRunner:
 
     def __init__(self, effect: DisplacementSensor, seed: int):
         self._noise_rms_um = effect.noise_rms_um
-        self._levels = (
-            effect.displacement_min_um,
-            effect.step_um,
-            float(2**effect.converter_bits),
+        self._converter = Converter(
+            effect.displacement_min_um, effect.displacement_max_um, effect.converter_bits
         )
         self._generator = np.random.Generator(np.random.PCG64(seed))
         self._noise = np.empty(0)
@@ -74,7 +57,8 @@ class SensorRunner:
 
     def apply(self, samples: np.ndarray) -> None:
         """Replace displacements by measured displacements."""
-        _measure(samples, self._next_noise(samples.size), self._noise_rms_um, *self._levels)
+        samples += self._noise_rms_um * self._next_noise(samples.size)
+        self._converter.apply(samples)
 
     def _next_noise(self, count: int) -> np.ndarray:
         missing = count - self._noise.size

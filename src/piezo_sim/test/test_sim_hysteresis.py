@@ -3,18 +3,24 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import dblquad
 
-from piezo_sim.density import density_um_per_v2, everett_um
 from piezo_sim.effect import PlantConfigError
-from piezo_sim.hysteresis import HysteresisRunner, PreisachHysteresis
+from piezo_sim.hysteresis import (
+    HysteresisRunner,
+    PreisachHysteresis,
+    density_um_per_v2,
+    everett_um,
+)
 from piezo_sim.plant_file import read_plant
 
 DEFAULT = next(effect for effect in read_plant().stage if isinstance(effect, PreisachHysteresis))
 SATURATION_V, TOP_V = -20.0, 120.0
 
+# The first example may compile.
+unhurried = settings(deadline=None)
 voltages = st.floats(SATURATION_V, TOP_V)
 
 
@@ -94,6 +100,7 @@ def test_output_is_the_sum_over_relays():
     assert hysteresis_um(*voltage_v) == pytest.approx(expected_um, abs=0.02)
 
 
+@unhurried
 @given(st.lists(voltages, min_size=1, max_size=20), voltages, st.floats(0.0, 1.0))
 def test_points_on_the_way_do_not_matter(history_v, end_v, fraction):
     way_v = history_v[-1] + fraction * (end_v - history_v[-1])
@@ -101,6 +108,7 @@ def test_points_on_the_way_do_not_matter(history_v, end_v, fraction):
     assert hysteresis_um(*history_v, way_v, way_v, end_v)[-1] == pytest.approx(direct, abs=1e-10)
 
 
+@unhurried
 @given(
     st.lists(voltages, min_size=1, max_size=10),
     st.tuples(voltages, voltages, voltages, voltages).map(sorted),
@@ -116,6 +124,7 @@ def test_a_larger_excursion_wipes_out_a_closed_loop(history_v, corners_v, future
     )
 
 
+@unhurried
 @given(
     st.lists(voltages, min_size=1, max_size=10),
     st.lists(voltages, min_size=1, max_size=10),

@@ -2,6 +2,7 @@
 """The plant shares no code with what is identified from it, and its numerics need no ROS."""
 
 import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -31,7 +32,7 @@ def test_the_simulated_stage_loads_neither_model_nor_ros():
     program = "import sys, piezo_sim.backend; print(*{name.split('.')[0] for name in sys.modules})"
     loaded = subprocess.run(
         [sys.executable, "-c", program],
-        env={"PYTHONPATH": ":".join(sys.path)},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True,
         text=True,
         check=True,
