@@ -39,6 +39,8 @@ def test_opening_again_repeats_the_same_samples():
     voltage_v = wandering_voltage(5000)
     stage = opened(seed=3)
     first = stage.exchange(voltage_v)
+    stage.open()
+    assert np.array_equal(stage.exchange(voltage_v), first)
     stage.close()
     stage.open()
     assert np.array_equal(stage.exchange(voltage_v), first)
