@@ -37,7 +37,7 @@ class FeedbackController:
     sample_period_s: float
     report: dict
     weights: dict
-    model_sha256: str = ''
+    model_sha256: str = ""
 
     def state_space(self):
         """The controller as a ``control.StateSpace``."""
@@ -63,8 +63,8 @@ def design_plant(model, tick_s, clock_period_s):
     """
     samples_per_tick = round(tick_s / clock_period_s)
     if samples_per_tick < 1 or abs(samples_per_tick * clock_period_s / tick_s - 1) > 1e-9:
-        raise ValueError(f'the tick of {tick_s:g} s is no multiple of the sample clock\'s period '
-                         f'of {clock_period_s:g} s')
+        raise ValueError(f"the tick of {tick_s:g} s is no multiple of the sample clock's period "
+                         f"of {clock_period_s:g} s")
     plant = lift(zoh(model.linear(), clock_period_s), samples_per_tick)
     hysteresis = model.hysteresis
     middle_v = (hysteresis.voltage_min_v + hysteresis.voltage_max_v) / 2
@@ -104,22 +104,22 @@ def generalised_plant(plant, hysteresis_gain_um_per_v, weights):
     k_h = hysteresis_gain_um_per_v
     return control.interconnect(
         [
-            gain(weights.hysteresis_uncertainty, 'uncertain', 'u', 'z_u'),
-            control.summing_junction(['u', 'd_u'], 'u_total', name='input', dt=dt),
-            named(k_h * plant, 'plant', 'u_total', 'y'),
-            weight('reference', 'r', 'feedforward_error', weights.feedforward_error),
-            weight('disturbance', 'd', 'offset'),
-            control.summing_junction(['-feedforward_error', '-offset', '-y'], 'e', name='error',
+            gain(weights.hysteresis_uncertainty, "uncertain", "u", "z_u"),
+            control.summing_junction(["u", "d_u"], "u_total", name="input", dt=dt),
+            named(k_h * plant, "plant", "u_total", "y"),
+            weight("reference", "r", "feedforward_error", weights.feedforward_error),
+            weight("disturbance", "d", "offset"),
+            control.summing_junction(["-feedforward_error", "-offset", "-y"], "e", name="error",
                                      dt=dt),
-            weight('performance', 'e', 'z_e'),
-            weight('control', 'u', 'z_c'),
-            weight('noise', 'n', 'sensor_noise'),
-            control.summing_junction(['e', '-sensor_noise'], 'm', name='measurement', dt=dt),
+            weight("performance", "e", "z_e"),
+            weight("control", "u", "z_c"),
+            weight("noise", "n", "sensor_noise"),
+            control.summing_junction(["e", "-sensor_noise"], "m", name="measurement", dt=dt),
         ],
-        inputs=['d_u', 'r', 'd', 'n', 'u'], outputs=['z_u', 'z_e', 'z_c', 'm'])
+        inputs=["d_u", "r", "d", "n", "u"], outputs=["z_u", "z_e", "z_c", "m"])
 
 
-def design_feedback(model, weights, clock_period_s=25e-6, model_sha256=''):
+def design_feedback(model, weights, clock_period_s=25e-6, model_sha256=""):
     """Design the feedback for a model of the stage.
 
     Parameters
@@ -146,10 +146,10 @@ def design_feedback(model, weights, clock_period_s=25e-6, model_sha256=''):
     problem = generalised_plant(plant, gain_um_per_v, weights)
     controller, gamma = synthesise(problem)
     report = {
-        'gamma': float(gamma),
-        'closed_loop_norm': float(control.linfnorm(close(problem, controller))[0]),
-        'order': controller.nstates,
-        'hysteresis_gain_um_per_v': gain_um_per_v,
+        "gamma": float(gamma),
+        "closed_loop_norm": float(control.linfnorm(close(problem, controller))[0]),
+        "order": controller.nstates,
+        "hysteresis_gain_um_per_v": gain_um_per_v,
         **measure_loop(gain_um_per_v * plant, controller, weights.hysteresis_uncertainty),
     }
     return FeedbackController(controller.A, controller.B, controller.C, controller.D,

@@ -25,7 +25,7 @@ class MultirateFeedback:
 
     def __init__(self, controller, max_feedback_v=20.0):
         if not max_feedback_v > 0:
-            raise ValueError(f'max_feedback_v is {max_feedback_v:g}: give a positive voltage')
+            raise ValueError(f"max_feedback_v is {max_feedback_v:g}: give a positive voltage")
         self._a = np.ascontiguousarray(controller.A)
         self._b = np.ravel(controller.B)
         self._c = np.ravel(controller.C)

@@ -8,18 +8,18 @@ import numpy as np
 from piezo_models.inversion import invert_linear_periodic
 from piezo_models.linear import simulate_linear, zoh
 
-MODES = ('open_loop', 'feedforward')
+MODES = ("open_loop", "feedforward")
 
 RAMP_S = 0.05
 FADE_S = 0.05
 SETTLE_S = 0.1
 ALIGNMENT_SAMPLES = 40
 # Above it the stage passes too little for an inverse; what a reference holds there is left out.
-BANDWIDTH_HZ = 4000.0
+BANDWIDTH_HZ = 2500.0
 CORRECTIONS = 4
 BISECTIONS = 14
-VOLTAGE = 'voltages', 'V'
-STATIC_DISPLACEMENT = 'voltages that at rest would displace', 'um'
+VOLTAGE = "voltages", "V"
+STATIC_DISPLACEMENT = "voltages that at rest would displace", "um"
 
 
 class UnreachableReference(ValueError):
@@ -67,7 +67,7 @@ class FeedforwardPlan:
         return _play(self.reference_once_um, self.reference_period_um, first_sample, count)
 
 
-def plan_feedforward(reference_um, model, mode='feedforward', *, voltage_range_v=(-20.0, 120.0),
+def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v=(-20.0, 120.0),
                      slew_limit_v_per_s=2e6, sample_period_s=25e-6, start_voltage_v=0.0,
                      duration_s=1.0):
     """Plan the voltage that makes a model at rest follow a periodic reference.
@@ -107,8 +107,8 @@ def plan_feedforward(reference_um, model, mode='feedforward', *, voltage_range_v
         raise ValueError(f'unknown mode {mode!r} of the feedforward: use one of {", ".join(MODES)}')
     if not lowest_v <= hysteresis.voltage_min_v <= start_voltage_v <= highest_v:
         raise ValueError(
-            f'the model begins at {hysteresis.voltage_min_v:g} V, the amplifier at {lowest_v:g} V, '
-            f'the run at {start_voltage_v:g} V: identify the model over the amplifier\'s range')
+            f"the model begins at {hysteresis.voltage_min_v:g} V, the amplifier at {lowest_v:g} V, "
+            f"the run at {start_voltage_v:g} V: identify the model over the amplifier's range")
     planner = _Planner(model, len(reference_um), mode, highest_v,
                        slew_limit_v_per_s, sample_period_s, start_voltage_v, duration_s)
     try:
@@ -180,7 +180,7 @@ class _Planner:
         mean_um = reference_um.mean()
         wave = self._wave(reference_um - mean_um)
         level, level_gain = mean_um, self.mean_weights[self.fade_start:].sum()
-        if self.mode == 'open_loop':
+        if self.mode == "open_loop":
             level = self.hysteresis.voltage_min_v + (
                 mean_um - self.hysteresis.output_range_um[0]) / self.gain_um_per_v
             level_gain *= self.gain_um_per_v
@@ -195,7 +195,7 @@ class _Planner:
 
     def _wave(self, alternating_um):
         """One period of what drives the reference without its mean: um, or V in open loop."""
-        if self.mode == 'open_loop':
+        if self.mode == "open_loop":
             return alternating_um / self.gain_um_per_v
         harmonics = np.fft.rfft(alternating_um)
         frequency_hz = np.fft.rfftfreq(self.period, self.sample_period_s)
@@ -207,7 +207,7 @@ class _Planner:
         """Voltage, and the model's hysteresis output, of the once part and one period."""
         lowest_v = self.hysteresis.voltage_min_v
         target = level + self.fade * wave[self.fade_phase]
-        if self.mode == 'open_loop':
+        if self.mode == "open_loop":
             self._check_range(target, lowest_v, self.highest_v, VOLTAGE)
             centre_v = level
         else:
@@ -217,7 +217,7 @@ class _Planner:
                           lowest_v + (centre_v - lowest_v) * self.ramp]
         memory = self.rest_memory.copy()
         hysteresis_um = self.hysteresis.simulate(voltage_v, memory)
-        if self.mode == 'open_loop':
+        if self.mode == "open_loop":
             played_v, played_um = target, self.hysteresis.simulate(target, memory)
         else:
             played_v, played_um = self.hysteresis.invert(target, memory), target
@@ -245,15 +245,15 @@ class _Planner:
         rounding = 1e-9 * (highest - lowest)
         if values.min() < lowest - rounding or values.max() > highest + rounding:
             name, unit = quantity
-            raise _OutOfReach(f'it takes {name} from {values.min():.4g} to {values.max():.4g} '
-                              f'{unit}, available are {lowest:.4g} to {highest:.4g} {unit}')
+            raise _OutOfReach(f"it takes {name} from {values.min():.4g} to {values.max():.4g} "
+                              f"{unit}, available are {lowest:.4g} to {highest:.4g} {unit}")
 
     def _check_slew(self, voltage_v):
         steps_v = np.abs(np.diff(np.r_[voltage_v, voltage_v[self.once]]))
         slew_v_per_s = steps_v.max() / self.sample_period_s
         if slew_v_per_s > self.slew_limit_v_per_s:
-            raise _OutOfReach(f'it takes {slew_v_per_s:.3g} V/s, more than the slew limit of '
-                              f'{self.slew_limit_v_per_s:.3g} V/s')
+            raise _OutOfReach(f"it takes {slew_v_per_s:.3g} V/s, more than the slew limit of "
+                              f"{self.slew_limit_v_per_s:.3g} V/s")
 
 
 def _unreachable(planner, reference_um, reason):
@@ -270,8 +270,8 @@ def _unreachable(planner, reference_um, reason):
     if not within_reach(0.0):
         low_um, high_um = planner.hysteresis.output_range_um
         return UnreachableReference(
-            f'the amplifier cannot hold the reference\'s mean of {mean_um:.4g} um: '
-            f'the stage reaches about {low_um:.4g} to {high_um:.4g} um', 0.0)
+            f"the amplifier cannot hold the reference's mean of {mean_um:.4g} um: "
+            f"the stage reaches about {low_um:.4g} to {high_um:.4g} um", 0.0)
     reachable, beyond = 0.0, 1.0
     for _ in range(BISECTIONS):
         middle = (reachable + beyond) / 2
@@ -281,8 +281,8 @@ def _unreachable(planner, reference_um, reason):
             beyond = middle
     reachable_um = _rounded_down(reachable * travel_um)
     return UnreachableReference(
-        f'the amplifier cannot follow {travel_um:.4g} um peak to peak about {mean_um:.4g} um: '
-        f'{reason}; {reachable_um:g} um peak to peak is within reach', reachable_um)
+        f"the amplifier cannot follow {travel_um:.4g} um peak to peak about {mean_um:.4g} um: "
+        f"{reason}; {reachable_um:g} um peak to peak is within reach", reachable_um)
 
 
 def _rounded_down(value):

@@ -38,8 +38,8 @@ def synthesise(plant, largest_norm=100.0, tolerance=1e-4):
     upper, lower = largest_norm, 0.0
     best = _admissible(plant, upper)
     if best is None:
-        raise NoController(f'no stabilising controller keeps the closed loop below '
-                           f'{largest_norm:g}: relax the weights')
+        raise NoController(f"no stabilising controller keeps the closed loop below "
+                           f"{largest_norm:g}: relax the weights")
     while upper - lower > tolerance * upper:
         # A geometric mean finds the order of magnitude first.
         middle = np.sqrt(upper * max(lower, 1e-3 * upper))

@@ -26,7 +26,7 @@ def loop_responses(plant, controller, frequency_hz):
         ``L = G K`` and ``1 / (1 + L)``.
     """
     points = np.exp(2j * np.pi * np.asarray(frequency_hz) * plant.dt)
-    loop = plant(points, squeeze=True) * controller(points, squeeze=True)
+    loop = (plant(points, squeeze=False) * controller(points, squeeze=False))[0, 0]
     return loop, 1 / (1 + loop)
 
 
@@ -48,19 +48,19 @@ def measure_loop(plant, controller, gain_spread):
         ``settling_to_5_percent_s`` (after a step disturbance of the output),
         ``stable_within_gain_spread``.
     """
-    frequency_hz = np.geomspace(0.1, 0.5 / plant.dt, 8000)[:-1]
+    frequency_hz = np.geomspace(0.1, 0.5 / plant.dt, 8000)
     loop, sensitivity = loop_responses(plant, controller, frequency_hz)
     size = np.abs(sensitivity)
     gain_margin, phase_margin_deg = _margins(loop)
     gains = np.linspace(1 - gain_spread, 1 + gain_spread, 5)
     return {
-        'bandwidth_hz': float(frequency_hz[np.argmax(size > BAND_EDGE)]),
-        'peak_sensitivity': float(size.max()),
-        'peak_frequency_hz': float(frequency_hz[size.argmax()]),
-        'gain_margin': gain_margin,
-        'phase_margin_deg': phase_margin_deg,
-        'settling_to_5_percent_s': _settling_s(plant, controller),
-        'stable_within_gain_spread': all(
+        "bandwidth_hz": float(frequency_hz[np.argmax(size > BAND_EDGE)]),
+        "peak_sensitivity": float(size.max()),
+        "peak_frequency_hz": float(frequency_hz[size.argmax()]),
+        "gain_margin": gain_margin,
+        "phase_margin_deg": phase_margin_deg,
+        "settling_to_5_percent_s": _settling_s(plant, controller),
+        "stable_within_gain_spread": all(
             is_stable(control.feedback(gain * plant * controller, 1)) for gain in gains),
     }
 
@@ -68,9 +68,11 @@ def measure_loop(plant, controller, gain_spread):
 def _margins(loop):
     """Gain margin (factor) and phase margin (degrees) from a dense frequency response."""
     real, imaginary, size = loop.real, loop.imag, np.abs(loop)
-    crossing = (imaginary[:-1] * imaginary[1:] < 0) & (real[:-1] < 0)
+    crossing = imaginary[:-1] * imaginary[1:] < 0
     unity = (size[:-1] - 1) * (size[1:] - 1) < 0
-    gain_margin = 1 / size[:-1][crossing].max(initial=1e-12)
+    # At half the tick's rate, the last frequency, the response is real.
+    on_axis = np.append(real[:-1][crossing], real[-1])
+    gain_margin = 1 / max(-on_axis.min(), 1e-12)
     phase_margin = np.pi - np.abs(np.angle(loop[:-1][unity])).max(initial=0.0)
     return float(gain_margin), float(np.degrees(phase_margin))
 

@@ -10,7 +10,7 @@ import numpy as np
 
 LONGEST_PERIOD_S = 20.0
 TRIANGLE_BANDWIDTH_HZ = 2000.0
-KINDS = ('harmonic', 'multi_frequency', 'triangle', 'file')
+KINDS = ("harmonic", "multi_frequency", "triangle", "file")
 
 
 class InvalidReference(ValueError):
@@ -39,7 +39,7 @@ class Reference:
     amplitude_um: tuple = ()
     phase_rad: tuple = ()
     centre_um: float = 0.0
-    file: str = ''
+    file: str = ""
 
 
 def sample_reference(reference, sample_rate_hz=40000.0):
@@ -63,11 +63,11 @@ def sample_reference(reference, sample_rate_hz=40000.0):
         Says what is wrong; for a frequency without a whole period, names the nearest that has one.
     """
     if reference.kind not in KINDS:
-        raise InvalidReference(f'unknown kind of reference {reference.kind!r}: '
+        raise InvalidReference(f"unknown kind of reference {reference.kind!r}: "
                                f'use one of {", ".join(KINDS)}')
     if not math.isfinite(reference.centre_um):
-        raise InvalidReference('centre_um of the reference is not a finite number')
-    if reference.kind == 'file':
+        raise InvalidReference("centre_um of the reference is not a finite number")
+    if reference.kind == "file":
         return reference.centre_um + _read_period(reference.file, sample_rate_hz)
 
     frequencies, amplitudes, phases = _components(reference, sample_rate_hz)
@@ -75,11 +75,12 @@ def sample_reference(reference, sample_rate_hz=40000.0):
     length = math.lcm(*(c.denominator for c in cycles))
     if length > LONGEST_PERIOD_S * sample_rate_hz:
         raise InvalidReference(
-            f'the common period of the frequencies is {length / sample_rate_hz:g} s, longer than '
-            f'{LONGEST_PERIOD_S:g} s: use multiples of {1 / LONGEST_PERIOD_S:g} Hz')
-    shape = _triangle if reference.kind == 'triangle' else _sine
+            f"the common period of the frequencies is {length / sample_rate_hz:g} s, longer than "
+            f"{LONGEST_PERIOD_S:g} s: use multiples of {1 / LONGEST_PERIOD_S:g} Hz")
+    shape = _triangle if reference.kind == "triangle" else _sine
     displacement_um = np.full(length, float(reference.centre_um))
-    for cycle, frequency_hz, amplitude_um, phase in zip(cycles, frequencies, amplitudes, phases, strict=True):
+    for cycle, frequency_hz, amplitude_um, phase in zip(cycles, frequencies, amplitudes, phases,
+                                                        strict=True):
         turns = (cycle.numerator * (length // cycle.denominator) * np.arange(length)) % length
         angle_rad = 2 * np.pi * turns / length + phase
         displacement_um += amplitude_um / 2 * shape(angle_rad, frequency_hz)
@@ -91,19 +92,19 @@ def _components(reference, sample_rate_hz):
     phases = reference.phase_rad if len(reference.phase_rad) else (0.0,) * len(frequencies)
     if not len(frequencies) == len(amplitudes) == len(phases) or not len(frequencies):
         raise InvalidReference(
-            f'the reference has {len(frequencies)} frequencies, {len(amplitudes)} amplitudes and '
-            f'{len(reference.phase_rad)} phases: give one of each per component')
-    if reference.kind != 'multi_frequency' and len(frequencies) > 1:
-        raise InvalidReference(f'a {reference.kind} reference has one frequency, not '
-                               f'{len(frequencies)}: use multi_frequency')
+            f"the reference has {len(frequencies)} frequencies, {len(amplitudes)} amplitudes and "
+            f"{len(reference.phase_rad)} phases: give one of each per component")
+    if reference.kind != "multi_frequency" and len(frequencies) > 1:
+        raise InvalidReference(f"a {reference.kind} reference has one frequency, not "
+                               f"{len(frequencies)}: use multi_frequency")
     for frequency_hz, amplitude_um, phase in zip(frequencies, amplitudes, phases, strict=True):
         if not 0 < frequency_hz < sample_rate_hz / 2:
-            raise InvalidReference(f'frequency_hz {frequency_hz:g} is not between 0 and half the '
-                                   f'sample rate of {sample_rate_hz:g} Hz')
+            raise InvalidReference(f"frequency_hz {frequency_hz:g} is not between 0 and half the "
+                                   f"sample rate of {sample_rate_hz:g} Hz")
         if not 0 < amplitude_um < math.inf:
-            raise InvalidReference(f'amplitude_um {amplitude_um:g} is not a positive number')
+            raise InvalidReference(f"amplitude_um {amplitude_um:g} is not a positive number")
         if not math.isfinite(phase):
-            raise InvalidReference('phase_rad of the reference is not a finite number')
+            raise InvalidReference("phase_rad of the reference is not a finite number")
     return frequencies, amplitudes, phases
 
 
@@ -121,8 +122,8 @@ def _cycles_per_sample(frequency_hz, sample_rate_hz):
                 sample_rate_hz / min(round(sample_rate_hz / frequency_hz), longest)]
     nearest_hz = min(possible, key=lambda hz: abs(hz - frequency_hz))
     raise InvalidReference(
-        f'{frequency_hz:.12g} Hz has no period of whole samples within {LONGEST_PERIOD_S:g} s at '
-        f'{sample_rate_hz:g} samples a second: the nearest that has is {nearest_hz:.12g} Hz')
+        f"{frequency_hz:.12g} Hz has no period of whole samples within {LONGEST_PERIOD_S:g} s at "
+        f"{sample_rate_hz:g} samples a second: the nearest that has is {nearest_hz:.12g} Hz")
 
 
 def _sine(angle_rad, _frequency_hz):
@@ -141,25 +142,27 @@ def _triangle(angle_rad, frequency_hz):
 
 def _read_period(path, sample_rate_hz):
     try:
-        with open(path, newline='', encoding='utf-8') as stream:
+        with open(path, newline="", encoding="utf-8") as stream:
             rows = list(csv.reader(stream))
     except (OSError, UnicodeDecodeError) as error:
-        raise InvalidReference(f'the reference file {path!r} cannot be read: {error}') from None
-    if not rows or [name.strip() for name in rows[0]] != ['time_s', 'displacement_um']:
-        raise InvalidReference(f'the reference file {path!r} does not begin with the header '
-                               'time_s,displacement_um')
+        raise InvalidReference(f"the reference file {path!r} cannot be read: {error}") from None
+    if not rows or [name.strip() for name in rows[0]] != ["time_s", "displacement_um"]:
+        raise InvalidReference(f"the reference file {path!r} does not begin with the header "
+                               "time_s,displacement_um")
+    samples = [row for row in rows[1:] if row]
+    if not 2 <= len(samples) <= LONGEST_PERIOD_S * sample_rate_hz:
+        raise InvalidReference(f"the reference file {path!r} has {len(samples)} samples: give one "
+                               f"period of 2 samples to {LONGEST_PERIOD_S:g} s")
     try:
-        time_s, displacement_um = np.array([row for row in rows[1:] if row], dtype=float).T
+        time_s, displacement_um = np.array(samples, dtype=float).T
     except ValueError:
-        raise InvalidReference(f'the reference file {path!r} has a row that is not two numbers: '
-                               'give time_s,displacement_um in every row') from None
+        raise InvalidReference(f"the reference file {path!r} has a row that is not two numbers: "
+                               "give time_s,displacement_um in every row") from None
     if not np.isfinite(displacement_um).all() or not np.isfinite(time_s).all():
-        raise InvalidReference(f'the reference file {path!r} holds a value that is not finite')
-    if not 2 <= len(time_s) <= LONGEST_PERIOD_S * sample_rate_hz:
-        raise InvalidReference(f'the reference file {path!r} has {len(time_s)} samples: give one '
-                               f'period of 2 samples to {LONGEST_PERIOD_S:g} s')
+        raise InvalidReference(f"the reference file {path!r} holds a value that is not finite: "
+                               "remove or replace it")
     expected_s = time_s[0] + np.arange(len(time_s)) / sample_rate_hz
     if np.abs(time_s - expected_s).max() > 0.01 / sample_rate_hz:
-        raise InvalidReference(f'the reference file {path!r} is not sampled at '
-                               f'{sample_rate_hz:g} Hz: resample it to that rate')
+        raise InvalidReference(f"the reference file {path!r} is not sampled at "
+                               f"{sample_rate_hz:g} Hz: resample it to that rate")
     return displacement_um

@@ -79,15 +79,15 @@ def load_weights(path=None):
     WeightsError
         Names the file, the entry and what it should be.
     """
-    source = Path(path) if path is not None else files(__package__) / 'weights.yaml'
+    source = Path(path) if path is not None else files(__package__) / "weights.yaml"
     try:
-        entries = yaml.safe_load(source.read_text(encoding='utf-8'))
+        entries = yaml.safe_load(source.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = str(error).replace('\n', ' ')
-        raise WeightsError(f'the weights file {source} cannot be read: {reason}') from None
+        reason = str(error).replace("\n", " ")
+        raise WeightsError(f"the weights file {source} cannot be read: {reason}") from None
     names = [field.name for field in fields(DesignWeights)]
     if not isinstance(entries, dict) or set(entries) != set(names):
-        raise WeightsError(f'the weights file {source} must have exactly the entries '
+        raise WeightsError(f"the weights file {source} must have exactly the entries "
                            f'{", ".join(names)}')
     return DesignWeights(**{
         field.name: (_weight if field.type is Weight else _positive)(
@@ -97,24 +97,24 @@ def load_weights(path=None):
 
 def _positive(value, name, source):
     if not _is_number(value) or value <= 0:
-        raise WeightsError(f'{name} in the weights file {source} is {value!r}: '
-                           'give a positive number')
+        raise WeightsError(f"{name} in the weights file {source} is {value!r}: "
+                           "give a positive number")
     return float(value)
 
 
 def _weight(entry, name, source):
-    where = f'{name} in the weights file {source}'
-    if not isinstance(entry, dict) or set(entry) != {'gain', 'zeros', 'poles'}:
-        raise WeightsError(f'{where} must have exactly gain, zeros and poles')
-    roots = entry['zeros'], entry['poles']
+    where = f"{name} in the weights file {source}"
+    if not isinstance(entry, dict) or set(entry) != {"gain", "zeros", "poles"}:
+        raise WeightsError(f"{where} must have exactly gain, zeros and poles")
+    roots = entry["zeros"], entry["poles"]
     if not all(isinstance(r, list) and all(_is_number(x) for x in r) for r in roots):
-        raise WeightsError(f'zeros and poles of {where} must be lists of real numbers')
-    if len(entry['zeros']) > len(entry['poles']):
-        raise WeightsError(f'{where} has more zeros than poles: give as many poles')
-    if any(abs(pole) >= 1 for pole in entry['poles']):
-        raise WeightsError(f'{where} has a pole on or outside the unit circle, for which no '
-                           'controller exists: use 0.9997 for integral action')
-    gain = _positive(entry['gain'], f'gain of {name}', source)
+        raise WeightsError(f"zeros and poles of {where} must be lists of real numbers")
+    if len(entry["zeros"]) > len(entry["poles"]):
+        raise WeightsError(f"{where} has more zeros than poles: give as many poles")
+    if any(abs(pole) >= 1 for pole in entry["poles"]):
+        raise WeightsError(f"{where} has a pole on or outside the unit circle, for which no "
+                           "controller exists: use 0.9997 for integral action")
+    gain = _positive(entry["gain"], f"gain of {name}", source)
     return Weight(gain, *(tuple(float(x) for x in r) for r in roots))
 
 

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Track references with the stage: the action ``controller/track``."""
+
+import array
+import hashlib
+import json
+import math
+import threading
+from pathlib import Path
+
+import numpy as np
+from piezo_interfaces.action import Track
+from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
+from piezo_interfaces.srv import LoadFeedforward, StartTracking
+from piezo_models.model_file import load_model
+from piezo_node_tools.calls import CallFailed, call_service
+from piezo_node_tools.goals import GoalServers
+from piezo_node_tools.parameters import declare
+from piezo_node_tools.quality import FEEDBACK, SAMPLES
+from piezo_node_tools.recording import RecorderCaller
+from piezo_node_tools.spinning import run_node
+from rclpy.lifecycle import LifecycleNode
+from std_srvs.srv import Trigger
+
+from piezo_controller.feedback_design import design_feedback
+from piezo_controller.feedback_loop import MultirateFeedback
+from piezo_controller.feedforward import plan_feedforward
+from piezo_controller.references import Reference, sample_reference
+from piezo_controller.tracking_run import TrackingRun
+from piezo_controller.weights import load_weights
+
+MODES = ("open_loop", "feedforward", "composite")
+LONGEST_DURATION_S = 3600.0
+REPORT_PERIOD_S = 0.1
+SILENCE_TIMEOUT_S = 10.0
+
+
+class ControllerNode(LifecycleNode):
+    """Plan the feedforward, let the stage play it, and answer its blocks."""
+
+    def __init__(self):
+        super().__init__("controller")
+        self._declare_parameters()
+        self._run = None
+        self._begun = False
+        self._missed_feedback = 0
+        self._at_rest = threading.Event()
+        self._feedback_designs = {}
+        self._feedback = self.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
+        self.create_subscription(SampleBlock, "samples", self._on_samples, SAMPLES)
+        self._load = self.create_client(LoadFeedforward, "load_feedforward")
+        self._start = self.create_client(StartTracking, "start_tracking")
+        self._stop = self.create_client(Trigger, "stop_tracking")
+        self._recorder = RecorderCaller(self)
+        self._goals = GoalServers(self)
+        self._goals.serve(Track, "controller/track", self._track)
+        if declare(self, "autostart", True, "Configure and activate at start."):
+            self.trigger_configure()
+            self.trigger_activate()
+
+    def _declare_parameters(self):
+        self._voltage_range_v = (
+            declare(self, "minimum_voltage_v", -20.0,
+                    "Lowest voltage of the feedforward (V).", -1000.0, 1000.0),
+            declare(self, "maximum_voltage_v", 120.0,
+                    "Highest voltage of the feedforward (V).", -1000.0, 1000.0))
+        self._slew_limit_v_per_s = declare(
+            self, "slew_limit_v_per_s", 2.0e6, "Slew limit of the stage (V/s).", 1.0, 1.0e9)
+        self._rest_voltage_v = declare(
+            self, "rest_voltage_v", 0.0, "Voltage of the stage at rest (V).", -1000.0, 1000.0)
+        self._sample_rate_hz = declare(
+            self, "sample_rate_hz", 40000.0,
+            "Rate of the stage's sample clock (Hz).", 1000.0, 200000.0)
+        self._samples_per_tick = declare(
+            self, "samples_per_tick", 40, "Samples of one feedback period.", 1, 4000)
+        self._max_feedback_v = declare(
+            self, "max_feedback_v", 20.0, "Largest feedback voltage (V).", 0.001, 1000.0)
+        self._weights_file = declare(
+            self, "weights", "", "Weights of the feedback design (YAML); empty for the default.")
+        self._directory = declare(
+            self, "directory", "runs", "Where recordings go if a goal names no place.")
+
+    def wind_down(self):
+        """Cancel what runs; return whether it has ended."""
+        return self._goals.end()
+
+    def _on_samples(self, block):
+        run = self._run
+        if run is None:
+            return
+        if block.flags & SampleBlock.FLAG_TRACKING:
+            self._begun = True
+            self._missed_feedback = block.missed_feedback
+            voltage_v = run.take(np.frombuffer(block.displacement_um))
+            if self._answering:
+                self._feedback.publish(FeedbackVoltage(tick=block.tick, voltage_v=voltage_v))
+        elif self._begun and not block.flags & SampleBlock.FLAG_RAMPING:
+            self._last_sample = block.first_sample + len(block.displacement_um) - 1
+            self._at_rest.set()
+
+    def _track(self, goal, result, progress):
+        model_text = _read_text(goal.model)
+        run, plan, feedback = self._plan(goal, model_text)
+        directory = goal.directory or self._directory
+        result.recording = self._recorder.start(directory, f"track_{goal.mode}", {
+            "model.json": model_text, "parameters.json": _parameters(goal)})
+        try:
+            self._play(run, plan, feedback is not None, progress)
+        finally:
+            self._run = None
+            self._recorder.stop(self._last_sample if self._at_rest.is_set() else 0)
+            result.missed_feedback = self._missed_feedback
+            if run.samples > len(plan.once_voltage_v):
+                result.e_rms_percent = run.e_rms_percent()
+                result.largest_error_um = run.largest_error_um
+        progress.check()
+        if not run.complete:
+            raise CallFailed("the stage stopped before the end: its diagnostics tell why")
+
+    def _plan(self, goal, model_text):
+        if goal.mode not in MODES:
+            raise ValueError(f"unknown mode {goal.mode!r}: use one of {', '.join(MODES)}")
+        if not 0.0 < goal.duration_s <= LONGEST_DURATION_S:
+            raise ValueError(f"duration_s is {goal.duration_s:g}: "
+                             f"give more than 0 and at most {LONGEST_DURATION_S:g} s")
+        model = load_model(goal.model).model
+        reference_um = sample_reference(_reference(goal.reference), self._sample_rate_hz)
+        plan = plan_feedforward(
+            reference_um, model, "open_loop" if goal.mode == "open_loop" else "feedforward",
+            voltage_range_v=self._voltage_range_v, slew_limit_v_per_s=self._slew_limit_v_per_s,
+            sample_period_s=1.0 / self._sample_rate_hz, start_voltage_v=self._rest_voltage_v,
+            duration_s=goal.duration_s)
+        feedback = None
+        if goal.mode == "composite":
+            feedback = MultirateFeedback(
+                self._design_feedback(model, model_text), self._max_feedback_v)
+        run = TrackingRun(plan, self._whole_ticks(goal.duration_s), feedback)
+        return run, plan, feedback
+
+    def _whole_ticks(self, duration_s):
+        ticks = math.ceil(duration_s * self._sample_rate_hz / self._samples_per_tick - 1e-9)
+        return ticks * self._samples_per_tick
+
+    def _design_feedback(self, model, model_text):
+        key = hashlib.sha256(model_text.encode()).hexdigest()
+        if key not in self._feedback_designs:
+            self._feedback_designs[key] = design_feedback(
+                model, load_weights(self._weights_file or None), 1.0 / self._sample_rate_hz, key)
+        return self._feedback_designs[key]
+
+    def _play(self, run, plan, answering, progress):
+        call_service(self._load, LoadFeedforward.Request(
+            once_voltage_v=array.array("d", plan.once_voltage_v.tobytes()),
+            period_voltage_v=array.array("d", plan.period_voltage_v.tobytes())))
+        self._begun, self._answering, self._missed_feedback = False, answering, 0
+        self._at_rest.clear()
+        self._run = run
+        ticks = math.ceil(run.total_samples / self._samples_per_tick)
+        call_service(self._start, StartTracking.Request(feedback=answering, ticks=ticks))
+        samples_before, silent_s, stopping = 0, 0.0, False
+        while not self._at_rest.wait(REPORT_PERIOD_S):
+            if progress.cancelled and not stopping:
+                call_service(self._stop, Trigger.Request())
+                stopping = True
+            silent_s = silent_s + REPORT_PERIOD_S if run.samples == samples_before else 0.0
+            if silent_s > SILENCE_TIMEOUT_S:
+                raise CallFailed(f"the stage sent no samples for {SILENCE_TIMEOUT_S:g} s")
+            samples_before = run.samples
+            progress.report(run.fraction, e_rms_percent=run.e_rms_percent(
+                round(REPORT_PERIOD_S * self._sample_rate_hz)))
+
+
+def _reference(message):
+    return Reference(
+        message.kind, tuple(message.frequency_hz), tuple(message.amplitude_um),
+        tuple(message.phase_rad), message.centre_um, message.file)
+
+
+def _read_text(path):
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"cannot read the model {path!r}: {error}; "
+                         "identify the stage first, or give the path of its model") from None
+
+
+def _parameters(goal):
+    reference = goal.reference
+    return json.dumps({
+        "mode": goal.mode, "duration_s": goal.duration_s, "reference": {
+            "kind": reference.kind, "frequency_hz": list(reference.frequency_hz),
+            "amplitude_um": list(reference.amplitude_um), "phase_rad": list(reference.phase_rad),
+            "centre_um": reference.centre_um, "file": reference.file}}, indent=1)
+
+
+def main(args=None):
+    """Run the node ``controller``."""
+    run_node(ControllerNode, args)

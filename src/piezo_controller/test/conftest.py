@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import numpy as np
+import pytest
+from piezo_models.cascade import StageModel
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.preisach import PreisachModel
+
+
+@pytest.fixture(scope="session")
+def stage_model():
+    """The stage of thesis chapter 4 with a density that is no sum f(alpha) + g(beta)."""
+    cells = 35
+    width_v = 140 / cells
+    alpha, beta = np.indices((cells, cells)) * width_v - 20 + width_v / 2
+    density = np.tril(6e-4 + 0.07 * np.exp(-(alpha - beta) / 12)
+                      * (1 + 0.1 * np.cos((alpha + beta) / 90)))
+    return StageModel(
+        PreisachModel(-20.0, 120.0, density, -9.0),
+        CreepDynamics((0.01419, 0.1684, 0.2402, 1.053, 17.57),
+                      (0.01458, 0.1716, 0.241, 1.07, 18.29)),
+        ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.68535, 0.081992)))
