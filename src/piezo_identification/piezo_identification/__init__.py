@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Identification of a piezo-actuated stage: experiments, estimators, the node and the offline commands."""
+"""Identification of a piezo-actuated stage: experiments, estimators, node, offline commands."""
