@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Creep from a long square wave, by output-error fit."""
+
+import numpy as np
+from piezo_models.linear import CreepDynamics
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from piezo_identification.waveforms import SETTLING_S, played, samples_per_mean, square_wave
+
+MOST_PAIRS = 6
+"""Pairs of pole and zero beyond which the search for their number ends."""
+
+BINS_PER_DECADE = 60
+"""Averaging after a step: creep needs no finer view of logarithmic time."""
+
+
+def estimate_creep(recording, delay_s=0.0, pair_count=None):
+    """Estimate the creep dynamics (4.4) from a square wave of long period.
+
+    Under a square wave the hysteresis is an offset and a gain (4.5); both are free here, and so is
+    the state of the creep at the first sample, as the offset is a step that the creep answers too.
+    The measured mean displacement is then a sum of exponentials in the known voltage, and the
+    error of this output, not of a one-step prediction, is made least: an equation-error fit such as
+    ARMAX would take the offset's step for creep.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the creep experiment.
+    delay_s : float
+        Delay of the faster dynamics at low frequency, if known.
+    pair_count : int, optional
+        Number of pole and zero pairs; by default as many as the Bayesian information criterion
+        justifies.
+
+    Returns
+    -------
+    CreepDynamics
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps or is no square wave, or the data do not show as many pairs.
+    """
+    record = _CreepRecord(played(recording), delay_s)
+    rates = np.empty(0)
+    best, least = None, record.information(rates)
+    for count in range(1, (pair_count or MOST_PAIRS) + 1):
+        rates = record.refine(np.append(rates, record.best_further_rate(rates)))
+        gains = record.creep_gains(rates)
+        information = record.information(rates)
+        if pair_count is None and (information >= least or gains.min() <= 0.0):
+            break
+        if gains.min() > 0.0:
+            best, least = (rates, gains), information
+        elif count == pair_count:
+            raise ValueError(
+                f"{recording.path} does not show {pair_count} pairs of creep poles and zeros: "
+                "ask for fewer, or record longer"
+            )
+    if best is None:
+        return CreepDynamics((), ())
+    return _dynamics(*best)
+
+
+def _dynamics(rates, gains):
+    """Creep 1 + sum g p / (s + p) as poles and zeros; the symmetric form keeps its zeros real."""
+    order = np.argsort(rates)
+    rates, gains = rates[order], gains[order]
+    coupling = np.sqrt(gains * rates)
+    zeros = np.linalg.eigvalsh(np.diag(rates) + np.outer(coupling, coupling))
+    return CreepDynamics(tuple(rates.tolist()), tuple(zeros.tolist()))
+
+
+class _CreepRecord:
+    """The averaged record, and the response of creep exponentials to its voltage."""
+
+    def __init__(self, recording, delay_s):
+        self.wave = square_wave(recording)
+        if self.wave.steps.size == 0:
+            raise ValueError(f"{recording.path} has no step of the voltage: record a whole period")
+        self.period_s = recording.sample_period_s
+        self.mean_samples = samples_per_mean(recording)
+        self.delay_s = delay_s
+        self.time_s = np.arange(self.wave.level.size) * self.period_s
+        self.bins, self.weights = self._logarithmic_bins()
+        self.displacement = self._average(recording.displacement_um)
+        self.bounds = np.log([0.3 / self.time_s[-1], 1.0 / max(self.period_s, SETTLING_S / 3.0)])
+
+    def _logarithmic_bins(self):
+        """Starts of the bins, alternating with the settling samples that are left out."""
+        skipped = int(np.ceil(SETTLING_S / self.period_s))
+        edges = np.concatenate([[0], self.wave.steps, [self.wave.level.size]])
+        starts, weights = [], []
+        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+            length = end - begin
+            if length <= skipped:
+                starts.append([begin])
+                weights.append([0.0])
+                continue
+            decades = np.log10(length / skipped)
+            inner = np.unique(
+                np.geomspace(skipped, length, int(BINS_PER_DECADE * decades) + 2).astype(int)
+            )[:-1]
+            starts.append(begin + np.concatenate([[0], inner]))
+            weights.append(np.concatenate([[0.0], np.sqrt(np.diff(np.append(inner, length)))]))
+        return np.concatenate(starts), np.concatenate(weights)
+
+    def _average(self, samples):
+        """Means over the bins, weighted to equal variance; (N,) or (N, columns)."""
+        counts = np.diff(np.append(self.bins, self.time_s.size))
+        shape = (-1,) + (1,) * (samples.ndim - 1)
+        means = np.add.reduceat(samples, self.bins, axis=0) / counts.reshape(shape)
+        kept = self.weights > 0.0
+        return means[kept] * self.weights[kept].reshape(shape)
+
+    def _basis(self, rates):
+        """Columns: offset, gain, response of each exponential, its free initial state."""
+        level = self.wave.level
+        columns = [np.ones_like(level), level]
+        for rate in rates:
+            decay = np.exp(-rate * self.period_s)
+            # Deviation from the held level, at the sample instant and in the mean over the sample.
+            lagging = lfilter([0.0, 1.0 - decay], [1.0, -decay], level, zi=[level[0]])[0]
+            clock_decay = np.expm1(-rate * self.period_s / self.mean_samples)
+            mean = np.expm1(-rate * self.period_s) / (self.mean_samples * clock_decay)
+            columns.append(level + (lagging - level) * mean * np.exp(rate * self.delay_s))
+        columns += [np.exp(-rate * self.time_s) for rate in rates]
+        return self._average(np.column_stack(columns))
+
+    def _fit(self, rates):
+        basis = self._basis(rates)
+        coefficients = np.linalg.lstsq(basis, self.displacement, rcond=1e-12)[0]
+        return coefficients, self.displacement - basis @ coefficients
+
+    def creep_gains(self, rates):
+        """Low-frequency gain of each exponential relative to the immediate gain."""
+        coefficients = self._fit(rates)[0]
+        return coefficients[2 : 2 + rates.size] / coefficients[1]
+
+    def information(self, rates):
+        """Bayesian information criterion of the fit with these rates."""
+        residual = self._fit(rates)[1]
+        parameters = 2 + 3 * rates.size
+        return residual.size * np.log(np.mean(residual**2)) + parameters * np.log(residual.size)
+
+    def best_further_rate(self, rates):
+        """Rate that, added to the others, explains most."""
+        candidates = np.exp(np.linspace(*self.bounds, 26)[1:-1])
+        errors = [np.sum(self._fit(np.append(rates, rate))[1] ** 2) for rate in candidates]
+        return candidates[np.argmin(errors)]
+
+    def refine(self, rates):
+        """Rates of least output error, all linear coefficients projected out."""
+        start = np.clip(np.log(rates), *(self.bounds + [1e-6, -1e-6]))
+        solution = least_squares(
+            lambda log_rates: self._fit(np.exp(log_rates))[1], start,
+            bounds=tuple(self.bounds), xtol=1e-10, ftol=1e-12, gtol=1e-12, x_scale=1.0,
+            max_nfev=60,
+        )
+        return np.exp(solution.x)
