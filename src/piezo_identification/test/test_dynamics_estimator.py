@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import numpy as np
+import pytest
+from piezo_identification.dynamics import (
+    estimate_dynamics,
+    free_decay_poles,
+    low_frequency_delay_s,
+    remove_creep,
+)
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, simulate_linear, zoh
+
+from piezo_identification import experiments
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+def test_time_constant_and_modes_are_recovered_through_noise(plant, play, seed):
+    estimate = estimate_dynamics(play(experiments.dynamics(), seed), plant.creep)
+    assert estimate.time_constant_s == pytest.approx(0.00049, rel=1e-3)
+    assert estimate.mode_frequencies_rad_per_s[0] == pytest.approx(2846.0, rel=5e-4)
+    assert estimate.mode_frequencies_rad_per_s[1] == pytest.approx(4909.0, rel=1e-4)
+    assert estimate.damping_ratios[0] == pytest.approx(0.685, rel=1e-3)
+    assert estimate.damping_ratios[1] == pytest.approx(0.082, rel=2e-3)
+
+
+def test_creep_left_from_before_does_not_disturb(plant, play):
+    memory = plant.memory()
+    plant.simulate(np.full(40_000, 120.0), 1e-3, memory)
+    recording = play(experiments.dynamics(), memory=memory, noise_um=0.0)
+    estimate = estimate_dynamics(recording, plant.creep)
+    assert estimate.time_constant_s == pytest.approx(0.00049, rel=1e-5)
+    assert estimate.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=1e-5)
+
+
+def test_the_subspace_start_is_exact_without_noise():
+    rates = np.array([-400.0 + 4900.0j, -400.0 - 4900.0j, -2000.0])
+    time_s = np.arange(1, 400) * 25e-6
+    decay = 3.0 + np.real(np.exp(np.outer(time_s, rates)) @ [1.0 - 1.0j, 1.0 + 1.0j, 2.0])
+    poles = free_decay_poles(decay, 25e-6, 3)
+    np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(rates), rtol=1e-6)
+
+
+def test_the_inverse_takes_creep_off(plant):
+    signal = np.sin(np.arange(20_000) * 2e-3)
+    crept = simulate_linear(zoh(plant.creep.state_space(), 1e-3), signal)
+    np.testing.assert_allclose(remove_creep(crept, plant.creep, 1e-3), signal, atol=1e-4)
+
+
+def test_the_delay_is_the_slope_of_the_phase_at_low_frequency(plant):
+    phase = np.angle(plant.dynamics.response(0.1))
+    assert low_frequency_delay_s(plant.dynamics) == pytest.approx(-phase / (0.2 * np.pi), rel=1e-5)
+    with_zeros = ElectricVibrationDynamics(1e-3, (3000.0,), (0.1,), (2000.0,), (0.3,))
+    phase = np.angle(with_zeros.response(0.1))
+    assert low_frequency_delay_s(with_zeros) == pytest.approx(-phase / (0.2 * np.pi), rel=1e-4)
+
+
+def test_averaged_samples_are_refused(play):
+    recording = play(experiments.creep(period_s=4.0), clock_hz=2000.0)
+    with pytest.raises(ValueError, match="full sample clock"):
+        estimate_dynamics(recording, CreepDynamics())
+
+
+def test_a_record_of_few_periods_is_refused(play):
+    with pytest.raises(ValueError, match="record several periods"):
+        estimate_dynamics(play(experiments.dynamics(duration_s=0.1)), CreepDynamics())
