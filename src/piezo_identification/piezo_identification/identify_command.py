@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`identify`: from recordings to a model file."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from piezo_models.model_file import save_model
+from piezo_recorder.reader import read_recording
+
+from piezo_identification.identify import identify
+
+EXPERIMENTS = {
+    "creep": "long square wave",
+    "dynamics": "short square wave at the full sample clock",
+    "hysteresis": "harmonics of rising amplitude from the lowest voltage",
+    "validation": "any other input: the errors are measured on it",
+}
+
+
+def main(arguments=None):
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        The command line's by default.
+
+    Returns
+    -------
+    int
+        Exit status: 0, or 2 for input that cannot be used.
+    """
+    parser = argparse.ArgumentParser(
+        prog="identify", description="Identify a stage model from recordings.",
+        epilog="FILE is a recording (a rosbag2 directory or an .mcap), or a CSV with the header "
+        "time_s,voltage_v,displacement_um whose rows are samples at their instants.",
+    )
+    for name, help_text in EXPERIMENTS.items():
+        parser.add_argument(f"--{name}", metavar="FILE", type=Path, help=help_text,
+                            required=name != "validation")
+    parser.add_argument("--output", metavar="MODEL", type=Path, required=True,
+                        help="model file to write")
+    options = parser.parse_args(arguments)
+    try:
+        _identify({name: getattr(options, name) for name in EXPERIMENTS}, options.output)
+    except (ValueError, OSError) as error:
+        print(f"identify: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _identify(paths, output):
+    # Before the work, not after it.
+    if output.is_dir() or not output.absolute().parent.is_dir():
+        raise ValueError(f"{output} is no file in an existing directory: choose another --output")
+    recordings = {}
+    for name, path in paths.items():
+        if path is not None:
+            print(f"reading {path}", flush=True)
+            recordings[name] = read_recording(path)
+    identified = identify(**recordings, progress=_print_progress)
+    save_model(output, identified)
+    _print_summary(identified)
+    print(f"model written to {output}")
+
+
+def _print_progress(stage, fraction):
+    print(f"{100.0 * fraction:3.0f} %  {stage}", flush=True)
+
+
+def _print_summary(identified):
+    model = identified.model
+    low_um, high_um = model.hysteresis.output_range_um
+    rows = [
+        ("voltage range", "{:g} to {:g} V".format(*identified.voltage_range_v)),
+        ("hysteresis range", f"{high_um - low_um:.3f} um"),
+        ("creep poles", _listing(model.creep.poles_rad_per_s, "rad/s")),
+        ("creep zeros", _listing(model.creep.zeros_rad_per_s, "rad/s")),
+        ("electric time constant", f"{1e3 * model.dynamics.time_constant_s:.5g} ms"),
+        ("mode frequencies", _listing(model.dynamics.mode_frequencies_rad_per_s, "rad/s")),
+        ("damping ratios", _listing(model.dynamics.damping_ratios, "")),
+        *((name, f"{value:.3g}") for name, value in identified.errors.items()),
+    ]
+    for name, value in rows:
+        print(f"{name:24}{value}")
+
+
+def _listing(values, unit):
+    return f"{', '.join(f'{value:.5g}' for value in values) or 'none'} {unit}".rstrip()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

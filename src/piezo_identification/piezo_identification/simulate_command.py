@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`simulate`: what a model says beside what a recording measured."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from piezo_models.model_file import load_model
+from piezo_recorder.reader import read_recording
+
+from piezo_identification.prediction import predict
+from piezo_identification.prediction_pictures import draw_displacement, draw_loops
+
+
+def main(arguments=None):
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        The command line's by default.
+
+    Returns
+    -------
+    int
+        Exit status: 0, or 2 for input that cannot be used.
+    """
+    parser = argparse.ArgumentParser(
+        prog="simulate", description="Simulate a model under the voltage of a recording.",
+        epilog="e_y (4.20) is the relative error by the sensor; offset and initial creep, which "
+        "the recording does not tell, are fitted.",
+    )
+    parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
+    parser.add_argument("--data", metavar="FILE", type=Path, required=True,
+                        help="recording or CSV (time_s,voltage_v,displacement_um)")
+    parser.add_argument("--output", metavar="DIR", type=Path,
+                        help="directory for the pictures; none are drawn without it")
+    options = parser.parse_args(arguments)
+    try:
+        _simulate(options.model, options.data, options.output)
+    except (ValueError, OSError) as error:
+        print(f"simulate: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _simulate(model_path, data_path, directory):
+    model = load_model(model_path).model
+    prediction = predict(model, read_recording(data_path))
+    print(f"e_y_percent {prediction.e_y_percent():.4g}")
+    if directory is None:
+        return
+    directory.mkdir(parents=True, exist_ok=True)
+    for name, draw in (("displacement.png", draw_displacement), ("loops.png", draw_loops)):
+        draw(directory / name, prediction)
+        print(f"drawn {directory / name}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import numpy as np
+import pytest
+from piezo_identification.identify import IdentificationCancelled, identify
+from piezo_identification.identify_command import main as identify_main
+from piezo_identification.simulate_command import main as simulate_main
+from piezo_identification.waveforms import played
+from piezo_models.model_file import load_model
+from piezo_recorder.reader import read_recording, sha256_of
+
+from piezo_identification import experiments
+
+HEADER = "time_s,voltage_v,displacement_um"
+NAMES = ("creep", "dynamics", "hysteresis", "validation")
+
+
+@pytest.fixture(scope="module")
+def files(play, tmp_path_factory):
+    """CSV files of the experiments: their rows are samples at their instants."""
+    directory = tmp_path_factory.mktemp("with a space")
+    makers = {
+        "creep": lambda: play(experiments.creep(), 1, 100.0),
+        "dynamics": lambda: play(experiments.dynamics(), 1),
+        "hysteresis": lambda: play(experiments.hysteresis(level_count=35), 1, 1000.0),
+        "validation": lambda: play(experiments.validation(), 1),
+    }
+    paths = {}
+    for name in NAMES:
+        part = played(makers[name]())
+        paths[name] = directory / f"{name}.csv"
+        table = np.column_stack([part.time_s, part.voltage_v, part.displacement_um])
+        np.savetxt(paths[name], table, fmt="%.6f", delimiter=",", header=HEADER, comments="")
+    return paths
+
+
+def options(files):
+    return [text for name in files for text in (f"--{name}", str(files[name]))]
+
+
+@pytest.fixture(scope="module")
+def model_file(files, tmp_path_factory):
+    path = tmp_path_factory.mktemp("models") / "model.json"
+    assert identify_main([*options(files), "--output", str(path)]) == 0
+    return path
+
+
+def test_identify_writes_a_model_that_holds_on_unseen_data(plant, files, model_file):
+    identified = load_model(model_file)
+    # The sensor's noise alone makes 0.04 % and 0.2 %.
+    assert identified.errors["hysteresis_e_y_percent"] < 0.1
+    assert identified.errors["dynamics_e_y_percent"] < 0.3
+    frequency_hz = np.array([100.0, 500.0, 1000.0])
+    ratio = identified.model.response(frequency_hz) / plant.response(frequency_hz)
+    assert np.abs(ratio - 1.0).max() < 1e-3
+
+
+def test_the_model_names_range_periods_and_recordings(files, model_file):
+    identified = load_model(model_file)
+    assert identified.voltage_range_v == pytest.approx((-20.0, 120.0))
+    assert identified.sample_periods_s == pytest.approx(
+        {"creep": 0.01, "dynamics": 25e-6, "hysteresis": 1e-3}
+    )
+    assert identified.recordings == [
+        {"path": str(files[name]), "sha256": sha256_of(files[name])} for name in NAMES
+    ]
+
+
+def test_simulate_prints_the_error_and_draws_pictures(files, model_file, tmp_path, capsys):
+    output = tmp_path / "pictures"
+    arguments = ["--model", str(model_file), "--data", str(files["validation"])]
+    assert simulate_main([*arguments, "--output", str(output)]) == 0
+    name, value = capsys.readouterr().out.splitlines()[0].split()
+    assert name == "e_y_percent"
+    assert float(value) == pytest.approx(load_model(model_file).errors["e_y_percent"], rel=1e-3)
+    for picture in ("displacement.png", "loops.png"):
+        assert (output / picture).read_bytes().startswith(b"\x89PNG")
+
+
+def test_cancelling_ends_the_work_before_the_next_stage(files):
+    recordings = {name: read_recording(files[name]) for name in ("creep", "dynamics")}
+    stages = []
+    with pytest.raises(IdentificationCancelled):
+        identify(**recordings, hysteresis=None, cancelled=lambda: len(stages) == 1,
+                 progress=lambda stage, fraction: stages.append((stage, fraction)))
+    assert stages == [("creep", 0.0)]
+
+
+def refusal(main, arguments, capsys):
+    assert main([str(argument) for argument in arguments]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+@pytest.mark.parametrize("name", ["creep", "dynamics", "hysteresis"])
+def test_identify_refuses_a_file_that_does_not_exist(name, files, tmp_path, capsys):
+    wrong = dict(files) | {name: tmp_path / "nothing.csv"}
+    arguments = [*options(wrong), "--output", tmp_path / "model.json"]
+    assert "nothing.csv" in refusal(identify_main, arguments, capsys)
+    assert not (tmp_path / "model.json").exists()
+
+
+def test_identify_refuses_the_recording_of_another_experiment(files, tmp_path, capsys):
+    wrong = dict(files) | {"creep": files["validation"]}
+    arguments = [*options(wrong), "--output", tmp_path / "model.json"]
+    assert "validation.csv is no square wave" in refusal(identify_main, arguments, capsys)
+
+
+def test_identify_refuses_an_output_that_cannot_be_written_before_it_works(files, capsys):
+    arguments = [*options(files), "--output", "/nowhere/at/all/model.json"]
+    assert "--output" in refusal(identify_main, arguments, capsys)
+
+
+def test_simulate_refuses_a_missing_model(files, tmp_path, capsys):
+    arguments = ["--model", tmp_path / "none.json", "--data", files["validation"]]
+    assert "none.json" in refusal(simulate_main, arguments, capsys)
+
+
+def test_simulate_refuses_damaged_data(model_file, tmp_path, capsys):
+    data = tmp_path / "data.csv"
+    data.write_text(f"{HEADER}\n0,0,0\n0.1,nan,0\n")
+    assert "data.csv" in refusal(simulate_main, ["--model", model_file, "--data", data], capsys)

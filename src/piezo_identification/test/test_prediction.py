@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import numpy as np
+import pytest
+from piezo_identification.prediction import mean_zoh, predict, slow_branches, unseen_errors
+from piezo_models.linear import simulate_linear, zoh
+
+from piezo_identification import experiments
+
+
+def test_the_mean_of_held_periods_is_that_of_the_samples_in_them(plant):
+    system = plant.linear()
+    held = np.random.default_rng(0).normal(size=50)
+    samples = simulate_linear(zoh(system, 25e-6), np.repeat(held, 40))
+    means = simulate_linear(mean_zoh(system, 1e-3, 40), held)
+    np.testing.assert_allclose(means, samples.reshape(-1, 40).mean(axis=1), atol=1e-9)
+
+
+@pytest.mark.parametrize("experiment, clock_hz", [
+    (experiments.validation(arc_s=0.1, tones_s=0.2), 40_000.0),
+    (experiments.hysteresis(level_count=3), 4000.0),
+])
+def test_the_plant_predicts_its_own_recording_whatever_crept_before(
+    plant, play, experiment, clock_hz
+):
+    memory = plant.memory()
+    plant.simulate(np.full(40_000, 120.0), 1e-3, memory)
+    recording = play(experiment, clock_hz=clock_hz, memory=memory, noise_um=0.0)
+    prediction = predict(plant, recording)
+    assert np.abs(prediction.measured_um - prediction.simulated_um).max() < 1e-5
+
+
+def test_errors_on_unseen_data_tell_hysteresis_from_dynamics(plant, play):
+    recording = play(experiments.validation(arc_s=0.1, tones_s=0.2), noise_um=0.0)
+    wrong = type(plant)(
+        plant.hysteresis, plant.creep, type(plant.dynamics)(0.00049, (2846.0, 4800.0), (0.685, 0.1))
+    )
+    errors = unseen_errors(wrong, recording)
+    assert set(errors) == {"e_y_percent", "hysteresis_e_y_percent", "dynamics_e_y_percent"}
+    assert errors["hysteresis_e_y_percent"] < 0.1
+    assert errors["dynamics_e_y_percent"] > 1.0
+
+
+def test_slow_branches_are_those_between_distant_reversals():
+    time_s = np.arange(4000) * 1e-3
+    voltage_v = np.where(
+        time_s < 2.0, np.cos(2.0 * np.pi * time_s), np.cos(2.0 * np.pi * 50.0 * time_s)
+    )
+    slow = slow_branches(time_s, voltage_v)
+    assert slow[:1990].all()
+    assert not slow[2020:].any()
+
+
+def test_a_recording_too_short_to_settle_is_refused(plant, play):
+    recording = play(experiments.validation(arc_s=0.1, tones_s=0.2))
+    start = np.argmax(recording.playing)
+    short = recording.select(np.arange(recording.voltage_v.size) < start + 100)
+    with pytest.raises(ValueError, match="record longer"):
+        predict(plant, short)
