@@ -4,7 +4,6 @@
 import json
 import math
 import os
-import tempfile
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -69,24 +68,19 @@ def save_model(path, identified):
     path = Path(path)
     document = _document(identified)
     _Reader(path).identified_model(document)
-    temporary = None
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with tempfile.NamedTemporaryFile(
-            "w", dir=path.parent, prefix=path.name, suffix=".tmp", delete=False, encoding="utf-8"
-        ) as file:
-            temporary = file.name
+        with temporary.open("w", encoding="utf-8") as file:
             file.write(_render(document) + "\n")
             file.flush()
             os.fsync(file.fileno())
-        # Temporary files are private; the model is as readable as any new file.
-        os.chmod(temporary, 0o666 & ~_umask())
         os.replace(temporary, path)
     except OSError as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
         raise ModelFileError(
             f"{path}: cannot be written ({error.strerror}); choose a writable directory"
         ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def load_model(path):
@@ -141,7 +135,7 @@ def _document(identified):
         "voltage_range_v": [float(voltage) for voltage in identified.voltage_range_v],
         "sample_periods_s": _plain(identified.sample_periods_s),
         "errors": _plain(identified.errors),
-        "recordings": [dict(recording) for recording in identified.recordings],
+        "recordings": list(identified.recordings),
         "creep": {
             "poles_rad_per_s": list(model.creep.poles_rad_per_s),
             "zeros_rad_per_s": list(model.creep.zeros_rad_per_s),
@@ -194,12 +188,6 @@ def _unique(pairs):
 
 def _refuse_constant(name):
     raise ValueError(f"{name} is no number")
-
-
-def _umask():
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 class _Reader:

@@ -158,6 +158,27 @@ def test_held_target_holds_the_voltage_where_the_density_is_empty():
     assert model.invert([0.5, 0.5, 0.25], memory) == pytest.approx([3.5, 3.5, 0.5])
 
 
+def test_target_of_a_remembered_extreme_returns_to_it_and_closes_the_loop(uneven_model):
+    memory = uneven_model.memory()
+    outputs = uneven_model.simulate([90.0, 10.0, 70.0, 30.0, 50.0], memory)
+    assert uneven_model.invert([outputs[3]], memory).tolist() == [30.0]
+    assert memory.top == 4
+    assert uneven_model.invert([outputs[0]], memory).tolist() == [90.0]
+    assert memory.top == 1
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_rounding_moves_no_voltage_across_an_empty_stretch(seed):
+    rng = np.random.default_rng(seed)
+    density = np.tril(rng.random((6, 6)))
+    density[3:5] = density[:, 3:5] = 0.0
+    model = PreisachModel(0.0, 6.0, density, rng.uniform(-5, 5))
+    low, high = rng.uniform(0, 3), rng.uniform(5, 6)
+    rising, falling = [high, low, 4.0], [high, 4.0]
+    assert model.invert(model.simulate(rising))[-1] <= 4.0
+    assert model.invert(model.simulate(falling))[-1] >= 4.0
+
+
 @pytest.mark.parametrize("outside", [-0.1, 0.1])
 def test_unreachable_target_is_refused_with_the_range(uneven_model, outside):
     low, high = uneven_model.output_range_um
