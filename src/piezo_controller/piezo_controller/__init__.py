@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tracking control of a piezo-actuated stage: inverse feedforward and multirate H-infinity feedback."""
+"""Tracking control of a piezo-actuated stage: inverse feedforward, multirate feedback."""

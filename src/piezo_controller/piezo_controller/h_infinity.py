@@ -11,13 +11,16 @@ class NoController(ValueError):
     """No stabilising controller keeps the closed loop below the largest norm tried."""
 
 
-def synthesise(plant, largest_norm=100.0, tolerance=1e-4):
+def synthesise(plant, slack=0.0, largest_norm=100.0, tolerance=1e-4):
     """Find the H-infinity (sub)optimal controller of a generalised plant by bisection.
 
     Parameters
     ----------
     plant : control.StateSpace
         Discrete; its last input is the control, its last output the measurement.
+    slack : float
+        Part of the smallest norm that is given up. The optimal controller levels the closed loop
+        over all frequencies, with lightly damped poles if it takes them; a little slack does not.
     largest_norm : float
         Where the bisection begins.
     tolerance : float
@@ -48,6 +51,9 @@ def synthesise(plant, largest_norm=100.0, tolerance=1e-4):
             lower = middle
         else:
             upper, best = middle, candidate
+    if slack:
+        upper *= 1 + slack
+        best = _admissible(plant, upper)
     return best, upper
 
 

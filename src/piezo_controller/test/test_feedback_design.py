@@ -87,6 +87,16 @@ def test_generalised_plant_is_the_sum_of_its_weighted_paths(problem, stage_model
     np.testing.assert_allclose(problem(z), np.array(expected), atol=1e-9)
 
 
+def test_slack_is_given_up_and_calms_the_controller(problem, solution):
+    optimal, gamma = solution
+    relaxed, bound = synthesise(problem, slack=0.1)
+    assert bound == pytest.approx(1.1 * gamma)
+    assert control.linfnorm(close(problem, relaxed))[0] <= bound * (1 + 1e-6)
+    above_150_hz = np.exp(1j * np.linspace(0.3 * np.pi, np.pi, 500))
+    peaks = [np.abs(c(above_150_hz, squeeze=True)).max() for c in (optimal, relaxed)]
+    assert peaks[1] < 0.6 * peaks[0]
+
+
 def test_default_design_meets_what_the_loop_is_for(controller):
     report = controller.report
     assert report["closed_loop_norm"] <= report["gamma"] * (1 + 1e-6) < 1

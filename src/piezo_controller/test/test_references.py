@@ -47,7 +47,7 @@ def test_file_is_taken_as_it_is_about_the_centre(tmp_path):
 
 
 @pytest.mark.parametrize("frequency_hz", [33.37, 99.99999, 0.003])
-def test_frequency_without_a_whole_period_is_refused_and_the_nearest_named_is_accepted(frequency_hz):
+def test_frequency_without_whole_period_is_refused_and_the_nearest_named_is_accepted(frequency_hz):
     with pytest.raises(InvalidReference, match="the nearest that has is") as refusal:
         sample_reference(Reference("harmonic", (frequency_hz,), (1.0,)))
     nearest_hz = float(str(refusal.value).split()[-2])
