@@ -18,7 +18,7 @@ setup(
     zip_safe=False,
     maintainer="The maintainers",
     maintainer_email="maintainers@example.org",
-    description="Tracking control of a piezo-actuated stage: inverse feedforward and multirate H-infinity feedback.",
+    description="Control of a piezo-actuated stage: inverse feedforward, H-infinity feedback.",
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [

@@ -18,7 +18,7 @@ setup(
     zip_safe=False,
     maintainer="The maintainers",
     maintainer_email="maintainers@example.org",
-    description="Identification of a piezo-actuated stage: experiments, estimators, the node and the offline commands.",
+    description="Identification of a piezo-actuated stage: experiments and estimators.",
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [

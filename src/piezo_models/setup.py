@@ -15,6 +15,6 @@ setup(
     zip_safe=False,
     maintainer="The maintainers",
     maintainer_email="maintainers@example.org",
-    description="Numerical models of a piezo-actuated stage: hysteresis, creep, electric and vibration dynamics, inversion.",
+    description="Models of a piezo-actuated stage: hysteresis, creep, dynamics, inversion.",
     license="BSD-3-Clause",
 )

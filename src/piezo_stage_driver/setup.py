@@ -18,7 +18,7 @@ setup(
     zip_safe=False,
     maintainer="The maintainers",
     maintainer_email="maintainers@example.org",
-    description="The stage node over a backend protocol: limits, watchdog, sample blocks, waveforms, feedforward and feedback.",
+    description="The stage node over a backend: limits, watchdog, waveforms, feedback.",
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Numerical models of a piezo-actuated stage: hysteresis, creep, electric and vibration dynamics, inversion."""
+"""Models of a piezo-actuated stage: hysteresis, creep, dynamics, inversion."""

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The stage node over a backend protocol: limits, watchdog, sample blocks, waveforms, feedforward and feedback."""
+"""The stage node over a backend: limits, watchdog, waveforms, feedback."""
