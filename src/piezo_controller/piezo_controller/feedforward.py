@@ -241,8 +241,7 @@ class _Planner:
         return expected_um
 
     def _check_range(self, values, lowest, highest, quantity):
-        rounding = 1e-9 * (highest - lowest)
-        if values.min() < lowest - rounding or values.max() > highest + rounding:
+        if values.min() < lowest or values.max() > highest:
             name, unit = quantity
             raise _OutOfReach(f"it takes {name} from {values.min():.4g} to {values.max():.4g} "
                               f"{unit}, available are {lowest:.4g} to {highest:.4g} {unit}")
