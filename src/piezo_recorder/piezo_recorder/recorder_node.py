@@ -92,7 +92,7 @@ class Recorder(LifecycleNode):
 
     def __init__(self):
         super().__init__("recorder")
-        declare(self, "topics", ["stage/samples", "stage/feedback", "stage/ground_truth"],
+        declare(self, "topics", ["samples", "feedback", "ground_truth"],
                 "Topics to record; the first of samples is the one that is counted.")
         declare(self, "types", [sample_block.TYPE_NAME, "piezo_interfaces/msg/FeedbackVoltage",
                                 sample_block.TYPE_NAME],
@@ -109,8 +109,10 @@ class Recorder(LifecycleNode):
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._housekeeping = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._create_waiting_service(StartRecording, "start_recording", self._start_recording)
-        self._create_waiting_service(StopRecording, "stop_recording", self._stop_recording)
+        self._create_waiting_service(
+            StartRecording, "recorder/start_recording", self._start_recording)
+        self._create_waiting_service(
+            StopRecording, "recorder/stop_recording", self._stop_recording)
         if self.get_parameter("autostart").value:
             self.trigger_configure()
             self.trigger_activate()

@@ -8,7 +8,6 @@ from piezo_interfaces.msg import SampleBlock
 from piezo_node_tools.parameters import declare
 from piezo_node_tools.quality import SAMPLES
 from piezo_node_tools.spinning import run_node
-from piezo_stage_driver.engine import FLAG_TRACKING
 from piezo_stage_driver.stage_node import StageNode
 
 from piezo_sim.backend import SimulatedStage
@@ -18,31 +17,33 @@ GROUND_TRUTH_SAMPLES = 4000
 
 
 class SimulatedStageNode(StageNode):
-    """Publish ``ground_truth`` beside ``samples`` while the stage tracks."""
+    """Publish ``ground_truth`` beside ``samples``, except where a slow waveform plays."""
 
     def __init__(self):
-        self._truth, self._truth_first_sample, self._truth_tick = [], 0, 0
+        self._truth, self._truth_first_sample = [], 0
         super().__init__(create_simulated_stage)
-        self._ground_truth = self.create_publisher(SampleBlock, 'ground_truth', SAMPLES)
+        self._ground_truth = self.create_publisher(SampleBlock, "ground_truth", SAMPLES)
 
     def on_block(self, block):
         """Collect the true displacement and publish it in large messages."""
-        if block.flags & FLAG_TRACKING:
-            if not self._truth:
-                self._truth_first_sample = block.first_sample
-            self._truth.append((block.voltage_v, self._backend.true_displacement_um))
-        samples = sum(len(voltage_v) for voltage_v, _ in self._truth[:1]) * len(self._truth)
-        if self._truth and (samples >= GROUND_TRUTH_SAMPLES or not block.flags & FLAG_TRACKING):
+        if block.sample_period_s > self._engine.sample_period_s:
+            return
+        if not self._truth:
+            self._truth_first_sample = block.first_sample
+        self._truth.append((block.voltage_v, self._backend.true_displacement_um))
+        samples = self._engine.next_sample - self._truth_first_sample
+        if samples >= GROUND_TRUTH_SAMPLES or (self._lockstep and self._engine.idle):
             self._publish_truth(block)
 
     def _publish_truth(self, block):
-        voltage_v, displacement_um = (np.concatenate(part) for part in zip(*self._truth))
+        voltage_v, displacement_um = (
+            np.concatenate(part) for part in zip(*self._truth, strict=True))
         self._truth = []
         message = SampleBlock(
             first_sample=self._truth_first_sample, sample_period_s=block.sample_period_s,
-            tick=block.tick, flags=FLAG_TRACKING,
-            voltage_v=array.array('d', voltage_v.tobytes()),
-            displacement_um=array.array('d', displacement_um.tobytes()))
+            tick=block.tick, flags=block.flags,
+            voltage_v=array.array("d", voltage_v.tobytes()),
+            displacement_um=array.array("d", displacement_um.tobytes()))
         message.header.stamp = self._stamp(self._truth_first_sample)
         self._ground_truth.publish(message)
 

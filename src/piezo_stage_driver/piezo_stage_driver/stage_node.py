@@ -209,6 +209,9 @@ class StageNode(LifecycleNode):
         if self._engine.stop_cause and not was_stopped:
             self.get_logger().error(f'stopped: {self._engine.stop_cause}')
         if self._engine.idle:
+            if self._lockstep:
+                # Time stands still from here on: one block at rest tells that all is over.
+                self._publish(self._engine.advance())
             self._finish_goal(self._engine.stop_cause)
 
     def on_block(self, block):
@@ -311,6 +314,7 @@ class StageNode(LifecycleNode):
             goal_handle.abort()
             return result
         result.message = await done
+        result.last_sample = self._engine.next_sample - 1
         if goal_handle.is_cancel_requested:
             result.message = 'the waveform was cancelled'
             goal_handle.canceled()

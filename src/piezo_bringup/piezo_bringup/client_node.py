@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Ask the suite's actions from a script, and wait for what they return."""
+
+import time
+
+import rclpy
+from piezo_interfaces.action import Identify, PlayWaveform, RunExperiment, Track
+from piezo_interfaces.msg import Reference
+from rclpy.action import ActionClient
+from rclpy.experimental import EventsExecutor
+
+SERVER_TIMEOUT_S = 30.0
+ACTIONS = {
+    "play_waveform": (PlayWaveform, "play_waveform"),
+    "run_experiment": (RunExperiment, "identification/run_experiment"),
+    "identify": (Identify, "identification/identify"),
+    "track": (Track, "controller/track"),
+}
+
+
+class GoalFailed(RuntimeError):
+    """An action ended without success; the text is the action's own."""
+
+    def __init__(self, name, result):
+        super().__init__(f"{name}: {result.message}")
+        self.result = result
+
+
+class Client:
+    """A node of its own that sends goals and calls services; a context manager.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the stage that is meant.
+    """
+
+    def __init__(self, namespace=""):
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node("client", namespace=namespace, context=self._context)
+        self._executor = EventsExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._actions = {
+            name: ActionClient(self.node, action_type, topic)
+            for name, (action_type, topic) in ACTIONS.items()}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._executor.remove_node(self.node)
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    def run_experiment(self, experiment, directory, **options):
+        """Run and record one experiment; see `goal`."""
+        return self.goal("run_experiment", on_feedback=options.pop("on_feedback", None),
+                         experiment=experiment, directory=str(directory), **options)
+
+    def identify(self, directory, **options):
+        """Run the whole identification; see `goal`."""
+        return self.goal("identify", on_feedback=options.pop("on_feedback", None),
+                         directory=str(directory), **options)
+
+    def track(self, reference, model, mode, duration_s, directory, on_feedback=None):
+        """Track a reference given as a dict of the fields of ``Reference``; see `goal`."""
+        return self.goal(
+            "track", on_feedback=on_feedback, reference=Reference(**reference), model=str(model),
+            mode=mode, duration_s=float(duration_s), directory=str(directory))
+
+    def goal(self, name, on_feedback=None, cancel_after_s=None, **fields):
+        """Send a goal and wait for its end.
+
+        Parameters
+        ----------
+        name : str
+            One of `ACTIONS`.
+        on_feedback : callable, optional
+            Called with each feedback message.
+        cancel_after_s : float, optional
+            Cancel the goal after this time.
+        **fields
+            Of the goal.
+
+        Returns
+        -------
+        result : message
+
+        Raises
+        ------
+        GoalFailed
+            If the goal was refused, aborted or cancelled, or nobody serves the action.
+        """
+        action_type = ACTIONS[name][0]
+        handle = self.send(name, on_feedback, **fields)
+        result = handle.get_result_async()
+        if cancel_after_s is not None:
+            self.spin_until(result.done, cancel_after_s)
+            handle.cancel_goal_async()
+        message = self.wait(result).result
+        if not message.success:
+            raise GoalFailed(name, message or action_type.Result())
+        return message
+
+    def send(self, name, on_feedback=None, **fields):
+        """Send a goal and return its handle without waiting for the end."""
+        action_type, topic = ACTIONS[name]
+        client = self._actions[name]
+        if not self.spin_until(client.server_is_ready, SERVER_TIMEOUT_S):
+            raise GoalFailed(name, action_type.Result(
+                message=f"nobody serves {topic}: start its node"))
+        sent = client.send_goal_async(
+            action_type.Goal(**fields),
+            feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None)
+        return self.wait(sent)
+
+    def call(self, service_type, name, **fields):
+        """Call a service and return its response."""
+        client = self.node.create_client(service_type, name)
+        if not self.spin_until(client.service_is_ready, SERVER_TIMEOUT_S):
+            raise RuntimeError(f"nobody serves {name}: start its node")
+        response = self.wait(client.call_async(service_type.Request(**fields)))
+        self.node.destroy_client(client)
+        return response
+
+    def wait(self, future):
+        """Spin until a future is done; return its result."""
+        while not future.done():
+            self._executor.spin_once(timeout_sec=0.2)
+        return future.result()
+
+    def spin_until(self, condition, timeout_s):
+        """Spin until a condition holds or time is up; return whether it holds."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self._executor.spin_once(timeout_sec=0.05)
+        return True

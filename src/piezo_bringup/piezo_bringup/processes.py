@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Start the suite's nodes as processes, and end them in order."""
+
+import os
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+
+from ament_index_python.packages import get_package_prefix
+
+STOP_TIMEOUT_S = 15.0
+
+EXECUTABLES = {
+    "stage": ("piezo_sim", "stage_sim"),
+    "recorder": ("piezo_recorder", "recorder"),
+    "identification": ("piezo_identification", "identification"),
+    "controller": ("piezo_controller", "controller"),
+}
+
+
+class Processes:
+    """Nodes running as processes of their own; a context manager that ends them.
+
+    Parameters
+    ----------
+    log_directory : path
+        Gets one log file per process.
+    environment : dict of str to str, optional
+        Added to the environment, such as ``ROS_DOMAIN_ID``.
+    """
+
+    def __init__(self, log_directory, environment=None):
+        self._log_directory = Path(log_directory)
+        self._log_directory.mkdir(parents=True, exist_ok=True)
+        self._environment = {**os.environ, **(environment or {})}
+        # The wheels' guard is of this process: what we start must find its libraries itself.
+        self._environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
+        self._running = {}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stop()
+
+    def start(self, name, parameters=None, namespace=None):
+        """Start one of `EXECUTABLES`.
+
+        Parameters
+        ----------
+        name : str
+        parameters : dict, optional
+            ROS parameters.
+        namespace : str, optional
+        """
+        package, executable = EXECUTABLES[name]
+        command = [str(Path(get_package_prefix(package), "lib", package, executable)),
+                   "--ros-args"]
+        for key, value in (parameters or {}).items():
+            text = str(value).lower() if isinstance(value, bool) else value
+            command += ["-p", f"{key}:={text}"]
+        if namespace:
+            command += ["-r", f"__ns:={namespace}"]
+        with open(self.log(name), "a", encoding="utf-8") as log:
+            # A group of its own: Ctrl-C then reaches this process alone, which ends them in order.
+            self._running[name] = subprocess.Popen(
+                command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+                env=self._environment, start_new_session=True)
+
+    def log(self, name):
+        """Path of the log file of a process."""
+        return self._log_directory / f"{name}.log"
+
+    def process(self, name):
+        """The ``subprocess.Popen`` of a process."""
+        return self._running[name]
+
+    def stop(self, names=None):
+        """End processes by SIGINT, last started first; kill what does not end."""
+        for name in reversed(list(names or self._running)):
+            process = self._running.pop(name)
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(STOP_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def clean_shared_memory():
+    """Remove what killed nodes left in shared memory."""
+    if shutil.which("fastdds"):
+        subprocess.run(["fastdds", "shm", "clean"], check=False,
+                       stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Run the identification on a stage: experiments and the whole sequence as actions."""
+
+import json
+from pathlib import Path
+
+from piezo_interfaces.action import Identify, PlayWaveform, RunExperiment
+from piezo_models.model_file import save_model
+from piezo_node_tools.calls import ActionCaller, Cancelled
+from piezo_node_tools.goals import GoalServers
+from piezo_node_tools.parameters import declare
+from piezo_node_tools.recording import RecorderCaller
+from piezo_node_tools.spinning import run_node
+from piezo_recorder.reader import read_recording
+from rclpy.lifecycle import LifecycleNode
+
+from piezo_identification.experiments import EXPERIMENTS, StageLimits, named_experiment
+from piezo_identification.identify import IdentificationCancelled, identify
+
+# Of the identify action: what the experiments take of it, the rest are the estimators.
+EXPERIMENTS_FRACTION = 0.5
+
+
+class IdentificationNode(LifecycleNode):
+    """Serve ``identification/run_experiment`` and ``identification/identify``."""
+
+    def __init__(self):
+        super().__init__("identification")
+        self._limits = StageLimits(
+            declare(self, "minimum_voltage_v", -20.0,
+                    "Lowest voltage of the experiments (V).", -1000.0, 1000.0),
+            declare(self, "maximum_voltage_v", 120.0,
+                    "Highest voltage of the experiments (V).", -1000.0, 1000.0),
+            declare(self, "slew_limit_v_per_s", 2.0e6,
+                    "Slew limit of the stage (V/s).", 1.0, 1.0e9),
+            declare(self, "sample_rate_hz", 40000.0,
+                    "Rate of the stage's sample clock (Hz).", 1000.0, 200000.0))
+        self._directory = declare(
+            self, "directory", "runs", "Where recordings and models go if a goal names no place.")
+        self._player = ActionCaller(self, PlayWaveform, "play_waveform")
+        self._recorder = RecorderCaller(self)
+        self._goals = GoalServers(self)
+        self._goals.serve(RunExperiment, "identification/run_experiment", self._run_experiment)
+        self._goals.serve(Identify, "identification/identify", self._identify)
+        if declare(self, "autostart", True, "Configure and activate at start."):
+            self.trigger_configure()
+            self.trigger_activate()
+
+    def wind_down(self):
+        """Cancel what runs; return whether it has ended."""
+        return self._goals.end()
+
+    def _run_experiment(self, goal, result, progress):
+        directory = goal.directory or self._directory
+        experiment = named_experiment(goal.experiment, self._limits)
+        self._play(experiment, directory, result, lambda stage, fraction: progress.report(
+            fraction, stage=f"{experiment.name}: {stage}"), progress)
+        result.summary = f"{experiment.description}, {experiment.duration_s:g} s"
+
+    def _play(self, experiment, directory, result, report, progress):
+        """Play and record an experiment; its recording is in the result whatever happens."""
+        path = self._recorder.start(directory, experiment.name, {
+            "parameters.json": self._described(experiment)})
+        if hasattr(result, "recording"):
+            result.recording = path
+        else:
+            result.recordings.append(path)
+        last_sample = 0
+        try:
+            last_sample = self._player.run(
+                PlayWaveform.Goal(voltage_v=experiment.voltage_v.tolist(),
+                                  sample_period_s=experiment.sample_period_s,
+                                  repeats=experiment.repeats),
+                lambda feedback: report(feedback.stage, feedback.fraction),
+                lambda: progress.cancelled).last_sample
+        finally:
+            self._recorder.stop(last_sample)
+        progress.check()
+
+    def _described(self, experiment):
+        return json.dumps({
+            "experiment": experiment.name, "description": experiment.description,
+            "sample_period_s": experiment.sample_period_s, "repeats": experiment.repeats,
+            "samples": len(experiment.voltage_v), "minimum_voltage_v": self._limits.voltage_min_v,
+            "maximum_voltage_v": self._limits.voltage_max_v}, indent=1)
+
+    def _identify(self, goal, result, progress):
+        directory = Path(goal.directory or self._directory)
+        result.recordings = list(goal.recordings) or self._run_all(directory, result, progress)
+        if len(result.recordings) != len(EXPERIMENTS):
+            raise ValueError(
+                f"{len(result.recordings)} recordings are named: give those of "
+                f"{', '.join(EXPERIMENTS)}, in this order, or none")
+        progress.check()
+        recordings = dict(zip(EXPERIMENTS, map(read_recording, result.recordings), strict=True))
+        try:
+            identified = identify(
+                **recordings,
+                progress=lambda stage, fraction: progress.report(
+                    EXPERIMENTS_FRACTION + (1.0 - EXPERIMENTS_FRACTION) * fraction,
+                    stage=f"estimate: {stage}"),
+                cancelled=lambda: progress.cancelled)
+        except IdentificationCancelled:
+            raise Cancelled from None
+        model = directory.absolute() / "model.json"
+        save_model(model, identified)
+        result.model = str(model)
+        result.error_names = list(identified.errors)
+        result.error_values = [float(value) for value in identified.errors.values()]
+
+    def _run_all(self, directory, result, progress):
+        durations_s = [named_experiment(name, self._limits).duration_s for name in EXPERIMENTS]
+        for index, name in enumerate(EXPERIMENTS):
+            begin = sum(durations_s[:index]) / sum(durations_s)
+            share = durations_s[index] / sum(durations_s)
+
+            def report(stage, fraction, name=name, begin=begin, share=share):
+                progress.report(EXPERIMENTS_FRACTION * (begin + share * fraction),
+                                stage=f"{name}: {stage}")
+            self._play(named_experiment(name, self._limits), directory, result, report, progress)
+        return result.recordings
+
+
+def main(args=None):
+    """Run the node ``identification``."""
+    run_node(IdentificationNode, args)

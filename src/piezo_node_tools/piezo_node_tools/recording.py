@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Have a run recorded by the recorder node."""
+
+from pathlib import Path
+
+from piezo_interfaces.srv import StartRecording, StopRecording
+
+from piezo_node_tools.calls import call_service
+
+STOP_TIMEOUT_S = 60.0
+
+
+class RecorderCaller:
+    """Start and stop recordings.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    """
+
+    def __init__(self, node):
+        self._start = node.create_client(StartRecording, "recorder/start_recording")
+        self._stop = node.create_client(StopRecording, "recorder/stop_recording")
+
+    def start(self, directory, name, attachments):
+        """Start a recording under a name that is not taken yet.
+
+        Parameters
+        ----------
+        directory, name : str
+            A number is added to the name where a recording of that name exists.
+        attachments : dict of str to str
+            Files to be kept inside the recording.
+
+        Returns
+        -------
+        path : str
+
+        Raises
+        ------
+        CallFailed
+        """
+        return call_service(self._start, StartRecording.Request(
+            directory=str(Path(directory).absolute()), name=_free_name(directory, name),
+            attachment_names=list(attachments),
+            attachment_contents=list(attachments.values()))).path
+
+    def stop(self, last_sample=0):
+        """Close the recording once ``last_sample`` is in it.
+
+        Raises
+        ------
+        CallFailed
+            Also if samples are missing.
+        """
+        return call_service(
+            self._stop, StopRecording.Request(last_sample=last_sample), STOP_TIMEOUT_S)
+
+
+def _free_name(directory, name):
+    taken = {path.name for path in Path(directory).glob(f"{name}*")}
+    names = [name, *(f"{name}_{number}" for number in range(2, len(taken) + 2))]
+    return next(candidate for candidate in names if candidate not in taken)
