@@ -18,6 +18,7 @@ class Flag(enum.IntFlag):
     PLAYING = 16
     TRACKING = 32
     STOPPED = 64
+    FEEDFORWARD_HELD = 128
 
 
 class SampleCount:
