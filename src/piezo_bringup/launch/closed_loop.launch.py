@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The whole suite: stage and recorder, identification and controller."""
+
+from launch import LaunchDescription
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+
+def generate_launch_description():
+    """Describe what is started; the arguments are those of stage.launch.py."""
+    stage = PathJoinSubstitution([FindPackageShare("piezo_bringup"), "launch", "stage.launch.py"])
+    settings = {
+        "namespace": LaunchConfiguration("namespace"),
+        "parameters": [LaunchConfiguration("parameters")],
+        "output": "screen",
+    }
+    return LaunchDescription([
+        IncludeLaunchDescription(PythonLaunchDescriptionSource(stage)),
+        Node(package="piezo_identification", executable="identification", **settings),
+        Node(package="piezo_controller", executable="controller", **settings),
+    ])
