@@ -206,8 +206,6 @@ class _Contents:
             schemas, channels = {}, {}
             try:
                 for record in reader.records:
-                    if isinstance(record, mcap.records.DataEnd):
-                        return
                     self._add(record, schemas, channels)
             # Whatever the parser stumbles over in damaged bytes.
             except Exception as error:
