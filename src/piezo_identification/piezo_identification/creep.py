@@ -85,6 +85,11 @@ class _CreepRecord:
         self.delay_s = delay_s
         self.time_s = np.arange(self.wave.level.size) * self.period_s
         self.bins, self.weights = self._logarithmic_bins()
+        if not self.weights.any():
+            raise ValueError(
+                f"{recording.path} steps faster than every {SETTLING_S:g} s, too fast for creep: "
+                "give the recording of a creep experiment"
+            )
         self.displacement = self._average(recording.displacement_um)
         self.bounds = np.log([0.3 / self.time_s[-1], 1.0 / max(self.period_s, SETTLING_S / 3.0)])
 

@@ -4,7 +4,7 @@
 import numpy as np
 from piezo_models.linear import (
     ElectricVibrationDynamics,
-    equilibrium_state,
+    continue_linear,
     simulate_linear,
     zoh,
 )
@@ -13,25 +13,33 @@ from scipy.signal import lfilter, lfilter_zi
 
 from piezo_identification.waveforms import played, samples_per_mean, square_wave
 
-WARM_UP_S = 0.1
-"""Part at the start in which the approach from rest still shows."""
+WARM_UP_S = 0.3
+"""Part at the start that is not used, as the approach from rest still shows in it."""
+
+MOST_MODES = 4
+"""Vibration modes beyond which the search for their number ends."""
+
+SEARCH_WIDTH = np.log(3.0)
+"""Factor by which the fit may leave the subspace start, as a logarithm."""
 
 
-def estimate_dynamics(recording, creep, mode_count=2):
+def estimate_dynamics(recording, creep, mode_count=None):
     """Estimate the electric lag and the vibration modes (4.3) from a square wave of short period.
 
-    The creep is taken off by its inverse. What follows a step is a free decay, whose poles a
-    subspace method (eigensystem realisation) finds without a starting guess; the physical
-    parameters are then refined for the least output error of the exactly sampled model, with
-    offset and gain of the hysteresis (4.5) and the initial creep free.
+    The creep is taken off by its inverse, and the periods are averaged. What follows a step is a
+    free decay, whose poles a subspace method (eigensystem realisation) finds without a starting
+    guess; the physical parameters are then refined for the least output error of the exactly
+    sampled model in its periodic state, with offset and gain of the hysteresis (4.5) and the
+    initial creep free.
 
     Parameters
     ----------
     recording : Recording
         Of the dynamics experiment, at the full sample clock.
     creep : CreepDynamics
-    mode_count : int
-        Number of vibration modes.
+    mode_count : int, optional
+        Number of vibration modes; by default as many as the Bayesian information criterion
+        justifies.
 
     Returns
     -------
@@ -42,35 +50,76 @@ def estimate_dynamics(recording, creep, mode_count=2):
     ValueError
         If the recording has gaps, is no square wave, is averaged, or is too short.
     """
-    part = played(recording)
-    if samples_per_mean(part) > 1:
-        raise ValueError(
-            f"{recording.path} has means over {part.sample_period_s:g} s: "
-            "record the dynamics at the full sample clock"
+    record = _DynamicsRecord(recording, creep)
+    if mode_count is not None:
+        return record.fit(mode_count)[0]
+    best, least = record.fit(0)
+    for count in range(1, MOST_MODES + 1):
+        dynamics, information = record.fit(count)
+        if information >= least:
+            break
+        best, least = dynamics, information
+    return best
+
+
+class _DynamicsRecord:
+    """The mean period of the record without creep, and the fit of models to it."""
+
+    def __init__(self, recording, creep):
+        part = played(recording)
+        if samples_per_mean(part) > 1:
+            raise ValueError(
+                f"{recording.path} has means over {part.sample_period_s:g} s: "
+                "record the dynamics at the full sample clock"
+            )
+        self.period_s = part.sample_period_s
+        wave = square_wave(part)
+        quick_um = remove_creep(part.displacement_um, creep, self.period_s)
+        steps = wave.steps[wave.steps >= WARM_UP_S / self.period_s]
+        if steps.size < 3:
+            raise ValueError(
+                f"{recording.path} is too short: record several periods of the dynamics"
+            )
+        self.length = steps[2] - steps[0]
+        if np.any(steps[2:] - steps[:-2] != self.length):
+            raise ValueError(f"{recording.path} is not periodic: record one square wave throughout")
+        runs = (steps[-1] - steps[0]) // self.length
+
+        def fold(signal):
+            signal = signal[steps[0] : steps[0] + runs * self.length]
+            return signal.reshape(runs, self.length).mean(axis=0)
+
+        time_s = np.arange(quick_um.size) * self.period_s
+        self.level = wave.level[steps[0] : steps[0] + self.length]
+        self.measured_um = fold(quick_um)
+        initial_creep = [fold(np.exp(-zero * time_s)) for zero in creep.zeros_rad_per_s]
+        self.fixed = np.column_stack([np.ones(self.length), *initial_creep])
+        half = steps[1] - steps[0]
+        count = min(half, self.length - half)
+        # Both half periods are one free decay, but for offset and sign.
+        self.decay_um = self.measured_um[1:count] - self.measured_um[half + 1 : half + count]
+
+    def fit(self, mode_count):
+        """Dynamics of least output error, and the Bayesian information criterion."""
+        poles = free_decay_poles(self.decay_um, self.period_s, 2 * mode_count + 1)
+        start = _dynamics_of_poles(poles)
+        logarithms = np.log([start.time_constant_s, *start.mode_frequencies_rad_per_s,
+                             *start.damping_ratios])
+        solution = least_squares(
+            self._residual, logarithms, xtol=1e-10, ftol=1e-12, max_nfev=40,
+            bounds=(logarithms - SEARCH_WIDTH, logarithms + SEARCH_WIDTH),
         )
-    wave = square_wave(part)
-    period_s = part.sample_period_s
-    quick = remove_creep(part.displacement_um, creep, period_s)
-    warm_up = round(WARM_UP_S / period_s)
-    start = _dynamics_of_poles(
-        free_decay_poles(_mean_step(recording, quick, wave, warm_up), period_s, 2 * mode_count + 1)
-    )
+        information = self.length * np.log(2.0 * solution.cost / self.length) + (
+            solution.x.size * np.log(self.length)
+        )
+        return _dynamics_of_parameters(np.exp(solution.x)), information
 
-    time_s = np.arange(quick.size) * period_s
-    fixed = [np.ones_like(time_s), *(np.exp(-z * time_s) for z in creep.zeros_rad_per_s)]
-    basis = np.column_stack([np.zeros_like(time_s), *fixed])[warm_up:]
-
-    def residual(logarithms):
+    def _residual(self, logarithms):
         model = _dynamics_of_parameters(np.exp(logarithms)).state_space()
-        initial = equilibrium_state(model, wave.level[0])
-        basis[:, 0] = simulate_linear(zoh(model, period_s), wave.level, initial)[warm_up:]
-        coefficients = np.linalg.lstsq(basis, quick[warm_up:], rcond=1e-12)[0]
-        return quick[warm_up:] - basis @ coefficients
-
-    logarithms = np.log([start.time_constant_s, *start.mode_frequencies_rad_per_s,
-                         *start.damping_ratios])
-    solution = least_squares(residual, logarithms, xtol=1e-10, ftol=1e-12, max_nfev=50)
-    return _dynamics_of_parameters(np.exp(solution.x))
+        basis = np.column_stack([periodic_response(zoh(model, self.period_s), self.level),
+                                 self.fixed])
+        coefficients = np.linalg.lstsq(basis, self.measured_um, rcond=1e-12)[0]
+        return self.measured_um - basis @ coefficients
 
 
 def low_frequency_delay_s(dynamics):
@@ -110,6 +159,25 @@ def remove_creep(signal, creep, sample_period_s):
     return signal
 
 
+def periodic_response(discrete_system, period):
+    """Output of a stable discrete system over one period of a periodic input.
+
+    Parameters
+    ----------
+    discrete_system : control.StateSpace
+    period : ndarray, shape (N,)
+        One period of the input.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+    """
+    from_zero = continue_linear(discrete_system, period, np.zeros(discrete_system.nstates))[1]
+    decay = np.linalg.matrix_power(discrete_system.A, period.size)
+    initial = np.linalg.solve(np.eye(from_zero.size) - decay, from_zero)
+    return simulate_linear(discrete_system, period, initial)
+
+
 def free_decay_poles(decay, sample_period_s, order):
     """Poles (rad/s, complex) of a free decay around an unknown end value.
 
@@ -137,20 +205,11 @@ def free_decay_poles(decay, sample_period_s, order):
     subspace = np.linalg.svd(hankel, full_matrices=False)[0][:, : order + 1]
     shift = np.linalg.lstsq(subspace[:-1], subspace[1:], rcond=None)[0]
     discrete = np.linalg.eigvals(shift).astype(complex)
-    discrete = np.delete(discrete, np.argmin(np.abs(discrete - 1.0)))
+    # Reals come in an even number here, so that the end value's is one of them, or there is none.
+    discrete = np.delete(discrete, np.argmin(np.abs(discrete - 1.0) + 2.0 * (discrete.imag != 0.0)))
+    # A negative eigenvalue has no continuous pole: a fast one is the nearest there is.
+    discrete[discrete.imag == 0.0] = np.abs(discrete[discrete.imag == 0.0])
     return np.log(discrete) / sample_period_s
-
-
-def _mean_step(recording, signal, wave, warm_up):
-    """Mean response to the upward and the reversed downward steps."""
-    steps = wave.steps[wave.steps > warm_up]
-    length = np.diff(wave.steps).min(initial=signal.size)
-    steps = steps[steps + length < signal.size]
-    upward = wave.level[steps] == 1.0
-    if not (upward.any() and (~upward).any()):
-        raise ValueError(f"{recording.path} is too short: record several periods of the dynamics")
-    responses = signal[steps[:, None] + np.arange(1, length + 1)]
-    return 0.5 * (responses[upward].mean(axis=0) - responses[~upward].mean(axis=0))
 
 
 def _dynamics_of_parameters(parameters):
@@ -163,16 +222,18 @@ def _dynamics_of_parameters(parameters):
 
 def _dynamics_of_poles(poles):
     """Physical parameters; real poles beyond the electric one pair up to overdamped modes."""
-    # A pole that noise made unstable or negative-real starts as a fast stable one.
-    poles = np.where(poles.real < 0.0, poles, -np.abs(poles) - 1.0)
-    pairs = poles[poles.imag > 1e-6 * np.abs(poles)]
-    real = np.sort(-poles[np.abs(poles.imag) <= 1e-6 * np.abs(poles)].real)
-    time_constant_s = 1.0 / real[0]
-    products = [abs(pole) ** 2 for pole in pairs] + list(real[1::2] * real[2::2])
-    sums = [-2.0 * pole.real for pole in pairs] + list(real[1::2] + real[2::2])
+    mode_count = (poles.size - 1) // 2
+    # What noise made unstable starts as its stable mirror image.
+    poles = -np.abs(poles.real) - 1.0 + 1j * poles.imag
+    pairs = poles[poles.imag > 0.0][:mode_count]
+    real = np.sort(-poles[poles.imag == 0.0].real)
+    # Where all poles oscillate, the electric lag starts from the slowest of them.
+    time_constant_s = 1.0 / (real[0] if real.size else np.abs(poles).min())
+    products = np.concatenate([np.abs(pairs) ** 2, real[1::2] * real[2::2]])
+    sums = np.concatenate([-2.0 * pairs.real, real[1::2] + real[2::2]])
     frequencies = np.sqrt(products)
-    dampings = np.array(sums) / (2.0 * frequencies)
     order = np.argsort(frequencies)
+    dampings = sums / (2.0 * frequencies)
     return ElectricVibrationDynamics(
         float(time_constant_s), tuple(frequencies[order]), tuple(dampings[order])
     )

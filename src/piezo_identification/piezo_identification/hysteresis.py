@@ -10,8 +10,8 @@ from piezo_identification.dynamics import low_frequency_delay_s, remove_creep
 from piezo_identification.nonnegative import nonnegative_minimum
 from piezo_identification.waveforms import SETTLING_S, played, sample_by_voltage
 
-SMOOTHING_WEIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0)
-"""Weights of the density's second differences, tried on samples held out."""
+SMOOTHING_WEIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+"""Weights of the density's second differences, tried in this order on samples held out."""
 
 ROWS_AT_ONCE = 500
 """Rows of the regression on the fine grid that are held in memory together."""
@@ -39,8 +39,8 @@ def estimate_hysteresis(
     cells_per_level : int
         Cells of the model from one level to the next.
     smoothing_weight : float, optional
-        By default that of `SMOOTHING_WEIGHTS` which best predicts the samples halfway between the
-        levels, which are not fitted.
+        By default the one of `SMOOTHING_WEIGHTS` after which the samples halfway between the
+        levels, which are not fitted, are predicted worse.
 
     Returns
     -------
@@ -49,14 +49,15 @@ def estimate_hysteresis(
     Raises
     ------
     ValueError
-        If the recording has gaps or its voltage does not move.
+        If the recording has gaps, its voltage does not pass by all levels, or the displacement
+        falls where the voltage rises.
     """
     part = _from_lowest_voltage(played(recording))
     voltage_v = part.voltage_v
     lowest_v, highest_v = voltage_v.min(), voltage_v.max()
-    if lowest_v == highest_v:
-        raise ValueError(f"{recording.path} holds one voltage: give a hysteresis experiment")
     levels_v = np.linspace(lowest_v, highest_v, level_count + 1)
+    samples = sample_by_voltage(voltage_v, levels_v)
+    _check_coverage(recording.path, part, samples, levels_v)
     edges_v = np.linspace(lowest_v, highest_v, level_count * cells_per_level + 1)
     # Unknowns of the size of a displacement: density times the area between levels.
     area_v2 = (levels_v[1] - levels_v[0]) ** 2
@@ -77,7 +78,7 @@ def estimate_hysteresis(
         matrix[:, interpolation.shape[1] + 1 :] = initial_creep[samples]
         return matrix, output_um[samples]
 
-    matrix, target_um = regression(sample_by_voltage(voltage_v, levels_v))
+    matrix, target_um = regression(samples)
     normal, linear = matrix.T @ matrix, matrix.T @ target_um
     # Far below the data, it only keeps creep transients apart that the record cannot tell apart.
     normal[np.diag_indices_from(normal)] += 1e-12 * np.trace(normal) / normal.shape[0]
@@ -87,15 +88,18 @@ def estimate_hysteresis(
     def solve(weight):
         return nonnegative_minimum(normal + weight**2 * roughness, linear, free)
 
-    if smoothing_weight is None:
+    if smoothing_weight is not None:
+        solution = solve(smoothing_weight)
+    else:
         unseen, unseen_um = regression(
             sample_by_voltage(voltage_v, 0.5 * (levels_v[:-1] + levels_v[1:]))
         )
-        solution = min(
-            map(solve, SMOOTHING_WEIGHTS), key=lambda x: np.sum((unseen @ x - unseen_um) ** 2)
-        )
-    else:
-        solution = solve(smoothing_weight)
+        least = np.inf
+        for trial in map(solve, SMOOTHING_WEIGHTS):
+            error = np.sum((unseen @ trial - unseen_um) ** 2)
+            if error > least:
+                break
+            solution, least = trial, error
     density = np.zeros((edges_v.size - 1, edges_v.size - 1))
     density[np.tril_indices_from(density)] = interpolation @ solution[:-free] / area_v2
     return PreisachModel(lowest_v, highest_v, density, float(solution[-free]))
@@ -168,6 +172,22 @@ def _from_lowest_voltage(part):
     voltage_v = part.voltage_v
     near_v = voltage_v.min() + 1e-3 * np.ptp(voltage_v)
     return part.select(np.arange(voltage_v.size) >= np.argmax(voltage_v <= near_v))
+
+
+def _check_coverage(path, part, samples, levels_v):
+    """Refuse a voltage that says nothing about most of the Preisach plane."""
+    spacing_v = levels_v[1] - levels_v[0]
+    passed = np.unique(np.round((part.voltage_v[samples] - levels_v[0]) / max(spacing_v, 1e-12)))
+    if passed.size < 0.9 * levels_v.size:
+        raise ValueError(
+            f"{path} passes by {passed.size} of {levels_v.size} voltage levels: "
+            "give a hysteresis experiment, whose voltage changes slowly"
+        )
+    rise_um = np.polyfit(part.voltage_v[samples], part.displacement_um[samples], 1)[0]
+    if rise_um <= 0.0:
+        raise ValueError(
+            f"{path}: the displacement falls where the voltage rises: reverse the sign of one"
+        )
 
 
 def _roughness(level_count):

@@ -10,14 +10,14 @@ SETTLING_S = 0.03
 
 
 def played(recording):
-    """Part of a recording in which the waveform plays, without ramps; refused if it has gaps.
+    """Part of a recording in which a waveform or a trajectory plays, without ramps.
 
     Raises
     ------
     ValueError
-        If no waveform plays, or samples are missing in it.
+        If nothing plays, or samples are missing in it.
     """
-    part = recording.select(recording.playing)
+    part = recording.select(recording.playing | recording.tracking)
     if part.gaps:
         first, count = part.gaps[0]
         raise ValueError(

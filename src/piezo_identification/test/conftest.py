@@ -35,7 +35,9 @@ def plant():
 def play(plant):
     """Play an experiment on the plant from rest as the stage does, and record it."""
 
-    def play_experiment(experiment, seed=0, clock_hz=40_000.0, memory=None, noise_um=NOISE_UM):
+    def play_experiment(
+        experiment, seed=0, clock_hz=40_000.0, memory=None, noise_um=NOISE_UM, stage=plant
+    ):
         held = round(experiment.sample_period_s * clock_hz)
         samples = -(-round(RAMP_S * clock_hz) // held) * held
         ramp = np.arange(1, samples + 1) / samples
@@ -47,7 +49,7 @@ def play(plant):
             np.array([Flag.RAMPING, Flag.PLAYING, Flag.RAMPING], dtype=np.uint32),
             [samples, waveform_v.size, samples],
         )
-        displacement_um = plant.simulate(voltage_v, 1.0 / clock_hz, memory)
+        displacement_um = stage.simulate(voltage_v, 1.0 / clock_hz, memory)
         # Averaged noise is drawn averaged.
         noise = np.random.default_rng(seed).normal(size=voltage_v.size // held)
         means = displacement_um.reshape(-1, held).mean(axis=1)

@@ -70,6 +70,11 @@ def test_a_recording_that_is_no_square_wave_is_refused(record):
         estimate_creep(replace(recording, voltage_v=wave_v))
 
 
+def test_a_square_wave_too_fast_for_creep_is_refused(play):
+    with pytest.raises(ValueError, match="dynamics steps faster"):
+        estimate_creep(play(experiments.dynamics(duration_s=0.2)))
+
+
 def test_missing_samples_are_refused_with_their_place(record):
     with pytest.raises(ValueError, match="lacks 20 samples from sample 40000"):
         played(replace(record(), gaps=[(40_000, 20)]))

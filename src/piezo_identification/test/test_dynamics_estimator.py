@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from piezo_identification.dynamics import (
     estimate_dynamics,
     free_decay_poles,
     low_frequency_delay_s,
+    periodic_response,
     remove_creep,
 )
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, simulate_linear, zoh
@@ -31,12 +34,34 @@ def test_creep_left_from_before_does_not_disturb(plant, play):
     assert estimate.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=1e-5)
 
 
+@pytest.mark.parametrize("truth", [
+    ElectricVibrationDynamics(0.001),
+    ElectricVibrationDynamics(0.001, (3000.0,), (0.1,)),
+    ElectricVibrationDynamics(0.0002, (2000.0, 5000.0, 9000.0), (0.02, 0.05, 0.05)),
+])
+def test_the_number_of_modes_is_that_of_the_plant(plant, play, truth):
+    recording = play(experiments.dynamics(), 1, stage=replace(plant, dynamics=truth))
+    estimate = estimate_dynamics(recording, plant.creep)
+    assert estimate.time_constant_s == pytest.approx(truth.time_constant_s, rel=2e-3)
+    assert estimate.mode_frequencies_rad_per_s == pytest.approx(
+        truth.mode_frequencies_rad_per_s, rel=1e-3
+    )
+    assert estimate.damping_ratios == pytest.approx(truth.damping_ratios, rel=1e-2)
+
+
 def test_the_subspace_start_is_exact_without_noise():
     rates = np.array([-400.0 + 4900.0j, -400.0 - 4900.0j, -2000.0])
     time_s = np.arange(1, 400) * 25e-6
     decay = 3.0 + np.real(np.exp(np.outer(time_s, rates)) @ [1.0 - 1.0j, 1.0 + 1.0j, 2.0])
     poles = free_decay_poles(decay, 25e-6, 3)
     np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(rates), rtol=1e-6)
+
+
+def test_the_periodic_response_is_that_after_many_periods(plant):
+    system = zoh(plant.dynamics.state_space(), 1e-4)
+    period = np.random.default_rng(0).normal(size=50)
+    many = simulate_linear(system, np.tile(period, 40))
+    np.testing.assert_allclose(periodic_response(system, period), many[-50:], atol=1e-9)
 
 
 def test_the_inverse_takes_creep_off(plant):
@@ -62,3 +87,11 @@ def test_averaged_samples_are_refused(play):
 def test_a_record_of_few_periods_is_refused(play):
     with pytest.raises(ValueError, match="record several periods"):
         estimate_dynamics(play(experiments.dynamics(duration_s=0.1)), CreepDynamics())
+
+
+def test_a_square_wave_that_halts_is_refused(play):
+    recording = play(experiments.dynamics(duration_s=0.6))
+    halted = np.arange(recording.voltage_v.size) >= np.flatnonzero(recording.playing)[20_000]
+    voltage_v = np.where(halted, np.roll(recording.voltage_v, 7), recording.voltage_v)
+    with pytest.raises(ValueError, match="not periodic"):
+        estimate_dynamics(replace(recording, voltage_v=voltage_v), CreepDynamics())

@@ -118,7 +118,18 @@ def test_free_variables_may_become_negative():
     np.testing.assert_allclose(solution, [0.0, 2.0, -3.0])
 
 
-def test_a_voltage_that_does_not_move_is_refused(plant, recording):
-    still = replace(recording, voltage_v=np.zeros_like(recording.voltage_v))
-    with pytest.raises(ValueError, match="hysteresis holds one voltage"):
-        estimate_hysteresis(still, plant.creep, plant.dynamics)
+@pytest.mark.parametrize("voltage_v", [
+    np.zeros(1000), np.repeat([40.0, 60.0], 500), np.tile(np.repeat([40.0, 60.0], 10), 50)
+])
+def test_a_voltage_that_leaves_levels_out_is_refused(plant, recording, voltage_v):
+    jumping = replace(
+        recording.select(np.arange(recording.voltage_v.size) < 1000), voltage_v=voltage_v
+    )
+    with pytest.raises(ValueError, match="hysteresis passes by [12] of 71 voltage levels"):
+        estimate_hysteresis(jumping, plant.creep, plant.dynamics)
+
+
+def test_a_displacement_of_the_wrong_sign_is_refused(plant, recording):
+    inverted = replace(recording, displacement_um=-recording.displacement_um)
+    with pytest.raises(ValueError, match="reverse the sign"):
+        estimate_hysteresis(inverted, plant.creep, plant.dynamics, LEVELS)

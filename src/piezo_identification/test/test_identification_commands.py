@@ -77,10 +77,10 @@ def test_simulate_prints_the_error_and_draws_pictures(files, model_file, tmp_pat
 
 
 def test_cancelling_ends_the_work_before_the_next_stage(files):
-    recordings = {name: read_recording(files[name]) for name in ("creep", "dynamics")}
+    creep = read_recording(files["creep"])
     stages = []
     with pytest.raises(IdentificationCancelled):
-        identify(**recordings, hysteresis=None, cancelled=lambda: len(stages) == 1,
+        identify(creep, dynamics=None, hysteresis=None, cancelled=lambda: len(stages) == 1,
                  progress=lambda stage, fraction: stages.append((stage, fraction)))
     assert stages == [("creep", 0.0)]
 
