@@ -6,16 +6,20 @@ from piezo_models.linear import CreepDynamics
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from piezo_identification.waveforms import SETTLING_S, played, samples_per_mean, square_wave
+from piezo_identification.settling import low_frequency_delay_s, settling_time_s
+from piezo_identification.waveforms import played, samples_per_mean, square_wave
 
 MOST_PAIRS = 6
 """Pairs of pole and zero beyond which the search for their number ends."""
+
+USUAL_SETTLING_S = 0.03
+"""Least time left out after a step, in which electric and vibration dynamics die out."""
 
 BINS_PER_DECADE = 60
 """Averaging after a step: creep needs no finer view of logarithmic time."""
 
 
-def estimate_creep(recording, delay_s=0.0, pair_count=None):
+def estimate_creep(recording, dynamics=None, pair_count=None):
     """Estimate the creep dynamics (4.4) from a square wave of long period.
 
     Under a square wave the hysteresis is an offset and a gain (4.5); both are free here, and so is
@@ -28,8 +32,8 @@ def estimate_creep(recording, delay_s=0.0, pair_count=None):
     ----------
     recording : Recording
         Of the creep experiment.
-    delay_s : float
-        Delay of the faster dynamics at low frequency, if known.
+    dynamics : ElectricVibrationDynamics, optional
+        If known: it delays the creep, and its ringing after each step is left out.
     pair_count : int, optional
         Number of pole and zero pairs; by default as many as the Bayesian information criterion
         justifies.
@@ -43,16 +47,17 @@ def estimate_creep(recording, delay_s=0.0, pair_count=None):
     ValueError
         If the recording has gaps or is no square wave, or the data do not show as many pairs.
     """
-    record = _CreepRecord(played(recording), delay_s)
+    record = _CreepRecord(played(recording), dynamics)
     rates = np.empty(0)
     best, least = None, record.information(rates)
     for count in range(1, (pair_count or MOST_PAIRS) + 1):
         rates = record.refine(np.append(rates, record.best_further_rate(rates)))
         gains = record.creep_gains(rates)
         information = record.information(rates)
-        if pair_count is None and (information >= least or gains.min() <= 0.0):
+        shown = gains.min() > 0.0 and rates.max() < 0.99 * record.fastest
+        if pair_count is None and (information >= least or not shown):
             break
-        if gains.min() > 0.0:
+        if shown:
             best, least = (rates, gains), information
         elif count == pair_count:
             raise ValueError(
@@ -76,26 +81,30 @@ def _dynamics(rates, gains):
 class _CreepRecord:
     """The averaged record, and the response of creep exponentials to its voltage."""
 
-    def __init__(self, recording, delay_s):
+    def __init__(self, recording, dynamics):
         self.wave = square_wave(recording)
         if self.wave.steps.size == 0:
             raise ValueError(f"{recording.path} has no step of the voltage: record a whole period")
         self.period_s = recording.sample_period_s
         self.mean_samples = samples_per_mean(recording)
-        self.delay_s = delay_s
+        self.delay_s, self.settling_s = 0.0, USUAL_SETTLING_S
+        if dynamics is not None:
+            self.delay_s = low_frequency_delay_s(dynamics)
+            self.settling_s = max(USUAL_SETTLING_S, settling_time_s(dynamics))
         self.time_s = np.arange(self.wave.level.size) * self.period_s
         self.bins, self.weights = self._logarithmic_bins()
         if not self.weights.any():
             raise ValueError(
-                f"{recording.path} steps faster than every {SETTLING_S:g} s, too fast for creep: "
-                "give the recording of a creep experiment"
+                f"{recording.path} steps faster than every {self.settling_s:.3g} s, too fast to "
+                "show creep: give the recording of a creep experiment"
             )
         self.displacement = self._average(recording.displacement_um)
-        self.bounds = np.log([0.3 / self.time_s[-1], 1.0 / max(self.period_s, SETTLING_S / 3.0)])
+        self.fastest = 1.0 / max(self.period_s, self.settling_s / 3.0)
+        self.bounds = np.log([0.3 / self.time_s[-1], self.fastest])
 
     def _logarithmic_bins(self):
         """Starts of the bins, alternating with the settling samples that are left out."""
-        skipped = int(np.ceil(SETTLING_S / self.period_s))
+        skipped = int(np.ceil(self.settling_s / self.period_s))
         edges = np.concatenate([[0], self.wave.steps, [self.wave.level.size]])
         starts, weights = [], []
         for begin, end in zip(edges[:-1], edges[1:], strict=True):

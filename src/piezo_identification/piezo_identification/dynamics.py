@@ -122,19 +122,6 @@ class _DynamicsRecord:
         return self.measured_um - basis @ coefficients
 
 
-def low_frequency_delay_s(dynamics):
-    """Delay of the dynamics at low frequency, the coefficient of (4.18) and (4.19)."""
-    def sum_of_modes(frequencies, dampings):
-        return sum(2.0 * d / w for w, d in zip(frequencies, dampings, strict=True))
-
-    return (
-        dynamics.time_constant_s
-        + sum_of_modes(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios)
-        - sum_of_modes(dynamics.antiresonance_frequencies_rad_per_s,
-                       dynamics.antiresonance_damping_ratios)
-    )
-
-
 def remove_creep(signal, creep, sample_period_s):
     """Pass a uniformly sampled signal through the inverse of the creep, Fig. 4.7.
 

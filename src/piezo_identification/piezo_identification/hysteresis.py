@@ -6,9 +6,10 @@ from piezo_models.preisach import PreisachModel
 from piezo_models.relay_grid import activation_matrix
 from scipy.sparse import coo_array
 
-from piezo_identification.dynamics import low_frequency_delay_s, remove_creep
+from piezo_identification.dynamics import remove_creep
 from piezo_identification.nonnegative import nonnegative_minimum
-from piezo_identification.waveforms import SETTLING_S, played, sample_by_voltage
+from piezo_identification.settling import low_frequency_delay_s, settling_time_s
+from piezo_identification.waveforms import played, sample_by_voltage
 
 SMOOTHING_WEIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Weights of the density's second differences, tried in this order on samples held out."""
@@ -65,10 +66,11 @@ def estimate_hysteresis(
     output_um = hysteresis_output_um(part, creep, dynamics)
     initial_creep = np.exp(-np.outer(part.time_s, creep.zeros_rad_per_s))
     free = 1 + initial_creep.shape[1]
+    settling_s = settling_time_s(dynamics)
 
     def regression(samples):
         """Columns for the densities, the offset and the initial creep; and what they explain."""
-        samples = samples[part.time_s[samples] >= SETTLING_S]
+        samples = samples[part.time_s[samples] >= settling_s]
         matrix = np.empty((samples.size, interpolation.shape[1] + free))
         for start in range(0, samples.size, ROWS_AT_ONCE):
             rows = slice(start, start + ROWS_AT_ONCE)

@@ -6,7 +6,7 @@ from piezo_models.model_file import IdentifiedModel
 from piezo_recorder.reader import sha256_of
 
 from piezo_identification.creep import estimate_creep
-from piezo_identification.dynamics import estimate_dynamics, low_frequency_delay_s
+from piezo_identification.dynamics import estimate_dynamics
 from piezo_identification.hysteresis import estimate_hysteresis
 from piezo_identification.prediction import unseen_errors
 
@@ -54,7 +54,7 @@ def identify(creep, dynamics, hysteresis, validation=None, progress=None, cancel
     begin("dynamics", 0.2)
     dynamics_model = estimate_dynamics(dynamics, creep_model)
     begin("creep beside the dynamics", 0.3)
-    creep_model = estimate_creep(creep, low_frequency_delay_s(dynamics_model))
+    creep_model = estimate_creep(creep, dynamics_model)
     begin("dynamics beside the creep", 0.5)
     dynamics_model = estimate_dynamics(dynamics, creep_model)
     begin("hysteresis", 0.6)

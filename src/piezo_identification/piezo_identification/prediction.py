@@ -8,7 +8,8 @@ import numpy as np
 from piezo_models.linear import equilibrium_state, simulate_linear, zoh
 from piezo_models.measures import e_y_percent
 
-from piezo_identification.waveforms import SETTLING_S, played, samples_per_mean, turning_points
+from piezo_identification.settling import settling_time_s
+from piezo_identification.waveforms import played, samples_per_mean, turning_points
 
 SLOW_BRANCH_S = 0.05
 """A way between two reversals that takes longer shows hysteresis, a shorter one dynamics."""
@@ -64,7 +65,7 @@ def predict(model, recording):
         mean_zoh(linear, part.sample_period_s, samples_per_mean(part)), hysteresis_um,
         equilibrium_state(linear, hysteresis_um[0]),
     )
-    settled = np.flatnonzero(part.time_s >= SETTLING_S)
+    settled = np.flatnonzero(part.time_s >= settling_time_s(model.dynamics))
     free = np.column_stack([
         np.ones(settled.size),
         *(np.exp(-p * part.time_s[settled]) for p in model.creep.poles_rad_per_s),

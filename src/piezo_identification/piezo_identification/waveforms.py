@@ -5,9 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SETTLING_S = 0.03
-"""Electric and vibration dynamics have died out this long after a change of the voltage."""
-
 
 def played(recording):
     """Part of a recording in which a waveform or a trajectory plays, without ramps.

@@ -6,7 +6,6 @@ import pytest
 from piezo_identification.dynamics import (
     estimate_dynamics,
     free_decay_poles,
-    low_frequency_delay_s,
     periodic_response,
     remove_creep,
 )
@@ -68,14 +67,6 @@ def test_the_inverse_takes_creep_off(plant):
     signal = np.sin(np.arange(20_000) * 2e-3)
     crept = simulate_linear(zoh(plant.creep.state_space(), 1e-3), signal)
     np.testing.assert_allclose(remove_creep(crept, plant.creep, 1e-3), signal, atol=1e-4)
-
-
-def test_the_delay_is_the_slope_of_the_phase_at_low_frequency(plant):
-    phase = np.angle(plant.dynamics.response(0.1))
-    assert low_frequency_delay_s(plant.dynamics) == pytest.approx(-phase / (0.2 * np.pi), rel=1e-5)
-    with_zeros = ElectricVibrationDynamics(1e-3, (3000.0,), (0.1,), (2000.0,), (0.3,))
-    phase = np.angle(with_zeros.response(0.1))
-    assert low_frequency_delay_s(with_zeros) == pytest.approx(-phase / (0.2 * np.pi), rel=1e-4)
 
 
 def test_averaged_samples_are_refused(play):

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What slow signals see of the electric and vibration dynamics."""
+
+import numpy as np
+
+NEGLIGIBLE = 1e-5
+"""Part of a step below which what is left of its ringing does not count."""
+
+
+def low_frequency_delay_s(dynamics):
+    """Delay of the dynamics at low frequency, the coefficient of (4.18) and (4.19).
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics
+
+    Returns
+    -------
+    float
+    """
+    def sum_of_modes(frequencies, dampings):
+        return sum(2.0 * d / w for w, d in zip(frequencies, dampings, strict=True))
+
+    return (
+        dynamics.time_constant_s
+        + sum_of_modes(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios)
+        - sum_of_modes(dynamics.antiresonance_frequencies_rad_per_s,
+                       dynamics.antiresonance_damping_ratios)
+    )
+
+
+def settling_time_s(dynamics):
+    """Time after which a step's response has decayed to its end value.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics
+
+    Returns
+    -------
+    float
+    """
+    slowest_rad_per_s = -dynamics.state_space().poles().real.max()
+    return -np.log(NEGLIGIBLE) / slowest_rad_per_s
