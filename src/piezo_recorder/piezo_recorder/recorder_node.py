@@ -101,7 +101,7 @@ class Recorder(LifecycleNode):
                 "Rate of the stage's sample clock (Hz).", 1.0, 1e9)
         declare(self, "minimum_free_mb", 200,
                 "Free disk space (megabyte) below which a recording is refused or closed.",
-                0, 1_000_000_000)
+                0, 1_000_000_000, read_only=False)
         declare(self, "autostart", True, "Configure and activate without being asked.")
         self._session = None
         self._definitions = {}

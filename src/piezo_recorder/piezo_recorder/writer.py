@@ -90,7 +90,7 @@ class RecordingWriter:
                 definition.type_name, "ros2msg", definition.text.encode())
         channel = self._mcap.register_channel(
             topic, "cdr", self._schemas[definition.type_name],
-            {"offered_qos_profiles": "", "topic_type_hash": definition.type_hash})
+            {"offered_qos_profiles": "[]", "topic_type_hash": definition.type_hash})
         self._topics[channel] = (topic, definition)
         self._counts[channel] = 0
         self._write_metadata()
