@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Start the real nodes as processes, and talk to them as any client would."""
+
+import array
+import os
+import random
+import socket
+from contextlib import ExitStack
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from piezo_bringup.client_node import Client
+from piezo_bringup.processes import Processes, clean_shared_memory
+from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
+from piezo_interfaces.srv import LoadFeedforward, StartTracking
+from piezo_node_tools.quality import FEEDBACK, SAMPLES
+from std_srvs.srv import Trigger
+
+TIMEOUT_S = 60.0
+DOMAINS = range(1, 100)
+
+
+class Samples:
+    """Published blocks, joined sample by sample."""
+
+    def __init__(self, blocks):
+        self.blocks = blocks
+        self.first_sample = blocks[0].first_sample
+        self.voltage_v = np.concatenate([block.voltage_v for block in blocks])
+        self.displacement_um = np.concatenate([block.displacement_um for block in blocks])
+        self.flags = np.repeat([block.flags for block in blocks],
+                               [len(block.voltage_v) for block in blocks])
+
+    @property
+    def gapless(self):
+        """Whether every block begins where the one before it ended."""
+        return all(end(block) == following.first_sample
+                   for block, following in pairwise(self.blocks))
+
+    def since(self, first_sample, count=None):
+        """Voltages from a sample of the clock on."""
+        begin = first_sample - self.first_sample
+        return self.voltage_v[begin:None if count is None else begin + count]
+
+    def flagged(self, flag):
+        """Voltages of the blocks that bear a flag."""
+        return self.voltage_v[self.flags & flag > 0]
+
+
+def end(block):
+    """The sample of the clock behind a block."""
+    return block.first_sample + len(block.voltage_v) * round(block.sample_period_s * 40_000)
+
+
+def at_rest(block):
+    return block.flags & ~SampleBlock.FLAG_STOPPED == 0 and block.voltage_v[-1] == 0.0
+
+
+class StageClient(Client):
+    """Keep what the stage of a namespace publishes; answer its blocks if told how.
+
+    Attributes
+    ----------
+    processes : Processes
+        The nodes of the namespace.
+    blocks : list of SampleBlock
+        Since the last `forget`.
+    answer : callable or None
+        Takes a block, returns the feedback voltage, or None for no answer.
+    """
+
+    def __init__(self, namespace, processes):
+        super().__init__(namespace)
+        self.processes = processes
+        self.blocks = []
+        self.answer = None
+        self._feedback = self.node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
+        self.node.create_subscription(SampleBlock, "samples", self._receive, SAMPLES)
+
+    def _receive(self, block):
+        self.blocks.append(block)
+        voltage_v = self.answer(block) if self.answer else None
+        if voltage_v is not None:
+            self.send_feedback(block.tick, voltage_v)
+
+    def send_feedback(self, tick, voltage_v):
+        self._feedback.publish(FeedbackVoltage(tick=tick, voltage_v=float(voltage_v)))
+
+    def connect(self):
+        """Make sure that no block is missed from here on."""
+        while not self.blocks:
+            self.play([0.0])
+            self.spin_until(lambda: self.blocks, 0.2)
+        self.until(lambda: self._feedback.get_subscription_count() > 0)
+        self.forget()
+
+    def until(self, condition):
+        """Spin until a condition holds; fail with the nodes' logs where it never does."""
+        if not self.spin_until(condition, TIMEOUT_S):
+            pytest.fail(f"nothing came for {TIMEOUT_S:g} s; the nodes say:\n{self.logs()}")
+
+    def wait(self, future):
+        self.until(future.done)
+        return future.result()
+
+    def logs(self):
+        """What the nodes printed, each under its name."""
+        return "\n".join(f"--- {path.name}\n{path.read_text()}" for path in sorted(
+            self.processes.log("stage").parent.glob("*.log")))
+
+    # Goals and services
+
+    def play(self, voltage_v, sample_period_s=25e-6, repeats=1, **options):
+        """Play a waveform to its end; see ``Client.goal``."""
+        return self.goal("play_waveform", voltage_v=array.array("d", voltage_v),
+                         sample_period_s=sample_period_s, repeats=repeats, **options)
+
+    def begin(self, name, **fields):
+        """Send a goal; return its handle once the stage moves."""
+        handle = self.send(name, **fields)
+        seen = len(self.blocks)
+        self.until(lambda: any(map(np.any, (b.voltage_v for b in self.blocks[seen:]))))
+        return handle
+
+    def begin_play(self, voltage_v, sample_period_s=25e-6, repeats=1):
+        """Begin a waveform; return the goal's handle once the stage moves."""
+        return self.begin("play_waveform", voltage_v=array.array("d", voltage_v),
+                          sample_period_s=sample_period_s, repeats=repeats)
+
+    def result(self, handle):
+        """Wait for the end of a goal; return its status and its result."""
+        response = self.wait(handle.get_result_async())
+        return response.status, response.result
+
+    def cancel(self, handle):
+        """Cancel a goal; return its status and its result."""
+        self.wait(handle.cancel_goal_async())
+        return self.result(handle)
+
+    def load(self, once_voltage_v, period_voltage_v=(), append=False):
+        return self.call(LoadFeedforward, "load_feedforward", append=append,
+                         once_voltage_v=array.array("d", once_voltage_v),
+                         period_voltage_v=array.array("d", period_voltage_v))
+
+    def start_tracking(self, feedback, ticks=0):
+        return self.call(StartTracking, "start_tracking", feedback=feedback, ticks=ticks)
+
+    def trigger(self, name):
+        return self.call(Trigger, name)
+
+    def change_state(self, transition):
+        """Ask the stage's lifecycle for a transition; return whether it took place."""
+        return self.call(ChangeState, "stage/change_state",
+                         transition=Transition(id=transition)).success
+
+    def state(self):
+        return self.call(GetState, "stage/get_state").current_state.label
+
+    # Samples
+
+    def samples(self, last_sample=None):
+        """Everything since the last `forget`, up to a sample, or until all is at rest."""
+        if last_sample is None:
+            self.until(lambda: self.blocks and at_rest(self.blocks[-1]))
+        else:
+            self.until(lambda: self.blocks and end(self.blocks[-1]) > last_sample)
+        return Samples(list(self.blocks))
+
+    def forget(self):
+        self.blocks.clear()
+
+
+class Nodes:
+    """Starts nodes; ends them together, and looks whether one of them broke."""
+
+    def __init__(self, directory):
+        self._directory = directory
+        self._ends = ExitStack()
+        self._groups = 0
+
+    def start(self, *names, namespace="", connect=True, **stage_parameters):
+        """Start a lockstep stage and other nodes in a namespace; return a client of the stage."""
+        self._groups += 1
+        directory = self._directory / str(self._groups)
+        self._ends.callback(self._assert_no_traceback, directory)
+        processes = self._ends.enter_context(Processes(directory))
+        for name in ("stage", *names):
+            parameters = {"timing": "lockstep", "autostart": True, **stage_parameters}
+            processes.start(name, parameters if name == "stage" else None, namespace or None)
+        client = self._ends.enter_context(StageClient(namespace, processes))
+        if connect:
+            client.connect()
+        return client
+
+    def stop(self):
+        self._ends.close()
+
+    @staticmethod
+    def _assert_no_traceback(directory):
+        for log in directory.glob("*.log"):
+            text = log.read_text()
+            assert "Traceback" not in text, f"{log.name}: {text}"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def domain():
+    """A ROS domain of our own, which nobody else on this machine uses now."""
+    number = next(filter(_is_free, random.sample(DOMAINS, len(DOMAINS))))
+    os.environ.update(ROS_DOMAIN_ID=str(number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    clean_shared_memory()
+    return number
+
+
+def _is_free(domain):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", 7410 + 250 * domain))  # RTPS: of the domain's first participant
+        except OSError:
+            return False
+    return True
+
+
+@pytest.fixture(scope="module")
+def nodes(tmp_path_factory):
+    """Starts nodes that live as long as the tests of one module."""
+    nodes = Nodes(tmp_path_factory.mktemp("nodes"))
+    yield nodes
+    nodes.stop()
+
+
+@pytest.fixture(scope="session")
+def whole_suite(tmp_path_factory, domain):
+    nodes = Nodes(tmp_path_factory.mktemp("suite"))
+    yield nodes.start("recorder", "identification", "controller", namespace="/left")
+    nodes.stop()
+
+
+@pytest.fixture
+def suite(whole_suite):
+    """Client of all the nodes, which live in the namespace /left as long as the session."""
+    whole_suite.forget()
+    yield whole_suite
+    whole_suite.answer = None
+    # Refused if the test left the stage busy or stopped.
+    last_sample = whole_suite.play([0.0]).last_sample
+    assert whole_suite.samples(last_sample).voltage_v[-1] == 0.0
