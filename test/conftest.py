@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from piezo_bringup.client_node import Client
-from piezo_bringup.processes import Processes, clean_shared_memory
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
-from piezo_node_tools.quality import FEEDBACK, SAMPLES
 from std_srvs.srv import Trigger
+
+from piezo_bringup.client_node import Client
+from piezo_bringup.processes import Processes, clean_shared_memory
+from piezo_node_tools.quality import FEEDBACK, SAMPLES
 
 TIMEOUT_S = 60.0
 DOMAINS = range(1, 100)
@@ -88,6 +89,11 @@ class StageClient(Client):
 
     def send_feedback(self, tick, voltage_v):
         self._feedback.publish(FeedbackVoltage(tick=tick, voltage_v=float(voltage_v)))
+
+    def node_names(self):
+        """The nodes of the namespace."""
+        return {name for name, namespace in self.node.get_node_names_and_namespaces()
+                if namespace == self.node.get_namespace()}
 
     def connect(self):
         """Make sure that no block is missed from here on."""
@@ -191,6 +197,7 @@ class Nodes:
             parameters = {"timing": "lockstep", "autostart": True, **stage_parameters}
             processes.start(name, parameters if name == "stage" else None, namespace or None)
         client = self._ends.enter_context(StageClient(namespace, processes))
+        client.until(lambda: {"client", "stage", *names} <= client.node_names())
         if connect:
             client.connect()
         return client

@@ -14,15 +14,15 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from piezo_node_tools.quality import SAMPLES
-from piezo_recorder.reader import read_recording
+from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
+from piezo_interfaces.srv import StartRecording, StopRecording
 from rcl_interfaces.srv import SetParameters
 from rclpy.experimental import EventsExecutor
 from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 
-from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
-from piezo_interfaces.srv import StartRecording, StopRecording
+from piezo_node_tools.quality import SAMPLES
+from piezo_recorder.reader import read_recording
 
 TIMEOUT_S = 30.0
 # Own namespace: nodes of other runs on this machine are not to be heard.

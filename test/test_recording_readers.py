@@ -9,10 +9,11 @@ from importlib.metadata import version
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
 from piezo_recorder.message_definition import installed_definition
 from piezo_recorder.sample_block import TYPE_NAME
 from piezo_recorder.writer import RecordingWriter
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 PACKAGES = ["rosbags", "mcap", "numpy"]
 READER = """

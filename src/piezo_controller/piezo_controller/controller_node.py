@@ -12,13 +12,6 @@ import numpy as np
 from piezo_interfaces.action import Track
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
-from piezo_models.model_file import load_model
-from piezo_node_tools.calls import CallFailed, call_service
-from piezo_node_tools.goals import GoalServers
-from piezo_node_tools.parameters import declare
-from piezo_node_tools.quality import FEEDBACK, SAMPLES
-from piezo_node_tools.recording import RecorderCaller
-from piezo_node_tools.spinning import run_node
 from rclpy.lifecycle import LifecycleNode
 from std_srvs.srv import Trigger
 
@@ -28,6 +21,13 @@ from piezo_controller.feedforward import plan_feedforward
 from piezo_controller.references import Reference, sample_reference
 from piezo_controller.tracking_run import TrackingRun
 from piezo_controller.weights import load_weights
+from piezo_models.model_file import load_model
+from piezo_node_tools.calls import CallFailed, call_service
+from piezo_node_tools.goals import GoalServers
+from piezo_node_tools.parameters import declare
+from piezo_node_tools.quality import FEEDBACK, SAMPLES
+from piezo_node_tools.recording import RecorderCaller
+from piezo_node_tools.spinning import run_node
 
 MODES = ("open_loop", "feedforward", "composite")
 LONGEST_DURATION_S = 3600.0

@@ -6,12 +6,11 @@ import sys
 from hashlib import sha256
 from pathlib import Path
 
-from piezo_models.model_file import load_model
-
 from piezo_controller.controller_file import save_controller
 from piezo_controller.feedback_design import design_feedback, design_plant
 from piezo_controller.loop_pictures import draw_bode, draw_nyquist
 from piezo_controller.weights import load_weights
+from piezo_models.model_file import load_model
 
 CLOCK_PERIOD_S = 25e-6
 ROWS = (

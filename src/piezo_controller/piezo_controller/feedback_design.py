@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import control
 import numpy as np
-from piezo_models.linear import zoh
 
 from piezo_controller.h_infinity import close, synthesise
 from piezo_controller.lifted_plant import lift
 from piezo_controller.loop_measures import measure_loop
+from piezo_models.linear import zoh
 
 # Lowers the controller's resonance at 270 Hz from 7 to 3 V/um, and the sensitivity's peak.
 SLACK = 0.1

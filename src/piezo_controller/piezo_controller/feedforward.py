@@ -5,6 +5,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+
 from piezo_models.inversion import invert_linear_periodic
 from piezo_models.linear import simulate_linear, zoh
 

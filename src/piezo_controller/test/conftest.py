@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
 import pytest
+
 from piezo_models.cascade import StageModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.preisach import PreisachModel

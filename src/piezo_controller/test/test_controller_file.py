@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from piezo_controller.controller_file import (
     ControllerFileError,
     load_controller,

@@ -4,6 +4,7 @@ from importlib.resources import files
 
 import pytest
 import yaml
+
 from piezo_controller.controller_file import load_controller
 from piezo_controller.design_command import main
 from piezo_controller.weights import WeightsError, load_weights

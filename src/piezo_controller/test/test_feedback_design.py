@@ -4,13 +4,14 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
+from slycot import sb10ad
+
 from piezo_controller.feedback_design import design_feedback, design_plant, generalised_plant
 from piezo_controller.h_infinity import NoController, close, is_stable, synthesise
 from piezo_controller.lifted_plant import lift
 from piezo_controller.loop_measures import loop_responses, measure_loop
 from piezo_controller.weights import load_weights
 from piezo_models.linear import simulate_linear, zoh
-from slycot import sb10ad
 
 TICK_S, CLOCK_PERIOD_S, SAMPLES = 1e-3, 25e-6, 40
 

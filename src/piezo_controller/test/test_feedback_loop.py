@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
 import pytest
+
 from piezo_controller.feedback_design import design_feedback
 from piezo_controller.feedback_loop import MultirateFeedback
 from piezo_controller.feedforward import plan_feedforward

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
 import pytest
+
 from piezo_controller.feedforward import UnreachableReference, minimum_jerk, plan_feedforward
 from piezo_controller.references import Reference, sample_reference
 from piezo_models.cascade import StageModel

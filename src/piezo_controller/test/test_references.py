@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from piezo_controller.references import InvalidReference, Reference, sample_reference
 
 

@@ -2,12 +2,12 @@
 """Creep from a long square wave, by output-error fit."""
 
 import numpy as np
-from piezo_models.linear import CreepDynamics
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from piezo_identification.settling import low_frequency_delay_s, settling_time_s
 from piezo_identification.waveforms import played, samples_per_mean, square_wave
+from piezo_models.linear import CreepDynamics
 
 MOST_PAIRS = 6
 """Pairs of pole and zero beyond which the search for their number ends."""

@@ -2,16 +2,16 @@
 """Electric and vibration dynamics from a short square wave: subspace start, output-error fit."""
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import lfilter, lfilter_zi
+
+from piezo_identification.waveforms import played, samples_per_mean, square_wave
 from piezo_models.linear import (
     ElectricVibrationDynamics,
     continue_linear,
     simulate_linear,
     zoh,
 )
-from scipy.optimize import least_squares
-from scipy.signal import lfilter, lfilter_zi
-
-from piezo_identification.waveforms import played, samples_per_mean, square_wave
 
 WARM_UP_S = 0.3
 """Part at the start that is not used, as the approach from rest still shows in it."""

@@ -2,14 +2,14 @@
 """Preisach density from harmonics of stair amplitude, by smoothed non-negative least squares."""
 
 import numpy as np
-from piezo_models.preisach import PreisachModel
-from piezo_models.relay_grid import activation_matrix
 from scipy.sparse import coo_array
 
 from piezo_identification.dynamics import remove_creep
 from piezo_identification.nonnegative import nonnegative_minimum
 from piezo_identification.settling import low_frequency_delay_s, settling_time_s
 from piezo_identification.waveforms import played, sample_by_voltage
+from piezo_models.preisach import PreisachModel
+from piezo_models.relay_grid import activation_matrix
 
 SMOOTHING_WEIGHTS = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Weights of the density's second differences, tried in this order on samples held out."""

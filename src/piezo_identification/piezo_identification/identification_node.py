@@ -5,6 +5,10 @@ import json
 from pathlib import Path
 
 from piezo_interfaces.action import Identify, PlayWaveform, RunExperiment
+from rclpy.lifecycle import LifecycleNode
+
+from piezo_identification.experiments import EXPERIMENTS, StageLimits, named_experiment
+from piezo_identification.identify import IdentificationCancelled, identify
 from piezo_models.model_file import save_model
 from piezo_node_tools.calls import ActionCaller, Cancelled
 from piezo_node_tools.goals import GoalServers
@@ -12,10 +16,6 @@ from piezo_node_tools.parameters import declare
 from piezo_node_tools.recording import RecorderCaller
 from piezo_node_tools.spinning import run_node
 from piezo_recorder.reader import read_recording
-from rclpy.lifecycle import LifecycleNode
-
-from piezo_identification.experiments import EXPERIMENTS, StageLimits, named_experiment
-from piezo_identification.identify import IdentificationCancelled, identify
 
 # Of the identify action: what the experiments take of it, the rest are the estimators.
 EXPERIMENTS_FRACTION = 0.5

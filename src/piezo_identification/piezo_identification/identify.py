@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """From recordings to a model: the whole sequence of estimators."""
 
-from piezo_models.cascade import StageModel
-from piezo_models.model_file import IdentifiedModel
-from piezo_recorder.reader import sha256_of
-
 from piezo_identification.creep import estimate_creep
 from piezo_identification.dynamics import estimate_dynamics
 from piezo_identification.hysteresis import estimate_hysteresis
 from piezo_identification.prediction import unseen_errors
+from piezo_models.cascade import StageModel
+from piezo_models.model_file import IdentifiedModel
+from piezo_recorder.reader import sha256_of
 
 
 class IdentificationCancelled(Exception):

@@ -5,10 +5,9 @@ import argparse
 import sys
 from pathlib import Path
 
+from piezo_identification.identify import identify
 from piezo_models.model_file import save_model
 from piezo_recorder.reader import read_recording
-
-from piezo_identification.identify import identify
 
 EXPERIMENTS = {
     "creep": "long square wave",

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import control
 import numpy as np
-from piezo_models.linear import equilibrium_state, simulate_linear, zoh
-from piezo_models.measures import e_y_percent
 
 from piezo_identification.settling import settling_time_s
 from piezo_identification.waveforms import played, samples_per_mean, turning_points
+from piezo_models.linear import equilibrium_state, simulate_linear, zoh
+from piezo_models.measures import e_y_percent
 
 SLOW_BRANCH_S = 0.05
 """A way between two reversals that takes longer shows hysteresis, a shorter one dynamics."""

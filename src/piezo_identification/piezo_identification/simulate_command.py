@@ -5,11 +5,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from piezo_models.model_file import load_model
-from piezo_recorder.reader import read_recording
-
 from piezo_identification.prediction import predict
 from piezo_identification.prediction_pictures import draw_displacement, draw_loops
+from piezo_models.model_file import load_model
+from piezo_recorder.reader import read_recording
 
 
 def main(arguments=None):

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+
 from piezo_models.cascade import StageModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.preisach import PreisachModel

@@ -3,11 +3,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+from piezo_identification import experiments
 from piezo_identification.creep import estimate_creep
 from piezo_identification.waveforms import played
 from piezo_models.linear import ElectricVibrationDynamics
-
-from piezo_identification import experiments
 
 CLOCK_HZ = 2000.0
 FREQUENCY_HZ = np.geomspace(0.002, 10.0, 30)

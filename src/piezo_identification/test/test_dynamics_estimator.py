@@ -3,6 +3,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
+from piezo_identification import experiments
 from piezo_identification.dynamics import (
     estimate_dynamics,
     free_decay_poles,
@@ -10,8 +12,6 @@ from piezo_identification.dynamics import (
     remove_creep,
 )
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, simulate_linear, zoh
-
-from piezo_identification import experiments
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])

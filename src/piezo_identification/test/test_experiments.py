@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
 import pytest
-from piezo_identification.experiments import StageLimits, named_experiment
 
 from piezo_identification import experiments
+from piezo_identification.experiments import StageLimits, named_experiment
 
 
 @pytest.mark.parametrize("name", experiments.EXPERIMENTS)

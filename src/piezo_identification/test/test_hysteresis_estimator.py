@@ -3,6 +3,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
+
+from piezo_identification import experiments
 from piezo_identification.hysteresis import (
     density_interpolation,
     estimate_hysteresis,
@@ -11,9 +14,6 @@ from piezo_identification.hysteresis import (
 from piezo_identification.nonnegative import nonnegative_minimum
 from piezo_identification.waveforms import played
 from piezo_models.preisach import PreisachModel
-from scipy.optimize import nnls
-
-from piezo_identification import experiments
 
 LEVELS = 28
 CLOCK_HZ = 4000.0

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
 import pytest
+
+from piezo_identification import experiments
 from piezo_identification.identify import IdentificationCancelled, identify
 from piezo_identification.identify_command import main as identify_main
 from piezo_identification.simulate_command import main as simulate_main
 from piezo_identification.waveforms import played
 from piezo_models.model_file import load_model
 from piezo_recorder.reader import read_recording, sha256_of
-
-from piezo_identification import experiments
 
 HEADER = "time_s,voltage_v,displacement_um"
 NAMES = ("creep", "dynamics", "hysteresis", "validation")

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
 import pytest
-from piezo_identification.prediction import mean_zoh, predict, slow_branches, unseen_errors
-from piezo_models.linear import simulate_linear, zoh
 
 from piezo_identification import experiments
+from piezo_identification.prediction import mean_zoh, predict, slow_branches, unseen_errors
+from piezo_models.linear import simulate_linear, zoh
 
 
 def test_the_mean_of_held_periods_is_that_of_the_samples_in_them(plant):

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
 import pytest
-from piezo_identification.waveforms import sample_by_voltage, turning_points
-from piezo_models.relay_grid import activation_matrix
 
 from piezo_identification import experiments
+from piezo_identification.waveforms import sample_by_voltage, turning_points
+from piezo_models.relay_grid import activation_matrix
 
 
 @pytest.mark.parametrize("level_count", [4, 10, 70])

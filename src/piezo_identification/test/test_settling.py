@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
 import pytest
+
 from piezo_identification.settling import low_frequency_delay_s, settling_time_s
 from piezo_models.linear import ElectricVibrationDynamics, simulate_linear, zoh
 

@@ -9,14 +9,14 @@ import time
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from piezo_node_tools.parameters import declare
-from piezo_node_tools.quality import SAMPLES
-from piezo_node_tools.spinning import run_node
+from piezo_interfaces.srv import StartRecording, StopRecording
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.task import Future
 
-from piezo_interfaces.srv import StartRecording, StopRecording
+from piezo_node_tools.parameters import declare
+from piezo_node_tools.quality import SAMPLES
+from piezo_node_tools.spinning import run_node
 from piezo_recorder import sample_block
 from piezo_recorder.message_definition import installed_definition
 from piezo_recorder.sample_block import SampleCount

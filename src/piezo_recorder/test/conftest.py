@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
 from piezo_recorder.message_definition import MessageDefinition
 from piezo_recorder.sample_block import TYPE_NAME, Flag
 from piezo_recorder.writer import RecordingWriter
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 MESSAGE_FILE = Path(__file__).parents[2] / "piezo_interfaces" / "msg" / "SampleBlock.msg"
 

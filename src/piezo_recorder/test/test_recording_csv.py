@@ -2,6 +2,7 @@
 import hashlib
 
 import pytest
+
 from piezo_recorder.reader import RecordingError, read_recording, sha256_of
 
 HEADER = "time_s,voltage_v,displacement_um"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from piezo_recorder.reader import RecordingError, read_recording
 from piezo_recorder.writer import RecordingWriter
 

@@ -2,8 +2,9 @@
 import json
 
 import pytest
-from piezo_recorder.message_definition import installed_definition
 from rosbags.typesys import get_types_from_msg
+
+from piezo_recorder.message_definition import installed_definition
 
 OUTER = """# keeps its comments
 uint32 LIMIT=3       # not/a_type

@@ -10,10 +10,11 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from rosbags.highlevel import AnyReader
+
 from piezo_recorder.reader import RecordingError, read_recording, sha256_of
 from piezo_recorder.sample_block import TYPE_NAME, Flag
 from piezo_recorder.writer import RecordingWriter
-from rosbags.highlevel import AnyReader
 
 TOPIC = "/stage/samples"
 MESSAGE_FILE = Path(__file__).parents[2] / "piezo_interfaces" / "msg" / "SampleBlock.msg"

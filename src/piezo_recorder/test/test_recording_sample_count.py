@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from piezo_recorder.sample_block import SampleCount, block_span
 
 

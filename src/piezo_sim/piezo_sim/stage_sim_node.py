@@ -5,13 +5,13 @@ import array
 
 import numpy as np
 from piezo_interfaces.msg import SampleBlock
+
 from piezo_node_tools.parameters import declare
 from piezo_node_tools.quality import SAMPLES
 from piezo_node_tools.spinning import run_node
-from piezo_stage_driver.stage_node import StageNode
-
 from piezo_sim.backend import SimulatedStage
 from piezo_sim.paced import PacedStage
+from piezo_stage_driver.stage_node import StageNode
 
 GROUND_TRUTH_SAMPLES = 4000
 

@@ -12,8 +12,6 @@ from lifecycle_msgs.msg import State
 from piezo_interfaces.action import PlayWaveform
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
-from piezo_node_tools.parameters import declare
-from piezo_node_tools.quality import FEEDBACK, SAMPLES
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
@@ -22,6 +20,8 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from piezo_node_tools.parameters import declare
+from piezo_node_tools.quality import FEEDBACK, SAMPLES
 from piezo_stage_driver.engine import StageEngine
 from piezo_stage_driver.limits import VoltageLimits
 

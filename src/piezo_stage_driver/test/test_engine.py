@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from piezo_stage_driver.engine import (
     FLAG_FEEDBACK_HELD,
     FLAG_FEEDFORWARD_HELD,
