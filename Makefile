@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 SHELL := bash
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# The matrices are small: more threads only wait for each other.
+export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
 .PHONY: help setup demo test bench clean
