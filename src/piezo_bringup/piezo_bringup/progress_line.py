@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Progress on a terminal: one line that is written over, or a line per step in a log."""
+
+import shutil
+import sys
+import time
+
+REDRAW_PERIOD_S = 0.1
+BAR_WIDTH = 20
+
+
+class ProgressLine:
+    """Show what runs, how much of it is done and how long it will still take.
+
+    Parameters
+    ----------
+    stream : text stream
+        Where it is no terminal, each new step gets a line of its own and no bar.
+    """
+
+    def __init__(self, stream=None):
+        self._stream = stream or sys.stderr
+        self._overwrites = self._stream.isatty()
+        self._step = None
+        self._drawn_at = 0.0
+
+    def show(self, step, fraction, seconds_left=None):
+        """Show the state of a step; the seconds left where they are known."""
+        new = step != self._step
+        self._step = step
+        if not self._overwrites:
+            if new:
+                print(step, file=self._stream, flush=True)
+            return
+        if new or time.monotonic() - self._drawn_at >= REDRAW_PERIOD_S:
+            self._drawn_at = time.monotonic()
+            self._draw(progress_text(step, fraction, seconds_left))
+
+    def clear(self):
+        """Leave the line empty for what is printed next."""
+        self._step = None
+        if self._overwrites:
+            self._draw("")
+
+    def _draw(self, text):
+        width = shutil.get_terminal_size().columns - 1
+        self._stream.write("\r\x1b[K" + text[:width])
+        self._stream.flush()
+
+
+def progress_text(step, fraction, seconds_left):
+    """Return the text of the line."""
+    filled = round(BAR_WIDTH * min(max(fraction, 0.0), 1.0))
+    bar = "#" * filled + "." * (BAR_WIDTH - filled)
+    left = "" if seconds_left is None else f"{seconds_left:.0f} s left"
+    return f"[{bar}] {100 * fraction:3.0f} %  {left:>10}  {step}"

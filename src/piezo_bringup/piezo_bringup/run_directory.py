@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The directory of one run of the demo; what an earlier run left in its place is moved aside."""
+
+import json
+from datetime import datetime
+from pathlib import Path
+
+MARK = "run.json"
+
+
+def claim_directory(path, command):
+    """Make a directory for a run.
+
+    An empty directory is taken as it is. A directory of an earlier run is renamed to carry the time
+    that run began, so that no recording is ever overwritten.
+
+    Parameters
+    ----------
+    path : path-like
+    command : str
+        What the user typed, kept in the directory's ``run.json``.
+
+    Returns
+    -------
+    earlier : Path or None
+        Where the earlier run is now.
+
+    Raises
+    ------
+    ValueError
+        If the directory holds something that no earlier run made.
+    """
+    path = Path(path)
+    earlier = None
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        earlier = _free_sibling(path, _began(path))
+        path.rename(earlier)
+    path.mkdir(parents=True, exist_ok=True)
+    _write_mark(path, {"began": datetime.now().astimezone().isoformat(timespec="seconds"),
+                       "command": command})
+    return earlier
+
+
+def _began(path):
+    try:
+        return json.loads((path / MARK).read_text(encoding="utf-8"))["began"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ValueError(f"{path} holds something else than a run of the demo: "
+                         "name another directory with --output") from None
+
+
+def _free_sibling(path, began):
+    stem = f"{path.name}_{began[:19].replace(':', '-')}"
+    number, sibling = 1, path.with_name(stem)
+    while sibling.exists():
+        number += 1
+        sibling = path.with_name(f"{stem}_{number}")
+    return sibling
+
+
+def _write_mark(path, content):
+    (path / MARK).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
