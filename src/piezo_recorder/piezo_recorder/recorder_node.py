@@ -114,8 +114,8 @@ class Recorder(LifecycleNode):
         self._create_waiting_service(
             StopRecording, "recorder/stop_recording", self._stop_recording)
         if self.get_parameter("autostart").value:
-            self.trigger_configure()
-            self.trigger_activate()
+            if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+                self.trigger_activate()
 
     # --- Lifecycle
 
