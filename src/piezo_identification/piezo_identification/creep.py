@@ -5,6 +5,12 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from piezo_identification.estimate import (
+    Estimate,
+    creep_of_partial_fractions,
+    order_trial,
+    parameter_covariance,
+)
 from piezo_identification.settling import low_frequency_delay_s, settling_time_s
 from piezo_identification.waveforms import played, samples_per_mean, square_wave
 from piezo_models.linear import CreepDynamics
@@ -40,7 +46,8 @@ def estimate_creep(recording, dynamics=None, pair_count=None):
 
     Returns
     -------
-    CreepDynamics
+    Estimate
+        Its model is a `CreepDynamics`; its order counts pairs of pole and zero.
 
     Raises
     ------
@@ -49,33 +56,21 @@ def estimate_creep(recording, dynamics=None, pair_count=None):
     """
     record = _CreepRecord(played(recording), dynamics)
     rates = np.empty(0)
-    best, least = None, record.information(rates)
-    for count in range(1, (pair_count or MOST_PAIRS) + 1):
+    best, trials = rates, [record.trial(rates)]
+    for _ in range(pair_count or MOST_PAIRS):
         rates = record.refine(np.append(rates, record.best_further_rate(rates)))
-        gains = record.creep_gains(rates)
-        information = record.information(rates)
-        shown = gains.min() > 0.0 and rates.max() < 0.99 * record.fastest
-        if pair_count is None and (information >= least or not shown):
+        trials.append(record.trial(rates))
+        better = trials[-1].information < min(trial.information for trial in trials[:-1])
+        if pair_count is None and (trials[-1].refusal or not better):
             break
-        if shown:
-            best, least = (rates, gains), information
-        elif count == pair_count:
-            raise ValueError(
-                f"{recording.path} does not show {pair_count} pairs of creep poles and zeros: "
-                "ask for fewer, or record longer"
-            )
-    if best is None:
-        return CreepDynamics((), ())
-    return _dynamics(*best)
-
-
-def _dynamics(rates, gains):
-    """Creep 1 + sum g p / (s + p) as poles and zeros; the symmetric form keeps its zeros real."""
-    order = np.argsort(rates)
-    rates, gains = rates[order], gains[order]
-    coupling = np.sqrt(gains * rates)
-    zeros = np.linalg.eigvalsh(np.diag(rates) + np.outer(coupling, coupling))
-    return CreepDynamics(tuple(rates.tolist()), tuple(zeros.tolist()))
+        best = rates
+    if pair_count is not None and trials[-1].refusal:
+        raise ValueError(
+            f"{recording.path} does not show {pair_count} pairs of creep poles and zeros "
+            f"({trials[-1].refusal}): ask for fewer, or record longer"
+        )
+    model, standard_deviations = record.creep(best)
+    return Estimate(model, standard_deviations, best.size, tuple(trials), pair_count is not None)
 
 
 class _CreepRecord:
@@ -148,16 +143,38 @@ class _CreepRecord:
         coefficients = np.linalg.lstsq(basis, self.displacement, rcond=1e-12)[0]
         return coefficients, self.displacement - basis @ coefficients
 
-    def creep_gains(self, rates):
-        """Low-frequency gain of each exponential relative to the immediate gain."""
-        coefficients = self._fit(rates)[0]
-        return coefficients[2 : 2 + rates.size] / coefficients[1]
+    def creep(self, rates):
+        """Model with these rates, and its standard deviations."""
+        if rates.size == 0:
+            return CreepDynamics(), {"poles_rad_per_s": (), "zeros_rad_per_s": ()}
+        coefficients, residual = self._fit(rates)
+        gains = coefficients[2 : 2 + rates.size] / coefficients[1]
+        basis = self._basis(rates)
+        by_rate = np.empty((residual.size, rates.size))
+        for i, rate in enumerate(rates):
+            step = 1e-5 * rate * np.eye(rates.size)[i]
+            difference = self._basis(rates + step) - self._basis(rates - step)
+            by_rate[:, i] = difference @ coefficients / (2e-5 * rate)
+        covariance = parameter_covariance(np.column_stack([by_rate, basis]), residual)
+        # Of the coefficients, only the gains relative to the immediate one are physical.
+        relative = np.zeros((2 * rates.size, covariance.shape[0]))
+        relative[: rates.size, : rates.size] = np.eye(rates.size)
+        relative[rates.size :, rates.size + 1] = -gains / coefficients[1]
+        relative[rates.size :, rates.size + 2 : 2 * rates.size + 2] = (
+            np.eye(rates.size) / coefficients[1]
+        )
+        return creep_of_partial_fractions(rates, gains, relative @ covariance @ relative.T)
 
-    def information(self, rates):
-        """Bayesian information criterion of the fit with these rates."""
-        residual = self._fit(rates)[1]
-        parameters = 2 + 3 * rates.size
-        return residual.size * np.log(np.mean(residual**2)) + parameters * np.log(residual.size)
+    def trial(self, rates):
+        """How well these rates do, and whether they can be creep at all."""
+        coefficients, residual = self._fit(rates)
+        gains = coefficients[2 : 2 + rates.size] / coefficients[1]
+        refusal = ""
+        if gains.min(initial=np.inf) <= 0.0:
+            refusal = "a gain is not positive"
+        elif rates.max(initial=0.0) >= 0.99 * self.fastest:
+            refusal = "a rate is as fast as the sampling"
+        return order_trial(rates.size, residual, 2 + 3 * rates.size, refusal)
 
     def best_further_rate(self, rates):
         """Rate that, added to the others, explains most."""

@@ -5,6 +5,14 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter, lfilter_zi
 
+from piezo_identification.estimate import (
+    Estimate,
+    dynamics_of_vector,
+    dynamics_vector,
+    order_trial,
+    parameter_covariance,
+    split_dynamics_vector,
+)
 from piezo_identification.waveforms import played, samples_per_mean, square_wave
 from piezo_models.linear import (
     ElectricVibrationDynamics,
@@ -43,7 +51,9 @@ def estimate_dynamics(recording, creep, mode_count=None):
 
     Returns
     -------
-    ElectricVibrationDynamics
+    Estimate
+        Its model is an `ElectricVibrationDynamics`; its order counts modes. The creep is taken for
+        exact in the standard deviations.
 
     Raises
     ------
@@ -51,19 +61,59 @@ def estimate_dynamics(recording, creep, mode_count=None):
         If the recording has gaps, is no square wave, is averaged, or is too short.
     """
     record = _DynamicsRecord(recording, creep)
-    if mode_count is not None:
-        return record.fit(mode_count)[0]
-    best, least = record.fit(0)
-    for count in range(1, MOST_MODES + 1):
-        dynamics, information = record.fit(count)
-        if information >= least:
+    return fit_output_error(
+        record.respond, record.measured_um, record.fixed, record.start, mode_count
+    )
+
+
+def fit_output_error(respond, measured_um, fixed, start, mode_count=None):
+    """Electric and vibration dynamics (4.3) of least output error.
+
+    Parameters
+    ----------
+    respond : callable
+        Response (N,) of dynamics to the input of the record.
+    measured_um : ndarray, shape (N,)
+        Creep taken off.
+    fixed : ndarray, shape (N, K)
+        What else the output may hold, such as an offset; fitted linearly, as is the gain.
+    start : callable
+        Dynamics of a number of modes from which to begin.
+    mode_count : int, optional
+        By default as many as the Bayesian information criterion justifies.
+
+    Returns
+    -------
+    Estimate
+    """
+    def residual(logarithms):
+        model = dynamics_of_vector(np.exp(logarithms), (logarithms.size - 1) // 2)
+        basis = np.column_stack([respond(model), fixed])
+        return measured_um - basis @ np.linalg.lstsq(basis, measured_um, rcond=1e-12)[0]
+
+    best, trials = None, []
+    for count in range(MOST_MODES + 1) if mode_count is None else [mode_count]:
+        logarithms = np.log(dynamics_vector(start(count)))
+        solution = least_squares(
+            residual, logarithms, xtol=1e-10, ftol=1e-12, max_nfev=40,
+            bounds=(logarithms - SEARCH_WIDTH, logarithms + SEARCH_WIDTH),
+        )
+        parameters = solution.x.size + 1 + fixed.shape[1]
+        trials.append(order_trial(count, solution.fun, parameters))
+        if best is not None and trials[-1].information >= trials[-2].information:
             break
-        best, least = dynamics, information
-    return best
+        best = (count, solution, parameters)
+    count, solution, parameters = best
+    vector = np.exp(solution.x)
+    spread = np.sqrt(np.diag(parameter_covariance(solution.jac, solution.fun, parameters)))
+    return Estimate(
+        dynamics_of_vector(vector, count), split_dynamics_vector(vector * spread, count), count,
+        tuple(trials), mode_count is not None,
+    )
 
 
 class _DynamicsRecord:
-    """The mean period of the record without creep, and the fit of models to it."""
+    """The mean period of the record without creep, and the response of models to it."""
 
     def __init__(self, recording, creep):
         part = played(recording)
@@ -99,27 +149,15 @@ class _DynamicsRecord:
         # Both half periods are one free decay, but for offset and sign.
         self.decay_um = self.measured_um[1:count] - self.measured_um[half + 1 : half + count]
 
-    def fit(self, mode_count):
-        """Dynamics of least output error, and the Bayesian information criterion."""
-        poles = free_decay_poles(self.decay_um, self.period_s, 2 * mode_count + 1)
-        start = _dynamics_of_poles(poles)
-        logarithms = np.log([start.time_constant_s, *start.mode_frequencies_rad_per_s,
-                             *start.damping_ratios])
-        solution = least_squares(
-            self._residual, logarithms, xtol=1e-10, ftol=1e-12, max_nfev=40,
-            bounds=(logarithms - SEARCH_WIDTH, logarithms + SEARCH_WIDTH),
+    def start(self, mode_count):
+        """Dynamics of the free decay, found by subspace."""
+        return dynamics_of_poles(
+            free_decay_poles(self.decay_um, self.period_s, 2 * mode_count + 1)
         )
-        information = self.length * np.log(2.0 * solution.cost / self.length) + (
-            solution.x.size * np.log(self.length)
-        )
-        return _dynamics_of_parameters(np.exp(solution.x)), information
 
-    def _residual(self, logarithms):
-        model = _dynamics_of_parameters(np.exp(logarithms)).state_space()
-        basis = np.column_stack([periodic_response(zoh(model, self.period_s), self.level),
-                                 self.fixed])
-        coefficients = np.linalg.lstsq(basis, self.measured_um, rcond=1e-12)[0]
-        return self.measured_um - basis @ coefficients
+    def respond(self, dynamics):
+        """Response of the dynamics to the mean period."""
+        return periodic_response(zoh(dynamics.state_space(), self.period_s), self.level)
 
 
 def remove_creep(signal, creep, sample_period_s):
@@ -199,16 +237,19 @@ def free_decay_poles(decay, sample_period_s, order):
     return np.log(discrete) / sample_period_s
 
 
-def _dynamics_of_parameters(parameters):
-    """Time constant, frequencies, dampings in one vector."""
-    modes = (len(parameters) - 1) // 2
-    return ElectricVibrationDynamics(
-        parameters[0], tuple(parameters[1 : 1 + modes]), tuple(parameters[1 + modes :])
-    )
+def dynamics_of_poles(poles):
+    """Electric lag and modes with given poles.
 
+    Parameters
+    ----------
+    poles : ndarray of complex, shape (1 + 2 modes,)
+        In rad/s, closed under conjugation. Unstable ones are taken for their stable mirror image;
+        real ones beyond the electric lag pair up to overdamped modes.
 
-def _dynamics_of_poles(poles):
-    """Physical parameters; real poles beyond the electric one pair up to overdamped modes."""
+    Returns
+    -------
+    ElectricVibrationDynamics
+    """
     mode_count = (poles.size - 1) // 2
     # What noise made unstable starts as its stable mirror image.
     poles = -np.abs(poles.real) - 1.0 + 1j * poles.imag

@@ -49,13 +49,14 @@ def identify(creep, dynamics, hysteresis, validation=None, progress=None, cancel
             progress(stage, fraction)
 
     begin("creep", 0.0)
-    creep_model = estimate_creep(creep)
+    creep_model = estimate_creep(creep).model
     begin("dynamics", 0.2)
-    dynamics_model = estimate_dynamics(dynamics, creep_model)
+    dynamics_model = estimate_dynamics(dynamics, creep_model).model
     begin("creep beside the dynamics", 0.3)
-    creep_model = estimate_creep(creep, dynamics_model)
+    creep_estimate = estimate_creep(creep, dynamics_model)
     begin("dynamics beside the creep", 0.5)
-    dynamics_model = estimate_dynamics(dynamics, creep_model)
+    dynamics_estimate = estimate_dynamics(dynamics, creep_estimate.model)
+    creep_model, dynamics_model = creep_estimate.model, dynamics_estimate.model
     begin("hysteresis", 0.6)
     hysteresis_model = estimate_hysteresis(hysteresis, creep_model, dynamics_model)
     model = StageModel(hysteresis_model, creep_model, dynamics_model)
@@ -75,6 +76,10 @@ def identify(creep, dynamics, hysteresis, validation=None, progress=None, cancel
             {"path": str(recording.path), "sha256": sha256_of(recording.path)}
             for recording in used
         ],
+        uncertainties={
+            "creep": creep_estimate.standard_deviations,
+            "dynamics": dynamics_estimate.standard_deviations,
+        },
     )
     begin("done", 1.0)
     return identified

@@ -16,7 +16,7 @@ from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, simula
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
 def test_time_constant_and_modes_are_recovered_through_noise(plant, play, seed):
-    estimate = estimate_dynamics(play(experiments.dynamics(), seed), plant.creep)
+    estimate = estimate_dynamics(play(experiments.dynamics(), seed), plant.creep).model
     assert estimate.time_constant_s == pytest.approx(0.00049, rel=1e-3)
     assert estimate.mode_frequencies_rad_per_s[0] == pytest.approx(2846.0, rel=5e-4)
     assert estimate.mode_frequencies_rad_per_s[1] == pytest.approx(4909.0, rel=1e-4)
@@ -28,7 +28,7 @@ def test_creep_left_from_before_does_not_disturb(plant, play):
     memory = plant.memory()
     plant.simulate(np.full(40_000, 120.0), 1e-3, memory)
     recording = play(experiments.dynamics(), memory=memory, noise_um=0.0)
-    estimate = estimate_dynamics(recording, plant.creep)
+    estimate = estimate_dynamics(recording, plant.creep).model
     assert estimate.time_constant_s == pytest.approx(0.00049, rel=1e-5)
     assert estimate.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=1e-5)
 
@@ -40,7 +40,7 @@ def test_creep_left_from_before_does_not_disturb(plant, play):
 ])
 def test_the_number_of_modes_is_that_of_the_plant(plant, play, truth):
     recording = play(experiments.dynamics(), 1, stage=replace(plant, dynamics=truth))
-    estimate = estimate_dynamics(recording, plant.creep)
+    estimate = estimate_dynamics(recording, plant.creep).model
     assert estimate.time_constant_s == pytest.approx(truth.time_constant_s, rel=2e-3)
     assert estimate.mode_frequencies_rad_per_s == pytest.approx(
         truth.mode_frequencies_rad_per_s, rel=1e-3

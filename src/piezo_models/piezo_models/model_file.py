@@ -42,6 +42,8 @@ class IdentifiedModel:
         Where the model came from.
     created : str
         Time of creation, ISO 8601; now by default.
+    uncertainties : dict of str to dict
+        Standard deviations under "creep" and "dynamics", in names and shapes those of the model.
     """
 
     model: StageModel
@@ -50,6 +52,7 @@ class IdentifiedModel:
     errors: dict = field(default_factory=dict)
     recordings: list = field(default_factory=list)
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    uncertainties: dict = field(default_factory=dict)
 
 
 def save_model(path, identified):
@@ -128,6 +131,9 @@ def _document(identified):
     model = identified.model
     hysteresis, dynamics = model.hysteresis, model.dynamics
     density = hysteresis.density_um_per_v2
+    uncertainties = (
+        {"uncertainties": _plain(identified.uncertainties)} if identified.uncertainties else {}
+    )
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -149,6 +155,7 @@ def _document(identified):
             ),
             "antiresonance_damping_ratios": list(dynamics.antiresonance_damping_ratios),
         },
+        **uncertainties,
         "hysteresis": {
             "voltage_min_v": hysteresis.voltage_min_v,
             "voltage_max_v": hysteresis.voltage_max_v,
@@ -159,9 +166,11 @@ def _document(identified):
 
 
 def _plain(value):
-    """Numbers of NumPy as plain ones, in dicts of any depth."""
+    """Numbers of NumPy as plain ones and tuples as lists, in dicts of any depth."""
     if isinstance(value, dict):
         return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
     return value.item() if isinstance(value, np.generic) else value
 
 
@@ -221,6 +230,7 @@ class _Reader:
             "creep",
             "dynamics",
             "hysteresis",
+            optional=("uncertainties",),
         )
         low, high = self.numbers(top["voltage_range_v"], "voltage_range_v", length=2)
         if not low < high:
@@ -242,7 +252,27 @@ class _Reader:
             errors=self.number_tree(top["errors"], "errors"),
             recordings=self.recordings(top["recordings"]),
             created=top["created"],
+            uncertainties=self.uncertainties(top),
         )
+
+    def uncertainties(self, top):
+        """Standard deviations of each part, in the shape of its parameters."""
+        if "uncertainties" not in top:
+            return {}
+        value = top["uncertainties"]
+        parts = self.fields(value, "uncertainties.", optional=("creep", "dynamics"))
+        for part, deviations in parts.items():
+            names = tuple(top[part])
+            fields = self.fields(deviations, f"uncertainties.{part}.", *names)
+            for name, deviation in fields.items():
+                path, parameter = f"uncertainties.{part}.{name}", top[part][name]
+                if isinstance(parameter, list):
+                    numbers = self.numbers(deviation, path, length=len(parameter))
+                else:
+                    numbers = [self.number(deviation, path)]
+                if min(numbers, default=0.0) < 0.0:
+                    self.refuse(path, "is negative", "give standard deviations")
+        return value
 
     def hysteresis(self, value):
         fields = self.fields(
@@ -303,15 +333,15 @@ class _Reader:
         except ValueError as error:
             raise ModelFileError(f"{self.path}: {name}: {error}") from error
 
-    def fields(self, value, prefix, *names):
-        """The object itself, once it has exactly these fields."""
+    def fields(self, value, prefix, *names, optional=()):
+        """The object itself, once it has exactly these fields, and optional ones or not."""
         if not isinstance(value, dict):
             self.refuse(prefix.rstrip("."), "is not an object", "save the model again")
         for name in names:
             if name not in value:
                 self.refuse(f"{prefix}{name}", "is missing", "save the model again")
         for name in value:
-            if name not in names:
+            if name not in (*names, *optional):
                 self.refuse(f"{prefix}{name}", "is unknown to this version", "remove it")
         return value
 

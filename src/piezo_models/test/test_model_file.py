@@ -215,3 +215,43 @@ def test_saved_file_is_as_readable_as_any_new_file(path, tmp_path):
     plain = tmp_path / "plain"
     plain.touch()
     assert path.stat().st_mode == plain.stat().st_mode
+
+
+def test_uncertainties_come_back_in_the_shape_of_the_parameters(identified, tmp_path):
+    creep, dynamics = identified.model.creep, identified.model.dynamics
+    identified.uncertainties = {
+        "creep": {
+            "poles_rad_per_s": tuple(1e-3 * p for p in creep.poles_rad_per_s),
+            "zeros_rad_per_s": [1e-3 * z for z in creep.zeros_rad_per_s],
+        },
+        "dynamics": {
+            "time_constant_s": np.float64(1e-6),
+            "mode_frequencies_rad_per_s": [0.5] * len(dynamics.mode_frequencies_rad_per_s),
+            "damping_ratios": [1e-3] * len(dynamics.damping_ratios),
+            "antiresonance_frequencies_rad_per_s": [],
+            "antiresonance_damping_ratios": [],
+        },
+    }
+    save_model(tmp_path / "m.json", identified)
+    loaded = load_model(tmp_path / "m.json").uncertainties
+    assert loaded["dynamics"]["time_constant_s"] == 1e-6
+    assert loaded["creep"]["zeros_rad_per_s"] == identified.uncertainties["creep"][
+        "zeros_rad_per_s"
+    ]
+
+
+@pytest.mark.parametrize(("edit", "named"), [
+    (lambda u: u["creep"].pop("zeros_rad_per_s"), "uncertainties.creep.zeros_rad_per_s is missing"),
+    (lambda u: u["creep"]["zeros_rad_per_s"].append(1.0), "uncertainties.creep.zeros_rad_per_s is"),
+    (lambda u: u["creep"]["zeros_rad_per_s"].__setitem__(0, -1.0), "is negative"),
+    (lambda u: u.update(hysteresis={}), "uncertainties.hysteresis is unknown"),
+])
+def test_uncertainties_that_do_not_fit_the_model_are_refused(path, edit, named):
+    def add(document):
+        document["uncertainties"] = {"creep": {
+            name: [0.1] * len(values) for name, values in document["creep"].items()
+        }}
+        edit(document["uncertainties"])
+    change(path, add)
+    with pytest.raises(ModelFileError, match=named):
+        load_model(path)
