@@ -16,7 +16,7 @@ from rclpy.task import Future
 
 from piezo_node_tools.parameters import declare
 from piezo_node_tools.quality import SAMPLES
-from piezo_node_tools.spinning import run_node
+from piezo_node_tools.spinning import autostart, run_node
 from piezo_recorder import sample_block
 from piezo_recorder.message_definition import installed_definition
 from piezo_recorder.sample_block import SampleCount
@@ -102,7 +102,6 @@ class Recorder(LifecycleNode):
         declare(self, "minimum_free_mb", 200,
                 "Free disk space (megabyte) below which a recording is refused or closed.",
                 0, 1_000_000_000, read_only=False)
-        declare(self, "autostart", True, "Configure and activate without being asked.")
         self._session = None
         self._definitions = {}
         self._subscriptions_by_topic = {}
@@ -113,9 +112,7 @@ class Recorder(LifecycleNode):
             StartRecording, "recorder/start_recording", self._start_recording)
         self._create_waiting_service(
             StopRecording, "recorder/stop_recording", self._stop_recording)
-        if self.get_parameter("autostart").value:
-            if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-                self.trigger_activate()
+        autostart(self)
 
     # --- Lifecycle
 

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from piezo_recorder.reader import RecordingError, read_recording
@@ -72,6 +72,7 @@ def closed_file(tmp_path_factory, sample_blocks):
     return (path / "run_0.mcap").read_bytes(), read_recording(path).voltage_v
 
 
+@settings(deadline=None)
 @given(data=st.data())
 def test_a_file_cut_anywhere_gives_what_came_before_or_a_clear_error(
         tmp_path_factory, closed_file, data):

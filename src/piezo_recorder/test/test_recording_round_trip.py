@@ -8,7 +8,7 @@ import mcap.reader
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
@@ -97,6 +97,7 @@ def test_closing_twice_changes_nothing(tmp_path, ten_blocks, sample_blocks):
     assert len(read_recording(writer.path).voltage_v) == 40
 
 
+@settings(deadline=None, max_examples=50)
 @given(cuts=st.sets(st.integers(1, 399)))
 def test_any_split_into_blocks_gives_the_same_arrays(sample_blocks, cuts):
     voltage_v = np.linspace(-20, 120, 400)

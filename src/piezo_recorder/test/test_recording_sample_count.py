@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from piezo_recorder.sample_block import SampleCount, block_span
 
 
+@settings(deadline=None)
 @given(
     first_sample=st.integers(0, 2**63), samples=st.integers(0, 100),
     frame_id=st.text("abc/", max_size=20), stride=st.integers(1, 40_000))
