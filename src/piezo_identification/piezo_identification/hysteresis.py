@@ -123,9 +123,11 @@ def hysteresis_output_um(recording, creep, dynamics):
     ndarray, shape (N,)
         But for the decaying trace of the creep's initial state.
     """
+    displacement_um = recording.displacement_um
+    if dynamics.is_static:
+        return remove_creep(displacement_um, creep, recording.sample_period_s)
     # The hold lags half a sample, the mean leads half a sample less half a clock period.
     lead_s = low_frequency_delay_s(dynamics) + 0.5 / recording.sample_rate_hz
-    displacement_um = recording.displacement_um
     slope_um_per_s = np.gradient(displacement_um, recording.sample_period_s)
     return remove_creep(displacement_um + lead_s * slope_um_per_s, creep, recording.sample_period_s)
 

@@ -40,5 +40,7 @@ def settling_time_s(dynamics):
     -------
     float
     """
+    if dynamics.is_static:
+        return 0.0
     slowest_rad_per_s = -dynamics.state_space().poles().real.max()
     return -np.log(NEGLIGIBLE) / slowest_rad_per_s

@@ -19,3 +19,9 @@ def test_after_the_settling_time_a_step_response_stays_at_its_end(plant):
     settled = round(settling_time_s(plant.dynamics) / 25e-6)
     assert np.abs(response[settled:] - 1.0).max() < 1e-4
     assert np.abs(response[settled // 2 :] - 1.0).max() > 1e-4
+
+
+def test_without_dynamics_nothing_is_late():
+    static = ElectricVibrationDynamics()
+    assert low_frequency_delay_s(static) == 0.0
+    assert settling_time_s(static) == 0.0

@@ -60,22 +60,30 @@ class ElectricVibrationDynamics:
     Parameters
     ----------
     time_constant_s : float
-        Time constant of the electric lag, 1 / (tau s + 1).
+        Time constant of the electric lag, 1 / (tau s + 1); 0 for none.
     mode_frequencies_rad_per_s, damping_ratios : sequence of float
         One of each for a mode.
     antiresonance_frequencies_rad_per_s, antiresonance_damping_ratios : sequence of float, optional
         One of each for a pair of zeros; no more of them than modes.
+
+    Notes
+    -----
+    With a lag, or more modes than antiresonances, the dynamics are strictly proper: a displacement
+    does not know yet the voltage that is applied at its instant. Without any, as by default, they
+    pass that voltage on at once, which is what slow recordings of other stages show.
     """
 
-    time_constant_s: float
+    time_constant_s: float = 0.0
     mode_frequencies_rad_per_s: tuple = ()
     damping_ratios: tuple = ()
     antiresonance_frequencies_rad_per_s: tuple = ()
     antiresonance_damping_ratios: tuple = ()
 
     def __post_init__(self):
-        if not (np.isfinite(self.time_constant_s) and self.time_constant_s > 0):
-            raise ValueError(f"time_constant_s is {self.time_constant_s}; give a positive time")
+        if not (np.isfinite(self.time_constant_s) and self.time_constant_s >= 0):
+            raise ValueError(
+                f"time_constant_s is {self.time_constant_s}; give a positive time, or 0 for no lag"
+            )
         object.__setattr__(self, "time_constant_s", float(self.time_constant_s))
         for name in (
             "mode_frequencies_rad_per_s",
@@ -105,6 +113,11 @@ class ElectricVibrationDynamics:
                 "give no more antiresonances than modes"
             )
 
+    @property
+    def is_static(self):
+        """True if there is neither a lag nor a mode."""
+        return self.time_constant_s == 0.0 and not self.mode_frequencies_rad_per_s
+
     def _modes(self):
         """For each mode its w, zeta, and the pair of zeros that share its section, or None."""
         antiresonances = list(
@@ -121,8 +134,10 @@ class ElectricVibrationDynamics:
 
     def state_space(self):
         """Continuous `control.StateSpace`."""
-        rate = 1.0 / self.time_constant_s
-        sections = [([[-rate]], [[rate]], [[1.0]], [[0.0]])]
+        sections = []
+        if self.time_constant_s > 0.0:
+            rate = 1.0 / self.time_constant_s
+            sections.append(([[-rate]], [[rate]], [[1.0]], [[0.0]]))
         for w, zeta, antiresonance in self._modes():
             position, velocity, direct = 1.0, 0.0, 0.0
             if antiresonance is not None:

@@ -185,7 +185,7 @@ def test_zoh_response_is_the_same_across_blocks(thesis_dynamics):
         (lambda: CreepDynamics((1.0, 2.0), (1.0,)), "one zero for each pole"),
         (lambda: CreepDynamics((-1.0,), (1.0,)), "poles_rad_per_s"),
         (lambda: CreepDynamics((1.0,), (np.nan,)), "zeros_rad_per_s"),
-        (lambda: ElectricVibrationDynamics(0.0), "time_constant_s"),
+        (lambda: ElectricVibrationDynamics(-1e-3), "time_constant_s"),
         (lambda: ElectricVibrationDynamics(1e-3, (100.0,)), "damping ratios"),
         (lambda: ElectricVibrationDynamics(1e-3, (-100.0,), (0.1,)), "mode_frequencies"),
         (lambda: ElectricVibrationDynamics(1e-3, (), (), (10.0,), (0.1,)), "no more antireson"),
@@ -208,3 +208,25 @@ def test_mismatched_signals_are_refused(thesis_dynamics):
         simulate_linear(discrete, [[1.0]])
     with pytest.raises(ValueError, match="single input"):
         simulate_linear(control.append(discrete, discrete), [1.0])
+
+
+def test_without_lag_and_modes_the_dynamics_pass_the_voltage_on_at_once():
+    static = ElectricVibrationDynamics()
+    assert static.is_static
+    input_um = np.array([0.0, 3.0, -2.0])
+    np.testing.assert_array_equal(simulate_linear(zoh(static.state_space(), 1e-3), input_um),
+                                  input_um)
+    np.testing.assert_array_equal(static.response([0.0, 1e3]), [1.0, 1.0])
+    assert equilibrium_state(static.state_space(), 3.0).size == 0
+
+
+def test_a_mode_needs_no_lag():
+    dynamics = ElectricVibrationDynamics(0.0, (1000.0,), (0.1,))
+    assert not dynamics.is_static
+    system = dynamics.state_space()
+    assert system.nstates == 2
+    frequency_hz = np.array([1.0, 150.0, 400.0])
+    s = 2j * np.pi * frequency_hz
+    analytic = 1e6 / (s**2 + 200.0 * s + 1e6)
+    np.testing.assert_allclose(dynamics.response(frequency_hz), analytic, rtol=1e-12)
+    np.testing.assert_allclose(system(s), analytic, rtol=1e-12)
