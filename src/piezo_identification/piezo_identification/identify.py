@@ -5,7 +5,9 @@ from piezo_identification.creep import estimate_creep
 from piezo_identification.dynamics import estimate_dynamics
 from piezo_identification.hysteresis import estimate_hysteresis
 from piezo_identification.prediction import unseen_errors
+from piezo_identification.sensor_sign import displacement_falls, reversed_displacement
 from piezo_models.cascade import StageModel
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_file import IdentifiedModel
 from piezo_recorder.reader import sha256_of
 
@@ -14,16 +16,24 @@ class IdentificationCancelled(Exception):
     """The identification was cancelled from outside."""
 
 
-def identify(creep, dynamics, hysteresis, validation=None, progress=None, cancelled=None):
+def identify(
+    creep=None, dynamics=None, hysteresis=None, validation=None, progress=None, cancelled=None
+):
     """Identify a stage model step by step (thesis 4.5).
 
     Creep first, then the fast dynamics with the creep taken off; both once more, as each was a
-    small error to the other; then the hysteresis with all of them taken off.
+    small error to the other; then the hysteresis with all of them taken off. What no recording
+    shows is left out of the model: no creep, or dynamics that pass the voltage on at once.
+
+    Where the displacement falls as the voltage rises, the sensor counts the other way: the signs
+    of all displacements are changed, and the model's displacement rises with the voltage.
 
     Parameters
     ----------
-    creep, dynamics, hysteresis : Recording
+    creep, dynamics : Recording, optional
         Of the experiments of these names.
+    hysteresis : Recording
+        Of the hysteresis experiment.
     validation : Recording, optional
         Any other recording: the errors are measured on it.
     progress : callable, optional
@@ -38,48 +48,65 @@ def identify(creep, dynamics, hysteresis, validation=None, progress=None, cancel
     Raises
     ------
     ValueError
-        If a recording does not fit its purpose.
+        If a recording does not fit its purpose, or that of the hysteresis is not given.
     IdentificationCancelled
         If `cancelled` said so.
     """
+    if hysteresis is None:
+        raise ValueError("there is no recording of the hysteresis: give one, with or without others")
+    given = {"creep": creep, "dynamics": dynamics, "hysteresis": hysteresis,
+             "validation": validation}
+    given = {name: recording for name, recording in given.items() if recording is not None}
+    signed = given
+    if displacement_falls(hysteresis):
+        signed = {name: reversed_displacement(recording) for name, recording in given.items()}
+
     def begin(stage, fraction):
         if cancelled is not None and cancelled():
             raise IdentificationCancelled(f"identification cancelled before: {stage}")
         if progress is not None:
             progress(stage, fraction)
 
-    begin("creep", 0.0)
-    creep_model = estimate_creep(creep).model
-    begin("dynamics", 0.2)
-    dynamics_model = estimate_dynamics(dynamics, creep_model).model
-    begin("creep beside the dynamics", 0.3)
-    creep_estimate = estimate_creep(creep, dynamics_model)
-    begin("dynamics beside the creep", 0.5)
-    dynamics_estimate = estimate_dynamics(dynamics, creep_estimate.model)
-    creep_model, dynamics_model = creep_estimate.model, dynamics_estimate.model
+    creep_model, dynamics_model, uncertainties = _linear_dynamics(
+        signed.get("creep"), signed.get("dynamics"), begin
+    )
     begin("hysteresis", 0.6)
-    hysteresis_model = estimate_hysteresis(hysteresis, creep_model, dynamics_model)
+    hysteresis_model = estimate_hysteresis(signed["hysteresis"], creep_model, dynamics_model)
     model = StageModel(hysteresis_model, creep_model, dynamics_model)
     begin("validation", 0.95)
-    errors = unseen_errors(model, validation) if validation is not None else {}
-    recordings = {"creep": creep, "dynamics": dynamics, "hysteresis": hysteresis}
-    used = [*recordings.values(), *([validation] if validation is not None else [])]
+    errors = unseen_errors(model, signed["validation"]) if "validation" in signed else {}
     identified = IdentifiedModel(
         model=model,
         voltage_range_v=(hysteresis_model.voltage_min_v, hysteresis_model.voltage_max_v),
         sample_periods_s={
             name: recording.select(recording.playing).sample_period_s
-            for name, recording in recordings.items()
+            for name, recording in given.items() if name != "validation"
         },
         errors=errors,
         recordings=[
             {"path": str(recording.path), "sha256": sha256_of(recording.path)}
-            for recording in used
+            for recording in given.values()
         ],
-        uncertainties={
-            "creep": creep_estimate.standard_deviations,
-            "dynamics": dynamics_estimate.standard_deviations,
-        },
+        uncertainties=uncertainties,
     )
     begin("done", 1.0)
     return identified
+
+
+def _linear_dynamics(creep, dynamics, begin):
+    """Creep, dynamics, and their standard deviations, as far as there are recordings."""
+    creep_model, dynamics_model, uncertainties = CreepDynamics(), ElectricVibrationDynamics(), {}
+    # Where only one is recorded, there is nothing to go through twice.
+    passes = 2 if creep is not None and dynamics is not None else 1
+    for turn in range(passes):
+        if creep is not None:
+            begin("creep beside the dynamics" if turn else "creep", 0.3 * turn)
+            estimate = estimate_creep(creep, dynamics_model if turn else None)
+            creep_model = estimate.model
+            uncertainties["creep"] = estimate.standard_deviations
+        if dynamics is not None:
+            begin("dynamics beside the creep" if turn else "dynamics", 0.2 + 0.3 * turn)
+            estimate = estimate_dynamics(dynamics, creep_model)
+            dynamics_model = estimate.model
+            uncertainties["dynamics"] = estimate.standard_deviations
+    return creep_model, dynamics_model, uncertainties

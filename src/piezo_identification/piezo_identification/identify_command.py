@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from piezo_identification.identify import identify
+from piezo_identification.sensor_sign import displacement_falls
 from piezo_models.model_file import save_model
 from piezo_recorder.reader import read_recording
 
@@ -33,11 +34,12 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(
         prog="identify", description="Identify a stage model from recordings.",
         epilog="FILE is a recording (a rosbag2 directory or an .mcap), or a CSV with the header "
-        "time_s,voltage_v,displacement_um whose rows are samples at their instants.",
+        "time_s,voltage_v,displacement_um whose rows are samples at their instants. Without "
+        "--creep the model does not creep; without --dynamics it answers at once.",
     )
     for name, help_text in EXPERIMENTS.items():
         parser.add_argument(f"--{name}", metavar="FILE", type=Path, help=help_text,
-                            required=name != "validation")
+                            required=name == "hysteresis")
     parser.add_argument("--output", metavar="MODEL", type=Path, required=True,
                         help="model file to write")
     options = parser.parse_args(arguments)
@@ -58,6 +60,8 @@ def _identify(paths, output):
         if path is not None:
             print(f"reading {path}", flush=True)
             recordings[name] = read_recording(path)
+    if displacement_falls(recordings["hysteresis"]):
+        print("the displacement falls as the voltage rises: its sign is changed throughout")
     identified = identify(**recordings, progress=_print_progress)
     save_model(output, identified)
     _print_summary(identified)

@@ -30,6 +30,11 @@ class Prediction:
     measured_um: np.ndarray
     simulated_um: np.ndarray
 
+    @property
+    def is_reversed(self):
+        """True if the measured displacement moves against the simulated one."""
+        return bool(np.dot(self.measured_um - self.measured_um.mean(), self.simulated_um) < 0.0)
+
     def e_y_percent(self, part=slice(None)):
         """Relative error (4.20) by the sensor, offset removed, of the whole or of a part."""
         return e_y_percent(self.measured_um[part], self.simulated_um[part])

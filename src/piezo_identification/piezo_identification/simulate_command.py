@@ -7,6 +7,7 @@ from pathlib import Path
 
 from piezo_identification.prediction import predict
 from piezo_identification.prediction_pictures import draw_displacement, draw_loops
+from piezo_identification.sensor_sign import reversed_displacement
 from piezo_models.model_file import load_model
 from piezo_recorder.reader import read_recording
 
@@ -45,7 +46,11 @@ def main(arguments=None):
 
 def _simulate(model_path, data_path, directory):
     model = load_model(model_path).model
-    prediction = predict(model, read_recording(data_path))
+    recording = read_recording(data_path)
+    prediction = predict(model, recording)
+    if prediction.is_reversed:
+        print("the displacement moves against the model: its sign is changed")
+        prediction = predict(model, reversed_displacement(recording))
     print(f"e_y_percent {prediction.e_y_percent():.4g}")
     if directory is None:
         return

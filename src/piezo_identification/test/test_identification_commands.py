@@ -8,6 +8,7 @@ from piezo_identification.identify_command import main as identify_main
 from piezo_identification.simulate_command import main as simulate_main
 from piezo_identification.waveforms import played
 from piezo_models.model_file import load_model
+from piezo_models.preisach import PreisachModel
 from piezo_recorder.reader import read_recording, sha256_of
 
 HEADER = "time_s,voltage_v,displacement_um"
@@ -80,7 +81,7 @@ def test_cancelling_ends_the_work_before_the_next_stage(files):
     creep = read_recording(files["creep"])
     stages = []
     with pytest.raises(IdentificationCancelled):
-        identify(creep, dynamics=None, hysteresis=None, cancelled=lambda: len(stages) == 1,
+        identify(creep, None, hysteresis=creep, cancelled=lambda: len(stages) == 1,
                  progress=lambda stage, fraction: stages.append((stage, fraction)))
     assert stages == [("creep", 0.0)]
 
@@ -116,7 +117,61 @@ def test_simulate_refuses_a_missing_model(files, tmp_path, capsys):
     assert "none.json" in refusal(simulate_main, arguments, capsys)
 
 
-def test_simulate_refuses_damaged_data(model_file, tmp_path, capsys):
+@pytest.mark.parametrize("text, named", [
+    (f"{HEADER}\n0,0,0\n0.1,nan,0\n", "row 3: voltage_v is 'nan'"),
+    (f"{HEADER}\n0,0,0\n0.1,1,0\n0.2,2,0\n0.7,3,0\n", "row 5: time_s steps by 0.5 s"),
+    (f"{HEADER}\n0,0,0\n0.1,1\n", "row 3: 2 values"),
+    ("time_s,voltage_v\n0,0\n", "row 1: the column displacement_um is missing"),
+])
+def test_both_commands_name_the_row_of_damaged_data(text, named, files, model_file, tmp_path,
+                                                    capsys):
     data = tmp_path / "data.csv"
-    data.write_text(f"{HEADER}\n0,0,0\n0.1,nan,0\n")
-    assert "data.csv" in refusal(simulate_main, ["--model", model_file, "--data", data], capsys)
+    data.write_text(text)
+    simulated = ["--model", model_file, "--data", data]
+    identified = ["--hysteresis", data, "--output", tmp_path / "model.json"]
+    for main, arguments in ((simulate_main, simulated), (identify_main, identified)):
+        assert f"data.csv, {named}" in refusal(main, arguments, capsys)
+
+
+@pytest.fixture(scope="module")
+def slow_stage():
+    """A stage of another range, seen so slowly that it neither creeps nor rings."""
+    density = np.tril(0.001 + 0.004 * np.exp(-np.subtract.outer(range(80), range(80)) / 15.0))
+    return PreisachModel(-75.0, 75.0, density, 12.0)
+
+
+def slow_file(path, slow_stage, sign, reversals_v):
+    """Straight ways between reversals, as 0.2 s samples."""
+    voltage_v = np.concatenate([
+        np.linspace(start, end, 120, endpoint=False)
+        for start, end in zip(reversals_v[:-1], reversals_v[1:], strict=True)
+    ])
+    noise = np.random.default_rng(3).normal(scale=0.005, size=voltage_v.size)
+    displacement_um = sign * slow_stage.simulate(voltage_v) + noise
+    table = np.column_stack([3.0 + 0.2 * np.arange(voltage_v.size), voltage_v, displacement_um])
+    np.savetxt(path, table, fmt="%.6f", delimiter=",", header=HEADER, comments="")
+    return path
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_slow_recording_of_another_stage_is_enough(slow_stage, sign, tmp_path, capsys):
+    stairs_v = [v for top in np.linspace(-71.0, 75.0, 40) for v in (-75.0, top)]
+    fitted = slow_file(tmp_path / "fitted.csv", slow_stage, sign, [*stairs_v, -75.0])
+    unseen = slow_file(tmp_path / "unseen.csv", slow_stage, sign,
+                       [-75.0, 60.0, -40.0, 30.0, -10.0, 70.0, -60.0])
+    model = tmp_path / "model.json"
+    arguments = ["--hysteresis", str(fitted), "--output", str(model)]
+    assert identify_main(arguments) == 0
+    identified = load_model(model)
+    assert identified.model.dynamics.is_static
+    assert identified.model.creep.poles_rad_per_s == ()
+    assert ("its sign is changed" in capsys.readouterr().out) == (sign < 0)
+    assert simulate_main(["--model", str(model), "--data", str(unseen)]) == 0
+    *said, error = capsys.readouterr().out.splitlines()
+    assert ("its sign is changed" in "".join(said)) == (sign < 0)
+    assert float(error.split()[1]) < 0.3
+
+
+def test_identify_needs_the_hysteresis():
+    with pytest.raises(ValueError, match="no recording of the hysteresis"):
+        identify()
