@@ -53,7 +53,7 @@ def identify(
         If `cancelled` said so.
     """
     if hysteresis is None:
-        raise ValueError("there is no recording of the hysteresis: give one, with or without others")
+        raise ValueError("there is no recording of the hysteresis: give one")
     given = {"creep": creep, "dynamics": dynamics, "hysteresis": hysteresis,
              "validation": validation}
     given = {name: recording for name, recording in given.items() if recording is not None}
