@@ -5,7 +5,8 @@ import threading
 
 from rclpy.action import ActionClient
 
-CALL_TIMEOUT_S = 15.0
+# Long enough for a stage that is still compiling its simulation.
+CALL_TIMEOUT_S = 60.0
 POLL_S = 0.05
 
 
