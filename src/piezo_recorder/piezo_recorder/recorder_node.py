@@ -24,6 +24,9 @@ from piezo_recorder.writer import FLUSH_PERIOD_S, RecordingWriter
 
 DISCOVERY_TIMEOUT_S = 5.0
 ARRIVAL_TIMEOUT_S = 5.0
+# What belongs to the last sample may come behind it on other topics.
+QUIET_S = 0.02
+QUIET_TIMEOUT_S = 0.5
 POLL_PERIOD_S = 0.01
 DIAGNOSTICS_PERIOD_S = 1.0
 MEGABYTE = 1e6
@@ -45,6 +48,7 @@ class RecordingSession:
         self.writer = writer
         self.ended_early = ""
         self.closed = False
+        self._received_at = 0.0
         self._channels = {
             topic: writer.add_topic(topic, definition)
             for topic, definition in definitions.items()}
@@ -55,6 +59,11 @@ class RecordingSession:
     @property
     def path(self):
         return str(self.writer.path)
+
+    @property
+    def quiet(self):
+        """Whether nothing has come for a while."""
+        return time.monotonic() - self._received_at > QUIET_S
 
     @property
     def samples(self):
@@ -68,6 +77,7 @@ class RecordingSession:
 
     def receive(self, topic, data, time_ns):
         """Write one message and count its samples."""
+        self._received_at = time.monotonic()
         self.writer.write(self._channels[topic], data, time_ns)
         if topic in self._counts:
             self._counts[topic].add(data)
@@ -249,6 +259,7 @@ class Recorder(LifecycleNode):
                 lambda: session.closed or not session.missing_until(request.last_sample),
                 ARRIVAL_TIMEOUT_S)
             late = session.missing_until(request.last_sample)
+            await self._until(lambda: session.closed or session.quiet, QUIET_TIMEOUT_S)
         if not session.closed:
             self._end()
         if self._session is session:
