@@ -27,7 +27,7 @@ from piezo_node_tools.goals import GoalServers
 from piezo_node_tools.parameters import declare
 from piezo_node_tools.quality import FEEDBACK, SAMPLES
 from piezo_node_tools.recording import RecorderCaller
-from piezo_node_tools.spinning import run_node
+from piezo_node_tools.spinning import autostart, run_node
 
 MODES = ("open_loop", "feedforward", "composite")
 LONGEST_DURATION_S = 3600.0
@@ -54,9 +54,7 @@ class ControllerNode(LifecycleNode):
         self._recorder = RecorderCaller(self)
         self._goals = GoalServers(self)
         self._goals.serve(Track, "controller/track", self._track)
-        if declare(self, "autostart", True, "Configure and activate at start."):
-            self.trigger_configure()
-            self.trigger_activate()
+        autostart(self)
 
     def _declare_parameters(self):
         self._voltage_range_v = (

@@ -14,7 +14,7 @@ from piezo_node_tools.calls import ActionCaller, Cancelled
 from piezo_node_tools.goals import GoalServers
 from piezo_node_tools.parameters import declare
 from piezo_node_tools.recording import RecorderCaller
-from piezo_node_tools.spinning import run_node
+from piezo_node_tools.spinning import autostart, run_node
 from piezo_recorder.reader import read_recording
 
 # Of the identify action: what the experiments take of it, the rest are the estimators.
@@ -42,9 +42,7 @@ class IdentificationNode(LifecycleNode):
         self._goals = GoalServers(self)
         self._goals.serve(RunExperiment, "identification/run_experiment", self._run_experiment)
         self._goals.serve(Identify, "identification/identify", self._identify)
-        if declare(self, "autostart", True, "Configure and activate at start."):
-            self.trigger_configure()
-            self.trigger_activate()
+        autostart(self)
 
     def wind_down(self):
         """Cancel what runs; return whether it has ended."""

@@ -2,10 +2,16 @@
 """Declare parameters with a description and a range."""
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 
 
-def declare(node, name, default, description, minimum=None, maximum=None, read_only=True):
-    """Declare a parameter and return its value.
+class InvalidParameter(ValueError):
+    """A parameter that a node cannot start with."""
+
+
+def declare(node, name, default, description, minimum=None, maximum=None, read_only=True,
+            choices=()):
+    """Declare a parameter, unless that is done, and return its value.
 
     Parameters
     ----------
@@ -20,12 +26,16 @@ def declare(node, name, default, description, minimum=None, maximum=None, read_o
         Bounds, both included; give both or none.
     read_only : bool
         Refuse changes while the node runs.
+    choices : tuple of str
+        The values of a string that has only some.
 
     Raises
     ------
-    rclpy.exceptions.InvalidParameterValueException
-        If an override lies outside the range.
+    InvalidParameter
+        If an override is of another type, or none of the values allowed.
     """
+    if node.has_parameter(name):
+        return node.get_parameter(name).value
     descriptor = ParameterDescriptor(name=name, description=description, read_only=read_only)
     if minimum is not None and isinstance(default, float):
         descriptor.floating_point_range = [
@@ -33,4 +43,14 @@ def declare(node, name, default, description, minimum=None, maximum=None, read_o
     elif minimum is not None:
         descriptor.integer_range = [
             IntegerRange(from_value=int(minimum), to_value=int(maximum), step=1)]
-    return node.declare_parameter(name, default, descriptor).value
+    try:
+        value = node.declare_parameter(name, default, descriptor).value
+    except InvalidParameterTypeException:
+        raise InvalidParameter(f"parameter {name} is no {type(default).__name__}: "
+                               f"give a value such as {default!r}") from None
+    except InvalidParameterValueException:
+        raise InvalidParameter(f"parameter {name} is out of range: "
+                               f"give a value from {minimum:.10g} to {maximum:.10g}") from None
+    if choices and value not in choices:
+        raise InvalidParameter(f"parameter {name} is {value!r}: give {' or '.join(choices)}")
+    return value

@@ -2,14 +2,41 @@
 """Start a node, spin it, and close it in order, whatever ends it."""
 
 import signal
+import sys
 import time
+from pathlib import Path
 
 import rclpy
 from rclpy.experimental import EventsExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
+
+from piezo_node_tools.parameters import declare
 
 SPIN_TIMEOUT_S = 0.2
 WIND_DOWN_TIMEOUT_S = 10.0
+BAD_INPUT_STATUS = 2
+
+
+def autostart(node, default=True):
+    """Configure and activate a lifecycle node if its parameter ``autostart`` says so.
+
+    Parameters
+    ----------
+    node : rclpy.lifecycle.LifecycleNode
+    default : bool
+        Of the parameter.
+
+    Raises
+    ------
+    SystemExit
+        If it fails; the node's transition has then logged why.
+    """
+    if not declare(node, "autostart", default, "Configure and activate at start."):
+        return
+    for trigger in (node.trigger_configure, node.trigger_activate):
+        if trigger() != TransitionCallbackReturn.SUCCESS:
+            sys.exit(BAD_INPUT_STATUS)
 
 
 def run_node(create_node, args=None):
@@ -23,26 +50,49 @@ def run_node(create_node, args=None):
     Parameters
     ----------
     create_node : callable
-        Makes the node; called without arguments once ROS is initialised.
+        Makes the node; called without arguments once ROS is initialised. A ValueError ends
+        the process with its text as the one line it prints.
     args : list of str, optional
         Command line; ``sys.argv`` where it is left out.
+
+    Raises
+    ------
+    SystemExit
+        With status 2 where the node cannot start with what it was given.
     """
     # Own handlers: rclpy's would shut ROS down before the node can close in order.
     stop_requested = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop_requested.append(True))
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    node = create_node()
+    node = _start(create_node, args)
     executor = EventsExecutor()
     executor.add_node(node)
     try:
-        _spin(executor, getattr(node, "step", lambda: SPIN_TIMEOUT_S), stop_requested)
-        _wind_down(executor, getattr(node, "wind_down", lambda: True))
+        try:
+            _spin(executor, getattr(node, "step", lambda: SPIN_TIMEOUT_S), stop_requested)
+        finally:
+            _wind_down(executor, getattr(node, "wind_down", lambda: True))
     finally:
         getattr(node, "close", lambda: None)()
         executor.remove_node(node)
         node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _start(create_node, args):
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        _refuse(str(error).split(", at /")[0])
+    try:
+        return create_node()
+    except ValueError as error:
+        _refuse(error)
+
+
+def _refuse(reason):
+    print(f"{Path(sys.argv[0]).name}: {reason}", file=sys.stderr)
+    sys.exit(BAD_INPUT_STATUS)
 
 
 def _spin(executor, step, stop_requested):
