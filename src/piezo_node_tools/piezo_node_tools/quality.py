@@ -3,9 +3,15 @@
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-# No sample may be lost: a slow subscriber holds the publisher back instead.
+# No sample may be lost: in lockstep a slow subscriber holds the publisher back instead.
 SAMPLES = QoSProfile(
     history=HistoryPolicy.KEEP_ALL,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.VOLATILE)
+
+# Of a stage whose time goes on: a subscriber that hangs loses samples, and nobody else does.
+PACED_SAMPLES = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=2000,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE)
 

@@ -7,7 +7,6 @@ import numpy as np
 from piezo_interfaces.msg import SampleBlock
 
 from piezo_node_tools.parameters import declare
-from piezo_node_tools.quality import SAMPLES
 from piezo_node_tools.spinning import run_node
 from piezo_sim.backend import SimulatedStage
 from piezo_sim.paced import PacedStage
@@ -20,13 +19,21 @@ class SimulatedStageNode(StageNode):
     """Publish ``ground_truth`` beside ``samples``, except where a slow waveform plays."""
 
     def __init__(self):
-        self._truth, self._truth_first_sample = [], 0
+        self._ground_truth = None
         super().__init__(create_simulated_stage)
-        self._ground_truth = self.create_publisher(SampleBlock, "ground_truth", SAMPLES)
+
+    def on_activate(self, state):
+        """Start the sample clock at sample 0, and the truth with it."""
+        self._ground_truth = self._ground_truth or self.create_publisher(
+            SampleBlock, "ground_truth", self._samples_quality)
+        self._truth, self._truth_first_sample = [], 0
+        return super().on_activate(state)
 
     def on_block(self, block):
         """Collect the true displacement and publish it in large messages."""
         if block.sample_period_s > self._engine.sample_period_s:
+            if self._truth:
+                self._publish_truth(block)
             return
         if not self._truth:
             self._truth_first_sample = block.first_sample
@@ -40,12 +47,13 @@ class SimulatedStageNode(StageNode):
             np.concatenate(part) for part in zip(*self._truth, strict=True))
         self._truth = []
         message = SampleBlock(
-            first_sample=self._truth_first_sample, sample_period_s=block.sample_period_s,
+            first_sample=self._truth_first_sample,
+            sample_period_s=self._engine.sample_period_s,
             tick=block.tick, flags=block.flags,
             voltage_v=array.array("d", voltage_v.tobytes()),
             displacement_um=array.array("d", displacement_um.tobytes()))
         message.header.stamp = self._stamp(self._truth_first_sample)
-        self._ground_truth.publish(message)
+        self.publish_samples(self._ground_truth, message)
 
 
 def create_simulated_stage(node):

@@ -73,7 +73,7 @@ class StageEngine:
     def __init__(self, backend, limits, rest_voltage_v=0.0, ramp_rate_v_per_s=2000.0,
                  samples_per_tick=40, max_missed_feedback=5,
                  longest_chunk_samples=LONGEST_CHUNK_SAMPLES):
-        limits.check([rest_voltage_v], 1.0)
+        limits.check_rest(rest_voltage_v)
         self._backend = backend
         self._limits = limits
         self._rest_voltage_v = rest_voltage_v
@@ -229,8 +229,9 @@ class StageEngine:
         FeedbackError
             If it is not a finite number; it then counts as missed.
         """
-        if self._feedback is not None:
-            self._feedback.answer(tick, voltage_v)
+        feedback = self._feedback  # which another thread may end meanwhile
+        if feedback is not None:
+            feedback.answer(tick, voltage_v)
 
     def stop_tracking(self):
         """End the tracking.

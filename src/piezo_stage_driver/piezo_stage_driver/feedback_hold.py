@@ -52,5 +52,7 @@ class FeedbackHold:
         self.voltage_v = self._answers.get(tick - 1, self.voltage_v)
         self.missed += held
         self.missed_in_a_row = self.missed_in_a_row + 1 if held else 0
-        self._answers = {k: v for k, v in self._answers.items() if k >= tick}
+        # One by one, because answers may come from another thread meanwhile.
+        for old in [k for k in list(self._answers) if k < tick]:
+            del self._answers[old]
         return held

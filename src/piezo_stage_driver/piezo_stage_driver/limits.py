@@ -34,6 +34,18 @@ class VoltageLimits:
             raise LimitError(f'the voltage range [{self.minimum_v}, {self.maximum_v}] V is empty: '
                              'let minimum_voltage_v be below maximum_voltage_v')
 
+    def check_rest(self, rest_voltage_v):
+        """Refuse a rest voltage outside the range.
+
+        Raises
+        ------
+        LimitError
+        """
+        if not self.minimum_v <= rest_voltage_v <= self.maximum_v:
+            raise LimitError(f'the rest voltage is {rest_voltage_v:g} V, outside '
+                             f'[{self.minimum_v:g}, {self.maximum_v:g}] V: '
+                             'set rest_voltage_v within it')
+
     def check(self, voltage_v, sample_period_s, previous_v=None):
         """Refuse a voltage sequence that leaves the range or jumps.
 

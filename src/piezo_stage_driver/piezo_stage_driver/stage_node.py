@@ -8,7 +8,6 @@ import time
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from lifecycle_msgs.msg import State
 from piezo_interfaces.action import PlayWaveform
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
@@ -21,13 +20,16 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from piezo_node_tools.parameters import declare
-from piezo_node_tools.quality import FEEDBACK, SAMPLES
+from piezo_node_tools.quality import FEEDBACK, PACED_SAMPLES, SAMPLES
+from piezo_node_tools.spinning import autostart
 from piezo_stage_driver.engine import StageEngine
 from piezo_stage_driver.limits import VoltageLimits
 
 NANOSECONDS = 1_000_000_000
 IDLE_WAIT_S = 0.05
 COMMAND_TIMEOUT_S = 5.0
+# ROS itself gives a dead subscriber up after 20 s.
+LONGEST_HOLD_BACK_S = 30.0
 
 
 class StageNode(LifecycleNode):
@@ -49,16 +51,21 @@ class StageNode(LifecycleNode):
         self._declare_parameters()
         self._backend = self._engine = self._loop = None
         self._commands = queue.SimpleQueue()
+        self._active = False
+        self._failure = None
+        self._losing_samples = False
         self._goal = self._goal_done = None
+        self._goals_unanswered = 0
         self._samples_since_joint_state = self._samples_since_clock = 0
         self._answer_deadline = None
         self._epoch_ns = 0
 
-        self._samples = self.create_publisher(SampleBlock, 'samples', SAMPLES)
+        self._samples_quality = SAMPLES if self._lockstep else PACED_SAMPLES
+        self._samples = self.create_publisher(SampleBlock, 'samples', self._samples_quality)
         self._joint_states = self.create_publisher(JointState, 'joint_states', 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._clock_publisher = (self.create_publisher(ClockMessage, '/clock', 10)
-                       if self._lockstep else None)
+        self._clock_publisher = (
+            self.create_publisher(ClockMessage, '/clock', 10) if self._lockstep else None)
         self.create_subscription(FeedbackVoltage, 'feedback', self._on_feedback, FEEDBACK)
         self.create_service(LoadFeedforward, 'load_feedforward', self._on_load_feedforward)
         self.create_service(StartTracking, 'start_tracking', self._on_start_tracking)
@@ -70,9 +77,7 @@ class StageNode(LifecycleNode):
             cancel_callback=lambda goal: CancelResponse.ACCEPT)
         self.create_timer(1.0, self._publish_diagnostics,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
-        if declare(self, 'autostart', False, 'Configure and activate at start.'):
-            self.trigger_configure()
-            self.trigger_activate()
+        autostart(self, default=False)
 
     def _declare_parameters(self):
         self._sample_rate_hz = declare(
@@ -96,8 +101,8 @@ class StageNode(LifecycleNode):
             'More feedback answers missed in a row stop the stage.', 0, 10000)
         self._lockstep = declare(
             self, 'timing', 'paced',
-            'paced (the clock of the backend) or lockstep (as fast as the loop answers).'
-        ) == 'lockstep'
+            'paced (the clock of the backend) or lockstep (as fast as the loop answers).',
+            choices=('paced', 'lockstep')) == 'lockstep'
         self._lockstep_timeout_s = declare(
             self, 'lockstep_timeout_s', 2.0,
             'Wall time after which an answer counts as missed in lockstep (s).', 0.01, 600.0)
@@ -129,6 +134,7 @@ class StageNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         self._engine = self._create_engine()
         self._epoch_ns = 0 if self._lockstep else self.get_clock().now().nanoseconds
+        self._active = True
         if not self._lockstep:
             self._loop = threading.Thread(target=self._run_paced, name='stage loop')
             self._loop_ends = False
@@ -150,9 +156,10 @@ class StageNode(LifecycleNode):
         self._leave_active('the stage was shut down')
         return TransitionCallbackReturn.SUCCESS
 
-    def close(self):
-        """Return to rest before the process ends."""
+    def wind_down(self):
+        """Return to rest; return whether the client of what was played knows."""
         self._leave_active('the stage node was ended')
+        return not self._goals_unanswered
 
     def _create_engine(self):
         return StageEngine(
@@ -163,28 +170,26 @@ class StageNode(LifecycleNode):
     def _leave_active(self, cause):
         if not self._active:
             return
+        self._active = False
         if self._loop is not None:
             self._loop_ends = True
             self._loop.join()
             self._loop = None
-        if self._engine.voltage_v != self._rest_voltage_v or not self._engine.idle:
-            self._engine.return_to_rest()
-        while not self._engine.idle:
-            self._publish(self._engine.advance())
-        self._finish_goal(cause)
-        self._backend.close()
-
-    @property
-    def _active(self):
-        return (self._engine is not None
-                and self._state_machine.current_state[0] in (
-                    State.PRIMARY_STATE_ACTIVE, State.TRANSITION_STATE_DEACTIVATING,
-                    State.TRANSITION_STATE_SHUTTINGDOWN))
+        try:
+            if self._engine.voltage_v != self._rest_voltage_v or not self._engine.idle:
+                self._engine.return_to_rest()
+            while not self._engine.idle:
+                self._publish(self._engine.advance())
+        finally:
+            self._finish_goal(cause)
+            self._backend.close()
 
     # Time
 
     def step(self):
         """Advance a lockstep stage; return how long to wait for the next callback (s)."""
+        if self._failure is not None:
+            raise self._failure
         if not self._lockstep or not self._active or self._engine.idle:
             return IDLE_WAIT_S
         if self._engine.awaiting_answer:
@@ -198,13 +203,17 @@ class StageNode(LifecycleNode):
         return 0.0
 
     def _run_paced(self):
-        while not self._loop_ends:
-            while not self._commands.empty():
-                self._commands.get()()
-            self._advance()
+        try:
+            while not self._loop_ends:
+                while not self._commands.empty():
+                    self._commands.get()()
+                self._advance()
+        except Exception as error:  # whatever it is: the main thread returns to rest and ends
+            self._failure = error
 
     def _advance(self):
         was_stopped = self._engine.stop_cause
+        self._attend_goal()
         self._publish(self._engine.advance())
         if self._engine.stop_cause and not was_stopped:
             self.get_logger().error(f'stopped: {self._engine.stop_cause}')
@@ -255,13 +264,30 @@ class StageNode(LifecycleNode):
             displacement_um=array.array('d', block.displacement_um.tobytes()))
         message.header.stamp = self._stamp(block.first_sample)
         message.header.frame_id = self._joint_name
-        self._samples.publish(message)
+        self.publish_samples(self._samples, message)
         self.on_block(block)
         samples = self._engine.next_sample - block.first_sample
         self._publish_joint_state(block, samples)
-        self._publish_progress()
         if self._lockstep:
             self._publish_clock(samples)
+
+    def publish_samples(self, publisher, message):
+        """Publish; in lockstep wait for a subscriber that holds back, but not for ever."""
+        patience_s = LONGEST_HOLD_BACK_S if self._lockstep and not self._losing_samples else 0.0
+        deadline = time.monotonic() + patience_s
+        while True:
+            try:
+                publisher.publish(message)
+                self._losing_samples = False
+                return
+            except RuntimeError:  # of ROS: a subscriber made no room within 0.1 s
+                if time.monotonic() < deadline:
+                    continue
+            if not self._losing_samples:
+                self.get_logger().error(
+                    f'samples are lost: a subscriber of {publisher.topic_name} hangs, end it')
+            self._losing_samples = True
+            return
 
     def _publish_joint_state(self, block, samples):
         self._samples_since_joint_state += samples
@@ -313,8 +339,9 @@ class StageNode(LifecycleNode):
             self.get_logger().warning(result.message)
             goal_handle.abort()
             return result
-        result.message = await done
-        result.last_sample = self._engine.next_sample - 1
+        self._goals_unanswered += 1
+        result.message, result.last_sample = await done
+        self._goals_unanswered -= 1
         if goal_handle.is_cancel_requested:
             result.message = 'the waveform was cancelled'
             goal_handle.canceled()
@@ -333,7 +360,8 @@ class StageNode(LifecycleNode):
         self._last_progress = time.monotonic()
         return played
 
-    def _publish_progress(self):
+    def _attend_goal(self):
+        """Look whether the goal is to be cancelled, and tell how far it is."""
         goal = self._goal
         if goal is None:
             return
@@ -350,7 +378,7 @@ class StageNode(LifecycleNode):
     def _finish_goal(self, message):
         if self._goal is not None:
             done, self._goal, self._goal_done = self._goal_done, None, None
-            done.set_result(message)
+            done.set_result((message, self._engine.next_sample - 1))
 
     # Tracking and stops
 
