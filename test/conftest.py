@@ -162,8 +162,18 @@ class StageClient(Client):
         return self.call(ChangeState, "stage/change_state",
                          transition=Transition(id=transition)).success
 
+    def restart(self):
+        """Deactivate the stage and activate it again, which starts everything anew."""
+        assert self.change_state(Transition.TRANSITION_DEACTIVATE)
+        assert self.change_state(Transition.TRANSITION_ACTIVATE)
+        self.forget()
+
     def state(self):
         return self.call(GetState, "stage/get_state").current_state.label
+
+    def another_client(self):
+        """Another client of the same stage; a context manager."""
+        return StageClient(self.node.get_namespace(), self.processes)
 
     # Samples
 

@@ -117,3 +117,20 @@ def test_feedback_tells_stage_fraction_and_time_left(suite):
     total_s = 25e-6 * result.last_sample
     assert all(0.0 <= feedback.seconds_left <= total_s for feedback in told)
     suite.samples(result.last_sample)
+
+
+def test_subscriber_that_does_not_read_holds_the_stage_back_until_it_is_gone(suite):
+    def goes_on():
+        seen = len(suite.blocks)
+        return suite.spin_until(lambda: len(suite.blocks) > seen, 1.0)
+
+    with suite.another_client():  # which never looks at what comes
+        handle = suite.begin_play(np.full(4000, 60.0), repeats=150)
+        result = handle.get_result_async()
+        while goes_on():
+            assert not result.done()
+    outcome = suite.wait(result).result
+    assert outcome.success, outcome.message
+    samples = suite.samples(outcome.last_sample)
+    assert samples.gapless
+    assert len(samples.flagged(FLAG_PLAYING)) == 150 * 4000

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The stage in wall-clock time: the same promises, but late answers are only counted."""
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from piezo_interfaces.msg import SampleBlock
+
+from piezo_node_tools.quality import SAMPLES
+
+
+@pytest.fixture(scope="module")
+def paced_stage(nodes):
+    return nodes.start(namespace="/paced", timing="paced", max_missed_feedback=10_000)
+
+
+@pytest.fixture
+def stage(paced_stage):
+    paced_stage.forget()
+    # What came while nobody looked is not to be mistaken for what comes now.
+    paced_stage.until(lambda: len(paced_stage.blocks) > 0)
+    paced_stage.play([0.0])
+    paced_stage.forget()
+    return paced_stage
+
+
+def test_time_goes_on_gapless_at_rest(stage):
+    stage.until(lambda: len(stage.blocks) >= 100)
+    samples = stage.samples()
+    assert samples.gapless
+    assert not samples.voltage_v.any()
+
+
+def test_waveform_is_played_exactly_as_uploaded(stage):
+    waveform = 50 + 40 * np.sin(2 * np.pi * np.arange(4000) / 4000)
+    result = stage.play(waveform, repeats=2)
+    samples = stage.samples(result.last_sample)
+    assert samples.gapless
+    assert np.array_equal(samples.since(result.first_sample, 8000), np.tile(waveform, 2))
+
+
+def test_missed_answers_are_counted(stage):
+    assert stage.load([0.0]).success
+    first_tick = stage.start_tracking(feedback=True, ticks=50).first_tick
+    samples = stage.samples(40 * (first_tick + 50))
+    assert samples.gapless
+    tracked = [block for block in samples.blocks if block.flags & SampleBlock.FLAG_TRACKING]
+    assert len(tracked) == 50
+    # The first block to be answered is that of the second tick; it would act in the third.
+    assert [block.missed_feedback for block in tracked] == [0, 0, *range(1, 49)]
+
+
+def test_answers_act_or_are_counted_as_missed(stage):
+    stage.answer = lambda block: 2.0
+    assert stage.load([0.0]).success
+    first_tick = stage.start_tracking(feedback=True, ticks=200).first_tick
+    samples = stage.samples(40 * (first_tick + 200))
+    stage.answer = None
+    held = len(samples.flagged(SampleBlock.FLAG_FEEDBACK_HELD))
+    assert held == 40 * max(block.missed_feedback for block in samples.blocks)
+    assert samples.flagged(SampleBlock.FLAG_TRACKING).max() == 2.0
+
+
+def test_waveform_of_one_value_per_second_can_be_cancelled_before_it_fills_a_block(stage):
+    stage.until(lambda: len(stage.blocks) > 0)
+    before = stage.blocks[-1].first_sample
+    told = []
+    handle = stage.send("play_waveform", told.append, voltage_v=np.full(100, 10.0),
+                        sample_period_s=1.0, repeats=1)
+    stage.until(lambda: any(feedback.stage == "play" for feedback in told))
+    status, result = stage.cancel(handle)
+    assert status == GoalStatus.STATUS_CANCELED
+    assert result.last_sample - before < 20 * 40_000  # a block has 40 s
+    samples = stage.samples(result.last_sample)
+    assert samples.gapless
+    assert samples.voltage_v[-1] == 0.0
+
+
+def test_ground_truth_has_no_wrong_samples_around_a_slow_waveform(stage):
+    truth = []
+    subscription = stage.node.create_subscription(
+        SampleBlock, "ground_truth", truth.append, SAMPLES)
+    stage.until(lambda: truth)
+    result = stage.play(np.full(100, 10.0), sample_period_s=0.001)
+    samples = stage.samples(result.last_sample + 1)
+    stage.until(lambda: truth[-1].first_sample > result.last_sample)
+    stage.node.destroy_subscription(subscription)
+    measured_um = {block.first_sample: block.displacement_um for block in samples.blocks
+                   if block.sample_period_s == 25e-6}
+    within = range(samples.first_sample, samples.blocks[-1].first_sample)
+    true_um = {message.first_sample + at: message.displacement_um[at:at + 40]
+               for message in truth for at in range(0, len(message.displacement_um), 40)
+               if message.first_sample + at in within}
+    assert len(true_um) > 10
+    assert true_um.keys() <= measured_um.keys()
+    for first_sample, block_um in true_um.items():
+        # The sensor has a noise of 0.009 um RMS, and steps of 0.004 um.
+        assert np.abs(np.subtract(block_um, measured_um[first_sample])).max() < 0.1
