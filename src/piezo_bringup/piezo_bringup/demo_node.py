@@ -34,9 +34,9 @@ TRAJECTORIES = ((40.0, 40.0), (100.0, 40.0), (500.0, 21.0), (1000.0, 10.25))
 CENTRE_UM = 50.0
 DURATION_S = 1.0
 MODES = ("open_loop", "feedforward", "composite")
-# Stage time at rest between identification and tracking, in which most of the creep dies out.
-REST_S = 300
-REST_VOLTAGE_V = 0.0
+# Before each run, one second each: the hysteresis' past is wiped out, then most of the creep dies
+# out, so that every run begins as the feedforward takes it to begin.
+REST_VOLTAGE_V = (-20.0, *[0.0] * 60)
 START_TIMEOUT_S = 60.0
 ALIVE_PERIOD_S = 1.0
 # Of a ROS domain that has the demo to itself.
@@ -121,7 +121,6 @@ def run_demo(directory, command, progress):
             client.wait_for_nodes()
             identified = _identify(client, processes, directory, progress)
             identified_s = time.monotonic()
-            _rest(client, processes, progress)
             tracks = _track_all(client, processes, identified.model, directory, progress)
             tracked_s = time.monotonic()
         progress.show("end the nodes", 1.0)
@@ -144,16 +143,6 @@ def _identify(client, processes, directory, progress):
         return client.identify(directory, on_feedback=show)
 
 
-def _rest(client, processes, progress):
-    """Leave the stage at rest: a feedforward begins with a stage whose creep is over."""
-    def show(feedback):
-        progress.show("rest", feedback.fraction)
-
-    with _blaming(processes, "stage"):
-        client.goal("play_waveform", on_feedback=show, voltage_v=[REST_VOLTAGE_V],
-                    sample_period_s=1.0, repeats=REST_S)
-
-
 def _track_all(client, processes, model, directory, progress):
     """Track every trajectory in every mode; return the paths of the recordings."""
     begin_s = time.monotonic()
@@ -169,6 +158,8 @@ def _track_all(client, processes, model, directory, progress):
         show(0.0)
         reference = {"kind": "harmonic", "frequency_hz": [frequency_hz],
                      "amplitude_um": [amplitude_um], "centre_um": CENTRE_UM}
+        with _blaming(processes, "stage"):
+            client.goal("play_waveform", voltage_v=REST_VOLTAGE_V, sample_period_s=1.0, repeats=1)
         with _blaming(processes, "controller"):
             tracks.append(client.track(
                 reference, model, mode, DURATION_S, directory / f"{frequency_hz:g}_hz",

@@ -51,13 +51,15 @@ def _introduction(command):
 def _errors_section(summary):
     return Section(
         "Tracking errors",
-        ("Before the first run the stage rested until the creep that the identification had left "
-         "was over. Each run lasts one second after a lead-in. The table gives e_rms, the RMS of "
-         "the error over the reference's peak-to-peak value, by the sensor; the thesis' figure; "
-         "e_rms of the simulator's true position; e_rms by the sensor with the mean error taken "
-         "off; and the largest error by the sensor. Open loop knows no more of the stage than its "
-         "gain over the whole range; feedforward inverts the identified model; composite adds the "
-         "feedback.",
+        ("Each run lasts one second after a lead-in, and begins with a stage that has been at its "
+         "lowest voltage and then at rest for a minute of its own time, so that no run inherits "
+         "the creep of another. The table gives e_rms, the RMS of the error over the reference's "
+         "peak-to-peak value, by the sensor; the thesis' figure; e_rms of the simulator's true "
+         "position; e_rms by the sensor with the mean error taken off; and the largest error by "
+         "the sensor.",
+         "Open loop knows no more of the stage than its gain over the whole range. Feedforward "
+         "inverts the identified model; what creep is left from before the run stays in its error "
+         "as an offset. Composite adds the feedback.",
          "The thesis' figures were measured on a real stage, ours on a simulated one: they tell "
          "the scale. A dash stands where the thesis gives none."),
         table_rows(summary),
