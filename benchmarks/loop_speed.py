@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Closed loop: simulated seconds per second, and the tick's round trip beside a ping-pong."""
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from piezo_interfaces.srv import StartRecording, StopRecording
+from processes import BenchmarkProcesses
+from rclpy.time import Time
+from stage_model import SAMPLE_RATE_HZ, write_model
+
+from piezo_bringup.client_node import Client
+
+REFERENCE = {"kind": "harmonic", "frequency_hz": [40.0], "amplitude_um": [40.0],
+             "phase_rad": [0.0], "centre_um": 40.0}
+LOCKSTEP = {"autostart": True, "timing": "lockstep"}
+WARM_UP_ROUND_TRIPS = 500
+PING_PONG_TIMEOUT_S = 120.0
+
+
+def closed_loop(directory, simulated_s, executables=None, modules=None):
+    """Speed of the loop in lockstep.
+
+    Parameters
+    ----------
+    directory : pathlib.Path
+        For logs and recordings.
+    simulated_s : float
+        How long to track, in time of the stage (s).
+    executables, modules : dict of str to dict
+        The processes of the loop with their parameters: the suite's, and those of this directory.
+
+    Returns
+    -------
+    simulated_s_per_s : float
+        From the stage's first diagnostics message while it tracks to the last.
+    """
+    progress = _track(directory, simulated_s, executables or {}, modules or {})
+    (begin_s, begin_sample), *_, (end_s, end_sample) = progress
+    return (end_sample - begin_sample) / SAMPLE_RATE_HZ / (end_s - begin_s)
+
+
+def tick_round_trips(directory, duration_s):
+    """Round trips (s) of the loop over the model at the pace of the wall clock.
+
+    Each takes from the measurement of a tick's samples until the stage has the answer.
+    """
+    file = directory / "tick.npy"
+    # However late an answer is, it shall be timed.
+    paced = {"autostart": True, "max_missed_feedback": 10000, "round_trips_file": file}
+    _track(directory, duration_s, {"controller": {}}, {"model_stage_node": paced})
+    return np.load(file)[WARM_UP_ROUND_TRIPS:]
+
+
+def ping_pong_round_trips(directory, count):
+    """Round trips (s) of the same messages, as often, between nodes that do nothing else."""
+    directory.mkdir(parents=True, exist_ok=True)
+    file = directory / "ping.npy"
+    with BenchmarkProcesses(directory) as processes:
+        processes.start_module("pong_node")
+        processes.start_module("ping_node", {"round_trips_file": file, "count": count})
+        processes.process("ping_node").wait(PING_PONG_TIMEOUT_S)
+    return np.load(file)[WARM_UP_ROUND_TRIPS:]
+
+
+def _track(directory, duration_s, executables, modules):
+    """Track in composite mode; return the progress, see `_watch_progress`."""
+    directory.mkdir(parents=True, exist_ok=True)
+    write_model(directory / "model.json")
+    with BenchmarkProcesses(directory) as processes, Client() as client:
+        if "recorder" not in executables:
+            _stand_in_for_recorder(client.node)
+        progress = _watch_progress(client.node)
+        for name, parameters in executables.items():
+            processes.start(name, parameters)
+        for name, parameters in modules.items():
+            processes.start_module(name, parameters)
+        client.track(REFERENCE, directory / "model.json", "composite", duration_s, directory)
+    return progress
+
+
+def _stand_in_for_recorder(node):
+    """Agree to every recording and record nothing: the controller asks for one."""
+    def agree(request, response):
+        response.success = True
+        return response
+
+    node.create_service(StartRecording, "recorder/start_recording", agree)
+    node.create_service(StopRecording, "recorder/stop_recording", agree)
+
+
+def _watch_progress(node):
+    """Collect (time in s, next sample) from the stage's diagnostics while it tracks."""
+    progress = []
+
+    def on_diagnostics(message):
+        for status in message.status:
+            if status.message == "track":
+                values = {value.key: value.value for value in status.values}
+                time_s = Time.from_msg(message.header.stamp).nanoseconds * 1e-9
+                progress.append((time_s, int(values["next_sample"])))
+
+    node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
+    return progress

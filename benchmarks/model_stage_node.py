@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The stage over the model, which keeps how long every answer took."""
+
+import array
+import time
+
+import numpy as np
+from stage_model import ModelStage
+
+from piezo_node_tools.parameters import declare
+from piezo_node_tools.spinning import run_node
+from piezo_stage_driver.stage_node import StageNode
+
+
+class TimedModelStage(ModelStage):
+    """Keeps the pace of the wall clock if so asked, and knows when it measured last."""
+
+    def __init__(self, paced):
+        super().__init__()
+        self._paced = paced
+        self.measured_at_s = time.perf_counter()
+
+    def exchange(self, voltage_v):
+        """Play voltages."""
+        displacement_um = super().exchange(voltage_v)
+        due_s = self.measured_at_s + len(voltage_v) / self.sample_rate_hz
+        now_s = time.perf_counter()
+        if self._paced and now_s < due_s:
+            time.sleep(due_s - now_s)
+        self.measured_at_s = time.perf_counter()
+        return displacement_um
+
+
+class ModelStageNode(StageNode):
+    """Times each tick from its measurement until its answer is there."""
+
+    def __init__(self):
+        super().__init__(lambda node: TimedModelStage(not node._lockstep))
+        self._file = declare(self, "round_trips_file", "", "Where to write (npy); empty: nowhere.")
+        self._measured_at_s = {}
+        self._round_trips_s = array.array("d")
+
+    def on_block(self, block):
+        """Keep when the block was measured."""
+        self._measured_at_s[block.tick] = self._backend.measured_at_s
+
+    def _on_feedback(self, message):
+        super()._on_feedback(message)
+        measured_at_s = self._measured_at_s.pop(message.tick)
+        self._round_trips_s.append(time.perf_counter() - measured_at_s)
+
+    def close(self):
+        """Write the round trips."""
+        if self._file:
+            np.save(self._file, np.array(self._round_trips_s))
+
+
+if __name__ == "__main__":
+    run_node(ModelStageNode)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Run all benchmarks and print one table: python run.py [--rounds N].
+
+What is compared is measured side by side in each round; of the rounds the table tells the median
+and the spread.
+"""
+
+import argparse
+import os
+import random
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+from hysteresis_speed import samples_per_s
+from loop_speed import LOCKSTEP, closed_loop, ping_pong_round_trips, tick_round_trips
+from table import Row, show, write
+
+OUTPUT = Path(__file__).parents[1] / "runs" / "bench"
+LEVELS = (50, 200)
+SIMULATED_S = 20.0
+PACED_S = 5.0
+ROUND_TRIPS = 5000
+MICROSECONDS = 1e6
+
+SPEED = "simulated s per s"
+LOOPS = {
+    "loop, stage and controller": dict(executables={"stage": LOCKSTEP, "controller": {}}),
+    "loop, stage, controller and recorder": dict(
+        executables={"stage": LOCKSTEP, "controller": {}, "recorder": {}}),
+    "loop over the model, stage and controller": dict(
+        executables={"controller": {}}, modules={"model_stage_node": LOCKSTEP}),
+    "loop over the model, both in one process": dict(modules={"one_process_node": LOCKSTEP}),
+}
+
+
+def hysteresis(rows):
+    """Add the Preisach model's speed, and how often that of the relays it is."""
+    for levels in LEVELS:
+        speeds = samples_per_s(levels)
+        for name, speed in speeds.items():
+            direction, _, peer = name.partition(", ")
+            title = f"Preisach {direction}, {levels} levels"
+            if peer:
+                rows[f"{title}: over {peer}", "times"].append(speeds[direction] / speed)
+            else:
+                rows[title, "samples/s"].append(speed)
+
+
+def loops(rows):
+    """Add the speeds of the closed loop."""
+    speeds = {name: closed_loop(OUTPUT / "loop", SIMULATED_S, **processes)
+              for name, processes in LOOPS.items()}
+    for name, speed in speeds.items():
+        rows[name, SPEED].append(speed)
+    *_, apart, together = speeds.values()
+    rows["loop over the model: one process over two", "times"].append(together / apart)
+
+
+def round_trips(rows):
+    """Add the tick's round trip beside the ping-pong's."""
+    tick_s = tick_round_trips(OUTPUT / "tick", PACED_S)
+    ping_s = ping_pong_round_trips(OUTPUT / "ping", ROUND_TRIPS)
+    for percent in (50, 99):
+        tick, ping = np.percentile(tick_s, percent), np.percentile(ping_s, percent)
+        rows[f"round trip, tick, p{percent}", "us"].append(tick * MICROSECONDS)
+        rows[f"round trip, bare ping-pong, p{percent}", "us"].append(ping * MICROSECONDS)
+        rows[f"round trip, p{percent}: tick over ping-pong", "times"].append(tick / ping)
+
+
+TARGETS = {
+    "loop, stage and controller": {"at_least": 2.0},
+    "round trip, p50: tick over ping-pong": {"at_most": 2.0},
+}
+
+
+def main():
+    """Run the benchmarks."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=3, help="how often all is measured")
+    rounds = parser.parse_args().rounds
+    # Out of the way of whatever else runs on this machine.
+    os.environ["ROS_DOMAIN_ID"] = str(random.randint(1, 100))
+    OUTPUT.mkdir(parents=True, exist_ok=True)
+    measured = defaultdict(list)
+    for number in range(1, rounds + 1):
+        for measure in (hysteresis, loops, round_trips):
+            print(f"round {number} of {rounds}: {measure.__name__.replace('_', ' ')} ...",
+                  flush=True)
+            measure(measured)
+    rows = [Row(name, unit, values, **TARGETS.get(name, {}))
+            for (name, unit), values in measured.items()]
+    show(rows)
+    write(rows, OUTPUT / "table.json")
+    print(f"written to {OUTPUT / 'table.json'}")
+
+
+if __name__ == "__main__":
+    main()
