@@ -116,12 +116,7 @@ class _DynamicsRecord:
     """The mean period of the record without creep, and the response of models to it."""
 
     def __init__(self, recording, creep):
-        part = played(recording)
-        if samples_per_mean(part) > 1:
-            raise ValueError(
-                f"{recording.path} has means over {part.sample_period_s:g} s: "
-                "record the dynamics at the full sample clock"
-            )
+        part = played_at_the_clock(recording)
         self.period_s = part.sample_period_s
         wave = square_wave(part)
         quick_um = remove_creep(part.displacement_um, creep, self.period_s)
@@ -139,11 +134,10 @@ class _DynamicsRecord:
             signal = signal[steps[0] : steps[0] + runs * self.length]
             return signal.reshape(runs, self.length).mean(axis=0)
 
-        time_s = np.arange(quick_um.size) * self.period_s
         self.level = wave.level[steps[0] : steps[0] + self.length]
         self.measured_um = fold(quick_um)
-        initial_creep = [fold(np.exp(-zero * time_s)) for zero in creep.zeros_rad_per_s]
-        self.fixed = np.column_stack([np.ones(self.length), *initial_creep])
+        drift = drift_basis(np.arange(quick_um.size) * self.period_s, creep)
+        self.fixed = np.column_stack([fold(column) for column in drift.T])
         half = steps[1] - steps[0]
         count = min(half, self.length - half)
         # Both half periods are one free decay, but for offset and sign.
@@ -158,6 +152,30 @@ class _DynamicsRecord:
     def respond(self, dynamics):
         """Response of the dynamics to the mean period."""
         return periodic_response(zoh(dynamics.state_space(), self.period_s), self.level)
+
+
+def played_at_the_clock(recording):
+    """Part of a recording in which a waveform plays, not averaged.
+
+    Raises
+    ------
+    ValueError
+        If samples are missing, or are means over several.
+    """
+    part = played(recording)
+    if samples_per_mean(part) > 1:
+        raise ValueError(
+            f"{recording.path} has means over {part.sample_period_s:g} s: "
+            "record the dynamics at the full sample clock"
+        )
+    return part
+
+
+def drift_basis(time_s, creep):
+    """Columns (N, K) of what a record without creep may still hold: offset and initial creep."""
+    return np.column_stack(
+        [np.ones_like(time_s), *(np.exp(-zero * time_s) for zero in creep.zeros_rad_per_s)]
+    )
 
 
 def remove_creep(signal, creep, sample_period_s):
@@ -252,7 +270,7 @@ def dynamics_of_poles(poles):
     """
     mode_count = (poles.size - 1) // 2
     # What noise made unstable starts as its stable mirror image.
-    poles = -np.abs(poles.real) - 1.0 + 1j * poles.imag
+    poles = -np.maximum(np.abs(poles.real), 1e-6 * np.abs(poles)) + 1j * poles.imag
     pairs = poles[poles.imag > 0.0][:mode_count]
     real = np.sort(-poles[poles.imag == 0.0].real)
     # Where all poles oscillate, the electric lag starts from the slowest of them.

@@ -14,6 +14,11 @@ VALIDATION_TURNS = (0.0, 0.836, 0.236, 0.747, 0.305, 0.652, 0.415, 0.933, 0.09, 
 VALIDATION_TONES = ((100.0, 0.06), (300.0, 0.03), (400.0, 0.03), (500.0, 0.03), (1000.0, 0.03))
 """Frequency in Hz and amplitude over the voltage range of each tone of the fast validation part."""
 
+MULTISINE_TONES = (
+    (100.0, 0.05), (200.0, 0.1), (300.0, 0.05), (400.0, 0.05), (500.0, 0.05), (600.0, 0.05)
+)
+"""Frequency in Hz and amplitude over the voltage range, in the proportions of the thesis."""
+
 
 @dataclass(frozen=True)
 class StageLimits:
@@ -202,9 +207,46 @@ def validation(limits=StageLimits(), arc_s=0.25, tones_s=1.0):
     )
 
 
+def multisine(limits=StageLimits(), arc_s=0.5, tones_s=1.0):
+    """Six tones from 100 to 600 Hz around mid-range (3.4.2): shows the modes below 1 kHz.
+
+    It climbs from the lowest voltage, where the memory of the hysteresis is known, so that an
+    identified Preisach model tells the input of the dynamics.
+
+    Parameters
+    ----------
+    limits : StageLimits
+        What the stage allows.
+    arc_s, tones_s : float
+        Length of the climb and of the tones.
+
+    Raises
+    ------
+    ValueError
+        If the waveform leaves the range or exceeds the slew limit.
+    """
+    sample_period_s = 1.0 / limits.sample_rate_hz
+    samples = round(arc_s * limits.sample_rate_hz)
+    climb = 0.25 * (1.0 - np.cos(np.pi * np.arange(samples) / samples))
+    time_s = np.arange(round(tones_s * limits.sample_rate_hz)) * sample_period_s
+    tones = 0.5 + sum(
+        amplitude * np.sin(2.0 * np.pi * frequency_hz * time_s)
+        for frequency_hz, amplitude in MULTISINE_TONES
+    )
+    voltage_v = limits.voltage_min_v + limits.span_v * np.concatenate([climb, tones])
+    return _fitting(
+        limits, Experiment("multisine", voltage_v, sample_period_s, 1,
+                           "six tones from 100 to 600 Hz around mid-range")
+    )
+
+
 EXPERIMENTS = {
     "creep": creep, "dynamics": dynamics, "hysteresis": hysteresis, "validation": validation
 }
+"""Those of the identification sequence, in its order."""
+
+FURTHER_EXPERIMENTS = {"multisine": multisine}
+"""Those that are played when asked for."""
 
 
 def named_experiment(name, limits=StageLimits()):
@@ -215,9 +257,10 @@ def named_experiment(name, limits=StageLimits()):
     ValueError
         If there is none of this name, or it does not fit into the limits.
     """
-    if name not in EXPERIMENTS:
-        raise ValueError(f"unknown experiment '{name}': choose one of {', '.join(EXPERIMENTS)}")
-    return EXPERIMENTS[name](limits)
+    experiments = EXPERIMENTS | FURTHER_EXPERIMENTS
+    if name not in experiments:
+        raise ValueError(f"unknown experiment '{name}': choose one of {', '.join(experiments)}")
+    return experiments[name](limits)
 
 
 def _square_wave(limits, period_s, sample_period_s, swing_v):

@@ -6,7 +6,7 @@ from piezo_identification import experiments
 from piezo_identification.experiments import StageLimits, named_experiment
 
 
-@pytest.mark.parametrize("name", experiments.EXPERIMENTS)
+@pytest.mark.parametrize("name", experiments.EXPERIMENTS | experiments.FURTHER_EXPERIMENTS)
 def test_every_named_experiment_stays_within_the_limits(name):
     experiment = named_experiment(name)
     limits = StageLimits()
@@ -54,6 +54,16 @@ def test_validation_begins_at_saturation_and_turns_off_the_levels():
     tones_v = experiment.voltage_v[-40_000:] - 50.0
     spectrum_v = 2.0 * np.abs(np.fft.rfft(tones_v)) / tones_v.size
     assert sorted(np.flatnonzero(spectrum_v > 0.1)) == [100, 300, 400, 500, 1000]
+
+
+def test_the_multisine_climbs_from_saturation_to_six_tones_around_mid_range():
+    voltage_v = named_experiment("multisine").voltage_v
+    assert voltage_v[0] == -20.0
+    tones_v = voltage_v[-40_000:]
+    assert tones_v.mean() == pytest.approx(StageLimits().middle_v)
+    spectrum_v = 2.0 * np.abs(np.fft.rfft(tones_v - tones_v.mean())) / tones_v.size
+    assert list(np.flatnonzero(spectrum_v > 0.1)) == [100, 200, 300, 400, 500, 600]
+    assert spectrum_v[200] == pytest.approx(2.0 * spectrum_v[100])
 
 
 @pytest.mark.parametrize("make", [

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Subspace identification in the predictor form (PBSID)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Discrete system x+ = A x + B u + K e, y = C x + e.
+
+    Parameters
+    ----------
+    transition : ndarray, shape (n, n)
+    input_gain, innovation_gain, output_gain : ndarray, shape (n,)
+    """
+
+    transition: np.ndarray
+    input_gain: np.ndarray
+    innovation_gain: np.ndarray
+    output_gain: np.ndarray
+
+
+def identify_subspace(input, output, order, past=None):
+    """Identify a system in innovations form, without a starting guess and without iterations.
+
+    A long autoregression gives the predictor's Markov parameters; the singular vectors of what the
+    past tells of the future are the states, and the matrices follow by two regressions (Chiuso,
+    "The role of vector autoregressive modeling in predictor-based subspace identification", 2007).
+
+    Parameters
+    ----------
+    input, output : ndarray, shape (N,)
+        Without offset; the output answers the input one sample later at the earliest.
+    order : int
+        Number of states.
+    past : int, optional
+        Length of the autoregression.
+
+    Returns
+    -------
+    Innovations
+
+    Raises
+    ------
+    ValueError
+        If the record is too short for the order.
+    """
+    past = past or max(40, 4 * order)
+    rows = output.size - past
+    if past <= order or rows < 6 * past:
+        raise ValueError(
+            f"{output.size} samples are too few for a subspace of order {order}: record longer"
+        )
+
+    def lags(signal):
+        # Column j holds the signal j + 1 samples ago.
+        return np.lib.stride_tricks.sliding_window_view(signal[:-1], past)[:, ::-1]
+
+    history = np.hstack([lags(output), lags(input)])
+    orthogonal, triangle = np.linalg.qr(history)
+    target = output[past:]
+    markov = np.linalg.lstsq(triangle, orthogonal.T @ target, rcond=1e-12)[0].reshape(2, past)
+    # Row i predicts i samples further from the same past, with nothing known in between.
+    future = min(past, max(20, 3 * order))
+    predictors = np.zeros((future, 2, past))
+    for i in range(future):
+        predictors[i, :, : past - i] = markov[:, i:]
+    predictors = predictors.reshape(future, 2 * past)
+    states = np.linalg.svd(predictors @ triangle.T, full_matrices=False)[2][:order]
+    states = states @ orthogonal.T * np.sqrt(rows)
+    output_gain = np.linalg.lstsq(states.T, target, rcond=None)[0]
+    innovation = target - output_gain @ states
+    present = np.column_stack([states[:, :-1].T, input[past:-1], innovation[:-1]])
+    step = np.linalg.lstsq(present, states[:, 1:].T, rcond=None)[0].T
+    return Innovations(step[:, :order], step[:, order], step[:, order + 1], output_gain)
