@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Removal of the drift by a polynomial (3.21), for recordings without a model of the creep."""
+
+import numpy as np
+
+
+def remove_polynomial_drift(time_s, displacement_um, rest_samples, degree=2):
+    """Take off a polynomial through the samples at rest, eq. (3.21).
+
+    Parameters
+    ----------
+    time_s, displacement_um : ndarray, shape (N,)
+    rest_samples : ndarray of int
+        Samples with one and the same memory, such as the starts of the harmonics at negative
+        saturation: what differs between them is drift.
+    degree : int
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        With the first of the samples at rest in the mean left where it was.
+    numpy.polynomial.Polynomial
+        The drift.
+
+    Raises
+    ------
+    ValueError
+        If there are too few samples at rest.
+    """
+    if len(rest_samples) <= degree:
+        raise ValueError(
+            f"{len(rest_samples)} samples at rest are too few for a drift of degree {degree}: "
+            "give more of them or a lower degree"
+        )
+    drift = np.polynomial.Polynomial.fit(
+        time_s[rest_samples], displacement_um[rest_samples], degree
+    )
+    drift = drift - drift(time_s[rest_samples[0]])
+    return displacement_um - drift(time_s), drift

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Inputs of stair amplitude for the hysteresis, and the sampling rules that belong to them."""
+
+import numpy as np
+
+
+def stair_amplitudes(level_count, highest_v, below_the_top=0.0):
+    """Amplitudes of the harmonics, (3.7), (4.7), (4.8): steps up to the highest voltage.
+
+    Parameters
+    ----------
+    level_count : int
+        L.
+    highest_v : float
+    below_the_top : float
+        Part of a step by which each stays lower; 0.5 for (3.6).
+
+    Returns
+    -------
+    ndarray, shape (L,)
+    """
+    return (np.arange(1, level_count + 1) - below_the_top) * highest_v / level_count
+
+
+def stair_harmonics(time_s, amplitudes_v, harmonic_period_s):
+    """Harmonics from zero to each of the amplitudes in turn and back, (2.29), (3.6), (4.6).
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (N,)
+    amplitudes_v : ndarray, shape (L,)
+        Begun again after L periods.
+    harmonic_period_s : float
+
+    Returns
+    -------
+    ndarray, shape (N,)
+    """
+    # A whole number of periods is one but for rounding.
+    periods = np.asarray(time_s) / harmonic_period_s
+    harmonic = np.floor(periods + 1e-9).astype(int) % len(amplitudes_v)
+    return 0.5 * np.asarray(amplitudes_v)[harmonic] * (1.0 - np.cos(2.0 * np.pi * periods))
+
+
+def stair_sample_times(amplitudes_v, harmonic_period_s, voltages_v):
+    """Instants at which the harmonics pass by given voltages, (3.9)-(3.10) and (4.10).
+
+    Parameters
+    ----------
+    amplitudes_v : ndarray, shape (L,)
+    harmonic_period_s : float
+    voltages_v : ndarray
+        Increasing, above zero: multiples of the step for (4.10); middles of the steps for
+        (3.9)-(3.10), whose amplitudes are middles too.
+
+    Returns
+    -------
+    ndarray
+        Increasing. Begins at 0; each harmonic gives every voltage that it reaches on its way up
+        and on its way down, its peak once, and its return to zero.
+    """
+    times_s = [np.zeros(1)]
+    for i, amplitude_v in enumerate(amplitudes_v):
+        reached_v = voltages_v[voltages_v <= amplitude_v * (1.0 + 1e-12)]
+        share = np.minimum(reached_v / amplitude_v, 1.0)
+        rising_s = np.arccos(1.0 - 2.0 * share) / (2.0 * np.pi) * harmonic_period_s
+        falling_s = harmonic_period_s - rising_s[::-1]
+        at_peak = share[-1:] == 1.0
+        times_s.append(i * harmonic_period_s + np.concatenate([
+            rising_s, falling_s[1:] if at_peak.all() and share.size else falling_s,
+            [harmonic_period_s],
+        ]))
+    return np.concatenate(times_s)

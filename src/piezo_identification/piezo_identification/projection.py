@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The projection algorithm (2.27), a baseline: cheap per sample, and slow to converge."""
+
+import numpy as np
+
+
+def projection(rows, output, gain=0.5, floor=1.0, start=None):
+    """Follow the samples one by one, each with a step along its own row, eq. (2.27).
+
+    Parameters
+    ----------
+    rows : ndarray, shape (N, n)
+    output : ndarray, shape (N,)
+    gain : float
+        gamma_L, between 0 and 1.
+    floor : float
+        theta, above 0.
+    start : ndarray, shape (n,), optional
+        Zero by default.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+
+    Raises
+    ------
+    ValueError
+        If gain or floor are out of their ranges.
+    """
+    if not 0.0 < gain < 1.0 or not floor > 0.0:
+        raise ValueError(
+            f"the projection has gain {gain:g} and floor {floor:g}: "
+            "give a gain between 0 and 1 and a floor above 0"
+        )
+    estimate = np.zeros(rows.shape[1]) if start is None else np.array(start, dtype=float)
+    for row, measured in zip(rows, output, strict=True):
+        estimate -= gain * (row @ estimate - measured) / (floor + row @ row) * row
+    return estimate

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The regression on relays at the cell centres (2.3), in blocks, and its normal equations (2.7)."""
+
+import numpy as np
+
+from piezo_models.relay_grid import activation_matrix
+
+ROWS_AT_ONCE = 2000
+"""Rows of the regression that are held in memory together."""
+
+
+def relay_rows(voltage_v, levels_v, on=None):
+    """States of the relays at the cell centres, eq. (2.3), one row per voltage.
+
+    Parameters
+    ----------
+    voltage_v : ndarray, shape (N,)
+    levels_v : ndarray, shape (L + 1,)
+        Edges of the cells.
+    on : ndarray of bool, shape (L (L + 1) / 2,), optional
+        State of the relays before the first voltage, updated in place; all off by default.
+
+    Returns
+    -------
+    ndarray, shape (N, L (L + 1) / 2)
+        0 or 1; i-major with j <= i.
+    """
+    # A voltage that is meant to be a threshold reaches it, whatever the rounding.
+    centres_v = 0.5 * (levels_v[:-1] + levels_v[1:]) - 1e-9 * (levels_v[-1] - levels_v[0])
+    i, j = np.tril_indices(centres_v.size)
+    on = np.zeros(i.size, dtype=bool) if on is None else on
+    rows = np.empty((len(voltage_v), i.size))
+    # Relays of one row of the plane switch on together, those of one column off.
+    for n, voltage in enumerate(voltage_v):
+        on |= (voltage >= centres_v)[i]
+        on &= (voltage >= centres_v)[j]
+        rows[n] = on
+    return rows
+
+
+def area_rows(voltage_v, levels_v):
+    """Active part of every cell, in units of a full cell: eq. (2.3) with true areas.
+
+    Parameters
+    ----------
+    voltage_v : ndarray, shape (N,)
+    levels_v : ndarray, shape (L + 1,)
+
+    Returns
+    -------
+    ndarray, shape (N, L (L + 1) / 2)
+    """
+    return activation_matrix(voltage_v, levels_v) / (levels_v[1] - levels_v[0]) ** 2
+
+
+class NormalEquations:
+    """Sums M of A_k^T A_k and of A_k^T f(k) over samples, eq. (2.7); A itself is never held.
+
+    Parameters
+    ----------
+    unknowns : int
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (unknowns, unknowns)
+        M.
+    right_side : ndarray, shape (unknowns,)
+        A^T Y.
+    count : int
+        Number of samples.
+    """
+
+    def __init__(self, unknowns):
+        self.matrix = np.zeros((unknowns, unknowns))
+        self.right_side = np.zeros(unknowns)
+        self.count = 0
+
+    def add(self, rows, output):
+        """Add samples.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (N, unknowns)
+        output : ndarray, shape (N,)
+        """
+        self.matrix += rows.T @ rows
+        self.right_side += rows.T @ output
+        self.count += len(output)
+
+
+def accumulate(voltage_v, output_um, levels_v, samples=None):
+    """Normal equations of a whole recording on the relay grid, block by block.
+
+    Parameters
+    ----------
+    voltage_v, output_um : ndarray, shape (N,)
+        From negative saturation.
+    levels_v : ndarray, shape (L + 1,)
+    samples : ndarray of int, optional
+        Increasing indices of the samples to use; all by default. The relays follow every voltage.
+
+    Returns
+    -------
+    NormalEquations
+    """
+    size = levels_v.size - 1
+    equations = NormalEquations(size * (size + 1) // 2)
+    wanted = np.ones(len(voltage_v), dtype=bool)
+    if samples is not None:
+        wanted[:] = False
+        wanted[samples] = True
+    on = np.zeros(equations.right_side.size, dtype=bool)
+    for start in range(0, len(voltage_v), ROWS_AT_ONCE):
+        block = slice(start, start + ROWS_AT_ONCE)
+        rows = relay_rows(voltage_v[block], levels_v, on)
+        used = wanted[block]
+        equations.add(rows[used], output_um[block][used])
+    return equations
+
+
+def excitation_rank(voltage_v, levels_v):
+    """Rank of the regression on the relay grid: how many densities an input tells apart.
+
+    Persistent excitation, appendix A.2, asks for L (L + 1) / 2.
+
+    Parameters
+    ----------
+    voltage_v : ndarray, shape (N,)
+        The samples used, from negative saturation.
+    levels_v : ndarray, shape (L + 1,)
+
+    Returns
+    -------
+    int
+    """
+    different = set()
+    on = np.zeros((levels_v.size - 1) * levels_v.size // 2, dtype=bool)
+    for start in range(0, len(voltage_v), ROWS_AT_ONCE):
+        rows = relay_rows(voltage_v[start : start + ROWS_AT_ONCE], levels_v, on)
+        different |= {row.tobytes() for row in np.packbits(rows.astype(bool), axis=1)}
+    packed = np.array([np.frombuffer(row, dtype=np.uint8) for row in sorted(different)])
+    return int(np.linalg.matrix_rank(np.unpackbits(packed, axis=1)[:, : on.size].astype(float)))

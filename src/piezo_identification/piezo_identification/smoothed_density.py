@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The density by smoothed non-negative least squares, on any recording and on large grids."""
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array
+
+from piezo_identification.density_estimate import DensityEstimate, lower_triangle
+from piezo_identification.everett_regression import (
+    density_operator,
+    everett_regression,
+    visited_cells,
+)
+from piezo_identification.nonnegative import nonnegative_minimum
+
+SMOOTHING_WEIGHTS = tuple(10.0**power for power in range(-8, -16, -1))
+"""Weights of the density's curvature, tried on samples held out from the largest down."""
+
+CELLS_FOR_THE_WEIGHT = 50
+"""Cells along a threshold on which the weight is chosen: it means the same on any grid."""
+
+ROWS_AT_ONCE = 200_000
+"""Rows of the regression that are held in memory together."""
+
+
+def smoothed_density(
+    voltage_v, output_um, levels_v, samples=None, transients=None, smoothing_weight=None,
+    level_count=None,
+):
+    """Density that is nowhere negative and as smooth as the data allow.
+
+    Minimises the mean square of what the regression on the Everett values leaves, and the weighted
+    integral of the squares of the density's second derivatives along both thresholds (voltages in
+    units of the range). Everything is sparse: the Everett values are the unknowns, the density is
+    their mixed second difference.
+
+    Parameters
+    ----------
+    voltage_v, output_um : ndarray, shape (N,)
+        Any input, and the output of the hysteresis. For the start see `everett_regression`.
+    levels_v : ndarray, shape (n + 1,)
+        Edges of the cells, uniform and increasing.
+    samples : ndarray of int, optional
+        Increasing indices of the samples to fit; all by default.
+    transients : ndarray, shape (N, k), optional
+        Further columns of the regression, whose coefficients are free.
+    smoothing_weight : float, optional
+        By default the largest of `SMOOTHING_WEIGHTS` that predicts held-out stretches as well as
+        any, within what chance does to their mean square.
+    level_count : int, optional
+        Number of equal steps of voltage by which a cell counts as visited; n by default.
+
+    Returns
+    -------
+    DensityEstimate
+
+    Raises
+    ------
+    ValueError
+        If no sample can be used.
+    """
+    voltage_v = np.asarray(voltage_v, dtype=float)
+    samples = np.arange(voltage_v.size) if samples is None else samples
+    transients = np.empty((voltage_v.size, 0)) if transients is None else transients
+    size = levels_v.size - 1
+    multiplier = None
+    if smoothing_weight is None:
+        coarse = min(size, CELLS_FOR_THE_WEIGHT)
+        coarse_v = np.linspace(levels_v[0], levels_v[-1], coarse + 1)
+        smoothing_weight, forces = _best_weight(
+            voltage_v, output_um, coarse_v, samples, transients
+        )
+        # The bounds that hold are found on grids twice as fine each time, where that costs little.
+        while 2 * coarse < size:
+            finer = 2 * coarse
+            finer_v = np.linspace(levels_v[0], levels_v[-1], finer + 1)
+            equations = _Equations.of(voltage_v, output_um, finer_v, samples, transients)
+            *_, forces = equations.solve(smoothing_weight, _on_finer_grid(forces, coarse, finer))
+            coarse = finer
+        multiplier = _on_finer_grid(forces, coarse, size)
+    equations = _Equations.of(voltage_v, output_um, levels_v, samples, transients)
+    everett, beside, _ = equations.solve(smoothing_weight, multiplier)
+    density = np.maximum(density_operator(size) @ everett, 0.0)
+    width_v = (levels_v[-1] - levels_v[0]) / size
+    level_count = size if level_count is None else level_count
+    seen = visited_cells(voltage_v, np.linspace(levels_v[0], levels_v[-1], level_count + 1))
+    cell = np.arange(size) * level_count // size
+    return DensityEstimate(
+        "smoothed non-negative least squares", levels_v,
+        lower_triangle(density, size) / width_v**2, float(beside[0]),
+        np.tril(seen[np.ix_(cell, cell)]), smoothing_weight=smoothing_weight,
+    )
+
+
+def curvature_operator(size):
+    """Second differences of the densities of the cells along both thresholds.
+
+    Parameters
+    ----------
+    size : int
+
+    Returns
+    -------
+    csr_array, shape (differences, n (n + 1) / 2)
+    """
+    cells = np.tril_indices(size)
+    number = np.full((size, size), -1)
+    number[cells] = np.arange(cells[0].size)
+    triples = np.concatenate([
+        np.stack([number[:, :-2], number[:, 1:-1], number[:, 2:]], axis=-1).reshape(-1, 3),
+        np.stack([number[:-2], number[1:-1], number[2:]], axis=-1).reshape(-1, 3),
+    ])
+    triples = triples[(triples >= 0).all(axis=1)]
+    rows = np.repeat(np.arange(len(triples)), 3)
+    values = np.tile([1.0, -2.0, 1.0], len(triples))
+    shape = (len(triples), cells[0].size)
+    return coo_array((values, (rows, triples.ravel())), shape=shape).tocsr()
+
+
+def _on_finer_grid(forces, coarse, fine):
+    """Forces of the bounds of a fine grid's cells: each that of the coarse cell it lies in."""
+    cell = np.arange(fine) * coarse // fine
+    return lower_triangle(forces, coarse)[np.ix_(cell, cell)][np.tril_indices(fine)]
+
+
+class _Equations:
+    """Normal equations of the regression, accumulated over blocks of samples, (2.7)."""
+
+    def __init__(self, size, others):
+        unknowns = size * (size + 1) // 2
+        self.size, self.count = size, 0
+        self.quadratic, self.linear = csr_array((unknowns, unknowns)), np.zeros(unknowns)
+        self.border, self.corner = np.zeros((unknowns, others)), np.zeros((others, others))
+        self.border_linear, self.square = np.zeros(others), 0.0
+
+    @classmethod
+    def of(cls, voltage_v, output_um, levels_v, samples, transients):
+        """Equations of the samples whose memory is known well enough."""
+        history = everett_regression(voltage_v, levels_v).history
+        if (history[samples] < 0).all():
+            raise ValueError(
+                "no sample lies where the voltage has been before: record at least one reversal"
+            )
+        numbers = np.arange(1, history.max() + 1)
+        samples = samples[history[samples] >= 0]
+        equations = cls(levels_v.size - 1, 1 + numbers.size + transients.shape[1])
+        for start in range(0, samples.size, ROWS_AT_ONCE):
+            block = samples[start : start + ROWS_AT_ONCE]
+            rows = everett_regression(voltage_v, levels_v, block)
+            others = np.column_stack([
+                rows.history == 0, rows.history[:, None] == numbers, transients[block]
+            ]).astype(float)
+            equations.add(rows.matrix, others, output_um[block])
+        return equations
+
+    def add(self, matrix, others, output):
+        """Add rows of the regression."""
+        self.count += output.size
+        self.quadratic = self.quadratic + matrix.T @ matrix
+        self.linear += matrix.T @ output
+        self.border += matrix.T @ others
+        self.corner += others.T @ others
+        self.border_linear += others.T @ output
+        self.square += output @ output
+
+    def solve(self, weight, multiplier=None):
+        """Everett values, coefficients of the other columns, and forces of the bounds."""
+        density = density_operator(self.size)
+        curvature = curvature_operator(self.size) @ density
+        # Differences to derivatives, and sum to integral, of a density over the squared range.
+        scale = weight * self.size**6
+        return nonnegative_minimum(
+            self.quadratic / self.count + scale * (curvature.T @ curvature),
+            self.linear / self.count, density, self.border / self.count, self.corner / self.count,
+            self.border_linear / self.count, multiplier,
+        )
+
+    def misfit(self, everett, beside):
+        """Sum of the squares of what the regression leaves."""
+        return self.square + (
+            everett @ (self.quadratic @ everett + 2.0 * self.border @ beside - 2.0 * self.linear)
+            + beside @ (self.corner @ beside - 2.0 * self.border_linear)
+        )
+
+
+def _best_weight(voltage_v, output_um, levels_v, samples, transients):
+    """Weight that predicts every other half cell, and the forces of the bounds with it."""
+    # Half cells around the levels are fitted, those around the middles held out.
+    half_v = 0.5 * (levels_v[1] - levels_v[0])
+    held_out = np.round((voltage_v[samples] - levels_v[0]) / half_v) % 2 == 1
+    fitted = _Equations.of(voltage_v, output_um, levels_v, samples[~held_out], transients)
+    unseen = _Equations.of(voltage_v, output_um, levels_v, samples[held_out], transients)
+    trials = []
+    multiplier = None
+    for weight in SMOOTHING_WEIGHTS:
+        everett, beside, multiplier = fitted.solve(weight, multiplier)
+        trials.append((weight, unseen.misfit(everett, beside), multiplier))
+    chance = 1.0 + np.sqrt(2.0 / max(unseen.count, 1))
+    least = min(misfit for _, misfit, _ in trials)
+    return next((weight, forces) for weight, misfit, forces in trials if misfit <= chance * least)
