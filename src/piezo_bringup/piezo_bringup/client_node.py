@@ -115,7 +115,7 @@ class Client:
             feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None)
         return self.wait(sent)
 
-    def call(self, service_type, name, **fields):
+    def call(self, service_type, name, /, **fields):
         """Call a service and return its response."""
         client = self.node.create_client(service_type, name)
         if not self.spin_until(client.service_is_ready, SERVER_TIMEOUT_S):

@@ -12,12 +12,13 @@ from piezo_bringup.picture_style import (
     new_figure,
     plain_numbers,
 )
-from piezo_identification.prediction import slow_branches
 from piezo_models.linear import zoh_response
 
 NANOMETRES = 1e3
 CREEP_START_S = 0.03
 DRAWN_POINTS = 3000
+# A voltage that crosses its whole range quicker than this shows dynamics instead of hysteresis.
+SLOW_CROSSING_S = 0.05
 RESPONSE_HZ = (10.0, 2500.0)
 
 
@@ -33,8 +34,7 @@ def draw_loops(prediction):
     -------
     matplotlib.figure.Figure
     """
-    slow = slow_branches(prediction.time_s, prediction.voltage_v)
-    end = slow.size if slow.all() else int(np.argmin(slow))
+    end = _end_of_slow_part(prediction)
     slow = slice(0, end, max(1, end // DRAWN_POINTS))
     voltage_v, measured_um = prediction.voltage_v[slow], prediction.measured_um[slow]
     simulated_um = prediction.simulated_um[slow]
@@ -169,3 +169,9 @@ def draw_density(hysteresis):
           "voltage at which it switches on (V)")
     axes.grid(False)
     return figure
+
+
+def _end_of_slow_part(prediction):
+    rate_v_per_s = np.abs(np.diff(prediction.voltage_v)) / np.diff(prediction.time_s)
+    quick = rate_v_per_s > np.ptp(prediction.voltage_v) / SLOW_CROSSING_S
+    return int(np.argmax(quick)) if quick.any() else prediction.voltage_v.size

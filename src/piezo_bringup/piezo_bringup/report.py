@@ -58,8 +58,8 @@ def _errors_section(summary):
          "position; e_rms by the sensor with the mean error taken off; and the largest error by "
          "the sensor.",
          "Open loop knows no more of the stage than its gain over the whole range. Feedforward "
-         "inverts the identified model; what creep is left from before the run stays in its error "
-         "as an offset. Composite adds the feedback.",
+         "inverts the identified model, but repeats one period throughout, so that the creep "
+         "within the run stays in its error as a drift. Composite adds the feedback.",
          "The thesis' figures were measured on a real stage, ours on a simulated one: they tell "
          "the scale. A dash stands where the thesis gives none."),
         table_rows(summary),
@@ -107,23 +107,24 @@ def _identification_section(errors, model, recordings, directory):
 def _frequency_section(frequency_hz, runs):
     by_mode = {run.mode: run for run in runs}
     name = f"{frequency_hz:g} Hz"
-    pictures = [_picture(
-        f"Tracking at {name}", tracking_pictures.draw_tracking(by_mode),
-        "The last periods of the runs by the sensor, and the error of each on a scale of its own.",
-        tall=True)]
-    if "composite" in by_mode:
-        run = by_mode["composite"]
-        pictures += [
-            _picture(f"Voltages at {name}", tracking_pictures.draw_voltages(run),
-                     "Composite: the feedforward carries the trajectory, the feedback what the "
-                     "model does not know."),
-            _picture(f"Spectra at {name}", tracking_pictures.draw_spectra(run),
-                     "Composite: spectra of both voltages over the whole run, through a Hann "
-                     "window. The feedback is held for a millisecond at a time, so its spectrum "
-                     "repeats around multiples of 1 kHz.")]
-    run = runs[0]
-    return Section(f"{name}, {run.amplitude_um:g} um peak to peak about {run.centre_um:g} um",
-                   pictures=tuple(pictures))
+    run = by_mode["composite"]
+    feedforward_v = by_mode["feedforward"].voltage_v
+    feedback_v = run.voltage_v - feedforward_v
+    return Section(
+        f"{name}, {run.amplitude_um:g} um peak to peak about {run.centre_um:g} um",
+        pictures=(
+            _picture(f"Tracking at {name}", tracking_pictures.draw_tracking(by_mode),
+                     "The last periods of the runs by the sensor, and the error of each on a scale "
+                     "of its own.", tall=True),
+            _picture(f"Voltages at {name}",
+                     tracking_pictures.draw_voltages(feedforward_v, feedback_v, run),
+                     "The feedforward carries the trajectory, the feedback the slow remainder. The "
+                     "feedback is what composite adds to the voltage of feedforward."),
+            _picture(f"Spectra at {name}", tracking_pictures.draw_spectra(
+                         feedforward_v, feedback_v, run.sample_rate_hz),
+                     "Spectra of both voltages over the whole run, through a Hann window. The "
+                     "feedback is held for a millisecond at a time, so its spectrum repeats around "
+                     "multiples of 1 kHz.")))
 
 
 def _measures_section(summary):

@@ -24,8 +24,8 @@ class TrackedRun:
     sample_rate_hz : float
     reference_um, displacement_um, true_um : ndarray, shape (N,)
         Wanted, measured by the sensor, and true in the simulator.
-    voltage_v, feedback_v : ndarray, shape (N,)
-        Applied, and the feedback's share of it.
+    voltage_v : ndarray, shape (N,)
+        Applied.
     loop_s, loop_wall_s : float
         Stage time and wall time from the first block of the loop to the last.
     missed_feedback : int
@@ -43,7 +43,6 @@ class TrackedRun:
     displacement_um: np.ndarray
     true_um: np.ndarray
     voltage_v: np.ndarray
-    feedback_v: np.ndarray
     loop_s: float
     loop_wall_s: float
     missed_feedback: int
@@ -58,11 +57,6 @@ class TrackedRun:
     def error_um(self):
         """Reference minus measured displacement, shape (N,)."""
         return self.reference_um - self.displacement_um
-
-    @property
-    def feedforward_v(self):
-        """The feedforward's share of the voltage, shape (N,)."""
-        return self.voltage_v - self.feedback_v
 
 
 def read_tracked_run(path):
@@ -90,16 +84,15 @@ def read_tracked_run(path):
     part = tracked.select(np.arange(len(tracked.sample_index)) >= tracked.sample_index.size - count)
     if tracked.gaps or part.sample_index.size < count:
         raise ValueError(f"{path} lacks samples of the run: track again")
-    ticks = _read_ticks(path, tracked.sample_index[0], tracked.sample_index[-1])
+    loop_samples, loop_wall_s, missed = _loop_times(path, *tracked.sample_index[[0, -1]])
     return TrackedRun(
         mode=parameters["mode"], frequency_hz=reference.frequency_hz[0],
         amplitude_um=reference.amplitude_um[0], centre_um=reference.centre_um,
         sample_rate_hz=recording.sample_rate_hz,
         reference_um=np.resize(sample_reference(reference, recording.sample_rate_hz), count),
         displacement_um=part.displacement_um, true_um=_true_displacement_um(path, part),
-        voltage_v=part.voltage_v, feedback_v=ticks.feedback_v(part.sample_index),
-        loop_s=ticks.loop_s(recording.sample_rate_hz), loop_wall_s=ticks.loop_wall_s,
-        missed_feedback=ticks.missed_feedback, path=str(path))
+        voltage_v=part.voltage_v, loop_s=loop_samples / recording.sample_rate_hz,
+        loop_wall_s=loop_wall_s, missed_feedback=missed, path=str(path))
 
 
 def _parameters(recording):
@@ -118,48 +111,16 @@ def _true_displacement_um(path, part):
     return truth.displacement_um[at]
 
 
-@dataclass(frozen=True, eq=False)
-class _Ticks:
-    """Blocks of the loop and the answers to them, in the order of the ticks."""
-
-    first_sample: np.ndarray
-    tick: np.ndarray
-    log_time_ns: np.ndarray
-    samples_per_tick: int
-    missed_feedback: int
-    answered_tick: np.ndarray
-    answer_v: np.ndarray
-
-    @property
-    def loop_wall_s(self):
-        return 1e-9 * float(self.log_time_ns[-1] - self.log_time_ns[0])
-
-    def loop_s(self, sample_rate_hz):
-        return float(self.first_sample[-1] - self.first_sample[0]) / sample_rate_hz
-
-    def feedback_v(self, sample_index):
-        """Feedback that acts at the samples: an answer is held from the tick after its own on."""
-        since_first = (sample_index - self.first_sample[0]) // self.samples_per_tick
-        # A block carries the tick after its samples.
-        tick = self.tick[0] - 1 + since_first
-        latest = np.searchsorted(self.answered_tick + 1, tick, side="right")
-        return np.r_[0.0, self.answer_v][latest]
-
-
-def _read_ticks(path, first_sample, last_sample):
+def _loop_times(path, first_sample, last_sample):
+    """Samples and wall time from the first block of the loop to the last; answers missed."""
     with AnyReader([Path(path)]) as reader:
-        def messages(kind):
-            wanted = [c for c in reader.connections if c.msgtype.endswith(kind)
-                      and not c.topic.endswith("/" + GROUND_TRUTH)]
-            for connection, time_ns, data in reader.messages(wanted) if wanted else ():
-                yield time_ns, reader.deserialize(data, connection.msgtype)
-
-        blocks = [(time_ns, block.first_sample, block.tick, len(block.displacement_um),
-                   block.missed_feedback)
-                  for time_ns, block in messages("/SampleBlock")
-                  if first_sample <= block.first_sample <= last_sample]
-        answers = [(answer.tick, answer.voltage_v) for _, answer in messages("/FeedbackVoltage")]
-    log_time_ns, first, tick, counts, missed = np.array(blocks, dtype=np.int64).T
-    answers = np.array(answers).reshape(-1, 2)
-    return _Ticks(first, tick, log_time_ns, int(counts[0]), int(missed[-1]),
-                  answers[:, 0].astype(np.int64), answers[:, 1])
+        samples = [connection for connection in reader.connections
+                   if connection.msgtype.endswith("/SampleBlock")
+                   and not connection.topic.endswith("/" + GROUND_TRUTH)]
+        blocks = [(time_ns, reader.deserialize(data, connection.msgtype))
+                  for connection, time_ns, data in reader.messages(samples)]
+    loop = [(time_ns, block) for time_ns, block in blocks
+            if first_sample <= block.first_sample <= last_sample]
+    (begin_ns, first), (end_ns, last) = loop[0], loop[-1]
+    return (last.first_sample - first.first_sample, 1e-9 * (end_ns - begin_ns),
+            last.missed_feedback)

@@ -94,12 +94,14 @@ def draw_tracking(runs):
     return figure
 
 
-def draw_voltages(run):
+def draw_voltages(feedforward_v, feedback_v, run):
     """Feedforward voltage over the last periods, feedback voltage over the whole run.
 
     Parameters
     ----------
+    feedforward_v, feedback_v : ndarray, shape (N,)
     run : TrackedRun
+        Gives the time.
 
     Returns
     -------
@@ -108,20 +110,21 @@ def draw_voltages(run):
     shown, time_ms = _last_periods(run)
     figure = new_figure(4.4)
     above, below = figure.subplots(2, 1)
-    above.plot(time_ms, run.feedforward_v[shown], color=BLUE)
+    above.plot(time_ms, feedforward_v[shown], color=BLUE)
     label(above, "time (ms), the last periods", "feedforward (V)")
-    below.plot(run.time_s, run.feedback_v, color=VERMILION, linewidth=0.9)
+    below.plot(run.time_s, feedback_v, color=VERMILION, linewidth=0.9)
     label(below, "time (s), the whole run", "feedback (V)")
     figure.align_ylabels()
     return figure
 
 
-def draw_spectra(run):
+def draw_spectra(feedforward_v, feedback_v, sample_rate_hz):
     """Spectra of the feedforward and the feedback voltage over the whole run.
 
     Parameters
     ----------
-    run : TrackedRun
+    feedforward_v, feedback_v : ndarray, shape (N,)
+    sample_rate_hz : float
 
     Returns
     -------
@@ -129,10 +132,10 @@ def draw_spectra(run):
     """
     figure = new_figure(3.6)
     axes = figure.subplots()
-    lines = (("feedforward", run.feedforward_v, {"color": BLUE, "linewidth": 1.6}),
-             ("feedback", run.feedback_v, {"color": VERMILION, "linewidth": 0.7}))
+    lines = (("feedforward", feedforward_v, {"color": BLUE, "linewidth": 1.6}),
+             ("feedback", feedback_v, {"color": VERMILION, "linewidth": 0.7}))
     for name, voltage_v, style in lines:
-        frequency_hz, amplitude_v = amplitude_spectrum(voltage_v, run.sample_rate_hz)
+        frequency_hz, amplitude_v = amplitude_spectrum(voltage_v, sample_rate_hz)
         axes.loglog(frequency_hz, np.maximum(amplitude_v, SMALLEST_AMPLITUDE_V), label=name,
                     **style)
     axes.set(xlim=SPECTRUM_HZ, ylim=(SMALLEST_AMPLITUDE_V, 200.0))

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import base64
+import io
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from piezo_bringup.frequency_response import CLEARANCE, square_wave_response
+from piezo_bringup.page import Picture, Section, render_page
+from piezo_bringup.report import render_report
+from piezo_bringup.summary import summarise
+from piezo_bringup.tracked_run import read_tracked_run
+from piezo_bringup.tracking_pictures import amplitude_spectrum
+from piezo_models.cascade import StageModel
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, zoh_response
+from piezo_models.preisach import PreisachModel
+from piezo_recorder.reader import Recording
+from piezo_recorder.sample_block import Flag
+
+RATE_HZ = 40_000.0
+MODES = ("open_loop", "feedforward", "composite")
+FREQUENCIES_HZ = (100.0, 500.0)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return StageModel(
+        PreisachModel(-20.0, 120.0, np.tril(np.full((8, 8), 0.01)), -10.0),
+        CreepDynamics((0.5,), (0.52,)),
+        ElectricVibrationDynamics(5e-4, (2850.0,), (0.7,)))
+
+
+def measured(model, voltage_v, sample_period_s, noise_um=0.0):
+    """Recording of what the model itself would have measured."""
+    displacement_um = model.simulate(voltage_v, sample_period_s)
+    displacement_um += noise_um * np.random.default_rng(1).standard_normal(voltage_v.size)
+    stride = round(sample_period_s * RATE_HZ)
+    return Recording(
+        "made", RATE_HZ, np.arange(voltage_v.size) * stride,
+        np.full(voltage_v.size, sample_period_s), voltage_v, displacement_um,
+        np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32))
+
+
+def square_wave(period_samples, periods):
+    half = period_samples // 2
+    return np.tile(np.repeat([71.0, 29.0], half), periods)
+
+
+@pytest.fixture(scope="module")
+def recordings(model):
+    time_s = np.arange(20_000) / RATE_HZ
+    arcs_v = 50.0 - 70.0 * np.cos(2 * np.pi * 4.0 * time_s) * (1.0 - 0.8 * time_s)
+    return {"creep": measured(model, square_wave(2000, 1), 0.01),
+            "dynamics": measured(model, square_wave(800, 15), 1 / RATE_HZ, noise_um=0.009),
+            "validation": measured(model, arcs_v, 1 / RATE_HZ)}
+
+
+@pytest.fixture(scope="module")
+def report(model, recordings, tracking_recordings, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("runs")
+    runs = [read_tracked_run(tracking_recordings.write(
+        directory / f"{mode}_{frequency_hz:g}", mode, frequency_hz, error_um=0.1))
+        for frequency_hz in FREQUENCIES_HZ for mode in MODES]
+    summary = summarise(runs, {"e_y_percent": 0.0412}, directory)
+    return render_report(summary, runs, model, recordings, "demo --output <here>", directory)
+
+
+class Page(HTMLParser):
+    """Collects tags with their attributes, and the text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.text = [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_the_report_refers_to_nothing_outside_itself(report):
+    page = Page(report)
+    references = [value for _, attributes in page.tags for name, value in attributes.items()
+                  if name in ("src", "href", "srcset", "data", "action")]
+    assert references and all(value.startswith("data:image/png;base64,") for value in references)
+    assert not {tag for tag, _ in page.tags} & {"script", "link", "iframe", "object", "embed"}
+    assert not re.search(r"https?:|url\(|@import", report)
+
+
+def test_every_picture_is_in_the_report_and_can_be_decoded(report):
+    pictures = {attributes["alt"]: attributes["src"] for tag, attributes in Page(report).tags
+                if tag == "img"}
+    assert set(pictures) == {
+        "Errors over frequency", "Hysteresis loops", "Density", "Creep", "Step response",
+        "Frequency response",
+        *(f"{what} at {frequency_hz:g} Hz" for frequency_hz in FREQUENCIES_HZ
+          for what in ("Tracking", "Voltages", "Spectra"))}
+    for source in pictures.values():
+        pixels = imread(io.BytesIO(base64.b64decode(source.partition(",")[2])), format="png")
+        assert np.ptp(pixels[..., :3]) > 0.5
+
+
+def test_the_report_tells_the_numbers_and_the_command_literally(report):
+    text = Page(report).text
+    assert "0.250" in text and "0.041" in text and "1.21" in text
+    assert "demo --output <here>" in text
+
+
+def test_text_of_a_page_cannot_become_markup():
+    page = Page(render_page("<b>&", ["a `<i>` b"], [Section(
+        "<u>", table=[["<s>"], ["1"]], pictures=[Picture('"<em>', "<q>", b"")])]))
+    assert not {tag for tag, _ in page.tags} & {"b", "i", "u", "s", "em", "q"}
+    assert "a <i> b" in page.text
+
+
+def test_the_square_wave_measures_the_response_of_the_model_that_answered(model, recordings):
+    frequency_hz, response = square_wave_response(model, recordings["dynamics"])
+    expected = zoh_response(model.linear(), frequency_hz, 1 / RATE_HZ)
+    assert frequency_hz[:3] == pytest.approx([50.0, 150.0, 250.0])
+    assert np.abs(response / expected - 1).max() < 4 / CLEARANCE
+    assert np.abs(response[:5] / expected[:5] - 1).max() < 0.01
+
+
+def test_harmonics_that_drown_in_noise_are_left_out(model):
+    quiet, loud = (square_wave_response(
+        model, measured(model, square_wave(800, 15), 1 / RATE_HZ, noise))[0][-1]
+        for noise in (1e-3, 1.0))
+    assert loud < 1000.0 < quiet
+
+
+def test_the_spectrum_gives_a_sine_its_amplitude():
+    time_s = np.arange(4000) / RATE_HZ
+    signal = 3.0 + 0.5 * np.sin(2 * np.pi * 200.0 * time_s)
+    frequency_hz, amplitude = amplitude_spectrum(signal, RATE_HZ)
+    assert frequency_hz[np.argmax(amplitude)] == pytest.approx(200.0)
+    assert amplitude.max() == pytest.approx(0.5)
