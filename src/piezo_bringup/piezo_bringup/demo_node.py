@@ -204,7 +204,7 @@ def main(args=None):
     progress = ProgressLine()
     try:
         earlier = claim_directory(directory, command)
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         _fail(BAD_INPUT, error)
     if earlier:
         print(f"the earlier run is now in {earlier}")

@@ -28,17 +28,25 @@ def claim_directory(path, command):
     Raises
     ------
     ValueError
-        If the directory holds something that no earlier run made.
+        If the directory holds something that no earlier run made, or cannot be made.
     """
     path = Path(path)
-    earlier = None
-    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        earlier = _free_sibling(path, _began(path))
-        path.rename(earlier)
-    path.mkdir(parents=True, exist_ok=True)
-    _write_mark(path, {"began": datetime.now().astimezone().isoformat(timespec="seconds"),
-                       "command": command})
+    try:
+        earlier = _move_aside(path)
+        path.mkdir(parents=True, exist_ok=True)
+        _write_mark(path, {"began": datetime.now().astimezone().isoformat(timespec="seconds"),
+                           "command": command})
+    except OSError as error:
+        raise ValueError(f"{path} cannot be made ({error.strerror}): "
+                         "name another directory with --output") from None
     return earlier
+
+
+def _move_aside(path):
+    if not path.exists() or path.is_dir() and not any(path.iterdir()):
+        return None
+    earlier = _free_sibling(path, _began(path))
+    return path.rename(earlier)
 
 
 def _began(path):

@@ -27,3 +27,9 @@ def test_what_no_run_made_is_refused_and_left_alone(tmp_path):
 def test_an_empty_directory_is_taken(tmp_path):
     assert claim_directory(tmp_path, "demo") is None
     assert (tmp_path / "run.json").exists()
+
+
+def test_a_directory_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="file/demo cannot be made"):
+        claim_directory(tmp_path / "file" / "demo", "demo")
