@@ -29,7 +29,8 @@ def estimate_hysteresis(
 
 
 def estimate_density(
-    recording, creep, dynamics, level_count=70, cells_per_level=2, smoothing_weight=None
+    recording, creep, dynamics, level_count=70, cells_per_level=2, smoothing_weight=None,
+    translation_weight=0.0,
 ):
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
@@ -50,6 +51,8 @@ def estimate_density(
         Cells of the model from one level to the next.
     smoothing_weight : float, optional
         By default chosen on held-out samples, see `smoothed_density`.
+    translation_weight : float
+        Of `smoothed_density`; for inputs that leave much of the plane unvisited.
 
     Returns
     -------
@@ -71,6 +74,7 @@ def estimate_density(
         samples=np.flatnonzero(part.time_s >= settling_time_s(dynamics)),
         transients=np.exp(-np.outer(part.time_s, creep.zeros_rad_per_s)),
         smoothing_weight=smoothing_weight, level_count=level_count,
+        translation_weight=translation_weight,
     )
 
 

@@ -24,7 +24,7 @@ ROWS_AT_ONCE = 200_000
 
 def smoothed_density(
     voltage_v, output_um, levels_v, samples=None, transients=None, smoothing_weight=None,
-    level_count=None,
+    level_count=None, translation_weight=0.0,
 ):
     """Density that is nowhere negative and as smooth as the data allow.
 
@@ -48,6 +48,10 @@ def smoothed_density(
         any, within what chance does to their mean square.
     level_count : int, optional
         Number of equal steps of voltage by which a cell counts as visited; n by default.
+    translation_weight : float
+        Weight of the integral of the squares of the density's first derivative along the diagonal.
+        A small one lets the density outside the visited cells be that of equally wide loops
+        elsewhere, where the curvature alone would go on straight.
 
     Returns
     -------
@@ -67,17 +71,21 @@ def smoothed_density(
         coarse = min(size, CELLS_FOR_THE_WEIGHT)
         coarse_v = np.linspace(levels_v[0], levels_v[-1], coarse + 1)
         smoothing_weight, forces = _best_weight(
-            voltage_v, output_um, coarse_v, samples, transients
+            voltage_v, output_um, coarse_v, samples, transients, translation_weight
         )
         # The bounds that hold are found on grids twice as fine each time, where that costs little.
         while 2 * coarse < size:
             finer = 2 * coarse
             finer_v = np.linspace(levels_v[0], levels_v[-1], finer + 1)
-            equations = _Equations.of(voltage_v, output_um, finer_v, samples, transients)
+            equations = _Equations.of(
+                voltage_v, output_um, finer_v, samples, transients, translation_weight
+            )
             *_, forces = equations.solve(smoothing_weight, _on_finer_grid(forces, coarse, finer))
             coarse = finer
         multiplier = _on_finer_grid(forces, coarse, size)
-    equations = _Equations.of(voltage_v, output_um, levels_v, samples, transients)
+    equations = _Equations.of(
+        voltage_v, output_um, levels_v, samples, transients, translation_weight
+    )
     everett, beside, _ = equations.solve(smoothing_weight, multiplier)
     density = np.maximum(density_operator(size) @ everett, 0.0)
     width_v = (levels_v[-1] - levels_v[0]) / size
@@ -122,10 +130,29 @@ def _on_finer_grid(forces, coarse, fine):
     return lower_triangle(forces, coarse)[np.ix_(cell, cell)][np.tril_indices(fine)]
 
 
+def translation_operator(size):
+    """First differences of the densities of the cells along the diagonal.
+
+    Parameters
+    ----------
+    size : int
+
+    Returns
+    -------
+    csr_array, shape (differences, n (n + 1) / 2)
+    """
+    i, j = np.tril_indices(size - 1)
+    rows = np.tile(np.arange(i.size), 2)
+    columns = np.concatenate([i * (i + 1) // 2 + j, (i + 1) * (i + 2) // 2 + j + 1])
+    values = np.repeat([-1.0, 1.0], i.size)
+    return coo_array((values, (rows, columns)), shape=(i.size, size * (size + 1) // 2)).tocsr()
+
+
 class _Equations:
     """Normal equations of the regression, accumulated over blocks of samples, (2.7)."""
 
-    def __init__(self, size, others):
+    def __init__(self, size, others, translation_weight):
+        self.translation_weight = translation_weight
         unknowns = size * (size + 1) // 2
         self.size, self.count = size, 0
         self.quadratic, self.linear = csr_array((unknowns, unknowns)), np.zeros(unknowns)
@@ -133,7 +160,7 @@ class _Equations:
         self.border_linear, self.square = np.zeros(others), 0.0
 
     @classmethod
-    def of(cls, voltage_v, output_um, levels_v, samples, transients):
+    def of(cls, voltage_v, output_um, levels_v, samples, transients, translation_weight):
         """Equations of the samples whose memory is known well enough."""
         history = everett_regression(voltage_v, levels_v).history
         if (history[samples] < 0).all():
@@ -142,7 +169,8 @@ class _Equations:
             )
         numbers = np.arange(1, history.max() + 1)
         samples = samples[history[samples] >= 0]
-        equations = cls(levels_v.size - 1, 1 + numbers.size + transients.shape[1])
+        others = 1 + numbers.size + transients.shape[1]
+        equations = cls(levels_v.size - 1, others, translation_weight)
         for start in range(0, samples.size, ROWS_AT_ONCE):
             block = samples[start : start + ROWS_AT_ONCE]
             rows = everett_regression(voltage_v, levels_v, block)
@@ -167,9 +195,12 @@ class _Equations:
         density = density_operator(self.size)
         curvature = curvature_operator(self.size) @ density
         # Differences to derivatives, and sum to integral, of a density over the squared range.
-        scale = weight * self.size**6
+        roughness = weight * self.size**6 * (curvature.T @ curvature)
+        if self.translation_weight:
+            translation = translation_operator(self.size) @ density
+            roughness += self.translation_weight * self.size**4 * (translation.T @ translation)
         return nonnegative_minimum(
-            self.quadratic / self.count + scale * (curvature.T @ curvature),
+            self.quadratic / self.count + roughness,
             self.linear / self.count, density, self.border / self.count, self.corner / self.count,
             self.border_linear / self.count, multiplier,
         )
@@ -182,13 +213,15 @@ class _Equations:
         )
 
 
-def _best_weight(voltage_v, output_um, levels_v, samples, transients):
+def _best_weight(voltage_v, output_um, levels_v, samples, transients, translation_weight):
     """Weight that predicts every other half cell, and the forces of the bounds with it."""
     # Half cells around the levels are fitted, those around the middles held out.
     half_v = 0.5 * (levels_v[1] - levels_v[0])
     held_out = np.round((voltage_v[samples] - levels_v[0]) / half_v) % 2 == 1
-    fitted = _Equations.of(voltage_v, output_um, levels_v, samples[~held_out], transients)
-    unseen = _Equations.of(voltage_v, output_um, levels_v, samples[held_out], transients)
+    fitted, unseen = (
+        _Equations.of(voltage_v, output_um, levels_v, samples[part], transients, translation_weight)
+        for part in (~held_out, held_out)
+    )
     trials = []
     multiplier = None
     for weight in SMOOTHING_WEIGHTS:
