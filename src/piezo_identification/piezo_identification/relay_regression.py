@@ -3,8 +3,6 @@
 
 import numpy as np
 
-from piezo_models.relay_grid import activation_matrix
-
 ROWS_AT_ONCE = 2000
 """Rows of the regression that are held in memory together."""
 
@@ -36,21 +34,6 @@ def relay_rows(voltage_v, levels_v, on=None):
         on &= (voltage >= centres_v)[j]
         rows[n] = on
     return rows
-
-
-def area_rows(voltage_v, levels_v):
-    """Active part of every cell, in units of a full cell: eq. (2.3) with true areas.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    levels_v : ndarray, shape (L + 1,)
-
-    Returns
-    -------
-    ndarray, shape (N, L (L + 1) / 2)
-    """
-    return activation_matrix(voltage_v, levels_v) / (levels_v[1] - levels_v[0]) ** 2
 
 
 class NormalEquations:

@@ -218,6 +218,9 @@ def _best_weight(voltage_v, output_um, levels_v, samples, transients, translatio
     # Half cells around the levels are fitted, those around the middles held out.
     half_v = 0.5 * (levels_v[1] - levels_v[0])
     held_out = np.round((voltage_v[samples] - levels_v[0]) / half_v) % 2 == 1
+    if not 0.1 < held_out.mean() < 0.9:
+        # Samples taken by voltage may all lie on levels.
+        held_out = np.arange(samples.size) % 2 == 1
     fitted, unseen = (
         _Equations.of(voltage_v, output_um, levels_v, samples[part], transients, translation_weight)
         for part in (~held_out, held_out)

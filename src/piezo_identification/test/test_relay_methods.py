@@ -12,7 +12,6 @@ from piezo_identification.projection import projection
 from piezo_identification.relay_regression import (
     NormalEquations,
     accumulate,
-    area_rows,
     excitation_rank,
     relay_rows,
 )
@@ -148,11 +147,6 @@ def test_the_svd_finds_the_density_and_reports_its_rank():
     np.testing.assert_allclose(estimate.density_um_per_v2, density, rtol=1e-6, atol=1e-9)
     assert estimate.rank == 78 and estimate.visited_fraction == 1.0
     assert "rank 78 of 78" in estimate.report()
-
-
-def test_active_areas_count_a_full_triangle_as_half_a_cell():
-    rows = area_rows(np.array([0.0, 2.0]), np.array([0.0, 1.0, 2.0]))
-    np.testing.assert_allclose(rows, [[0.0, 0.0, 0.0], [0.5, 1.0, 0.5]])
 
 
 def test_the_projection_converges_where_the_svd_is_there_at_once():

@@ -182,6 +182,16 @@ def test_a_recording_with_an_unknown_past_and_many_reversals_predicts():
     assert np.abs(error_um - error_um.mean()).max() < 5e-3 * np.diff(plant.output_range_um)
 
 
+def test_samples_that_all_lie_on_levels_are_enough():
+    plant = truth()
+    turns = [turn for top in range(1, 41) for turn in (*range(top), *range(top, 0, -1))]
+    voltage_v = -20.0 + 3.5 * np.array([*turns, 0.0])
+    levels_v = np.linspace(-20.0, 120.0, 41)
+    model = smoothed_density(voltage_v, plant.simulate(voltage_v), levels_v).model()
+    error_um = model.simulate(voltage_v) - plant.simulate(voltage_v)
+    assert np.abs(error_um).max() < 5e-3
+
+
 def test_a_voltage_that_never_returns_is_refused():
     voltage_v = np.linspace(1.0, 2.0, 50)
     with pytest.raises(ValueError, match="record at least one reversal"):
