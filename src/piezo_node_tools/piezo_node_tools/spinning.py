@@ -15,6 +15,7 @@ from piezo_node_tools.parameters import declare
 
 SPIN_TIMEOUT_S = 0.2
 WIND_DOWN_TIMEOUT_S = 10.0
+LAST_WORDS_S = 0.2
 BAD_INPUT_STATUS = 2
 
 
@@ -101,6 +102,12 @@ def _spin(executor, step, stop_requested):
 
 
 def _wind_down(executor, wind_down):
-    deadline = time.monotonic() + WIND_DOWN_TIMEOUT_S
-    while not wind_down() and time.monotonic() < deadline:
+    _spin_until(executor, wind_down, WIND_DOWN_TIMEOUT_S)
+    # The results of goals that have just ended go out by callbacks of their own.
+    _spin_until(executor, lambda: False, LAST_WORDS_S)
+
+
+def _spin_until(executor, condition, timeout_s):
+    deadline = time.monotonic() + timeout_s
+    while not condition() and time.monotonic() < deadline:
         executor.spin_once(timeout_sec=0.05)
