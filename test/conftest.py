@@ -60,6 +60,14 @@ def at_rest(block):
     return block.flags & ~SampleBlock.FLAG_STOPPED == 0 and block.voltage_v[-1] == 0.0
 
 
+class RunningGoal:
+    """A goal and, asked for at once as clients do, its result to come."""
+
+    def __init__(self, handle):
+        self.handle = handle
+        self.outcome = handle.get_result_async()
+
+
 class StageClient(Client):
     """Keep what the stage of a namespace publishes; answer its blocks if told how.
 
@@ -124,27 +132,31 @@ class StageClient(Client):
         return self.goal("play_waveform", voltage_v=array.array("d", voltage_v),
                          sample_period_s=sample_period_s, repeats=repeats, **options)
 
+    def send_goal(self, name, **fields):
+        """Send a goal; return it without waiting."""
+        return RunningGoal(self.send(name, **fields))
+
     def begin(self, name, **fields):
-        """Send a goal; return its handle once the stage moves."""
-        handle = self.send(name, **fields)
+        """Send a goal; return it once the stage moves."""
         seen = len(self.blocks)
-        self.until(lambda: any(map(np.any, (b.voltage_v for b in self.blocks[seen:]))))
-        return handle
+        goal = self.send_goal(name, **fields)
+        self.until(lambda: any(np.any(block.voltage_v) for block in self.blocks[seen:]))
+        return goal
 
     def begin_play(self, voltage_v, sample_period_s=25e-6, repeats=1):
-        """Begin a waveform; return the goal's handle once the stage moves."""
+        """Begin a waveform; return the goal once the stage moves."""
         return self.begin("play_waveform", voltage_v=array.array("d", voltage_v),
                           sample_period_s=sample_period_s, repeats=repeats)
 
-    def result(self, handle):
+    def result(self, goal):
         """Wait for the end of a goal; return its status and its result."""
-        response = self.wait(handle.get_result_async())
+        response = self.wait(goal.outcome)
         return response.status, response.result
 
-    def cancel(self, handle):
+    def cancel(self, goal):
         """Cancel a goal; return its status and its result."""
-        self.wait(handle.cancel_goal_async())
-        return self.result(handle)
+        self.wait(goal.handle.cancel_goal_async())
+        return self.result(goal)
 
     def load(self, once_voltage_v, period_voltage_v=(), append=False):
         return self.call(LoadFeedforward, "load_feedforward", append=append,

@@ -65,10 +65,10 @@ def test_waveform_of_one_value_per_second_can_be_cancelled_before_it_fills_a_blo
     stage.until(lambda: len(stage.blocks) > 0)
     before = stage.blocks[-1].first_sample
     told = []
-    handle = stage.send("play_waveform", told.append, voltage_v=np.full(100, 10.0),
-                        sample_period_s=1.0, repeats=1)
+    goal = stage.send_goal("play_waveform", on_feedback=told.append, voltage_v=np.full(100, 10.0),
+                           sample_period_s=1.0, repeats=1)
     stage.until(lambda: any(feedback.stage == "play" for feedback in told))
-    status, result = stage.cancel(handle)
+    status, result = stage.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED
     assert result.last_sample - before < 20 * 40_000  # a block has 40 s
     samples = stage.samples(result.last_sample)

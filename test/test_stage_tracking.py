@@ -169,9 +169,9 @@ def test_client_that_stops_answering_trips_the_watchdog(stage):
 
 
 def test_emergency_stop_ends_a_waveform_and_is_latched_until_reset(stage):
-    handle = stage.begin_play(np.full(4000, 60.0), repeats=1_000_000)
+    goal = stage.begin_play(np.full(4000, 60.0), repeats=1_000_000)
     assert stage.trigger("emergency_stop").success
-    status, result = stage.result(handle)
+    status, result = stage.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
     assert result.message == "emergency stop"
     samples = stage.samples(result.last_sample)

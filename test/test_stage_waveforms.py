@@ -84,10 +84,10 @@ def test_impossible_waveform_is_refused_in_one_sentence_and_nothing_moves(suite,
 
 def test_second_waveform_is_refused_while_one_plays_and_the_first_goes_on(suite):
     waveform = sine(4000)
-    handle = suite.begin_play(waveform, repeats=40)
+    goal = suite.begin_play(waveform, repeats=40)
     with pytest.raises(GoalFailed, match="the stage is busy"):
         suite.play([1.0])
-    status, result = suite.result(handle)
+    status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_SUCCEEDED
     played = suite.samples(result.last_sample).flagged(FLAG_PLAYING)
     assert np.array_equal(played, np.tile(waveform, 40))
@@ -95,8 +95,8 @@ def test_second_waveform_is_refused_while_one_plays_and_the_first_goes_on(suite)
 
 @pytest.mark.parametrize("sample_period_s", [25e-6, 1.0])
 def test_cancelled_waveform_ramps_to_rest(suite, sample_period_s):
-    handle = suite.begin_play(np.full(4000, 60.0), sample_period_s, repeats=4_000_000)
-    status, result = suite.cancel(handle)
+    goal = suite.begin_play(np.full(4000, 60.0), sample_period_s, repeats=4_000_000)
+    status, result = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED
     assert not result.success
     assert "cancelled" in result.message
@@ -125,12 +125,11 @@ def test_subscriber_that_does_not_read_holds_the_stage_back_until_it_is_gone(sui
         return suite.spin_until(lambda: len(suite.blocks) > seen, 1.0)
 
     with suite.another_client():  # which never looks at what comes
-        handle = suite.begin_play(np.full(4000, 60.0), repeats=150)
-        result = handle.get_result_async()
+        goal = suite.begin_play(np.full(4000, 60.0), repeats=150)
         while goes_on():
-            assert not result.done()
-    outcome = suite.wait(result).result
-    assert outcome.success, outcome.message
-    samples = suite.samples(outcome.last_sample)
+            assert not goal.outcome.done()
+    _, result = suite.result(goal)
+    assert result.success, result.message
+    samples = suite.samples(result.last_sample)
     assert samples.gapless
     assert len(samples.flagged(FLAG_PLAYING)) == 150 * 4000

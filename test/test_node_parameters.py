@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Every parameter is described; a bad one keeps its node from starting, in one line."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+from ament_index_python.packages import get_package_prefix
+from rcl_interfaces.srv import DescribeParameters, ListParameters
+
+from piezo_bringup.processes import EXECUTABLES
+
+# Of rclpy itself.
+NOT_OURS = {"use_sim_time", "start_type_description_service"}
+
+
+@pytest.mark.parametrize("node", EXECUTABLES)
+def test_every_parameter_is_described(suite, node):
+    names = suite.call(ListParameters, f"{node}/list_parameters").result.names
+    assert "autostart" in names
+    descriptors = suite.call(
+        DescribeParameters, f"{node}/describe_parameters", names=names).descriptors
+    undescribed = {d.name for d in descriptors if not d.description.endswith(".")}
+    assert undescribed <= NOT_OURS
+
+
+@pytest.mark.parametrize(("node", "arguments", "line"), [
+    ("stage", ["-p", "sample_rate_hz:=5.0"],
+     "parameter sample_rate_hz is out of range: give a value from 1000 to 200000"),
+    ("stage", ["-p", "sample_rate_hz:=40000"],
+     "parameter sample_rate_hz is no float: give a value such as 40000.0"),
+    ("stage", ["-p", "timing:=slow"],
+     "parameter timing is 'slow': give paced or lockstep"),
+    ("stage", ["-p", "autostart:=true", "-p", "plant:=/no/plant.yaml"],
+     "/no/plant.yaml: the plant file cannot be read"),
+    ("recorder", ["-p", "topics:=[samples]"], "names 1 topics, types 3"),
+    ("recorder", ["--params-file", "/no/parameters.yaml"],
+     "Couldn't parse params file: '--params-file /no/parameters.yaml'"),
+])
+def test_bad_parameter_ends_the_node_at_start_with_one_clear_line(node, arguments, line):
+    package, executable = EXECUTABLES[node]
+    environment = {**os.environ}
+    environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
+    ended = subprocess.run(
+        [Path(get_package_prefix(package), "lib", package, executable), "--ros-args", *arguments],
+        env=environment, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 2
+    said = [text for text in ended.stderr.splitlines() if line in text]
+    assert len(said) == 1
+    assert "Traceback" not in ended.stderr
