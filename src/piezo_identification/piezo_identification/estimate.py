@@ -70,7 +70,7 @@ class Estimate:
             if trial.order == self.order:
                 mark = "  <- asked for" if self.order_given else "  <- least information"
             lines.append(
-                f"{trial.order:5d}  {trial.parameters:10d}  {trial.residual_rms:12.6g}  "
+                f"{trial.order!s:>5}  {trial.parameters:10d}  {trial.residual_rms:12.6g}  "
                 f"{trial.information:11.1f}{mark}{'  ' if trial.refusal else ''}{trial.refusal}"
             )
         return "\n".join(lines)

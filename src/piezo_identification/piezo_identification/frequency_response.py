@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Measured frequency responses: the CSV file that holds one."""
+
+import csv
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+COLUMNS = ("frequency_hz", "gain_re", "gain_im")
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """Complex gain at some frequencies.
+
+    Parameters
+    ----------
+    path : str
+        Where it was read.
+    frequency_hz : ndarray, shape (N,)
+        Positive and increasing.
+    gain : ndarray of complex, shape (N,)
+        Displacement over voltage, in the unit in which it was measured.
+    """
+
+    path: str
+    frequency_hz: np.ndarray = field(repr=False)
+    gain: np.ndarray = field(repr=False)
+
+    def between(self, lowest_hz, highest_hz):
+        """Part of the response, both ends included.
+
+        Raises
+        ------
+        ValueError
+            If no frequency lies in the band.
+        """
+        part = (self.frequency_hz >= lowest_hz) & (self.frequency_hz <= highest_hz)
+        if not part.any():
+            raise ValueError(
+                f"{self.path} has no frequency from {lowest_hz:g} to {highest_hz:g} Hz: it covers "
+                f"{self.frequency_hz[0]:g} to {self.frequency_hz[-1]:g} Hz"
+            )
+        return FrequencyResponse(self.path, self.frequency_hz[part], self.gain[part])
+
+
+def read_frequency_response(path):
+    """Read a CSV file with the columns frequency_hz, gain_re and gain_im.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    FrequencyResponse
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, lacks a column, or a row holds no finite gain at a frequency
+        above that of the row before; the message names the row.
+    """
+    try:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.reader(file))
+    except OSError as error:
+        raise ValueError(
+            f"{path} cannot be read ({error.strerror}): give an existing CSV file"
+        ) from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path} is no text with commas: give a CSV file") from error
+    header = [name.strip() for name in rows[0]] if rows else []
+    for name in COLUMNS:
+        if name not in header:
+            raise ValueError(
+                f"{path} has no column {name}: its first line must name {', '.join(COLUMNS)}"
+            )
+    places = [header.index(name) for name in COLUMNS]
+    values, before = [], 0.0
+    for number, row in enumerate(rows[1:], start=2):
+        if not row:
+            continue
+        try:
+            entry = [float(row[place]) for place in places]
+        except (ValueError, IndexError):
+            raise ValueError(
+                f"{path}, line {number}: a number is missing or cannot be read: correct or remove "
+                "the line"
+            ) from None
+        if not np.isfinite(entry).all():
+            raise ValueError(f"{path}, line {number}: not a finite number: remove the line")
+        if entry[0] <= before:
+            raise ValueError(
+                f"{path}, line {number}: frequency {entry[0]:g} Hz does not exceed {before:g} Hz: "
+                "sort the lines by frequency, each positive and only once"
+            )
+        before = entry[0]
+        values.append(entry)
+    if not values:
+        raise ValueError(f"{path} has no line of data: measure again")
+    frequency_hz, real, imaginary = np.array(values).T
+    return FrequencyResponse(str(path), frequency_hz, real + 1j * imaginary)

@@ -1,0 +1,349 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Creep, electric and vibration dynamics and a delay from a measured frequency response."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from piezo_identification.estimate import (
+    Estimate,
+    OrderTrial,
+    order_trial,
+    parameter_covariance,
+    split_dynamics_vector,
+)
+from piezo_identification.vector_fitting import residues_error, vector_fit
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
+
+MOST_STATES = 12
+"""States beyond which the search for the order ends."""
+
+MOST_CREEP_PAIRS = 3
+"""Pairs of creep poles and zeros up to which every number is tried."""
+
+SEARCH_CREEP_PAIRS = 1
+"""Pairs with which the modes are sought: enough that no mode is spent on creep."""
+
+SPARE_POLES = 24
+"""Poles of the rational fit that finds the resonances, some to be wasted on noise."""
+
+LEAST_FREQUENCIES = 24
+"""Frequencies below which no order can be told from another."""
+
+QUICK_EVALUATIONS = 12
+"""Steps that tell a good start from a bad one."""
+
+DELAYS = 9
+"""Delays from which the fit is tried, up to a period of the highest frequency that is strong."""
+
+STRONG = 0.02
+"""Part of the largest gain above which a frequency is strong."""
+
+
+@dataclass(frozen=True)
+class ResponseModel:
+    """Displacement over voltage in physical parameters.
+
+    Parameters
+    ----------
+    gain : float
+        Between creep and modes, in the unit of the measured response.
+    delay_s : float
+    creep : CreepDynamics
+    dynamics : ElectricVibrationDynamics
+    """
+
+    gain: float
+    delay_s: float
+    creep: CreepDynamics
+    dynamics: ElectricVibrationDynamics
+
+    @property
+    def states(self):
+        """States of the rational part."""
+        return len(self.creep.poles_rad_per_s) + 1 + 2 * len(self.dynamics.damping_ratios)
+
+    def response(self, frequency_hz):
+        """Complex response at the given frequencies, in the shape of `frequency_hz`."""
+        delay = np.exp(-2j * np.pi * np.asarray(frequency_hz, dtype=float) * self.delay_s)
+        return (
+            self.gain * delay * self.creep.response(frequency_hz)
+            * self.dynamics.response(frequency_hz)
+        )
+
+    def error(self, measured):
+        """Relative error: the norm of the difference over that of the measured response."""
+        difference = self.response(measured.frequency_hz) - measured.gain
+        return float(np.linalg.norm(difference) / np.linalg.norm(measured.gain))
+
+
+@dataclass(frozen=True)
+class ResponseOrder:
+    """Numbers of components.
+
+    Parameters
+    ----------
+    creep_pairs, modes, antiresonances : int
+    """
+
+    creep_pairs: int
+    modes: int
+    antiresonances: int
+
+    @property
+    def states(self):
+        """States of the rational part, the electric lag among them."""
+        return self.creep_pairs + 1 + 2 * self.modes
+
+    def __str__(self):
+        return f"{self.creep_pairs}+{self.modes}-{self.antiresonances}"
+
+
+def estimate_from_response(measured, order=None, most_states=MOST_STATES):
+    """Fit a measured frequency response with creep, a lag, modes, antiresonances and a delay.
+
+    Vector fitting with more poles than wanted finds the resonances; the strongest start a
+    nonlinear least-squares fit of the physical parameters. A gain that rises towards low
+    frequencies is creep.
+
+    Parameters
+    ----------
+    measured : FrequencyResponse
+        Take the part in which the sensor shows more than noise (`between`).
+    order : ResponseOrder, optional
+        By default that which the Bayesian information criterion prefers.
+    most_states : int
+        Largest order that is tried.
+
+    Returns
+    -------
+    Estimate
+        Its model is a `ResponseModel`, its order a `ResponseOrder`. The standard deviations have
+        the fields `gain`, `delay_s`, `creep` and `dynamics`.
+
+    Raises
+    ------
+    ValueError
+        If there are too few frequencies, or too few resonances for the order.
+    """
+    if measured.frequency_hz.size < LEAST_FREQUENCIES:
+        raise ValueError(
+            f"{measured.path} has {measured.frequency_hz.size} frequencies, too few: measure at "
+            f"least {LEAST_FREQUENCIES}"
+        )
+    fit = _ResponseFit(measured)
+    if order is not None and not order.antiresonances <= order.modes <= fit.resonances.size:
+        raise ValueError(
+            f"{measured.path} shows {fit.resonances.size} resonances, which does not allow "
+            f"order {order}: ask for fewer modes or antiresonances"
+        )
+    fits = fit.search(order, most_states)
+    if order is not None:
+        fits = {order: fits[order]}
+    chosen = min(fits, key=lambda candidate: fits[candidate].trial.information)
+    best = fits[chosen]
+    spread = np.sqrt(np.diag(parameter_covariance(best.jacobian, best.residual)))
+    ascending = _ascending(best.vector, chosen)
+    vector, spread = best.vector[ascending], spread[ascending]
+    return Estimate(
+        fit.model(vector, chosen),
+        fit.fields(np.exp(vector[1:]) * spread[1:], spread[0], chosen), chosen,
+        tuple(entry.trial for entry in fits.values()), order is not None,
+    )
+
+
+def _ascending(vector, order):
+    """Indices that put the components of every kind into the order of their frequencies."""
+    head, poles, zeros, lag, modes, dampings, antiresonances, their_dampings = np.split(
+        np.arange(vector.size), np.cumsum([
+            2, order.creep_pairs, order.creep_pairs, 1, order.modes, order.modes,
+            order.antiresonances]))
+    by_mode, by_antiresonance = np.argsort(vector[modes]), np.argsort(vector[antiresonances])
+    return np.concatenate([
+        head, poles[np.argsort(vector[poles])], zeros[np.argsort(vector[zeros])], lag,
+        modes[by_mode], dampings[by_mode], antiresonances[by_antiresonance],
+        their_dampings[by_antiresonance],
+    ])
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Parameters of one order: the delay over its longest, and logarithms of the others."""
+
+    vector: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    trial: OrderTrial
+
+    @property
+    def cost(self):
+        return float(self.residual @ self.residual)
+
+
+class _ResponseFit:
+    """A measured response, its resonances, and the search for models of it."""
+
+    def __init__(self, measured):
+        self.measured = measured
+        self.rate = 2.0 * np.pi * measured.frequency_hz
+        strength = np.abs(measured.gain)
+        strong = measured.frequency_hz[strength > STRONG * strength.max()]
+        self.longest_delay_s = 1.0 / strong[-1]
+        self.delay_s, self.resonances = self._resonances()
+
+    def _resonances(self):
+        """Delay of the best rational fit with poles to spare, and its resonant poles."""
+        count = min(SPARE_POLES, self.rate.size // 4)
+        best = None
+        for delay_s in np.linspace(0.0, self.longest_delay_s, DELAYS):
+            gain = self.measured.gain * np.exp(1j * self.rate * delay_s)
+            poles = vector_fit(self.rate, gain, count)
+            error = residues_error(self.rate, gain, poles)
+            if best is None or error < best[0]:
+                best = (error, delay_s, poles)
+        _, delay_s, poles = best
+        pairs = poles[(poles.imag > self.rate[0]) & (poles.imag < self.rate[-1])]
+        return delay_s, pairs[-pairs.real < 0.5 * np.abs(pairs)]
+
+    def search(self, order, most_states):
+        """Fits by order: modes are added one by one, where they explain most."""
+        most_modes = (most_states - 1 - SEARCH_CREEP_PAIRS) // 2 if order is None else order.modes
+        fits = {}
+        current = ResponseOrder(SEARCH_CREEP_PAIRS, 0, 0)
+        fit = self.solve(current, self._plain_start(current))
+        self._keep(fits, current, fit, order, most_states)
+        for modes in range(1, min(most_modes, self.resonances.size) + 1):
+            grown = {}
+            for more in (0, 1):
+                candidate = ResponseOrder(
+                    current.creep_pairs, modes, current.antiresonances + more)
+                missing = 0 if order is None else order.antiresonances - candidate.antiresonances
+                if order is None or 0 <= missing <= order.modes - modes:
+                    grown[candidate] = self._best_further_mode(current, fit.vector, candidate)
+            for candidate, entry in grown.items():
+                self._keep(fits, candidate, entry, order, most_states)
+            current = min(grown, key=lambda entry: grown[entry].trial.information)
+            fit = grown[current]
+        return fits
+
+    def _keep(self, fits, order, fit, wanted, most_states):
+        """File a fit, and those with other numbers of creep pairs that begin from it."""
+        fits[order] = fit
+        counts = range(MOST_CREEP_PAIRS + 1) if wanted is None else [wanted.creep_pairs]
+        for count in counts:
+            other = ResponseOrder(count, order.modes, order.antiresonances)
+            if other != order and (wanted is not None or other.states <= most_states):
+                fits[other] = self.solve(other, self._with_creep(fit.vector, order, count))
+
+    def _plain_start(self, order):
+        """Gain, lag and delay of a response without modes, and a slight creep."""
+        level = np.abs(self.measured.gain[: max(1, self.rate.size // 4)]).mean()
+        slow = self._slow_rates(order.creep_pairs)
+        return np.concatenate([
+            [self.delay_s / self.longest_delay_s],
+            np.log([level, *slow, *(1.1 * slow), 2.0 / self.rate[-1]]),
+        ])
+
+    def _slow_rates(self, count):
+        """Rates spread over the lower half of the measured decades."""
+        middle = np.sqrt(self.rate[0] * self.rate[-1])
+        return np.geomspace(self.rate[0], middle, count + 2)[1:-1]
+
+    def _with_creep(self, vector, order, count):
+        """The vector with this number of creep pairs."""
+        head, tail = vector[:2], vector[2 + 2 * order.creep_pairs :]
+        slow = self._slow_rates(count)
+        return np.concatenate([head, np.log(slow), np.log(1.1 * slow), tail])
+
+    def _best_further_mode(self, order, vector, grown):
+        """Fit with one more mode, and maybe antiresonance, begun at every resonance."""
+        parts = np.split(vector, 2 + np.cumsum([
+            2 * order.creep_pairs + 1, order.modes, order.modes, order.antiresonances]))
+        best = None
+        for pole in self.resonances:
+            frequency, damping = np.abs(pole), max(-pole.real / np.abs(pole), 1e-3)
+            # Just beside the mode: that side of it on which the antiresonance lies is not known.
+            places = (0.95, 1.05) if grown.antiresonances > order.antiresonances else (None,)
+            for place in places:
+                zero = [] if place is None else [place * frequency]
+                start = np.concatenate([
+                    parts[0], parts[1], [np.log(frequency)], parts[2], [np.log(damping)],
+                    parts[3], np.log(zero), parts[4], np.log([damping] * len(zero)),
+                ])
+                fit = self.solve(grown, start, QUICK_EVALUATIONS)
+                if best is None or fit.cost < best.cost:
+                    best = fit
+        return self.solve(grown, best.vector)
+
+    def solve(self, order, start, evaluations=200):
+        """Fit of least squares from a start."""
+        lower, upper = self._bounds(order)
+        solution = least_squares(
+            self._residual, np.clip(start, lower + 1e-6, upper - 1e-6), jac=self._jacobian,
+            bounds=(lower, upper), args=(order,), x_scale="jac", max_nfev=evaluations,
+        )
+        return _Fit(solution.x, solution.fun, solution.jac,
+                    order_trial(order, solution.fun, solution.x.size))
+
+    def _bounds(self, order):
+        """What the measured frequencies can show."""
+        slowest, fastest = np.log(0.1 * self.rate[0]), np.log(10.0 * self.rate[-1])
+        creep = np.log(np.sqrt(self.rate[0] * self.rate[-1]))
+        band = np.log([0.9 * self.rate[0], 1.1 * self.rate[-1]])
+        damping = np.log([1e-5, 2.0])
+        limits = [[0.0, 2.0], [-46.0, 46.0]]
+        limits += 2 * order.creep_pairs * [[slowest, creep]]
+        limits += [[-fastest, -np.log(self.rate[0])]]
+        limits += order.modes * [band] + order.modes * [damping]
+        limits += order.antiresonances * [band] + order.antiresonances * [damping]
+        return np.array(limits).T
+
+    def _residual(self, vector, order):
+        difference = self.model(vector, order).response(self.measured.frequency_hz)
+        difference = difference - self.measured.gain
+        return np.concatenate([difference.real, difference.imag])
+
+    def _jacobian(self, vector, order):
+        """Derivatives of the response: its own value times those of its logarithm."""
+        s = 1j * self.rate[:, None]
+        model = self.model(vector, order)
+        poles, zeros = (np.array(rates)[None, :] for rates in (
+            model.creep.poles_rad_per_s, model.creep.zeros_rad_per_s))
+        lag = model.dynamics.time_constant_s * s
+        by_mode = _quadratic_slopes(
+            s, model.dynamics.mode_frequencies_rad_per_s, model.dynamics.damping_ratios)
+        by_antiresonance = _quadratic_slopes(
+            s, model.dynamics.antiresonance_frequencies_rad_per_s,
+            model.dynamics.antiresonance_damping_ratios)
+        slopes = np.hstack([
+            -s * self.longest_delay_s, np.ones_like(s), -poles / (s + poles), zeros / (s + zeros),
+            -lag / (1.0 + lag), *(-slope for slope in by_mode), *by_antiresonance,
+        ]) * model.response(self.measured.frequency_hz)[:, None]
+        return np.vstack([slopes.real, slopes.imag])
+
+    def model(self, vector, order):
+        """Model with these parameters."""
+        fields = self.fields(np.exp(vector[1:]), vector[0], order)
+        return ResponseModel(
+            fields["gain"], fields["delay_s"], CreepDynamics(**fields["creep"]),
+            ElectricVibrationDynamics(**fields["dynamics"]),
+        )
+
+    def fields(self, values, delay, order):
+        """Fields of a model, or their standard deviations, from one number for each parameter."""
+        gain, poles, zeros, rest = np.split(values, np.cumsum([1, *2 * [order.creep_pairs]]))
+        return {
+            "gain": float(gain[0]), "delay_s": float(delay * self.longest_delay_s),
+            "creep": {"poles_rad_per_s": tuple(poles.tolist()),
+                      "zeros_rad_per_s": tuple(zeros.tolist())},
+            "dynamics": split_dynamics_vector(rest, order.modes, order.antiresonances),
+        }
+
+
+def _quadratic_slopes(s, frequencies, dampings):
+    """Slopes of the logarithm of s^2 / w^2 + 2 d s / w + 1 by those of w and of d."""
+    ratio, damping = s / np.array(frequencies)[None, :], np.array(dampings)[None, :]
+    quadratic = ratio**2 + 2.0 * damping * ratio + 1.0
+    by_damping = 2.0 * damping * ratio / quadratic
+    return -2.0 * ratio**2 / quadratic - by_damping, by_damping

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rational fit of a frequency response by vector fitting."""
+
+import numpy as np
+
+
+def vector_fit(frequency_rad_per_s, gain, pole_count, iterations=20):
+    """Poles of a proper rational function near a measured response.
+
+    The poles are relocated by linear regressions (Gustavsen and Semlyen, "Rational approximation
+    of frequency domain responses by vector fitting", 1999), so that no starting guess is needed.
+
+    Parameters
+    ----------
+    frequency_rad_per_s : ndarray, shape (N,)
+        Positive.
+    gain : ndarray of complex, shape (N,)
+    pole_count : int
+    iterations : int
+
+    Returns
+    -------
+    ndarray of complex, shape (pole_count,)
+        In rad/s; stable.
+
+    Raises
+    ------
+    ValueError
+        If there are too few frequencies.
+    """
+    if frequency_rad_per_s.size <= pole_count:
+        raise ValueError(
+            f"{frequency_rad_per_s.size} frequencies are too few for {pole_count} poles: measure "
+            "more or ask for a lower order"
+        )
+    scale = frequency_rad_per_s.max()
+    s = 1j * frequency_rad_per_s / scale
+    # Spread as the measured frequencies are.
+    ranks = np.linspace(0.0, 1.0, pole_count // 2 + 2)[1:-1]
+    pairs = np.quantile(frequency_rad_per_s, ranks) / scale
+    poles = np.concatenate([(-0.02 + 1j) * pairs, (-0.02 - 1j) * pairs])
+    if pole_count % 2:
+        poles = np.append(poles, -0.1)
+    for _ in range(iterations):
+        dynamics, drive, basis = _basis(s, poles)
+        columns = np.column_stack([basis, np.ones_like(s), -gain[:, None] * basis])
+        solution = _real_lstsq(columns, gain)
+        poles = np.linalg.eigvals(dynamics - np.outer(drive, solution[pole_count + 1 :]))
+        poles = -np.maximum(np.abs(poles.real), 1e-9) + 1j * poles.imag
+    return poles * scale
+
+
+def residues_error(frequency_rad_per_s, gain, poles):
+    """Relative error of the best rational function with given poles.
+
+    Parameters
+    ----------
+    frequency_rad_per_s : ndarray, shape (N,)
+    gain : ndarray of complex, shape (N,)
+    poles : ndarray of complex, shape (n,)
+        In rad/s, closed under conjugation.
+
+    Returns
+    -------
+    float
+        Norm of what is left over the norm of the response.
+    """
+    scale = frequency_rad_per_s.max()
+    basis = _basis(1j * frequency_rad_per_s / scale, poles / scale)[2]
+    columns = np.column_stack([basis, np.ones(basis.shape[0])])
+    left = columns @ _real_lstsq(columns, gain) - gain
+    return float(np.linalg.norm(left) / np.linalg.norm(gain))
+
+
+def _basis(s, poles):
+    """Real state space with these poles, and its states' responses (N, n)."""
+    pairs, real = poles[poles.imag > 0.0], poles[poles.imag == 0.0].real
+    dynamics, drive = np.diag(np.concatenate([np.repeat(pairs.real, 2), real])), np.ones(poles.size)
+    for i, pole in enumerate(pairs):
+        dynamics[2 * i, 2 * i + 1], dynamics[2 * i + 1, 2 * i] = pole.imag, -pole.imag
+        drive[2 * i : 2 * i + 2] = 2.0, 0.0
+    columns = []
+    for pole in pairs:
+        one, other = 1.0 / (s - pole), 1.0 / (s - pole.conjugate())
+        columns += [one + other, 1j * (one - other)]
+    columns += [1.0 / (s - pole) for pole in real]
+    return dynamics, drive, np.column_stack(columns)
+
+
+def _real_lstsq(columns, target):
+    stacked = np.vstack([columns.real, columns.imag])
+    scale = np.linalg.norm(stacked, axis=0)
+    scale[scale == 0.0] = 1.0
+    solution = np.linalg.lstsq(
+        stacked / scale, np.concatenate([target.real, target.imag]), rcond=None
+    )[0]
+    return solution / scale
