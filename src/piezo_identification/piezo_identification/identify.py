@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """From recordings to a model: the whole sequence of estimators."""
 
+from piezo_identification import refinement
 from piezo_identification.creep import estimate_creep
 from piezo_identification.dynamics import estimate_dynamics
 from piezo_identification.hysteresis import estimate_hysteresis
@@ -17,7 +18,8 @@ class IdentificationCancelled(Exception):
 
 
 def identify(
-    creep=None, dynamics=None, hysteresis=None, validation=None, progress=None, cancelled=None
+    creep=None, dynamics=None, hysteresis=None, validation=None, progress=None, cancelled=None,
+    refine=False,
 ):
     """Identify a stage model step by step (thesis 4.5).
 
@@ -40,6 +42,10 @@ def identify(
         Called with (stage, fraction) when a stage begins, and with ("done", 1.0) at the end.
     cancelled : callable, optional
         Asked between stages; true ends the work.
+    refine : bool
+        True: fit all components together on all recordings but the validation, and keep the result
+        if it is better on what was held out and on the validation. The errors then hold those of
+        before too.
 
     Returns
     -------
@@ -73,8 +79,12 @@ def identify(
     begin("hysteresis", 0.6)
     hysteresis_model = estimate_hysteresis(signed["hysteresis"], creep_model, dynamics_model)
     model = StageModel(hysteresis_model, creep_model, dynamics_model)
+    errors = {}
+    if refine:
+        model, uncertainties, errors = _refined(model, uncertainties, signed, begin)
     begin("validation", 0.95)
-    errors = unseen_errors(model, signed["validation"]) if "validation" in signed else {}
+    if "validation" in signed:
+        errors = unseen_errors(model, signed["validation"]) | errors
     identified = IdentifiedModel(
         model=model,
         voltage_range_v=(hysteresis_model.voltage_min_v, hysteresis_model.voltage_max_v),
@@ -91,6 +101,27 @@ def identify(
     )
     begin("done", 1.0)
     return identified
+
+
+def _refined(model, uncertainties, recordings, begin):
+    """Refined model and its standard deviations, or the given ones; and errors before and after."""
+    fitted = {name: part for name, part in recordings.items() if name != "validation"}
+    result = refinement.refine(
+        model, fitted, lambda fraction: begin("refinement", 0.7 + 0.25 * fraction)
+    )
+    errors = {"held_out_e_y_percent": {
+        "before_refinement": result.before_percent, "after_refinement": result.after_percent
+    }}
+    improved = result.improved
+    if "validation" in recordings:
+        before = unseen_errors(model, recordings["validation"])
+        errors["before_refinement"] = before
+        after = unseen_errors(result.model, recordings["validation"])
+        improved = improved and after["e_y_percent"] <= before["e_y_percent"]
+    errors["refinement_kept"] = float(improved)
+    if not improved:
+        return model, uncertainties, errors
+    return result.model, result.standard_deviations, errors
 
 
 def _linear_dynamics(creep, dynamics, begin):

@@ -42,16 +42,21 @@ def main(arguments=None):
                             required=name == "hysteresis")
     parser.add_argument("--output", metavar="MODEL", type=Path, required=True,
                         help="model file to write")
+    parser.add_argument("--refine", action="store_true",
+                        help="fit all components together at the end; keeps what is better on "
+                        "data held out, and prints the errors before and after")
     options = parser.parse_args(arguments)
     try:
-        _identify({name: getattr(options, name) for name in EXPERIMENTS}, options.output)
+        _identify(
+            {name: getattr(options, name) for name in EXPERIMENTS}, options.output, options.refine
+        )
     except (ValueError, OSError) as error:
         print(f"identify: {error}", file=sys.stderr)
         return 2
     return 0
 
 
-def _identify(paths, output):
+def _identify(paths, output, refine):
     # Before the work, not after it.
     if output.is_dir() or not output.absolute().parent.is_dir():
         raise ValueError(f"{output} is no file in an existing directory: choose another --output")
@@ -62,7 +67,7 @@ def _identify(paths, output):
             recordings[name] = read_recording(path)
     if displacement_falls(recordings["hysteresis"]):
         print("the displacement falls as the voltage rises: its sign is changed throughout")
-    identified = identify(**recordings, progress=_print_progress)
+    identified = identify(**recordings, progress=_print_progress, refine=refine)
     save_model(output, identified)
     _print_summary(identified)
     print(f"model written to {output}")
@@ -83,10 +88,19 @@ def _print_summary(identified):
         ("electric time constant", f"{1e3 * model.dynamics.time_constant_s:.5g} ms"),
         ("mode frequencies", _listing(model.dynamics.mode_frequencies_rad_per_s, "rad/s")),
         ("damping ratios", _listing(model.dynamics.damping_ratios, "")),
-        *((name, f"{value:.3g}") for name, value in identified.errors.items()),
+        *_error_rows(identified.errors),
     ]
     for name, value in rows:
-        print(f"{name:24}{value}")
+        print(f"{name:24}{value}" if len(name) < 24 else f"{name}  {value}")
+
+
+def _error_rows(errors, prefix=""):
+    """Name and value of every error, those in groups under the name of their group."""
+    for name, value in errors.items():
+        if isinstance(value, dict):
+            yield from _error_rows(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", f"{value:.3g}"
 
 
 def _listing(values, unit):
