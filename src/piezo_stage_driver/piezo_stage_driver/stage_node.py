@@ -2,6 +2,7 @@
 """The stage as a lifecycle node: one interface over every backend."""
 
 import array
+import functools
 import queue
 import threading
 import time
@@ -14,7 +15,6 @@ from piezo_interfaces.srv import LoadFeedforward, StartTracking
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
-from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -54,7 +54,7 @@ class StageNode(LifecycleNode):
         self._active = False
         self._failure = None
         self._losing_samples = False
-        self._goal = self._goal_done = None
+        self._goal = self._goal_result = None
         self._goals_unanswered = 0
         self._samples_since_joint_state = self._samples_since_clock = 0
         self._answer_deadline = None
@@ -73,7 +73,8 @@ class StageNode(LifecycleNode):
         self.create_service(Trigger, 'emergency_stop', self._on_emergency_stop)
         self.create_service(Trigger, 'reset', self._on_reset)
         self._play_server = ActionServer(
-            self, PlayWaveform, 'play_waveform', self._on_play,
+            self, PlayWaveform, 'play_waveform', self._end_goal,
+            handle_accepted_callback=self._on_play,
             cancel_callback=lambda goal: CancelResponse.ACCEPT)
         self.create_timer(1.0, self._publish_diagnostics,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -330,35 +331,20 @@ class StageNode(LifecycleNode):
 
     # Play a waveform
 
-    async def _on_play(self, goal_handle):
-        result, done = PlayWaveform.Result(), Future(executor=self.executor)
+    def _on_play(self, goal_handle):
         try:
-            result.first_sample, result.samples = self._command(self._begin_goal, goal_handle, done)
+            self._command(self._begin_goal, goal_handle)
         except ValueError as error:
-            result.message = f'waveform refused: {error}'
-            self.get_logger().warning(result.message)
-            goal_handle.abort()
-            return result
-        self._goals_unanswered += 1
-        result.message, result.last_sample = await done
-        self._goals_unanswered -= 1
-        if goal_handle.is_cancel_requested:
-            result.message = 'the waveform was cancelled'
-            goal_handle.canceled()
-        elif result.message:
-            goal_handle.abort()
-        else:
-            result.success = True
-            goal_handle.succeed()
-        return result
+            message = f'waveform refused: {error}'
+            self.get_logger().warning(message)
+            self._answer_goal(goal_handle, PlayWaveform.Result(message=message))
 
-    def _begin_goal(self, goal_handle, done):
-        goal = goal_handle.request
-        played = self._engine.play(
+    def _begin_goal(self, goal_handle):
+        goal, result = goal_handle.request, PlayWaveform.Result()
+        result.first_sample, result.samples = self._engine.play(
             goal.voltage_v, goal.sample_period_s, goal.repeats, goal.hold_at_end)
-        self._goal, self._goal_done = goal_handle, done
+        self._goal, self._goal_result = goal_handle, result
         self._last_progress = time.monotonic()
-        return played
 
     def _attend_goal(self):
         """Look whether the goal is to be cancelled, and tell how far it is."""
@@ -377,8 +363,27 @@ class StageNode(LifecycleNode):
 
     def _finish_goal(self, message):
         if self._goal is not None:
-            done, self._goal, self._goal_done = self._goal_done, None, None
-            done.set_result((message, self._engine.next_sample - 1))
+            goal, result, self._goal, self._goal_result = self._goal, self._goal_result, None, None
+            result.message, result.last_sample = message, self._engine.next_sample - 1
+            result.success = not message
+            self._answer_goal(goal, result)
+
+    def _answer_goal(self, goal_handle, result):
+        """Execute a goal now that it is over: the executor polls, busily, a goal that waits."""
+        self._goals_unanswered += 1
+        self.executor.create_task(
+            goal_handle.execute, functools.partial(self._end_goal, result=result))
+
+    def _end_goal(self, goal_handle, result):
+        self._goals_unanswered -= 1
+        if goal_handle.is_cancel_requested:
+            result.success, result.message = False, 'the waveform was cancelled'
+            goal_handle.canceled()
+        elif result.success:
+            goal_handle.succeed()
+        else:
+            goal_handle.abort()
+        return result
 
     # Tracking and stops
 
