@@ -14,12 +14,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from piezo_bringup.client_node import Client, GoalFailed
+from piezo_bringup.picture_style import to_png
 from piezo_bringup.processes import Processes
 from piezo_bringup.progress_line import ProgressLine
 from piezo_bringup.report import render_report
 from piezo_bringup.run_directory import claim_directory
 from piezo_bringup.summary import format_table, summarise
 from piezo_bringup.tracked_run import read_tracked_run
+from piezo_bringup.tracking_pictures import draw_errors
 from piezo_models.model_file import load_model
 from piezo_recorder.reader import read_recording
 
@@ -98,7 +100,8 @@ def run_demo(directory, command, progress):
     Parameters
     ----------
     directory : Path
-        Gets the recordings, ``model.json``, ``summary.json``, ``report.html`` and the logs.
+        Gets the recordings, ``model.json``, ``summary.json``, ``report.html``, the picture
+        ``tracking.png`` and the logs.
     command : str
         What the user typed.
     progress : ProgressLine
@@ -175,6 +178,7 @@ def _report(directory, identified, tracks, command):
     recordings = {path.name: path for path in map(Path, identified.recordings)}
     shown = {name: read_recording(recordings[name]) for name in ("creep", "dynamics", "validation")}
     model = load_model(identified.model).model
+    (directory / "tracking.png").write_bytes(to_png(draw_errors(summary["tracking"])))
     (directory / "report.html").write_text(
         render_report(summary, runs, model, shown, command, directory), encoding="utf-8")
     return summary

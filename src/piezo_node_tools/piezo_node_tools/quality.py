@@ -15,8 +15,8 @@ PACED_SAMPLES = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE)
 
-# Only the newest answer counts, but it must arrive.
+# The stage takes the newest answer only; the depth is for a recorder that lags behind.
 FEEDBACK = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST, depth=10,
+    history=HistoryPolicy.KEEP_LAST, depth=2000,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE)
