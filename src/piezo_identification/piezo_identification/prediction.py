@@ -62,9 +62,16 @@ def predict(model, recording):
     """
     part = played(recording)
     before = recording.select(recording.sample_index <= part.sample_index[0]).voltage_v
-    memory = model.hysteresis.memory()
-    model.hysteresis.simulate(before, memory)
-    hysteresis_um = model.hysteresis.simulate(part.voltage_v, memory)
+    past = model.hysteresis.memory()
+    model.hysteresis.simulate(before, past)
+    memory = model.memory(hysteresis=past)
+    hysteresis_um = model.hysteresis.simulate(part.voltage_v, memory.hysteresis)
+    rates_rad_per_s = list(model.creep.poles_rad_per_s)
+    if model.hysteretic_creep is not None:
+        hysteresis_um += model.hysteretic_creep.simulate(
+            part.voltage_v, part.sample_period_s, memory.hysteretic_creep
+        )
+        rates_rad_per_s += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
     linear = model.linear()
     simulated_um = simulate_linear(
         mean_zoh(linear, part.sample_period_s, samples_per_mean(part)), hysteresis_um,
@@ -73,7 +80,7 @@ def predict(model, recording):
     settled = np.flatnonzero(part.time_s >= settling_time_s(model.dynamics))
     free = np.column_stack([
         np.ones(settled.size),
-        *(np.exp(-p * part.time_s[settled]) for p in model.creep.poles_rad_per_s),
+        *(np.exp(-p * part.time_s[settled]) for p in rates_rad_per_s),
     ])
     if settled.size <= free.shape[1]:
         raise ValueError(f"{recording.path} has {part.time_s.size} samples: record longer")

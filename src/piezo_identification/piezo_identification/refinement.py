@@ -15,6 +15,7 @@ from piezo_identification.estimate import (
 from piezo_identification.prediction import mean_zoh
 from piezo_identification.settling import settling_time_s
 from piezo_identification.waveforms import played, samples_per_mean
+from piezo_models.hysteretic_creep import HystereticCreep
 from piezo_models.linear import (
     CreepDynamics,
     ElectricVibrationDynamics,
@@ -37,6 +38,15 @@ CORRELATED = 100
 
 SEARCH_WIDTH = np.log(2.0)
 """Factor by which a parameter may leave its start, as a logarithm."""
+
+HALF_WIDTHS = (0.0, 0.15, 0.3)
+"""Of the play operators that are tried for hysteretic creep, over the voltage range."""
+
+TIME_CONSTANTS_S = (1.0, 10.0, 100.0)
+"""Of these operators, as far as a recording lasts twice as long."""
+
+SIGNIFICANT = 0.8
+"""Hysteretic creep is kept if it brings the mean square error held out below this part."""
 
 ROUNDS = 2
 """Fits; the weights of the recordings in a fit follow from the errors before it."""
@@ -81,6 +91,10 @@ def refine(model, recordings, progress=None):
     Derivatives are outputs of sensitivity systems, and exact. Each recording is
     scaled by its error, and its rows count for as many as are independent.
 
+    Then hysteretic creep is tried beside: play operators of a few widths and time constants, whose
+    weights are fitted with everything else. It is left out unless the error held out falls
+    significantly.
+
     One stretch in five of every recording is held out, and decides: where the fit does not improve
     the error there, the starting model is returned. The starting model may have seen those
     stretches, the fit has not.
@@ -89,7 +103,7 @@ def refine(model, recordings, progress=None):
     ----------
     model : StageModel
     recordings : dict of str to Recording
-        By name; each begins at rest or at negative saturation.
+        By name.
     progress : callable, optional
         Called with the fraction done at every step; an exception of it ends the work.
 
@@ -104,29 +118,76 @@ def refine(model, recordings, progress=None):
     """
     if not recordings:
         raise ValueError("there is no recording to refine the model on: give one")
+    plain = _attempt(model, recordings, 0.0, progress)
+    best = plain if plain.ratio < 1.0 else None
+    start = model if best is None else best.model
+    candidate = _with_hysteretic_creep(start, recordings)
+    if candidate is not None:
+        crept = _attempt(candidate, recordings, 0.5, progress)
+        if crept.ratio < SIGNIFICANT:
+            best = crept
+    fitted = plain if best is None else best
+    names_and_parts = list(zip(recordings, plain.before, fitted.after, strict=True))
+    return Refinement(
+        model if best is None else best.model, best is not None,
+        _held_out_ratio(plain.before, fitted.after),
+        {name: part.held_out_percent for name, part, _ in names_and_parts},
+        {name: part.held_out_percent for name, _, part in names_and_parts},
+        {} if best is None else best.standard_deviations,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """A fit, and what each recording was before and after it."""
+
+    model: object
+    before: list
+    after: list
+    standard_deviations: dict
+
+    @property
+    def ratio(self):
+        return _held_out_ratio(self.before, self.after)
+
+
+def _attempt(model, recordings, begun, progress):
+    """Fit from a model; `begun` of the whole work is done before."""
     problem = _Problem(model, recordings)
-    before = problem.evaluate(problem.start)
-    vector, after = problem.start, before
+    vector = problem.start
+    before = after = problem.evaluate(vector)
     for turn in range(ROUNDS):
         fit = _Fit(problem, vector, after)
         if progress is not None:
-            fit.report = lambda fraction, turn=turn: progress((turn + fraction) / ROUNDS)
+            fit.report = lambda part, turn=turn: progress(begun + 0.5 * (turn + part) / ROUNDS)
         solution = least_squares(
             fit.residual, vector, fit.jacobian, bounds=problem.bounds, x_scale="jac", ftol=1e-4,
             max_nfev=MOST_EVALUATIONS,
         )
         vector, after = solution.x, fit.parts_at(solution.x)
-    ratio = float(np.mean([
+    return _Attempt(problem.model(vector), before, after, problem.standard_deviations(solution))
+
+
+def _held_out_ratio(before, after):
+    """Mean over the recordings of the ratios of the mean square errors held out."""
+    return float(np.mean([
         np.mean(new.residual_um[~new.fitted] ** 2) / np.mean(old.residual_um[~old.fitted] ** 2)
         for new, old in zip(after, before, strict=True)
     ]))
-    improved = ratio < 1.0
-    return Refinement(
-        problem.model(solution.x) if improved else model, improved, ratio,
-        *({name: part.held_out_percent for name, part in zip(recordings, parts, strict=True)}
-          for parts in (before, after)),
-        problem.standard_deviations(solution) if improved else {},
-    )
+
+
+def _with_hysteretic_creep(model, recordings):
+    """The model with operators of weight zero, or None where no recording would show them."""
+    longest_s = max(played(recording).time_s[-1] for recording in recordings.values())
+    travel_v = model.hysteresis.voltage_max_v - model.hysteresis.voltage_min_v
+    operators = [
+        (width * travel_v, time_constant_s, 0.0)
+        for time_constant_s in TIME_CONSTANTS_S if 2.0 * time_constant_s <= longest_s
+        for width in HALF_WIDTHS
+    ]
+    if not operators or model.hysteretic_creep is not None:
+        return None
+    return replace(model, hysteretic_creep=HystereticCreep(*zip(*operators, strict=True)))
 
 
 class _Fit:
@@ -161,7 +222,10 @@ class _Fit:
 
 
 class _Problem:
-    """Vector of unknowns: logarithms of the physical parameters, then factors of the density."""
+    """Vector of unknowns: logarithms of parameters, factors of the density, and weights.
+
+    The weights are those of the hysteretic creep, where the model has it.
+    """
 
     def __init__(self, model, recordings):
         self.first = model
@@ -174,11 +238,13 @@ class _Problem:
         self.surfaces = factor_surfaces(model.hysteresis.density_um_per_v2.shape[0])
         logarithms = np.log(self.physical[self.free])
         factors = np.ones(len(self.surfaces))
+        hysteretic = model.hysteretic_creep
+        weights = np.array(() if hysteretic is None else hysteretic.weights_um_per_v)
         self.count = logarithms.size
-        self.start = np.concatenate([logarithms, factors])
+        self.start = np.concatenate([logarithms, factors, weights])
         self.bounds = (
-            np.concatenate([logarithms - SEARCH_WIDTH, 0.0 * factors]),
-            np.concatenate([logarithms + SEARCH_WIDTH, 2.0 * factors]),
+            np.concatenate([logarithms - SEARCH_WIDTH, 0.0 * factors, weights - np.inf]),
+            np.concatenate([logarithms + SEARCH_WIDTH, 2.0 * factors, weights + np.inf]),
         )
         self.records = [
             _Record(recording, model, self.surfaces) for recording in recordings.values()
@@ -200,11 +266,16 @@ class _Problem:
         """The stage model."""
         creep, dynamics = self.linear(vector)
         hysteresis = self.first.hysteresis
-        surface = np.tensordot(vector[self.count :], self.surfaces, 1)
+        factors, weights = np.split(vector[self.count :], [len(self.surfaces)])
+        surface = np.tensordot(factors, self.surfaces, 1)
+        hysteretic = self.first.hysteretic_creep
         return replace(
             self.first, creep=creep, dynamics=dynamics,
             hysteresis=replace(
                 hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * surface
+            ),
+            hysteretic_creep=None if hysteretic is None else replace(
+                hysteretic, weights_um_per_v=tuple(weights)
             ),
         )
 
@@ -257,7 +328,7 @@ class _Part:
 
 
 class _Record:
-    """A recording, and the hysteresis outputs of the densities that the factors multiply."""
+    """A recording, and the outputs that factors and weights multiply."""
 
     def __init__(self, recording, model, surfaces):
         part = played(recording)
@@ -272,8 +343,17 @@ class _Record:
         self.measured_um = self._rows(part.displacement_um)
         before = recording.select(recording.sample_index <= part.sample_index[0]).voltage_v
         density = model.hysteresis.density_um_per_v2
-        outputs_um = np.empty((self.time_s.size, len(surfaces)))
-        for column, surface in zip(outputs_um.T, surfaces, strict=True):
+        past = model.hysteresis.memory()
+        model.hysteresis.simulate(before, past)
+        operators = _operators(model.hysteretic_creep)
+        self.rates_rad_per_s = [
+            1.0 / tau for tau in sorted({operator.time_constants_s[0] for operator in operators})
+        ]
+        outputs_um = np.empty((self.time_s.size, len(surfaces) + len(operators)))
+        for column, operator in zip(outputs_um.T[len(surfaces) :], operators, strict=True):
+            memory = operator.memory(past.extremes_v[: past.top + 1])
+            column[:] = operator.simulate(part.voltage_v, self.period_s, memory)
+        for column, surface in zip(outputs_um.T, surfaces, strict=False):
             hysteresis = replace(
                 model.hysteresis, density_um_per_v2=density * surface, offset_um=0.0
             )
@@ -297,8 +377,9 @@ class _Record:
             for sensitivity in sensitivity_systems(creep, dynamics)
         ]
         decays = [np.exp(-pole * self.time_s) for pole in creep.poles_rad_per_s]
+        fixed = [np.exp(-rate * self.time_s) for rate in self.rates_rad_per_s]
         beside = np.column_stack(
-            [np.ones(self.fitted.size), *(self._rows(decay) for decay in decays)]
+            [np.ones(self.fitted.size), *(self._rows(decay) for decay in [*decays, *fixed])]
         )
 
         def rest(values):
@@ -327,6 +408,18 @@ class _Record:
         settled = signal[self.begin :]
         whole = settled.size // self.averaged * self.averaged
         return settled[:whole].reshape(-1, self.averaged).mean(axis=1)
+
+
+def _operators(hysteretic_creep):
+    """Each operator alone, with unit weight."""
+    if hysteretic_creep is None:
+        return []
+    return [
+        HystereticCreep((width,), (time_constant_s,), (1.0,))
+        for width, time_constant_s in zip(
+            hysteretic_creep.half_widths_v, hysteretic_creep.time_constants_s, strict=True
+        )
+    ]
 
 
 def sensitivity_systems(creep, dynamics):

@@ -7,7 +7,7 @@ import pytest
 from piezo_identification import experiments
 from piezo_identification import identify as identify_module
 from piezo_identification.identify_command import main as identify_main
-from piezo_identification.prediction import unseen_errors
+from piezo_identification.prediction import predict, unseen_errors
 from piezo_identification.refinement import (
     HELD_OUT,
     STRETCHES,
@@ -16,6 +16,7 @@ from piezo_identification.refinement import (
     sensitivity_systems,
 )
 from piezo_identification.waveforms import played
+from piezo_models.hysteretic_creep import HystereticCreep
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_file import load_model
 
@@ -114,6 +115,38 @@ def test_what_does_not_help_on_stretches_held_out_is_not_kept(plant, recordings)
     assert not result.improved
     assert result.model is plant
     assert result.standard_deviations == {}
+
+
+@pytest.fixture(scope="module")
+def branchy(plant):
+    """The plant with hysteretic creep, none of whose parameters is tried as it is."""
+    return replace(plant, hysteretic_creep=HystereticCreep((10.0, 30.0), (3.0, 6.0), (0.01, 0.01)))
+
+
+def test_hysteretic_creep_is_found_where_there_is_some(plant, branchy, play):
+    # Steps to levels that are reached from both sides.
+    levels_v = [-20.0, 50.0, 110.0, 50.0, 0.0, 80.0, 20.0, 120.0, 60.0, 30.0, 70.0, -20.0]
+    steps = experiments.Experiment("steps", np.repeat(levels_v, 500), 0.01, 1, "steps")
+    recordings = {"steps": play(steps, 1, 100.0, noise_um=0.001, stage=branchy)}
+    result = refine(plant, recordings)
+    assert result.model.hysteretic_creep is not None
+    assert result.after_percent["steps"] < 0.2 * result.before_percent["steps"]
+    other = experiments.Experiment("other", np.repeat(levels_v[::-1], 700), 0.01, 1, "other")
+    unseen = play(other, 2, 100.0, noise_um=0.001, stage=branchy)
+    before, after = unseen_errors(plant, unseen), unseen_errors(result.model, unseen)
+    assert after["e_y_percent"] < 0.5 * before["e_y_percent"]
+
+
+def test_hysteretic_creep_is_left_out_where_there_is_none(refined):
+    assert refined.model.hysteretic_creep is None
+
+
+def test_a_stage_with_hysteretic_creep_predicts_its_own_recording(branchy, play):
+    recording = play(
+        experiments.hysteresis(level_count=3), clock_hz=1000.0, stage=branchy, noise_um=0.0,
+    )
+    prediction = predict(branchy, recording)
+    assert np.abs(prediction.measured_um - prediction.simulated_um).max() < 1e-3
 
 
 def test_the_work_can_be_ended_between_its_steps(plant, recordings):

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezo_models.hysteretic_creep import HystereticCreep, HystereticCreepMemory
 from piezo_models.linear import (
     CreepDynamics,
     ElectricVibrationDynamics,
@@ -17,14 +18,19 @@ from piezo_models.preisach import PreisachMemory, PreisachModel
 
 @dataclass(eq=False)
 class StageMemory:
-    """What the stage remembers: the past of its hysteresis and the state of `StageModel.linear`."""
+    """What the stage remembers: the past of its hysteresis and the state of `StageModel.linear`.
+
+    That of the hysteretic creep too, where the model has it.
+    """
 
     hysteresis: PreisachMemory
     linear_state: np.ndarray
+    hysteretic_creep: HystereticCreepMemory | None = None
 
     def copy(self):
         """An independent memory with the same past."""
-        return StageMemory(self.hysteresis.copy(), self.linear_state.copy())
+        hysteretic = None if self.hysteretic_creep is None else self.hysteretic_creep.copy()
+        return StageMemory(self.hysteresis.copy(), self.linear_state.copy(), hysteretic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +42,15 @@ class StageModel:
     hysteresis : PreisachModel
     creep : CreepDynamics
     dynamics : ElectricVibrationDynamics
+    hysteretic_creep : HystereticCreep, optional
+        Added to the output of the hysteresis. Simulations have it; inversions leave its slow
+        motion to the feedback.
     """
 
     hysteresis: PreisachModel
     creep: CreepDynamics
     dynamics: ElectricVibrationDynamics
+    hysteretic_creep: HystereticCreep | None = None
 
     def linear(self):
         """Continuous `control.StateSpace` from hysteresis output to displacement."""
@@ -73,7 +83,12 @@ class StageModel:
         else:
             hysteresis = hysteresis.copy()
         held = hysteresis.hysteresis_um if settled else 0.0
-        return StageMemory(hysteresis, equilibrium_state(self.linear(), held))
+        hysteretic = None
+        if self.hysteretic_creep is not None:
+            extremes_v = hysteresis.extremes_v[: hysteresis.top + 1]
+            hysteretic = self.hysteretic_creep.memory(extremes_v, settled)
+            held += self.hysteretic_creep.held_um(hysteretic)
+        return StageMemory(hysteresis, equilibrium_state(self.linear(), held), hysteretic)
 
     def simulate(self, voltage_v, sample_period_s, memory=None):
         """Displacement at the sample instants, each measured before its voltage acts.
@@ -100,5 +115,9 @@ class StageModel:
         memory = self.memory() if memory is None else memory
         system = zoh(self.linear(), sample_period_s)
         hysteresis = self.hysteresis.simulate(voltage_v, memory.hysteresis)
+        if self.hysteretic_creep is not None:
+            hysteresis += self.hysteretic_creep.simulate(
+                voltage_v, sample_period_s, memory.hysteretic_creep
+            )
         displacement, memory.linear_state = continue_linear(system, hysteresis, memory.linear_state)
         return displacement

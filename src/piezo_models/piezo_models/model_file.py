@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from piezo_models.cascade import StageModel
+from piezo_models.hysteretic_creep import HystereticCreep
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.preisach import PreisachModel
 
@@ -134,6 +135,14 @@ def _document(identified):
     uncertainties = (
         {"uncertainties": _plain(identified.uncertainties)} if identified.uncertainties else {}
     )
+    hysteretic = model.hysteretic_creep
+    hysteretic_creep = {} if hysteretic is None else {
+        "hysteretic_creep": {
+            "half_widths_v": list(hysteretic.half_widths_v),
+            "time_constants_s": list(hysteretic.time_constants_s),
+            "weights_um_per_v": list(hysteretic.weights_um_per_v),
+        }
+    }
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -156,6 +165,7 @@ def _document(identified):
             "antiresonance_damping_ratios": list(dynamics.antiresonance_damping_ratios),
         },
         **uncertainties,
+        **hysteretic_creep,
         "hysteresis": {
             "voltage_min_v": hysteresis.voltage_min_v,
             "voltage_max_v": hysteresis.voltage_max_v,
@@ -230,7 +240,7 @@ class _Reader:
             "creep",
             "dynamics",
             "hysteresis",
-            optional=("uncertainties",),
+            optional=("uncertainties", "hysteretic_creep"),
         )
         low, high = self.numbers(top["voltage_range_v"], "voltage_range_v", length=2)
         if not low < high:
@@ -246,6 +256,7 @@ class _Reader:
                 self.hysteresis(top["hysteresis"]),
                 self.creep(top["creep"]),
                 self.dynamics(top["dynamics"]),
+                self.hysteretic_creep(top),
             ),
             voltage_range_v=(low, high),
             sample_periods_s=periods,
@@ -316,6 +327,16 @@ class _Reader:
             "dynamics",
             self.number(fields["time_constant_s"], "dynamics.time_constant_s"),
             *(self.numbers(fields[name], f"dynamics.{name}") for name in names),
+        )
+
+    def hysteretic_creep(self, top):
+        if "hysteretic_creep" not in top:
+            return None
+        names = ("half_widths_v", "time_constants_s", "weights_um_per_v")
+        fields = self.fields(top["hysteretic_creep"], "hysteretic_creep.", *names)
+        return self.built(
+            HystereticCreep, "hysteretic_creep",
+            *(self.numbers(fields[name], f"hysteretic_creep.{name}") for name in names),
         )
 
     def recordings(self, value):

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Creep that depends on the branch of the hysteresis: play operators whose outputs relax."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+
+@dataclass(eq=False)
+class HystereticCreepMemory:
+    """Positions of the play operators, and the relaxing states that follow them, in V."""
+
+    positions_v: np.ndarray
+    states_v: np.ndarray
+
+    def copy(self):
+        """An independent memory with the same past."""
+        return HystereticCreepMemory(self.positions_v.copy(), self.states_v.copy())
+
+
+@dataclass(frozen=True)
+class HystereticCreep:
+    """Sum of w x with tau dx/dt = play(voltage) - x, beside the hysteresis (thesis 6.2).
+
+    Parameters
+    ----------
+    half_widths_v, time_constants_s, weights_um_per_v : sequence of float
+        One of each for an operator: half the width of its play, its time constant tau and its
+        weight w. Time constants are long beside a sample period.
+    """
+
+    half_widths_v: tuple
+    time_constants_s: tuple
+    weights_um_per_v: tuple
+
+    def __post_init__(self):
+        for name in ("half_widths_v", "time_constants_s", "weights_um_per_v"):
+            values = tuple(float(value) for value in getattr(self, name))
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name} is {values}; give finite numbers")
+            object.__setattr__(self, name, values)
+        if min(self.half_widths_v, default=0.0) < 0.0:
+            raise ValueError(f"half_widths_v is {self.half_widths_v}; give none below 0")
+        if min(self.time_constants_s, default=1.0) <= 0.0:
+            raise ValueError(f"time_constants_s is {self.time_constants_s}; give positive times")
+        counts = {len(self.half_widths_v), len(self.time_constants_s), len(self.weights_um_per_v)}
+        if len(counts) > 1:
+            raise ValueError(
+                f"there are {len(self.half_widths_v)} half widths, {len(self.time_constants_s)} "
+                f"time constants and {len(self.weights_um_per_v)} weights; give one of each for "
+                "an operator"
+            )
+
+    def memory(self, extremes_v, settled=True):
+        """Memory after a sequence of voltages that begins at negative saturation.
+
+        Parameters
+        ----------
+        extremes_v : (M,) array_like
+            All extremes that are not wiped out; those of a `PreisachMemory` are.
+        settled : bool
+            True: the stage has rested at the last voltage until the creep was over. False: the
+            relaxing states are zero.
+
+        Returns
+        -------
+        HystereticCreepMemory
+        """
+        extremes = np.asarray(extremes_v, dtype=float)
+        half_widths = np.array(self.half_widths_v)
+        positions = extremes[0] + half_widths
+        for voltage in extremes[1:]:
+            positions = np.clip(positions, voltage - half_widths, voltage + half_widths)
+        return HystereticCreepMemory(
+            positions, positions.copy() if settled else np.zeros_like(positions)
+        )
+
+    def held_um(self, memory):
+        """Output with the states of a memory."""
+        return float(np.dot(self.weights_um_per_v, memory.states_v))
+
+    def simulate(self, voltage_v, sample_period_s, memory):
+        """Output at the sample instants, in um.
+
+        Parameters
+        ----------
+        voltage_v : (N,) array_like
+            Each held for a sample period.
+        sample_period_s : float
+        memory : HystereticCreepMemory
+            Continued, and updated in place.
+
+        Returns
+        -------
+        (N,) array
+        """
+        decays = np.exp(-sample_period_s / np.array(self.time_constants_s))
+        return _simulate(
+            np.ascontiguousarray(voltage_v, dtype=float), np.array(self.half_widths_v), decays,
+            np.array(self.weights_um_per_v), memory.positions_v, memory.states_v,
+        )
+
+
+@njit(cache=True)
+def _simulate(voltage, half_widths, decays, weights, positions, states):
+    output = np.zeros(voltage.size)
+    for n in range(voltage.size):
+        for i in range(half_widths.size):
+            output[n] += weights[i] * states[i]
+            low, high = voltage[n] - half_widths[i], voltage[n] + half_widths[i]
+            positions[i] = min(max(positions[i], low), high)
+            states[i] = positions[i] + decays[i] * (states[i] - positions[i])
+    return output
