@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test bench clean
+.PHONY: help setup demo test bench measured clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -21,6 +21,10 @@ test: setup ## check the style, then run the unit and the integration tests
 
 bench: setup ## measure speed and accuracy beside peers
 	@$(in_environment) .venv/bin/python benchmarks/run.py
+
+DATA ?= ../shared/data
+measured: ## identify from measured data in DATA, beside its published figures; in runs/measured
+	@./run piezo_identification measured --data "$(DATA)" --output runs/measured
 
 clean: ## remove the environment and everything built
 	rm -rf .venv build install log

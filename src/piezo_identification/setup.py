@@ -23,6 +23,7 @@ setup(
     entry_points={
         "console_scripts": [
             "identification = piezo_identification.identification_node:main",
+            "measured = piezo_identification.measured_command:main",
             "identify = piezo_identification.identify_command:main",
             "simulate = piezo_identification.simulate_command:main",
         ],

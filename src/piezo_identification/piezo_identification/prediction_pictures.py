@@ -14,7 +14,7 @@ def draw_displacement(path, prediction):
         Picture to write.
     prediction : Prediction
     """
-    figure = _figure()
+    figure = new_figure()
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     above.plot(prediction.time_s, prediction.measured_um, label="measured")
     above.plot(prediction.time_s, prediction.simulated_um, "--", label="simulated")
@@ -36,7 +36,7 @@ def draw_loops(path, prediction):
         Picture to write.
     prediction : Prediction
     """
-    figure = _figure()
+    figure = new_figure()
     axes = figure.subplots()
     axes.plot(prediction.voltage_v, prediction.measured_um, label="measured")
     axes.plot(prediction.voltage_v, prediction.simulated_um, "--", label="simulated")
@@ -45,8 +45,8 @@ def draw_loops(path, prediction):
     figure.savefig(path)
 
 
-def _figure():
+def new_figure(width_in=8.0, height_in=5.0):
     """A figure of its own, apart from pyplot's global state and any display."""
-    figure = Figure(figsize=(8.0, 5.0), dpi=120, layout="constrained")
+    figure = Figure(figsize=(width_in, height_in), dpi=120, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
