@@ -82,7 +82,7 @@ def draw_frequency_response(path, title, frequency_hz, measured, modelled, predi
     above.loglog(frequency_hz, np.abs(measured - predicted), ".", color="tab:red", markersize=2,
                  label="difference where not fitted")
     above.set_ylabel("gain")
-    above.legend(loc="lower left", ncols=2, fontsize="small")
+    above.legend(loc="center left", ncols=2, fontsize="small")
     above.set_title(title)
     for response, style in ((measured, "."), (modelled, "-")):
         below.semilogx(frequency_hz, np.degrees(np.unwrap(np.angle(response))), style,
