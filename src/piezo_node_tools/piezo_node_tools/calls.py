@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Call services and actions from a thread while the executor spins in another."""
 
+import queue
 import threading
 
 from rclpy.action import ActionClient
@@ -56,6 +57,7 @@ class ActionCaller:
     """
 
     def __init__(self, node, action_type, name):
+        self._node = node
         self._name = name
         self._client = ActionClient(node, action_type, name)
 
@@ -82,8 +84,8 @@ class ActionCaller:
         """
         if not self._client.wait_for_server(CALL_TIMEOUT_S):
             raise CallFailed(f"nobody serves {self._name}: start its node")
-        sent = self._client.send_goal_async(
-            goal, feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None)
+        sent = self._in_executor(lambda: self._client.send_goal_async(
+            goal, feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None))
         handle = _result(sent, CALL_TIMEOUT_S, self._name)
         if not handle.accepted:
             raise CallFailed(f"{self._name} rejected the goal")
@@ -93,14 +95,23 @@ class ActionCaller:
         return result
 
     def _wait(self, handle, cancelled):
-        future, finished = handle.get_result_async(), threading.Event()
+        future, finished = self._in_executor(handle.get_result_async), threading.Event()
         future.add_done_callback(lambda _: finished.set())
         asked = False
         while not finished.wait(POLL_S):
             if cancelled() and not asked:
-                handle.cancel_goal_async()
+                self._in_executor(handle.cancel_goal_async)
                 asked = True
         return future.result()
+
+    def _in_executor(self, send):
+        """Send from the executor's thread, between two callbacks.
+
+        From another thread the answer may come before rclpy has noted what it answers.
+        """
+        sent = queue.SimpleQueue()
+        self._node.executor.create_task(lambda: sent.put(send()))
+        return sent.get()
 
 
 def _result(future, timeout_s, name):

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Serve actions whose work takes long: one goal at a time, in a thread of its own."""
 
+import functools
 import threading
 import time
 import traceback
 
 from rclpy.action import ActionServer, CancelResponse
-from rclpy.task import Future
 
 from piezo_node_tools.calls import Cancelled
 
@@ -68,10 +68,9 @@ class GoalServers:
             ``work(goal, result, progress)`` fills in the result. A ValueError aborts the
             goal with its text as the message; ``Cancelled`` cancels it.
         """
-        async def execute(goal_handle):
-            return await self._execute(goal_handle, action_type, work)
         self._servers.append(ActionServer(
-            self._node, action_type, name, execute,
+            self._node, action_type, name, self._end_goal,
+            handle_accepted_callback=lambda goal: self._begin_goal(goal, action_type, work),
             cancel_callback=lambda goal: CancelResponse.ACCEPT))
 
     def end(self):
@@ -79,29 +78,32 @@ class GoalServers:
         self._ending.set()
         return not self.busy
 
-    async def _execute(self, goal_handle, action_type, work):
+    def _begin_goal(self, goal_handle, action_type, work):
         result = action_type.Result()
         if not self._one_at_a_time.acquire(blocking=False):
             result.message = f"{self._node.get_name()} is busy with another goal: wait or cancel it"
             self._node.get_logger().warning(result.message)
-            goal_handle.abort()
-            return result
-        try:
-            done = Future(executor=self._node.executor)
-            progress = Progress(goal_handle, action_type.Feedback, self._ending)
-            threading.Thread(
-                target=self._work, args=(work, goal_handle.request, result, progress, done),
-                name="goal").start()
-            end = getattr(goal_handle, await done)
-        finally:
+            self._answer_goal(goal_handle, result, "abort")
+            return
+        progress = Progress(goal_handle, action_type.Feedback, self._ending)
+        threading.Thread(
+            target=self._work, args=(work, goal_handle, result, progress), name="goal").start()
+
+    def _answer_goal(self, goal_handle, result, end, release=False):
+        """Execute a goal now that it is over: the executor polls, busily, a goal that waits."""
+        self._node.executor.create_task(goal_handle.execute, functools.partial(
+            self._end_goal, result=result, end=end, release=release))
+
+    def _end_goal(self, goal_handle, result, end, release):
+        if release:
             self._one_at_a_time.release()
-        end()
+        getattr(goal_handle, end)()
         return result
 
-    def _work(self, work, goal, result, progress, done):
+    def _work(self, work, goal_handle, result, progress):
         end = "abort"
         try:
-            work(goal, result, progress)
+            work(goal_handle.request, result, progress)
             result.success, end = True, "succeed"
         except Cancelled:
             result.message = "cancelled"
@@ -113,4 +115,4 @@ class GoalServers:
         except Exception as error:
             result.message = f"internal error: {error!r}"
             self._node.get_logger().error(traceback.format_exc())
-        done.set_result(end)
+        self._answer_goal(goal_handle, result, end, release=True)
