@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,8 @@ class ControllerNode(LifecycleNode):
     def _track(self, goal, result, progress):
         model_text = _read_text(goal.model)
         run, plan, feedback = self._plan(goal, model_text)
+        progress.check()
+        self._at_rest.clear()
         directory = goal.directory or self._directory
         result.recording = self._recorder.start(directory, f"track_{goal.mode}", {
             "model.json": model_text, "parameters.json": _parameters(goal)})
@@ -151,15 +154,15 @@ class ControllerNode(LifecycleNode):
             once_voltage_v=array.array("d", plan.once_voltage_v.tobytes()),
             period_voltage_v=array.array("d", plan.period_voltage_v.tobytes())))
         self._begun, self._answering, self._missed_feedback = False, answering, 0
-        self._at_rest.clear()
         self._run = run
         ticks = math.ceil(run.total_samples / self._samples_per_tick)
         call_service(self._start, StartTracking.Request(feedback=answering, ticks=ticks))
         samples_before, silent_s, stopping = 0, 0.0, False
         while not self._at_rest.wait(REPORT_PERIOD_S):
             if progress.cancelled and not stopping:
-                call_service(self._stop, Trigger.Request())
                 stopping = True
+                with suppress(CallFailed):  # the stage may just have stopped by itself
+                    call_service(self._stop, Trigger.Request())
             silent_s = silent_s + REPORT_PERIOD_S if run.samples == samples_before else 0.0
             if silent_s > SILENCE_TIMEOUT_S:
                 raise CallFailed(f"the stage sent no samples for {SILENCE_TIMEOUT_S:g} s")
@@ -178,7 +181,8 @@ def _read_text(path):
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"cannot read the model {path!r}: {error}; "
+        reason = getattr(error, "strerror", None) or error
+        raise ValueError(f"cannot read the model {path!r}: {reason}; "
                          "identify the stage first, or give the path of its model") from None
 
 
