@@ -84,6 +84,7 @@ class IdentificationNode(LifecycleNode):
 
     def _identify(self, goal, result, progress):
         directory = Path(goal.directory or self._directory)
+        _make(directory)
         result.recordings = list(goal.recordings) or self._run_all(directory, result, progress)
         if len(result.recordings) != len(EXPERIMENTS):
             raise ValueError(
@@ -117,6 +118,13 @@ class IdentificationNode(LifecycleNode):
                                 stage=f"{name}: {stage}")
             self._play(named_experiment(name, self._limits), directory, result, report, progress)
         return result.recordings
+
+
+def _make(directory):
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"{directory}: {error.strerror}; choose another directory") from None
 
 
 def main(args=None):
