@@ -145,7 +145,8 @@ def _read_period(path, sample_rate_hz):
         with open(path, newline="", encoding="utf-8") as stream:
             rows = list(csv.reader(stream))
     except (OSError, UnicodeDecodeError) as error:
-        raise InvalidReference(f"the reference file {path!r} cannot be read: {error}") from None
+        reason = getattr(error, "strerror", None) or error
+        raise InvalidReference(f"the reference file {path!r} cannot be read: {reason}") from None
     if not rows or [name.strip() for name in rows[0]] != ["time_s", "displacement_um"]:
         raise InvalidReference(f"the reference file {path!r} does not begin with the header "
                                "time_s,displacement_um")

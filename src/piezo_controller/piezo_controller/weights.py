@@ -83,7 +83,7 @@ def load_weights(path=None):
     try:
         entries = yaml.safe_load(source.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = str(error).replace("\n", " ")
+        reason = str(getattr(error, "strerror", None) or error).replace("\n", " ")
         raise WeightsError(f"the weights file {source} cannot be read: {reason}") from None
     names = [field.name for field in fields(DesignWeights)]
     if not isinstance(entries, dict) or set(entries) != set(names):

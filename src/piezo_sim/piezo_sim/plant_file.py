@@ -66,7 +66,8 @@ def read_plant(path: str | Path | None = None) -> PlantConfig:
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise PlantConfigError(f"{file}: the plant file cannot be read: {error}.") from None
+        reason = getattr(error, "strerror", None) or error
+        raise PlantConfigError(f"{file}: the plant file cannot be read: {reason}.") from None
     try:
         return parse_plant(text)
     except PlantConfigError as error:
