@@ -20,7 +20,7 @@ from piezo_bringup.client_node import Client
 from piezo_bringup.processes import Processes, clean_shared_memory
 from piezo_node_tools.quality import FEEDBACK, SAMPLES
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 180.0
 DOMAINS = range(1, 100)
 
 

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The identification node plays its experiments on the stage and has them recorded."""
+
+import json
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+
+from piezo_bringup.client_node import GoalFailed
+from piezo_identification.experiments import EXPERIMENTS, named_experiment
+from piezo_recorder.reader import read_recording
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_experiment_is_recorded_as_designed(suite, tmp_path, name):
+    told = []
+    result = suite.run_experiment(name, tmp_path, on_feedback=told.append)
+    assert result.recording == str(tmp_path / name)
+    assert result.summary
+
+    recording = read_recording(result.recording)
+    assert recording.complete
+    assert recording.gaps == []
+    played = recording.select(recording.playing)
+    designed = named_experiment(name)
+    assert played.sample_period_s == designed.sample_period_s
+    # The last block may be filled up with the last value.
+    designed_v = np.tile(designed.voltage_v, designed.repeats)
+    assert np.allclose(played.voltage_v[:len(designed_v)], designed_v, rtol=1e-12, atol=1e-12)
+    assert np.allclose(played.voltage_v[len(designed_v):], designed_v[-1])
+    assert recording.voltage_v[-1] == 0.0
+    assert json.loads(recording.attachments["parameters.json"])["experiment"] == name
+
+    truth = read_recording(result.recording, topic="ground_truth")
+    fast = recording.sample_periods_s == recording.sample_periods_s.min()
+    at = np.isin(recording.sample_index, truth.sample_index)
+    assert np.array_equal(recording.sample_index[at], truth.sample_index)
+    assert at.sum() >= (fast.sum() if designed.sample_period_s == 25e-6 else 40)
+    noise_um = recording.displacement_um[at] - truth.displacement_um
+    assert 0.0 < noise_um.std() < 0.02  # 0.009 um RMS and 16 bits
+
+    assert told
+    assert all(feedback.stage.startswith(f"{name}: ") for feedback in told)
+    fractions = [feedback.fraction for feedback in told]
+    assert fractions == sorted(fractions)
+    assert 0.0 <= fractions[0] < fractions[-1] <= 1.0
+    assert all(feedback.seconds_left >= 0.0 for feedback in told)
+
+
+def test_unknown_experiment_is_refused_and_nothing_moves(suite, tmp_path):
+    before = suite.play([0.0]).last_sample
+    with pytest.raises(GoalFailed) as failure:
+        suite.run_experiment("creeep", tmp_path)
+    assert failure.value.result.message.startswith(
+        "unknown experiment 'creeep': choose one of creep, dynamics, hysteresis, validation")
+    assert list(tmp_path.iterdir()) == []
+    assert suite.play([0.0]).first_sample == before + 1
+
+
+def test_place_where_nothing_can_be_recorded_is_refused_and_nothing_moves(suite, tmp_path):
+    before = suite.play([0.0]).last_sample
+    (tmp_path / "file").touch()
+    with pytest.raises(GoalFailed, match=str(tmp_path / "file")) as failure:
+        suite.run_experiment("dynamics", tmp_path / "file")
+    assert "Errno" not in failure.value.result.message
+    assert suite.play([0.0]).first_sample == before + 1
+
+
+def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, tmp_path):
+    goal = suite.begin("run_experiment", experiment="dynamics", directory=str(tmp_path))
+    for name, fields in [("run_experiment", {"experiment": "creep"}), ("identify", {})]:
+        with pytest.raises(GoalFailed, match="identification is busy with another goal"):
+            suite.goal(name, directory=str(tmp_path), **fields)
+    with pytest.raises(GoalFailed, match="the stage is busy"):
+        suite.play([1.0])
+    status, result = suite.result(goal)
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    assert [path.name for path in tmp_path.iterdir()] == ["dynamics"]
+    assert read_recording(result.recording).gaps == []
+
+
+def cancel_when(suite, directory, stage):
+    """Cancel an experiment in a stage of it; return status and result."""
+    told = []
+    goal = suite.send_goal("run_experiment", on_feedback=told.append, experiment="dynamics",
+                           directory=str(directory))
+    suite.until(lambda: any(stage in feedback.stage for feedback in told))
+    return suite.cancel(goal)
+
+
+def test_cancelled_experiment_ramps_to_rest_and_keeps_its_recording(suite, tmp_path):
+    status, result = cancel_when(suite, tmp_path, "play")
+    assert status == GoalStatus.STATUS_CANCELED
+    assert (result.success, result.message) == (False, "cancelled")
+    recording = read_recording(result.recording)
+    assert recording.complete
+    assert recording.gaps == []
+    assert recording.playing.sum() > 0
+    assert recording.voltage_v[-1] == 0.0
+
+
+def test_experiment_cancelled_at_once_leaves_the_stage_at_rest(suite, tmp_path):
+    goal = suite.send_goal("run_experiment", experiment="creep", directory=str(tmp_path))
+    status, result = suite.cancel(goal)
+    assert status == GoalStatus.STATUS_CANCELED
+    assert (result.success, result.message) == (False, "cancelled")
+
+
+def test_emergency_stop_ends_an_experiment_whose_recording_stays_readable(suite, tmp_path):
+    goal = suite.begin("run_experiment", experiment="dynamics", directory=str(tmp_path))
+    assert suite.trigger("emergency_stop").success
+    status, result = suite.result(goal)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert result.message == "emergency stop"
+    recording = read_recording(result.recording)
+    assert recording.complete
+    assert recording.gaps == []
+    assert suite.trigger("reset").success
+
+
+def test_experiment_is_refused_while_the_stage_plays_something_else(suite, tmp_path):
+    goal = suite.begin_play(np.full(4000, 60.0), repeats=1_000_000)
+    with pytest.raises(GoalFailed, match=r"waveform refused: the stage is busy \(play\)"):
+        suite.run_experiment("dynamics", tmp_path)
+    status, _ = suite.cancel(goal)
+    assert status == GoalStatus.STATUS_CANCELED

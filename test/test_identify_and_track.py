@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The whole way: identify the stage by an action, then track references with its model."""
+
+import json
+import math
+import re
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from piezo_interfaces.msg import Reference
+
+from piezo_bringup.client_node import GoalFailed
+from piezo_models.model_file import load_model
+from piezo_recorder.reader import read_recording, sha256_of
+
+CENTRE_UM = 57.0
+
+
+def harmonic(frequency_hz=100.0, amplitude_um=40.0, centre_um=CENTRE_UM, **others):
+    return {"kind": "harmonic", "frequency_hz": [frequency_hz], "amplitude_um": [amplitude_um],
+            "centre_um": centre_um, **others}
+
+
+def goal_fields(model, directory, reference=None, mode="composite", duration_s=0.5):
+    return {"reference": Reference(**(reference or harmonic())), "model": str(model),
+            "mode": mode, "duration_s": duration_s, "directory": str(directory)}
+
+
+@pytest.fixture(scope="module")
+def identification(whole_suite, tmp_path_factory):
+    """Result of the whole sequence, and the feedback on the way."""
+    directory, told = tmp_path_factory.mktemp("identification"), []
+    result = whole_suite.identify(directory, on_feedback=told.append)
+    return result, told
+
+
+@pytest.fixture(scope="module")
+def model(identification):
+    return Path(identification[0].model)
+
+
+# Identify
+
+def test_identification_leaves_a_model_with_its_errors_and_recordings(identification):
+    result, _ = identification
+    identified = load_model(result.model)
+    assert Path(result.model).parent == Path(result.recordings[0]).parent
+    errors = dict(zip(result.error_names, result.error_values, strict=True))
+    assert errors == pytest.approx(identified.errors)
+    assert errors["e_y_percent"] < 0.2  # on data that were not fitted
+    assert {entry["sha256"] for entry in identified.recordings} >= {
+        sha256_of(path) for path in result.recordings[:3]}
+    assert identified.voltage_range_v == pytest.approx((-20.0, 120.0))
+
+
+def test_identification_tells_how_far_it_is(identification):
+    _, told = identification
+    stages = [feedback.stage.split(":")[0] for feedback in told]
+    assert list(dict.fromkeys(stages))[-1] == "estimate"
+    assert {"creep", "dynamics", "hysteresis", "validation"} <= set(stages)
+    fractions = [feedback.fraction for feedback in told]
+    assert fractions == sorted(fractions)
+    assert 0.0 <= fractions[0] < fractions[-1] <= 1.0
+    assert all(feedback.seconds_left >= 0.0 for feedback in told)
+
+
+def test_identification_from_a_wrong_number_of_recordings_is_refused(suite, identification):
+    recordings = list(identification[0].recordings)
+    with pytest.raises(GoalFailed, match="2 recordings are named: give those of creep, "):
+        suite.goal("identify", recordings=recordings[:2])
+
+
+def test_identification_from_a_recording_that_is_not_there_is_refused(suite, identification):
+    recordings = list(identification[0].recordings)
+    with pytest.raises(GoalFailed, match="/no/creep does not exist"):
+        suite.goal("identify", recordings=["/no/creep", *recordings[1:]])
+
+
+def test_cancelled_identification_keeps_what_it_recorded(suite, tmp_path):
+    goal = suite.begin("identify", directory=str(tmp_path))
+    status, result = suite.cancel(goal)
+    assert status == GoalStatus.STATUS_CANCELED
+    assert (result.message, result.model) == ("cancelled", "")
+    recording = read_recording(result.recordings[0])
+    assert recording.gaps == []
+    assert recording.voltage_v[-1] == 0.0
+    assert not list(tmp_path.glob("*.json"))
+
+
+# Track
+
+@pytest.mark.parametrize(("frequency_hz", "amplitude_um", "largest_e_rms_percent"), [
+    (100.0, 40.0, 0.2), (1000.0, 10.25, 0.5)])
+def test_composite_control_tracks_within_its_accuracy(
+        suite, model, tmp_path, frequency_hz, amplitude_um, largest_e_rms_percent):
+    told = []
+    result = suite.track(harmonic(frequency_hz, amplitude_um), model, "composite", 0.5, tmp_path,
+                         on_feedback=told.append)
+    assert result.e_rms_percent <= largest_e_rms_percent
+    assert result.missed_feedback == 0
+    assert result.largest_error_um < 0.02 * amplitude_um
+    fractions = [feedback.fraction for feedback in told]
+    assert fractions == sorted(fractions)
+    assert all(0.0 <= fraction <= 1.0 for fraction in fractions)
+    assert all(feedback.seconds_left >= 0.0 for feedback in told)
+
+    recording = read_recording(result.recording)
+    truth = read_recording(result.recording, topic="ground_truth")
+    for measured, largest in [(recording, largest_e_rms_percent),
+                              (truth, largest_e_rms_percent)]:
+        tracked = measured.displacement_um[np.isin(
+            measured.sample_index, recording.sample_index[recording.tracking])][-20_000:]
+        time_s = np.arange(20_000) / 40_000
+        reference_um = CENTRE_UM + amplitude_um / 2 * np.sin(2 * np.pi * frequency_hz * time_s)
+        e_rms_percent = 100 * np.sqrt(np.mean((tracked - reference_um)**2)) / amplitude_um
+        assert e_rms_percent <= largest
+        if measured is recording:
+            assert e_rms_percent == pytest.approx(result.e_rms_percent, rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def tracked(whole_suite, model, tmp_path_factory):
+    """Result of the same reference in every mode."""
+    directory = tmp_path_factory.mktemp("tracked")
+    return {mode: whole_suite.track(harmonic(), model, mode, 0.5, directory)
+            for mode in ("open_loop", "feedforward", "composite")}
+
+
+def test_each_mode_is_better_than_the_one_before(tracked):
+    errors = [result.e_rms_percent for result in tracked.values()]
+    assert errors[0] > 5 * errors[1]
+    assert errors[1] > errors[2]
+
+
+def test_run_is_recorded_with_model_parameters_and_truth_and_without_gaps(tracked, model):
+    for mode, result in tracked.items():
+        recording = read_recording(result.recording)
+        assert recording.complete
+        assert recording.gaps == []
+        assert recording.attachments["model.json"] == model.read_bytes()
+        parameters = json.loads(recording.attachments["parameters.json"])
+        assert parameters["mode"] == mode
+        assert parameters["reference"]["frequency_hz"] == [100.0]
+        assert recording.voltage_v[-1] == 0.0
+        truth = read_recording(result.recording, topic="ground_truth")
+        assert truth.gaps == []
+        assert np.array_equal(truth.sample_index, recording.sample_index)
+        assert np.array_equal(truth.voltage_v, recording.voltage_v)
+
+
+@pytest.fixture(scope="module")
+def other_version(model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("other") / "model.json"
+    path.write_text(json.dumps({**json.loads(model.read_text()), "version": 99}))
+    return path
+
+
+@pytest.mark.parametrize(("fields", "sentence"), [
+    ({"model": "/no/model.json"}, "the model '/no/model.json'.*: No such file.*identify the stage"),
+    ({"model": "other_version"}, "version.* 99"),
+    ({"mode": "closed"}, "unknown mode 'closed': use one of open_loop, feedforward, composite"),
+    ({"duration_s": 0.0}, "duration_s is 0: give more than 0"),
+    ({"duration_s": math.nan}, "duration_s is nan: give more than 0"),
+    ({"reference": harmonic(amplitude_um=math.nan)}, "amplitude_um nan is not a positive number"),
+    ({"reference": harmonic(centre_um=math.nan)}, "centre_um of the reference is not a finite"),
+    ({"reference": {"kind": "square"}}, "unknown kind of reference 'square'"),
+    ({"reference": {"kind": "file", "file": "/no/reference.csv"}}, "/no/reference.csv"),
+    ({"reference": harmonic(centre_um=300.0)}, "the amplifier cannot hold the reference's mean"),
+])
+def test_track_is_refused_in_one_sentence_and_nothing_moves(
+        suite, model, other_version, tmp_path, fields, sentence):
+    if fields.get("model") == "other_version":
+        fields = {"model": other_version}
+    before = suite.play([0.0]).last_sample
+    with pytest.raises(GoalFailed) as failure:
+        suite.goal("track", **goal_fields(**{"model": model, "directory": tmp_path, **fields}))
+    message = failure.value.result.message
+    assert re.search(sentence, message)
+    assert "\n" not in message
+    assert "Errno" not in message
+    assert list(tmp_path.iterdir()) == []
+    assert suite.play([0.0]).first_sample == before + 1
+
+
+def test_unreachable_amplitude_is_refused_and_the_one_named_instead_is_reached(
+        suite, model, tmp_path):
+    before = suite.play([0.0]).last_sample
+    with pytest.raises(GoalFailed) as failure:
+        suite.track(harmonic(1000.0, 80.0), model, "feedforward", 0.1, tmp_path)
+    message = failure.value.result.message
+    assert "the amplifier cannot follow 80 um peak to peak" in message
+    assert suite.play([0.0]).first_sample == before + 1
+    reachable_um = float(re.search(r"([\d.]+) um peak to peak is within reach", message)[1])
+    assert 10.25 < reachable_um < 80.0
+    assert suite.track(
+        harmonic(1000.0, reachable_um), model, "feedforward", 0.1, tmp_path).success
+
+
+def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, model, tmp_path):
+    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=2.0))
+    with pytest.raises(GoalFailed, match="controller is busy with another goal"):
+        suite.goal("track", **goal_fields(model, tmp_path))
+    with pytest.raises(GoalFailed, match="is being recorded: stop it first"):
+        suite.run_experiment("dynamics", tmp_path)
+    with pytest.raises(GoalFailed, match=r"the stage is busy \(track\)"):
+        suite.play([1.0])
+    status, result = suite.result(goal)
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    assert result.e_rms_percent < 0.2
+    assert read_recording(result.recording).gaps == []
+
+
+def test_cancelled_track_ramps_to_rest_and_its_recording_reads_back(suite, model, tmp_path):
+    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=60.0))
+    status, result = suite.cancel(goal)
+    assert status == GoalStatus.STATUS_CANCELED
+    assert (result.success, result.message) == (False, "cancelled")
+    recording = read_recording(result.recording)
+    assert recording.complete
+    assert recording.gaps == []
+    assert recording.voltage_v[-1] == 0.0
+    assert recording.tracking.sum() < 60 * 40_000
+
+
+def test_track_cancelled_while_it_is_planned_moves_nothing(suite, model, tmp_path):
+    before = suite.play([0.0]).last_sample
+    goal = suite.send_goal("track", **goal_fields(model, tmp_path, duration_s=60.0))
+    status, result = suite.cancel(goal)
+    assert status == GoalStatus.STATUS_CANCELED
+    assert result.message == "cancelled"
+    assert list(tmp_path.iterdir()) == []
+    assert suite.play([0.0]).first_sample == before + 1
+
+
+def test_emergency_stop_ends_a_track_whose_recording_stays_readable(suite, model, tmp_path):
+    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=60.0))
+    assert suite.trigger("emergency_stop").success
+    status, result = suite.result(goal)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert "the stage stopped before the end" in result.message
+    recording = read_recording(result.recording)
+    assert recording.gaps == []
+    assert recording.voltage_v[-1] == 0.0
+    with pytest.raises(GoalFailed, match="the stage is stopped"):
+        suite.goal("track", **goal_fields(model, tmp_path))
+    assert suite.trigger("reset").success
+
+
+def test_controller_that_is_ended_stops_the_stage_and_tells_its_client(suite, model, tmp_path):
+    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=60.0))
+    process = suite.processes.process("controller")
+    process.send_signal(signal.SIGINT)
+    status, result = suite.result(goal)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert result.message == "cancelled"
+    suite.until(lambda: process.poll() is not None)
+    assert process.returncode == 0
+    recording = read_recording(result.recording)
+    assert recording.gaps == []
+    assert recording.voltage_v[-1] == 0.0
