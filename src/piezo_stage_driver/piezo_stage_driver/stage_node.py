@@ -14,6 +14,7 @@ from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
@@ -28,6 +29,8 @@ from piezo_stage_driver.limits import VoltageLimits
 NANOSECONDS = 1_000_000_000
 IDLE_WAIT_S = 0.05
 COMMAND_TIMEOUT_S = 5.0
+# The middleware asks for acknowledgements every 3 s.
+DELIVERY_TIMEOUT_S = 5.0
 # ROS itself gives a dead subscriber up after 20 s.
 LONGEST_HOLD_BACK_S = 30.0
 
@@ -161,6 +164,10 @@ class StageNode(LifecycleNode):
         """Return to rest; return whether the client of what was played knows."""
         self._leave_active('the stage node was ended')
         return not self._goals_unanswered
+
+    def close(self):
+        """Let subscribers have the last samples before the process ends."""
+        self._samples.wait_for_all_acked(Duration(seconds=DELIVERY_TIMEOUT_S))
 
     def _create_engine(self):
         return StageEngine(
