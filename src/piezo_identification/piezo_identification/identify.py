@@ -114,9 +114,10 @@ def _refined(model, uncertainties, recordings, begin):
     }}
     improved = result.improved
     if "validation" in recordings:
-        before = unseen_errors(model, recordings["validation"])
-        errors["before_refinement"] = before
-        after = unseen_errors(result.model, recordings["validation"])
+        before, after = (
+            unseen_errors(each, recordings["validation"]) for each in (model, result.model)
+        )
+        errors |= {"before_refinement": before, "after_refinement": after}
         improved = improved and after["e_y_percent"] <= before["e_y_percent"]
     errors["refinement_kept"] = float(improved)
     if not improved:

@@ -191,6 +191,7 @@ def test_the_command_stores_the_errors_before_and_after(
     assert "before_refinement.e_y_percent" in capsys.readouterr().out
     errors = load_model(model).errors
     assert errors["refinement_kept"] == 1.0
+    assert errors["after_refinement"]["e_y_percent"] == errors["e_y_percent"]
     assert errors["e_y_percent"] < 0.5 * errors["before_refinement"]["e_y_percent"]
     held_out = errors["held_out_e_y_percent"]
     assert held_out["after_refinement"]["hysteresis"] < held_out["before_refinement"]["hysteresis"]
