@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test bench measured clean
+.PHONY: help setup demo test bench reproduce measured clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -25,6 +25,9 @@ bench: setup ## measure speed and accuracy beside peers
 DATA ?= ../shared/data
 measured: ## identify from measured data in DATA, beside its published figures; in runs/measured
 	@./run piezo_identification measured --data "$(DATA)" --output runs/measured
+
+reproduce: setup ## run the studies of the thesis' chapters 2 to 4; writes docs/reproduction.md
+	@$(in_environment) .venv/bin/python -m piezo_bringup.reproduction
 
 clean: ## remove the environment and everything built
 	rm -rf .venv build install log

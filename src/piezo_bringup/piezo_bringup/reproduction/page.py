@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The page of the reproduction, as Markdown."""
+
+from piezo_bringup.reproduction.studies import CAPTIONS
+from piezo_bringup.reproduction.table import as_markdown
+
+INTRODUCTION = """\
+# Reproduction of the thesis, chapters 2 to 4
+
+Written by `make reproduce`; do not edit.
+
+Every numerical study of chapters 2 to 4 and of the appendix, done again: the figure in the thesis
+beside ours. Where the thesis measured its stage, we measure the simulated one, whose dynamics are
+those that chapter 4 identified and whose sensor has the same noise of 9 nm; its hysteresis and its
+drift are its own. Sections 2.2.4, 2.3.3 and 4.6 simulate in the thesis, too, with these plants and
+this noise. Errors are simulation errors by the noisy sensor unless the row says otherwise; the
+error of a density is that against the true one. The remark says why a figure does not come out, or
+what ours is. A dash stands where the thesis gives no figure. Closed loops, Table 3.1 and the
+inversion columns of Table 4.1 are control, and not on this page.
+"""
+
+
+def page(rows):
+    """Write the page.
+
+    Parameters
+    ----------
+    rows : list of Row
+
+    Returns
+    -------
+    str
+    """
+    pictures = "\n\n".join(
+        f"**Fig. {figure}.** {caption}\n\n"
+        f"![Answer to figure {figure}](pictures/reproduction/figure_{figure}.png)"
+        for figure, caption in CAPTIONS.items()
+    )
+    return f"{INTRODUCTION}\n## Figures\n\n{as_markdown(rows)}\n\n## Pictures\n\n{pictures}\n"

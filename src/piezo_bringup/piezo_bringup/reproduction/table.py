@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The table of the thesis' figures beside ours: printed, as JSON and as Markdown."""
+
+import json
+from dataclasses import asdict, dataclass, field
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure.
+
+    Parameters
+    ----------
+    section : str
+        Of the thesis.
+    quantity : str
+    thesis : float or None
+        None where the thesis gives no figure, and ours stands for itself.
+    ours : float
+    unit : str
+        "1" for plain numbers.
+    remark : str
+        Why the two differ, or what ours is.
+    below : bool
+        True if the thesis says "less than".
+    """
+
+    section: str
+    quantity: str
+    thesis: float | None
+    ours: float
+    unit: str
+    remark: str = ""
+    below: bool = False
+
+    def __post_init__(self):
+        # NumPy's integers cannot be written as JSON.
+        object.__setattr__(self, "ours", float(self.ours))
+
+    def cells(self):
+        """The row as texts: section, quantity, thesis, ours, unit, remark."""
+        thesis = "-" if self.thesis is None else _digits(self.thesis)
+        thesis = f"< {thesis}" if self.below else thesis
+        unit = "" if self.unit == "1" else self.unit
+        return self.section, self.quantity, thesis, _digits(self.ours), unit, self.remark
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a study found.
+
+    Parameters
+    ----------
+    rows : list of Row
+    pictures : dict of str to matplotlib.figure.Figure
+        By the number of the thesis' figure that they answer, such as "2.2".
+    """
+
+    rows: list
+    pictures: dict = field(default_factory=dict)
+
+
+HEADER = ("section", "quantity", "thesis", "ours", "unit", "remark")
+
+
+def as_text(rows):
+    """The table for a terminal, columns aligned."""
+    lines = [HEADER, *(row.cells() for row in rows)]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(HEADER) - 1)]
+    return "\n".join(
+        "  ".join([*(cell.ljust(width) for cell, width in zip(line, widths, strict=False)),
+                   line[-1]]).rstrip()
+        for line in lines
+    )
+
+
+def as_markdown(rows):
+    """The table for a page."""
+    lines = [HEADER, ("---", "---", "---:", "---:", "---", "---"), *(row.cells() for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def as_json(rows):
+    """The table for programs: a list of rows."""
+    return json.dumps([asdict(row) for row in rows], indent=1, allow_nan=False) + "\n"
+
+
+def _digits(value):
+    """Four significant digits, integers in full."""
+    if float(value).is_integer() and abs(value) < 1e6:
+        return f"{value:.0f}"
+    return f"{value:.4g}"
