@@ -4,7 +4,7 @@
 from piezo_identification import refinement
 from piezo_identification.creep import estimate_creep
 from piezo_identification.dynamics import estimate_dynamics
-from piezo_identification.hysteresis import estimate_hysteresis
+from piezo_identification.hysteresis import estimate_density
 from piezo_identification.prediction import unseen_errors
 from piezo_identification.sensor_sign import displacement_falls, reversed_displacement
 from piezo_models.cascade import StageModel
@@ -19,7 +19,7 @@ class IdentificationCancelled(Exception):
 
 def identify(
     creep=None, dynamics=None, hysteresis=None, validation=None, progress=None, cancelled=None,
-    refine=False,
+    refine=False, creep_pairs=None, modes=None, note=None,
 ):
     """Identify a stage model step by step (thesis 4.5).
 
@@ -46,6 +46,11 @@ def identify(
         True: fit all components together on all recordings but the validation, and keep the result
         if it is better on what was held out and on the validation. The errors then hold those of
         before too.
+    creep_pairs, modes : int, optional
+        Orders of creep and vibration; by default chosen from the data.
+    note : callable, optional
+        Called with text for people: why the orders, and which part of the Preisach plane the data
+        determine.
 
     Returns
     -------
@@ -73,11 +78,20 @@ def identify(
         if progress is not None:
             progress(stage, fraction)
 
-    creep_model, dynamics_model, uncertainties = _linear_dynamics(
-        signed.get("creep"), signed.get("dynamics"), begin
+    estimates = _linear_dynamics(
+        signed.get("creep"), signed.get("dynamics"), creep_pairs, modes, begin
     )
+    uncertainties = {name: each.standard_deviations for name, each in estimates.items()}
+    creep_model = estimates["creep"].model if "creep" in estimates else CreepDynamics()
+    dynamics_model = (estimates["dynamics"].model if "dynamics" in estimates
+                      else ElectricVibrationDynamics())
     begin("hysteresis", 0.6)
-    hysteresis_model = estimate_hysteresis(signed["hysteresis"], creep_model, dynamics_model)
+    density = estimate_density(signed["hysteresis"], creep_model, dynamics_model)
+    hysteresis_model = density.model()
+    if note is not None:
+        for name, estimate in estimates.items():
+            note(f"order of the {name}:\n{estimate.order_table()}")
+        note(f"hysteresis: {density.report()}")
     model = StageModel(hysteresis_model, creep_model, dynamics_model)
     errors = {}
     if refine:
@@ -125,20 +139,18 @@ def _refined(model, uncertainties, recordings, begin):
     return result.model, result.standard_deviations, errors
 
 
-def _linear_dynamics(creep, dynamics, begin):
-    """Creep, dynamics, and their standard deviations, as far as there are recordings."""
-    creep_model, dynamics_model, uncertainties = CreepDynamics(), ElectricVibrationDynamics(), {}
+def _linear_dynamics(creep, dynamics, creep_pairs, modes, begin):
+    """Estimates of creep and dynamics by these names, as far as there are recordings."""
+    estimates = {}
     # Where only one is recorded, there is nothing to go through twice.
     passes = 2 if creep is not None and dynamics is not None else 1
     for turn in range(passes):
         if creep is not None:
             begin("creep beside the dynamics" if turn else "creep", 0.3 * turn)
-            estimate = estimate_creep(creep, dynamics_model if turn else None)
-            creep_model = estimate.model
-            uncertainties["creep"] = estimate.standard_deviations
+            beside = estimates["dynamics"].model if turn else None
+            estimates["creep"] = estimate_creep(creep, beside, creep_pairs)
         if dynamics is not None:
             begin("dynamics beside the creep" if turn else "dynamics", 0.2 + 0.3 * turn)
-            estimate = estimate_dynamics(dynamics, creep_model)
-            dynamics_model = estimate.model
-            uncertainties["dynamics"] = estimate.standard_deviations
-    return creep_model, dynamics_model, uncertainties
+            beside = estimates["creep"].model if creep is not None else CreepDynamics()
+            estimates["dynamics"] = estimate_dynamics(dynamics, beside, modes)
+    return estimates

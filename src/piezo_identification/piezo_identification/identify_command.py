@@ -45,18 +45,21 @@ def main(arguments=None):
     parser.add_argument("--refine", action="store_true",
                         help="fit all components together at the end; keeps what is better on "
                         "data held out, and prints the errors before and after")
+    for name, what in (("creep-pairs", "pole and zero pairs of the creep"),
+                       ("modes", "vibration modes")):
+        parser.add_argument(f"--{name}", metavar="NUMBER", type=int, choices=range(1, 11),
+                            help=f"number of {what}; by default chosen from the data")
     options = parser.parse_args(arguments)
     try:
-        _identify(
-            {name: getattr(options, name) for name in EXPERIMENTS}, options.output, options.refine
-        )
+        _identify({name: getattr(options, name) for name in EXPERIMENTS}, options)
     except (ValueError, OSError) as error:
         print(f"identify: {error}", file=sys.stderr)
         return 2
     return 0
 
 
-def _identify(paths, output, refine):
+def _identify(paths, options):
+    output = options.output
     # Before the work, not after it.
     if output.is_dir() or not output.absolute().parent.is_dir():
         raise ValueError(f"{output} is no file in an existing directory: choose another --output")
@@ -67,7 +70,9 @@ def _identify(paths, output, refine):
             recordings[name] = read_recording(path)
     if displacement_falls(recordings["hysteresis"]):
         print("the displacement falls as the voltage rises: its sign is changed throughout")
-    identified = identify(**recordings, progress=_print_progress, refine=refine)
+    identified = identify(
+        **recordings, progress=_print_progress, refine=options.refine, note=print,
+        creep_pairs=options.creep_pairs, modes=options.modes)
     save_model(output, identified)
     _print_summary(identified)
     print(f"model written to {output}")

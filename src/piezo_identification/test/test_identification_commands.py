@@ -66,6 +66,18 @@ def test_the_model_names_range_periods_and_recordings(files, model_file):
     ]
 
 
+def test_identify_takes_orders_and_says_why_and_what_the_data_determine(files, tmp_path, capsys):
+    output = tmp_path / "model.json"
+    arguments = [*options(files), "--output", output, "--creep-pairs", 1, "--modes", 1]
+    assert identify_main([str(argument) for argument in arguments]) == 0
+    model = load_model(output).model
+    assert len(model.creep.poles_rad_per_s) == 1
+    assert len(model.dynamics.mode_frequencies_rad_per_s) == 1
+    printed = capsys.readouterr().out
+    assert printed.count("<- asked for") == 2
+    assert "of the Preisach plane visited" in printed
+
+
 def test_simulate_prints_the_error_and_draws_pictures(files, model_file, tmp_path, capsys):
     output = tmp_path / "pictures"
     arguments = ["--model", str(model_file), "--data", str(files["validation"])]
