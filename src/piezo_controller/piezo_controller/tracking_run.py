@@ -18,13 +18,13 @@ class TrackingRun:
     """
 
     def __init__(self, plan, run_samples, feedback=None):
-        self._plan = plan
         self._feedback = feedback
+        self._feedback_start_sample = plan.feedback_start_sample
         self._once_samples = len(plan.once_voltage_v)
-        self._reference_um = plan.expected_um(self._once_samples, run_samples)
-        self._displacement_um = np.full(run_samples, np.nan)
         self.samples = 0
         self.total_samples = self._once_samples + run_samples
+        self._expected_um = plan.expected_um(0, self.total_samples)
+        self._displacement_um = np.full(self.total_samples, np.nan)
 
     @property
     def complete(self):
@@ -49,16 +49,14 @@ class TrackingRun:
         feedback_v : float
             The answer to the block (V); zero where there is no feedback or not yet.
         """
-        first, count = self.samples, len(displacement_um)
-        self.samples += count
-        start = max(first, self._once_samples)
-        within = displacement_um[start - first:]
-        at = start - self._once_samples
-        room = max(0, len(self._displacement_um) - at)
-        self._displacement_um[at:at + len(within)] = within[:room]
-        if self._feedback is None or first < self._plan.feedback_start_sample:
+        first = self.samples
+        self.samples += len(displacement_um)
+        expected_um = self._expected_um[first:self.samples]
+        displacement_um = displacement_um[:len(expected_um)]
+        self._displacement_um[first:self.samples] = displacement_um
+        if self._feedback is None or not self._feedback_start_sample <= first < self.total_samples:
             return 0.0
-        return self._feedback.step(self._plan.expected_um(first, count), displacement_um)
+        return self._feedback.step(expected_um, displacement_um)
 
     def e_rms_percent(self, last_samples=None):
         """Error of the periodic part so far, (2.32); of its last samples if so asked.
@@ -68,14 +66,18 @@ class TrackingRun:
         float
             NaN before the periodic part begins.
         """
-        end = min(max(self.samples - self._once_samples, 0), len(self._reference_um))
-        begin = 0 if last_samples is None else max(0, end - last_samples)
-        if begin == end:
+        end = min(self.samples, self.total_samples)
+        begin = self._once_samples
+        if last_samples is not None:
+            begin = max(begin, end - last_samples)
+        if begin >= end:
             return float("nan")
-        error_um = self._reference_um[begin:end] - self._displacement_um[begin:end]
-        return float(100.0 * np.sqrt(np.mean(error_um**2)) / np.ptp(self._reference_um))
+        error_um = self._expected_um[begin:end] - self._displacement_um[begin:end]
+        travel_um = np.ptp(self._expected_um[self._once_samples:])
+        return float(100.0 * np.sqrt(np.mean(error_um**2)) / travel_um)
 
     @property
     def largest_error_um(self):
         """Largest error of the periodic part (um)."""
-        return float(np.nanmax(np.abs(self._reference_um - self._displacement_um)))
+        error_um = (self._expected_um - self._displacement_um)[self._once_samples:]
+        return float(np.nanmax(np.abs(error_um)))

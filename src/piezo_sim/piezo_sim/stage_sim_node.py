@@ -59,12 +59,12 @@ class SimulatedStageNode(StageNode):
 
 def create_simulated_stage(node):
     """Make the backend that the node's parameters describe."""
-    seed = declare(node, 'seed', 1, 'Seed of the sensor noise.', 0, 2**31 - 1)
-    plant = declare(node, 'plant', '', 'Plant file (YAML); empty for the default plant.')
+    seed = declare(node, "seed", 1, "Seed of the sensor noise.", 0, 2**31 - 1)
+    plant = declare(node, "plant", "", "Plant file (YAML); empty for the default plant.")
     stage = SimulatedStage(
-        plant or None, seed, node.get_parameter('sample_rate_hz').value,
-        node.get_parameter('rest_voltage_v').value)
-    return stage if node.get_parameter('timing').value == 'lockstep' else PacedStage(stage)
+        plant or None, seed, node.get_parameter("sample_rate_hz").value,
+        node.get_parameter("rest_voltage_v").value)
+    return stage if node.get_parameter("timing").value == "lockstep" else PacedStage(stage)
 
 
 def main(args=None):

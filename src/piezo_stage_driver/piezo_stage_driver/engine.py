@@ -84,7 +84,7 @@ class StageEngine:
         self.sample_period_s = 1.0 / backend.sample_rate_hz
         self.voltage_v = rest_voltage_v
         self.next_sample = 0
-        self.stop_cause = ''
+        self.stop_cause = ""
         self._feedforward = None
         self._feedback = None
         self._end_program()
@@ -103,7 +103,7 @@ class StageEngine:
     @property
     def phase_name(self):
         """Approach, play, track, return or rest."""
-        return self._phases[0].name if self._phases else 'rest'
+        return self._phases[0].name if self._phases else "rest"
 
     @property
     def fraction(self):
@@ -123,7 +123,7 @@ class StageEngine:
     @property
     def awaiting_answer(self):
         """Whether the next tick would miss its answer if it were played now."""
-        return (self.phase_name == 'track' and self._feedback is not None
+        return (self.phase_name == "track" and self._feedback is not None
                 and self._feedback.awaited(self.tick))
 
     # Commands
@@ -153,14 +153,14 @@ class StageEngine:
         voltage_v = np.array(voltage_v, dtype=float)
         hold_samples = self._hold_samples(sample_period_s)
         if repeats < 1:
-            raise StageRefusal('repeats is 0: play the waveform at least once')
+            raise StageRefusal("repeats is 0: play the waveform at least once")
         self._limits.check(voltage_v, self.sample_period_s)
         self._limits.check(voltage_v[:1], self.sample_period_s,
                            voltage_v[-1] if repeats > 1 else None)
         self._decimation = hold_samples
         waveform = Waveform(voltage_v, hold_samples, repeats)
-        approach = self._ramp('approach', self.voltage_v, voltage_v[0])
-        phases = [approach, Phase('play', waveform, self._aligned(waveform.samples), FLAG_PLAYING)]
+        approach = self._ramp("approach", self.voltage_v, voltage_v[0])
+        phases = [approach, Phase("play", waveform, self._aligned(waveform.samples), FLAG_PLAYING)]
         self._begin_program(phases, voltage_v[-1], hold_at_end)
         return self.next_sample + approach.samples, waveform.samples
 
@@ -181,8 +181,8 @@ class StageEngine:
         once_voltage_v = np.array(once_voltage_v, dtype=float)
         if append:
             if self._feedforward is None or self._feedforward.periodic:
-                raise StageRefusal('there is no streamed feedforward to append to: '
-                                   'load one without a repeated part first')
+                raise StageRefusal("there is no streamed feedforward to append to: "
+                                   "load one without a repeated part first")
             self._limits.check(once_voltage_v, self.sample_period_s,
                                self._feedforward.sequence_v[-1])
             self._feedforward.append(once_voltage_v)
@@ -212,12 +212,12 @@ class StageEngine:
         """
         self._require_ready()
         if self._feedforward is None:
-            raise StageRefusal('no feedforward is loaded: call load_feedforward first')
+            raise StageRefusal("no feedforward is loaded: call load_feedforward first")
         self._limits.check(self._feedforward.sequence_v[:1], self.sample_period_s, self.voltage_v)
         self._feedforward.rewind()
         self._feedback = FeedbackHold(self.tick) if feedback else None
         samples = ticks * self._samples_per_tick or math.inf
-        phases = [Phase('track', self._feedforward, samples, FLAG_TRACKING)]
+        phases = [Phase("track", self._feedforward, samples, FLAG_TRACKING)]
         self._begin_program(phases, self._rest_voltage_v, hold_at_end=False)
         return self.tick
 
@@ -241,8 +241,8 @@ class StageEngine:
         StageRefusal
             If the stage does not track.
         """
-        if self.phase_name != 'track':
-            raise StageRefusal(f'the stage does not track ({self.phase_name})')
+        if self.phase_name != "track":
+            raise StageRefusal(f"the stage does not track ({self.phase_name})")
         self.return_to_rest()
 
     def return_to_rest(self):
@@ -264,8 +264,8 @@ class StageEngine:
             While the voltage still returns to rest.
         """
         if not self.idle:
-            raise StageRefusal('the stage still returns to rest: reset it afterwards')
-        self.stop_cause = ''
+            raise StageRefusal("the stage still returns to rest: reset it afterwards")
+        self.stop_cause = ""
 
     # Time
 
@@ -278,11 +278,11 @@ class StageEngine:
             None while a slow waveform has not filled a block.
         """
         phase = self._phases[0] if self._phases else Phase(
-            'rest', Hold(self.voltage_v), math.inf, 0)
+            "rest", Hold(self.voltage_v), math.inf, 0)
         count = self._chunk_samples(phase)
         flags = phase.flag | (FLAG_STOPPED if self.stop_cause else 0)
         wanted_v = phase.source.take(count)
-        if phase.name == 'track':
+        if phase.name == "track":
             flags |= FLAG_FEEDFORWARD_HELD if phase.source.exhausted else 0
             if self._feedback is not None:
                 flags |= FLAG_FEEDBACK_HELD if self._feedback.begin(self.tick) else 0
@@ -297,18 +297,18 @@ class StageEngine:
         if phase.samples <= 0:
             self._end_phase()
         if self._feedback and self._feedback.missed_in_a_row > self._max_missed_feedback \
-                and self.phase_name == 'track':
-            self.emergency_stop(f'{self._feedback.missed_in_a_row} feedback answers in a row '
-                                'were missed')
+                and self.phase_name == "track":
+            self.emergency_stop(f"{self._feedback.missed_in_a_row} feedback answers in a row "
+                                "were missed")
         return block
 
     # Phases
 
     def _require_ready(self):
         if self.stop_cause:
-            raise StageRefusal(f'the stage is stopped ({self.stop_cause}): reset it first')
+            raise StageRefusal(f"the stage is stopped ({self.stop_cause}): reset it first")
         if not self.idle:
-            raise StageRefusal(f'the stage is busy ({self.phase_name}): wait, or cancel that first')
+            raise StageRefusal(f"the stage is busy ({self.phase_name}): wait, or cancel that first")
 
     def _begin_program(self, phases, last_voltage_v, hold_at_end):
         self._hold_at_end = hold_at_end
@@ -321,14 +321,14 @@ class StageEngine:
         ended = self._phases.popleft()
         if self._phases:
             return
-        if ended.name == 'return' or self._hold_at_end:
+        if ended.name == "return" or self._hold_at_end:
             self._end_program()
         else:
             self._begin_return()
 
     def _begin_return(self):
         self._feedback = None
-        way_back = self._ramp('return', self.voltage_v, self._rest_voltage_v)
+        way_back = self._ramp("return", self.voltage_v, self._rest_voltage_v)
         if way_back.samples > 0:
             self._phases = deque([way_back])
             self._program_samples = self._done_samples + way_back.samples
@@ -354,13 +354,13 @@ class StageEngine:
                 and self.sample_period_s <= sample_period_s * (1 + 1e-9)
                 and sample_period_s <= LONGEST_SAMPLE_PERIOD_S):
             raise StageRefusal(
-                f'the sample period {sample_period_s:g} s is not within '
-                f'[{self.sample_period_s:g}, {LONGEST_SAMPLE_PERIOD_S:g}] s')
+                f"the sample period {sample_period_s:g} s is not within "
+                f"[{self.sample_period_s:g}, {LONGEST_SAMPLE_PERIOD_S:g}] s")
         ratio = sample_period_s / self.sample_period_s
         if abs(ratio - round(ratio)) > 1e-6 * ratio:
             raise StageRefusal(
-                f'the sample period {sample_period_s:g} s is no whole multiple of the '
-                f'clock period {self.sample_period_s:g} s')
+                f"the sample period {sample_period_s:g} s is no whole multiple of the "
+                f"clock period {self.sample_period_s:g} s")
         return round(ratio)
 
     def _aligned(self, samples):

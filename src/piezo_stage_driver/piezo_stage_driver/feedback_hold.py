@@ -37,7 +37,7 @@ class FeedbackHold:
             If the voltage is not a finite number.
         """
         if not math.isfinite(voltage_v):
-            raise FeedbackError(f'the feedback for tick {tick} is not a finite number')
+            raise FeedbackError(f"the feedback for tick {tick} is not a finite number")
         self._answers[tick] = voltage_v
 
     def awaited(self, tick):

@@ -31,8 +31,8 @@ class VoltageLimits:
 
     def __post_init__(self):
         if not self.minimum_v < self.maximum_v:
-            raise LimitError(f'the voltage range [{self.minimum_v}, {self.maximum_v}] V is empty: '
-                             'let minimum_voltage_v be below maximum_voltage_v')
+            raise LimitError(f"the voltage range [{self.minimum_v}, {self.maximum_v}] V is empty: "
+                             "let minimum_voltage_v be below maximum_voltage_v")
 
     def check_rest(self, rest_voltage_v):
         """Refuse a rest voltage outside the range.
@@ -42,9 +42,9 @@ class VoltageLimits:
         LimitError
         """
         if not self.minimum_v <= rest_voltage_v <= self.maximum_v:
-            raise LimitError(f'the rest voltage is {rest_voltage_v:g} V, outside '
-                             f'[{self.minimum_v:g}, {self.maximum_v:g}] V: '
-                             'set rest_voltage_v within it')
+            raise LimitError(f"the rest voltage is {rest_voltage_v:g} V, outside "
+                             f"[{self.minimum_v:g}, {self.maximum_v:g}] V: "
+                             "set rest_voltage_v within it")
 
     def check(self, voltage_v, sample_period_s, previous_v=None):
         """Refuse a voltage sequence that leaves the range or jumps.
@@ -64,24 +64,24 @@ class VoltageLimits:
         """
         voltage_v = np.asarray(voltage_v, dtype=float)
         if voltage_v.size == 0:
-            raise LimitError('the voltage sequence is empty: send at least one sample')
+            raise LimitError("the voltage sequence is empty: send at least one sample")
         bad = np.flatnonzero(~np.isfinite(voltage_v))
         if bad.size:
-            raise LimitError(f'voltage sample {bad[0]} is not a finite number: '
-                             'send finite voltages only')
+            raise LimitError(f"voltage sample {bad[0]} is not a finite number: "
+                             "send finite voltages only")
         bad = np.flatnonzero((voltage_v < self.minimum_v) | (voltage_v > self.maximum_v))
         if bad.size:
             raise LimitError(
-                f'voltage sample {bad[0]} is {voltage_v[bad[0]]:g} V, outside '
-                f'[{self.minimum_v:g}, {self.maximum_v:g}] V: scale or shift the sequence')
+                f"voltage sample {bad[0]} is {voltage_v[bad[0]]:g} V, outside "
+                f"[{self.minimum_v:g}, {self.maximum_v:g}] V: scale or shift the sequence")
         steps = np.diff(voltage_v if previous_v is None else np.r_[previous_v, voltage_v])
         largest_step_v = self.slew_v_per_s * sample_period_s
         bad = np.flatnonzero(np.abs(steps) > largest_step_v * (1 + 1e-9))
         if bad.size:
             at = bad[0] + (previous_v is None)
             raise LimitError(
-                f'the voltage jumps by {abs(steps[bad[0]]):.4g} V to sample {at}, more than the '
-                f'{largest_step_v:.4g} V that the slew limit allows: make the change slower')
+                f"the voltage jumps by {abs(steps[bad[0]]):.4g} V to sample {at}, more than the "
+                f"{largest_step_v:.4g} V that the slew limit allows: make the change slower")
 
     def apply(self, voltage_v, previous_v, sample_period_s):
         """Hold a voltage within the limits.

@@ -49,7 +49,7 @@ class StageNode(LifecycleNode):
     """
 
     def __init__(self, create_backend):
-        super().__init__('stage')
+        super().__init__("stage")
         self._create_backend = create_backend
         self._declare_parameters()
         self._backend = self._engine = self._loop = None
@@ -64,19 +64,19 @@ class StageNode(LifecycleNode):
         self._epoch_ns = 0
 
         self._samples_quality = SAMPLES if self._lockstep else PACED_SAMPLES
-        self._samples = self.create_publisher(SampleBlock, 'samples', self._samples_quality)
-        self._joint_states = self.create_publisher(JointState, 'joint_states', 10)
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._samples = self.create_publisher(SampleBlock, "samples", self._samples_quality)
+        self._joint_states = self.create_publisher(JointState, "joint_states", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._clock_publisher = (
-            self.create_publisher(ClockMessage, '/clock', 10) if self._lockstep else None)
-        self.create_subscription(FeedbackVoltage, 'feedback', self._on_feedback, FEEDBACK)
-        self.create_service(LoadFeedforward, 'load_feedforward', self._on_load_feedforward)
-        self.create_service(StartTracking, 'start_tracking', self._on_start_tracking)
-        self.create_service(Trigger, 'stop_tracking', self._on_stop_tracking)
-        self.create_service(Trigger, 'emergency_stop', self._on_emergency_stop)
-        self.create_service(Trigger, 'reset', self._on_reset)
+            self.create_publisher(ClockMessage, "/clock", 10) if self._lockstep else None)
+        self.create_subscription(FeedbackVoltage, "feedback", self._on_feedback, FEEDBACK)
+        self.create_service(LoadFeedforward, "load_feedforward", self._on_load_feedforward)
+        self.create_service(StartTracking, "start_tracking", self._on_start_tracking)
+        self.create_service(Trigger, "stop_tracking", self._on_stop_tracking)
+        self.create_service(Trigger, "emergency_stop", self._on_emergency_stop)
+        self.create_service(Trigger, "reset", self._on_reset)
         self._play_server = ActionServer(
-            self, PlayWaveform, 'play_waveform', self._end_goal,
+            self, PlayWaveform, "play_waveform", self._end_goal,
             handle_accepted_callback=self._on_play,
             cancel_callback=lambda goal: CancelResponse.ACCEPT)
         self.create_timer(1.0, self._publish_diagnostics,
@@ -85,35 +85,35 @@ class StageNode(LifecycleNode):
 
     def _declare_parameters(self):
         self._sample_rate_hz = declare(
-            self, 'sample_rate_hz', 40000.0, 'Rate of the sample clock (Hz).', 1000.0, 200000.0)
+            self, "sample_rate_hz", 40000.0, "Rate of the sample clock (Hz).", 1000.0, 200000.0)
         self._samples_per_tick = declare(
-            self, 'samples_per_tick', 40, 'Samples of one feedback period.', 1, 4000)
+            self, "samples_per_tick", 40, "Samples of one feedback period.", 1, 4000)
         self._minimum_voltage_v = declare(
-            self, 'minimum_voltage_v', -20.0, 'Lowest voltage allowed (V).', -1000.0, 1000.0)
+            self, "minimum_voltage_v", -20.0, "Lowest voltage allowed (V).", -1000.0, 1000.0)
         self._maximum_voltage_v = declare(
-            self, 'maximum_voltage_v', 120.0, 'Highest voltage allowed (V).', -1000.0, 1000.0)
+            self, "maximum_voltage_v", 120.0, "Highest voltage allowed (V).", -1000.0, 1000.0)
         self._rest_voltage_v = declare(
-            self, 'rest_voltage_v', 0.0, 'Voltage while nothing plays (V).', -1000.0, 1000.0)
+            self, "rest_voltage_v", 0.0, "Voltage while nothing plays (V).", -1000.0, 1000.0)
         self._slew_limit_v_per_s = declare(
-            self, 'slew_limit_v_per_s', 2.0e6,
-            'Largest voltage step of one sample over the sample period (V/s).', 1.0, 1.0e9)
+            self, "slew_limit_v_per_s", 2.0e6,
+            "Largest voltage step of one sample over the sample period (V/s).", 1.0, 1.0e9)
         self._ramp_rate_v_per_s = declare(
-            self, 'ramp_rate_v_per_s', 2000.0,
-            'Rate of the ramps to the first sample and to rest (V/s).', 1.0, 1.0e6)
+            self, "ramp_rate_v_per_s", 2000.0,
+            "Rate of the ramps to the first sample and to rest (V/s).", 1.0, 1.0e6)
         self._max_missed_feedback = declare(
-            self, 'max_missed_feedback', 5,
-            'More feedback answers missed in a row stop the stage.', 0, 10000)
+            self, "max_missed_feedback", 5,
+            "More feedback answers missed in a row stop the stage.", 0, 10000)
         self._lockstep = declare(
-            self, 'timing', 'paced',
-            'paced (the clock of the backend) or lockstep (as fast as the loop answers).',
-            choices=('paced', 'lockstep')) == 'lockstep'
+            self, "timing", "paced",
+            "paced (the clock of the backend) or lockstep (as fast as the loop answers).",
+            choices=("paced", "lockstep")) == "lockstep"
         self._lockstep_timeout_s = declare(
-            self, 'lockstep_timeout_s', 2.0,
-            'Wall time after which an answer counts as missed in lockstep (s).', 0.01, 600.0)
+            self, "lockstep_timeout_s", 2.0,
+            "Wall time after which an answer counts as missed in lockstep (s).", 0.01, 600.0)
         self._joint_name = declare(
-            self, 'joint_name', 'stage', 'Name of the joint in joint_states.')
+            self, "joint_name", "stage", "Name of the joint in joint_states.")
         self._joint_state_rate_hz = declare(
-            self, 'joint_state_rate_hz', 50.0, 'Rate of joint_states (Hz).', 0.1, 1000.0)
+            self, "joint_state_rate_hz", 50.0, "Rate of joint_states (Hz).", 0.1, 1000.0)
 
     # Lifecycle
 
@@ -125,7 +125,7 @@ class StageNode(LifecycleNode):
             self._backend = self._create_backend(self)
             self._engine = self._create_engine()
         except ValueError as error:
-            self.get_logger().error(f'cannot configure: {error}')
+            self.get_logger().error(f"cannot configure: {error}")
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
@@ -134,20 +134,20 @@ class StageNode(LifecycleNode):
         try:
             self._backend.open()
         except (ValueError, OSError) as error:
-            self.get_logger().error(f'cannot activate: {error}')
+            self.get_logger().error(f"cannot activate: {error}")
             return TransitionCallbackReturn.FAILURE
         self._engine = self._create_engine()
         self._epoch_ns = 0 if self._lockstep else self.get_clock().now().nanoseconds
         self._active = True
         if not self._lockstep:
-            self._loop = threading.Thread(target=self._run_paced, name='stage loop')
+            self._loop = threading.Thread(target=self._run_paced, name="stage loop")
             self._loop_ends = False
             self._loop.start()
         return super().on_activate(state)
 
     def on_deactivate(self, state):
         """Return to rest and stop the sample clock."""
-        self._leave_active('the stage was deactivated')
+        self._leave_active("the stage was deactivated")
         return super().on_deactivate(state)
 
     def on_cleanup(self, state):
@@ -157,12 +157,12 @@ class StageNode(LifecycleNode):
 
     def on_shutdown(self, state):
         """Return to rest from any state."""
-        self._leave_active('the stage was shut down')
+        self._leave_active("the stage was shut down")
         return TransitionCallbackReturn.SUCCESS
 
     def wind_down(self):
         """Return to rest; return whether the client of what was played knows."""
-        self._leave_active('the stage node was ended')
+        self._leave_active("the stage node was ended")
         return not self._goals_unanswered
 
     def close(self):
@@ -173,7 +173,7 @@ class StageNode(LifecycleNode):
         return StageEngine(
             self._backend, self._limits, self._rest_voltage_v, self._ramp_rate_v_per_s,
             self._samples_per_tick, self._max_missed_feedback,
-            **({} if self._lockstep else {'longest_chunk_samples': self._samples_per_tick}))
+            **({} if self._lockstep else {"longest_chunk_samples": self._samples_per_tick}))
 
     def _leave_active(self, cause):
         if not self._active:
@@ -224,7 +224,7 @@ class StageNode(LifecycleNode):
         self._attend_goal()
         self._publish(self._engine.advance())
         if self._engine.stop_cause and not was_stopped:
-            self.get_logger().error(f'stopped: {self._engine.stop_cause}')
+            self.get_logger().error(f"stopped: {self._engine.stop_cause}")
         if self._engine.idle:
             if self._lockstep:
                 # Time stands still from here on: one block at rest tells that all is over.
@@ -237,7 +237,7 @@ class StageNode(LifecycleNode):
     def _command(self, function, *arguments):
         """Run a command between two ticks; return what it returns, raise what it raises."""
         if not self._active:
-            raise ValueError('the stage is not active: activate it first')
+            raise ValueError("the stage is not active: activate it first")
         if self._loop is None:
             return function(*arguments)
         outcome = queue.SimpleQueue()
@@ -251,7 +251,7 @@ class StageNode(LifecycleNode):
         try:
             value, error = outcome.get(timeout=COMMAND_TIMEOUT_S)
         except queue.Empty:
-            raise ValueError('the stage left the active state: activate it again') from None
+            raise ValueError("the stage left the active state: activate it again") from None
         if error is not None:
             raise error
         return value
@@ -268,8 +268,8 @@ class StageNode(LifecycleNode):
         message = SampleBlock(
             first_sample=block.first_sample, sample_period_s=block.sample_period_s,
             tick=block.tick, flags=block.flags, missed_feedback=block.missed_feedback,
-            voltage_v=array.array('d', block.voltage_v.tobytes()),
-            displacement_um=array.array('d', block.displacement_um.tobytes()))
+            voltage_v=array.array("d", block.voltage_v.tobytes()),
+            displacement_um=array.array("d", block.displacement_um.tobytes()))
         message.header.stamp = self._stamp(block.first_sample)
         message.header.frame_id = self._joint_name
         self.publish_samples(self._samples, message)
@@ -293,7 +293,7 @@ class StageNode(LifecycleNode):
                     continue
             if not self._losing_samples:
                 self.get_logger().error(
-                    f'samples are lost: a subscriber of {publisher.topic_name} hangs, end it')
+                    f"samples are lost: a subscriber of {publisher.topic_name} hangs, end it")
             self._losing_samples = True
             return
 
@@ -316,22 +316,22 @@ class StageNode(LifecycleNode):
 
     def _publish_diagnostics(self):
         engine = self._engine
-        status = DiagnosticStatus(name=f'{self.get_fully_qualified_name()}: stage',
+        status = DiagnosticStatus(name=f"{self.get_fully_qualified_name()}: stage",
                                   hardware_id=self._joint_name)
         if engine is None or not self._active:
-            status.level, status.message = DiagnosticStatus.OK, 'not active'
+            status.level, status.message = DiagnosticStatus.OK, "not active"
         elif engine.stop_cause:
             status.level, status.message = DiagnosticStatus.ERROR, engine.stop_cause
         elif engine.missed_feedback:
             status.level = DiagnosticStatus.WARN
-            status.message = 'feedback answers were missed'
+            status.message = "feedback answers were missed"
         else:
             status.level, status.message = DiagnosticStatus.OK, engine.phase_name
         if engine is not None:
             status.values = [
-                KeyValue(key='voltage_v', value=f'{engine.voltage_v:.4f}'),
-                KeyValue(key='next_sample', value=str(engine.next_sample)),
-                KeyValue(key='missed_feedback', value=str(engine.missed_feedback))]
+                KeyValue(key="voltage_v", value=f"{engine.voltage_v:.4f}"),
+                KeyValue(key="next_sample", value=str(engine.next_sample)),
+                KeyValue(key="missed_feedback", value=str(engine.missed_feedback))]
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
@@ -342,7 +342,7 @@ class StageNode(LifecycleNode):
         try:
             self._command(self._begin_goal, goal_handle)
         except ValueError as error:
-            message = f'waveform refused: {error}'
+            message = f"waveform refused: {error}"
             self.get_logger().warning(message)
             self._answer_goal(goal_handle, PlayWaveform.Result(message=message))
 
@@ -358,7 +358,7 @@ class StageNode(LifecycleNode):
         goal = self._goal
         if goal is None:
             return
-        if goal.is_cancel_requested and self._engine.phase_name != 'return':
+        if goal.is_cancel_requested and self._engine.phase_name != "return":
             self._engine.return_to_rest()
         now = time.monotonic()
         if now - self._last_progress < 0.1:
@@ -384,7 +384,7 @@ class StageNode(LifecycleNode):
     def _end_goal(self, goal_handle, result):
         self._goals_unanswered -= 1
         if goal_handle.is_cancel_requested:
-            result.success, result.message = False, 'the waveform was cancelled'
+            result.success, result.message = False, "the waveform was cancelled"
             goal_handle.canceled()
         elif result.success:
             goal_handle.succeed()
@@ -400,40 +400,40 @@ class StageNode(LifecycleNode):
         try:
             self._engine.answer(message.tick, message.voltage_v)
         except ValueError as error:
-            self.get_logger().warning(f'feedback refused: {error}')
+            self.get_logger().warning(f"feedback refused: {error}")
 
     def _answer_service(self, response, name, *arguments):
         """Run an engine command for a service; return its value, or None where it is refused."""
         try:
             value = self._command(lambda: getattr(self._engine, name)(*arguments))
         except ValueError as error:
-            response.success, response.message = False, f'{name} refused: {error}'
+            response.success, response.message = False, f"{name} refused: {error}"
             self.get_logger().warning(response.message)
             return None
         response.success = True
         return value
 
     def _on_load_feedforward(self, request, response):
-        self._answer_service(response, 'load_feedforward', request.once_voltage_v,
+        self._answer_service(response, "load_feedforward", request.once_voltage_v,
                              request.period_voltage_v, request.append)
         return response
 
     def _on_start_tracking(self, request, response):
         first_tick = self._answer_service(
-            response, 'start_tracking', request.feedback, request.ticks)
+            response, "start_tracking", request.feedback, request.ticks)
         response.first_tick = first_tick or 0
         return response
 
     def _on_stop_tracking(self, request, response):
-        self._answer_service(response, 'stop_tracking')
+        self._answer_service(response, "stop_tracking")
         return response
 
     def _on_emergency_stop(self, request, response):
-        self._answer_service(response, 'emergency_stop', 'emergency stop')
+        self._answer_service(response, "emergency_stop", "emergency stop")
         if response.success:
-            self.get_logger().error('stopped: emergency stop')
+            self.get_logger().error("stopped: emergency stop")
         return response
 
     def _on_reset(self, request, response):
-        self._answer_service(response, 'reset')
+        self._answer_service(response, "reset")
         return response

@@ -51,7 +51,7 @@ def run(engine, most=100000):
         if engine.idle:
             return blocks
         blocks.append(engine.advance())
-    raise AssertionError('the engine never came to rest')
+    raise AssertionError("the engine never came to rest")
 
 
 def joined(blocks, name):
@@ -76,12 +76,12 @@ def test_waveform_is_played_sample_by_sample_between_two_ramps():
     assert np.abs(np.diff(backend.played_v, prepend=0.0)).max() < 5.0
     assert_every_sample_accounted_for(blocks)
     playing = [block for block in blocks if block.flags & FLAG_PLAYING]
-    assert np.array_equal(joined(playing, 'voltage_v'), np.tile(waveform, 2))
+    assert np.array_equal(joined(playing, "voltage_v"), np.tile(waveform, 2))
     assert all(len(block.voltage_v) == 40 for block in blocks)
     assert blocks[0].flags == FLAG_RAMPING and blocks[-1].flags == FLAG_RAMPING
 
 
-@pytest.mark.parametrize('decimation', [3, 40, 400])
+@pytest.mark.parametrize("decimation", [3, 40, 400])
 def test_slow_waveform_is_published_as_means_over_its_samples(decimation):
     engine, backend = make_engine()
     waveform = np.linspace(10.0, 60.0, 97)
@@ -89,8 +89,8 @@ def test_slow_waveform_is_published_as_means_over_its_samples(decimation):
     blocks = run(engine)
     assert np.array_equal(backend.played_v[first:first + count], np.repeat(waveform, decimation))
     means = backend.played_v.reshape(-1, decimation).mean(axis=1)
-    assert np.allclose(joined(blocks, 'voltage_v'), means, rtol=0, atol=1e-12)
-    assert np.allclose(joined(blocks, 'displacement_um'), 2 * means, rtol=0, atol=1e-12)
+    assert np.allclose(joined(blocks, "voltage_v"), means, rtol=0, atol=1e-12)
+    assert np.allclose(joined(blocks, "displacement_um"), 2 * means, rtol=0, atol=1e-12)
     assert_every_sample_accounted_for([block for block in blocks if block], decimation)
 
 
@@ -107,22 +107,22 @@ def test_cancelled_waveform_ramps_to_rest_and_loses_no_sample(decimation, cancel
     assert np.abs(np.diff(backend.played_v, prepend=0.0)).max(initial=0) <= 2000 * PERIOD_S + 1e-9
     if backend.played_v.size:
         means = backend.played_v.reshape(-1, decimation).mean(axis=1)
-        assert np.allclose(joined(blocks, 'voltage_v'), means, rtol=0, atol=1e-9)
+        assert np.allclose(joined(blocks, "voltage_v"), means, rtol=0, atol=1e-9)
     engine.play([1.0], PERIOD_S)
 
 
-@pytest.mark.parametrize('voltage_v, period_s, repeats, word', [
-    ([0.0, np.nan], PERIOD_S, 1, 'sample 1 is not a finite number'),
-    ([0.0, np.inf], PERIOD_S, 1, 'sample 1 is not a finite number'),
-    ([0.0, 121.0], PERIOD_S, 1, 'outside'),
-    ([0.0, 60.0], PERIOD_S, 1, 'jumps'),
-    ([0.0, 40.0, 60.0], PERIOD_S, 2, 'jumps'),
-    ([], PERIOD_S, 1, 'empty'),
-    ([1.0], PERIOD_S, 0, 'repeats'),
-    ([1.0], 1.7 * PERIOD_S, 1, 'whole multiple'),
-    ([1.0], 0.5 * PERIOD_S, 1, 'sample period'),
-    ([1.0], 2.0, 1, 'sample period'),
-    ([1.0], np.nan, 1, 'sample period'),
+@pytest.mark.parametrize("voltage_v, period_s, repeats, word", [
+    ([0.0, np.nan], PERIOD_S, 1, "sample 1 is not a finite number"),
+    ([0.0, np.inf], PERIOD_S, 1, "sample 1 is not a finite number"),
+    ([0.0, 121.0], PERIOD_S, 1, "outside"),
+    ([0.0, 60.0], PERIOD_S, 1, "jumps"),
+    ([0.0, 40.0, 60.0], PERIOD_S, 2, "jumps"),
+    ([], PERIOD_S, 1, "empty"),
+    ([1.0], PERIOD_S, 0, "repeats"),
+    ([1.0], 1.7 * PERIOD_S, 1, "whole multiple"),
+    ([1.0], 0.5 * PERIOD_S, 1, "sample period"),
+    ([1.0], 2.0, 1, "sample period"),
+    ([1.0], np.nan, 1, "sample period"),
 ])
 def test_bad_waveform_is_refused_and_moves_nothing(voltage_v, period_s, repeats, word):
     engine, backend = make_engine()
@@ -134,9 +134,9 @@ def test_bad_waveform_is_refused_and_moves_nothing(voltage_v, period_s, repeats,
 def test_second_command_is_refused_while_one_plays():
     engine, _ = make_engine()
     engine.play(np.full(100, 5.0), PERIOD_S)
-    with pytest.raises(StageRefusal, match='busy'):
+    with pytest.raises(StageRefusal, match="busy"):
         engine.play([1.0], PERIOD_S)
-    with pytest.raises(StageRefusal, match='busy'):
+    with pytest.raises(StageRefusal, match="busy"):
         engine.load_feedforward([0.0], [])
 
 
@@ -145,7 +145,7 @@ def test_feedback_computed_from_a_tick_acts_one_tick_after_it_could_be_answered(
     engine.load_feedforward(np.zeros(40), np.zeros(40))
     first_tick = engine.start_tracking(feedback=True, ticks=10)
     answered = {}
-    while engine.phase_name == 'track':
+    while engine.phase_name == "track":
         assert not engine.awaiting_answer
         block = engine.advance()
         if block.tick > first_tick:
@@ -176,10 +176,10 @@ def test_watchdog_stops_the_stage_when_answers_stay_away():
     engine.load_feedforward(np.full(40, 10.0) * np.linspace(0, 1, 40), [])
     engine.start_tracking(feedback=True)
     blocks = run(engine)
-    assert 'missed' in engine.stop_cause
+    assert "missed" in engine.stop_cause
     assert backend.played_v[-1] == 0.0
     assert blocks[-1].flags & FLAG_STOPPED
-    with pytest.raises(StageRefusal, match='reset'):
+    with pytest.raises(StageRefusal, match="reset"):
         engine.play([1.0], PERIOD_S)
     engine.reset()
     engine.play([1.0], PERIOD_S)
@@ -190,8 +190,8 @@ def test_feedback_that_is_no_number_is_refused():
     engine.load_feedforward([], np.zeros(40))
     engine.start_tracking(feedback=True)
     engine.advance()
-    with pytest.raises(FeedbackError, match='not a finite'):
-        engine.answer(1, float('nan'))
+    with pytest.raises(FeedbackError, match="not a finite"):
+        engine.answer(1, float("nan"))
 
 
 def test_sum_of_feedforward_and_feedback_stays_within_range_and_slew():
@@ -228,14 +228,14 @@ def test_streamed_feedforward_grows_while_it_plays_and_holds_when_it_runs_dry():
     dry = engine.advance()
     assert np.array_equal(backend.played_v[40:80], np.linspace(1, 2, 40))
     assert np.all(dry.voltage_v == 2.0) and dry.flags & FLAG_FEEDFORWARD_HELD
-    with pytest.raises(LimitError, match='jumps'):
+    with pytest.raises(LimitError, match="jumps"):
         engine.load_feedforward([100.0], [], append=True)
 
 
 def test_feedforward_that_would_jump_is_refused():
     engine, _ = make_engine()
     engine.load_feedforward(np.full(40, 60.0), [])
-    with pytest.raises(LimitError, match='jumps'):
+    with pytest.raises(LimitError, match="jumps"):
         engine.start_tracking(feedback=False)
     assert engine.idle
 
@@ -245,13 +245,13 @@ def test_emergency_stop_ramps_to_rest_and_stays_latched_until_reset():
     engine.play(np.full(4000, 100.0), PERIOD_S)
     for _ in range(80):
         engine.advance()
-    engine.emergency_stop('pressed')
-    with pytest.raises(StageRefusal, match='returns to rest'):
+    engine.emergency_stop("pressed")
+    with pytest.raises(StageRefusal, match="returns to rest"):
         engine.reset()
     run(engine)
     assert backend.played_v[-1] == 0.0
     assert np.abs(np.diff(backend.played_v)).max() <= 2000 * PERIOD_S + 1e-9
-    with pytest.raises(StageRefusal, match='pressed'):
+    with pytest.raises(StageRefusal, match="pressed"):
         engine.start_tracking(False)
 
 
@@ -266,5 +266,5 @@ def test_held_voltage_is_where_the_next_waveform_begins():
 
 
 def test_empty_range_is_refused():
-    with pytest.raises(LimitError, match='empty'):
+    with pytest.raises(LimitError, match="empty"):
         VoltageLimits(1.0, 1.0, 1.0)
