@@ -7,7 +7,7 @@ import numpy as np
 
 from piezo_sim.effect import Surroundings
 from piezo_sim.plant import Plant
-from piezo_sim.plant_file import read_plant
+from piezo_sim.plant_file import PlantConfig, read_plant
 
 
 class SimulatedStage:
@@ -19,10 +19,10 @@ class SimulatedStage:
 
     Parameters
     ----------
-    plant_file : path, optional
-        Plant file; by default the stage of thesis chapter 4.
+    plant : path or PlantConfig, optional
+        Plant file, or what was read from one; by default the stage of thesis chapter 4.
     seed : int
-        Seed of the measurement noise, not negative.
+        Seed of everything random, not negative.
     sample_rate_hz : float
         Sample clock.
     rest_voltage_v : float
@@ -45,7 +45,7 @@ class SimulatedStage:
 
     def __init__(
         self,
-        plant_file: str | Path | None = None,
+        plant: str | Path | PlantConfig | None = None,
         seed: int = 0,
         sample_rate_hz: float = 40000.0,
         rest_voltage_v: float = 0.0,
@@ -56,7 +56,7 @@ class SimulatedStage:
             raise ValueError(f"sample_rate_hz is {sample_rate_hz}; give a positive number.")
         self.sample_rate_hz = sample_rate_hz
         self.true_displacement_um = np.empty(0)
-        self._config = read_plant(plant_file)
+        self._config = plant if isinstance(plant, PlantConfig) else read_plant(plant)
         self._surroundings = Surroundings(1.0 / sample_rate_hz, rest_voltage_v, seed)
         self._plant = None
         # Compiles what is not compiled yet, so that no exchange has to wait for it.

@@ -6,6 +6,7 @@ without error; y[n] = C x[n] is the output at the start of the sample.
 """
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -37,6 +38,32 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
         np.concatenate([second.d * first.c, second.c]),
         second.d * first.d,
     )
+
+
+def chain(effects: list) -> StateSpace:
+    """Linear effects in the order of the signal.
+
+    Most follow what lies before them. One with the attribute `beside` lies in parallel to that many
+    effects before it, and its method `join` adds it to their series.
+
+    Raises
+    ------
+    PlantConfigError
+        If fewer linear effects lie before an effect than it wants to lie beside.
+    """
+    systems = []
+    for effect in effects:
+        beside = getattr(effect, "beside", 0)
+        if beside == 0:
+            systems.append(effect.state_space())
+            continue
+        if beside > len(systems):
+            raise PlantConfigError(
+                f"{effect.name}: it lies beside {beside} linear effects, but only {len(systems)} "
+                "lie directly before it."
+            )
+        systems[-beside:] = [effect.join(reduce(series, systems[-beside:]))]
+    return reduce(series, systems)
 
 
 def zero_order_hold(system: StateSpace, sample_period_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -78,9 +105,7 @@ class LinearRunner:
     """
 
     def __init__(self, effects: list, sample_period_s: float):
-        system = effects[0].state_space()
-        for effect in effects[1:]:
-            system = series(system, effect.state_space())
+        system = chain(effects)
         if system.d != 0.0:
             names = ", ".join(effect.name for effect in effects)
             raise PlantConfigError(

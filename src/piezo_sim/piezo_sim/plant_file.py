@@ -14,6 +14,22 @@ from piezo_sim.effect import Effect, PlantConfigError
 from piezo_sim.hysteresis import PreisachHysteresis
 from piezo_sim.linear import Creep, ElectricLag, VibrationMode
 from piezo_sim.sensor import DisplacementSensor
+from piezo_sim.undeclared.current_limit import CurrentLimit
+from piezo_sim.undeclared.depolarisation import Depolarisation
+from piezo_sim.undeclared.distributed_lag import DistributedLag
+from piezo_sim.undeclared.hardening_spring import HardeningSpring
+from piezo_sim.undeclared.intermittent_contact import IntermittentContact
+from piezo_sim.undeclared.logarithmic_creep import LogarithmicCreep
+from piezo_sim.undeclared.mains_hum import MainsHum
+from piezo_sim.undeclared.parallel_mode import ParallelMode
+from piezo_sim.undeclared.self_heating import SelfHeating
+from piezo_sim.undeclared.soft_backlash import SoftBacklash
+from piezo_sim.undeclared.soft_saturation import SoftSaturation
+from piezo_sim.undeclared.spikes import Spikes
+from piezo_sim.undeclared.switching_delay import SwitchingDelay
+from piezo_sim.undeclared.thermal_drift import ThermalDrift
+from piezo_sim.undeclared.transducer_curve import TransducerCurve
+from piezo_sim.undeclared.transport_delay import TransportDelay
 
 # A further effect of the plant is one new module and one more entry here.
 EFFECTS = {
@@ -25,6 +41,22 @@ EFFECTS = {
         ElectricLag,
         VibrationMode,
         DisplacementSensor,
+        LogarithmicCreep,
+        ThermalDrift,
+        ParallelMode,
+        TransportDelay,
+        DistributedLag,
+        TransducerCurve,
+        MainsHum,
+        CurrentLimit,
+        SoftSaturation,
+        SwitchingDelay,
+        HardeningSpring,
+        SoftBacklash,
+        Spikes,
+        SelfHeating,
+        IntermittentContact,
+        Depolarisation,
     )
 }
 

@@ -8,9 +8,7 @@ import numpy as np
 
 from piezo_sim.converter import Converter
 from piezo_sim.effect import Surroundings, parameter, require
-
-# Noise is drawn ahead in blocks: one draw for 40 samples would cost more than all the rest.
-_NOISE_BLOCK = 4096
+from piezo_sim.random_stream import NormalStream
 
 
 @dataclass(frozen=True)
@@ -48,8 +46,7 @@ class SensorRunner:
         self._converter = Converter(
             effect.displacement_min_um, effect.displacement_max_um, effect.converter_bits
         )
-        self._generator = np.random.Generator(np.random.PCG64(seed))
-        self._noise = np.empty(0)
+        self._noise = NormalStream(np.random.PCG64(seed))
 
     def rest(self, level: float) -> float:
         """The sensor has no state of its own."""
@@ -57,14 +54,5 @@ class SensorRunner:
 
     def apply(self, samples: np.ndarray) -> None:
         """Replace displacements by measured displacements."""
-        samples += self._noise_rms_um * self._next_noise(samples.size)
+        samples += self._noise_rms_um * self._noise.next(samples.size)
         self._converter.apply(samples)
-
-    def _next_noise(self, count: int) -> np.ndarray:
-        missing = count - self._noise.size
-        if missing > 0:
-            blocks = -(-missing // _NOISE_BLOCK)
-            fresh = self._generator.standard_normal(blocks * _NOISE_BLOCK)
-            self._noise = np.concatenate([self._noise, fresh])
-        noise, self._noise = self._noise[:count], self._noise[count:]
-        return noise

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Effects without memory: every output sample follows from its own input sample."""
+
+import numpy as np
+
+
+class PointwiseRunner:
+    """A compiled function of the samples and of constants.
+
+    Parameters
+    ----------
+    replace : callable
+        ``replace(samples, *constants)`` puts the outputs in place of the inputs.
+    constants : float
+        Parameters of the effect.
+    """
+
+    def __init__(self, replace, *constants: float):
+        self._replace = replace
+        self._constants = constants
+
+    def rest(self, level: float) -> float:
+        """Return the output at the constant input `level`."""
+        samples = np.array([level])
+        self.apply(samples)
+        return float(samples[0])
+
+    def apply(self, samples: np.ndarray) -> None:
+        """Replace inputs by outputs."""
+        self._replace(samples, *self._constants)
