@@ -25,6 +25,7 @@ class TrackingRun:
         self.total_samples = self._once_samples + run_samples
         self._expected_um = plan.expected_um(0, self.total_samples)
         self._displacement_um = np.full(self.total_samples, np.nan)
+        self._travel_um = np.ptp(self._expected_um[self._once_samples:])
 
     @property
     def complete(self):
@@ -73,8 +74,7 @@ class TrackingRun:
         if begin >= end:
             return float("nan")
         error_um = self._expected_um[begin:end] - self._displacement_um[begin:end]
-        travel_um = np.ptp(self._expected_um[self._once_samples:])
-        return float(100.0 * np.sqrt(np.mean(error_um**2)) / travel_um)
+        return float(100.0 * np.sqrt(np.mean(error_um**2)) / self._travel_um)
 
     @property
     def largest_error_um(self):
