@@ -11,23 +11,30 @@ from piezo_node_tools.parameters import declare
 from piezo_node_tools.spinning import run_node
 from piezo_stage_driver.stage_node import StageNode
 
+SAMPLES_PER_TICK = 40
+
 
 class TimedModelStage(ModelStage):
-    """Keeps the pace of the wall clock if so asked, and knows when it measured last."""
+    """Keeps the pace of the wall clock if so asked, and when each tick was measured."""
 
     def __init__(self, paced):
         super().__init__()
         self._paced = paced
-        self.measured_at_s = time.perf_counter()
+        self._due_s = time.perf_counter()
+        self._samples = 0
+        self.measured_at_s = {}
 
     def exchange(self, voltage_v):
         """Play voltages."""
         displacement_um = super().exchange(voltage_v)
-        due_s = self.measured_at_s + len(voltage_v) / self.sample_rate_hz
+        self._due_s += len(voltage_v) / self.sample_rate_hz
         now_s = time.perf_counter()
-        if self._paced and now_s < due_s:
-            time.sleep(due_s - now_s)
-        self.measured_at_s = time.perf_counter()
+        if self._paced and now_s < self._due_s:
+            time.sleep(self._due_s - now_s)
+        else:
+            self._due_s = now_s
+        self._samples += len(voltage_v)
+        self.measured_at_s[self._samples // SAMPLES_PER_TICK] = time.perf_counter()
         return displacement_um
 
 
@@ -37,16 +44,11 @@ class ModelStageNode(StageNode):
     def __init__(self):
         super().__init__(lambda node: TimedModelStage(not node._lockstep))
         self._file = declare(self, "round_trips_file", "", "Where to write (npy); empty: nowhere.")
-        self._measured_at_s = {}
         self._round_trips_s = array.array("d")
-
-    def on_block(self, block):
-        """Keep when the block was measured."""
-        self._measured_at_s[block.tick] = self._backend.measured_at_s
 
     def _on_feedback(self, message):
         super()._on_feedback(message)
-        measured_at_s = self._measured_at_s.pop(message.tick)
+        measured_at_s = self._backend.measured_at_s[message.tick]
         self._round_trips_s.append(time.perf_counter() - measured_at_s)
 
     def close(self):
