@@ -9,6 +9,8 @@ from rclpy.action import ActionClient
 # Long enough for a stage that is still compiling its simulation.
 CALL_TIMEOUT_S = 60.0
 POLL_S = 0.05
+# A node that ends may be gone before its answer is read.
+LAST_ANSWER_S = 1.0
 
 
 class CallFailed(ValueError):
@@ -99,6 +101,8 @@ class ActionCaller:
         future.add_done_callback(lambda _: finished.set())
         asked = False
         while not finished.wait(POLL_S):
+            if not self._client.server_is_ready() and not finished.wait(LAST_ANSWER_S):
+                raise CallFailed(f"the node that serves {self._name} has ended")
             if cancelled() and not asked:
                 self._in_executor(handle.cancel_goal_async)
                 asked = True
