@@ -6,14 +6,14 @@ import os
 import random
 import socket
 from contextlib import ExitStack
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
-from piezo_interfaces.srv import LoadFeedforward, StartTracking
+from piezo_interfaces.srv import LoadFeedforward, StartRecording, StartTracking, StopRecording
 from std_srvs.srv import Trigger
 
 from piezo_bringup.client_node import Client
@@ -111,6 +111,17 @@ class StageClient(Client):
         self.until(lambda: self._feedback.get_subscription_count() > 0)
         self.forget()
 
+    def connect_recorder(self, directory):
+        """Make sure that no block is missing in recordings from here on."""
+        for attempt in count():
+            self.call(StartRecording, "recorder/start_recording", directory=str(directory),
+                      name=f"connect_{attempt}")
+            last_sample = self.play([0.0]).last_sample
+            if self.call(StopRecording, "recorder/stop_recording",
+                         last_sample=last_sample).success:
+                break
+        self.forget()
+
     def until(self, condition):
         """Spin until a condition holds; fail with the nodes' logs where it never does."""
         if not self.spin_until(condition, TIMEOUT_S):
@@ -144,9 +155,11 @@ class StageClient(Client):
         return goal
 
     def begin_play(self, voltage_v, sample_period_s=25e-6, repeats=1):
-        """Begin a waveform; return the goal once the stage moves."""
-        return self.begin("play_waveform", voltage_v=array.array("d", voltage_v),
+        """Begin a waveform; return the goal once the stage plays it."""
+        goal = self.begin("play_waveform", voltage_v=array.array("d", voltage_v),
                           sample_period_s=sample_period_s, repeats=repeats)
+        self.until(lambda: self.blocks[-1].flags & SampleBlock.FLAG_PLAYING)
+        return goal
 
     def result(self, goal):
         """Wait for the end of a goal; return its status and its result."""
@@ -222,6 +235,8 @@ class Nodes:
         client.until(lambda: {"client", "stage", *names} <= client.node_names())
         if connect:
             client.connect()
+        if "recorder" in names:
+            client.connect_recorder(directory)
         return client
 
     def stop(self):

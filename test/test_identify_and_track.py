@@ -130,9 +130,9 @@ def tracked(whole_suite, model, tmp_path_factory):
 
 
 def test_each_mode_is_better_than_the_one_before(tracked):
+    # What the stage creeps after all that was played before, feedforward alone cannot know.
     errors = [result.e_rms_percent for result in tracked.values()]
-    assert errors[0] > 5 * errors[1]
-    assert errors[1] > errors[2]
+    assert errors[0] > errors[1] > 2 * errors[2]
 
 
 def test_run_is_recorded_with_model_parameters_and_truth_and_without_gaps(tracked, model):
@@ -249,15 +249,24 @@ def test_emergency_stop_ends_a_track_whose_recording_stays_readable(suite, model
     assert suite.trigger("reset").success
 
 
-def test_controller_that_is_ended_stops_the_stage_and_tells_its_client(suite, model, tmp_path):
+@pytest.fixture
+def controller(suite):
+    """Process of the controller, which the test may end."""
+    yield suite.processes.process("controller")
+    suite.until(lambda: "controller" not in suite.node_names())
+    suite.processes.start("controller", namespace="/left")
+    suite.until(lambda: "controller" in suite.node_names())
+
+
+def test_controller_that_is_ended_stops_the_stage_and_tells_its_client(
+        suite, controller, model, tmp_path):
     goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=60.0))
-    process = suite.processes.process("controller")
-    process.send_signal(signal.SIGINT)
+    controller.send_signal(signal.SIGINT)
     status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
     assert result.message == "cancelled"
-    suite.until(lambda: process.poll() is not None)
-    assert process.returncode == 0
+    suite.until(lambda: controller.poll() is not None)
+    assert controller.returncode == 0
     recording = read_recording(result.recording)
     assert recording.gaps == []
     assert recording.voltage_v[-1] == 0.0

@@ -107,6 +107,17 @@ def test_cancelled_waveform_ramps_to_rest(suite, sample_period_s):
     assert len(samples.flagged(FLAG_PLAYING)) < 4000 * 4_000_000
 
 
+def test_waveform_cancelled_at_once_ramps_to_rest_from_its_approach(suite):
+    goal = suite.send_goal("play_waveform", voltage_v=[120.0] * 4000, sample_period_s=25e-6,
+                           repeats=1_000_000)
+    status, result = suite.cancel(goal)
+    assert status == GoalStatus.STATUS_CANCELED
+    samples = suite.samples(result.last_sample)
+    assert samples.gapless
+    assert np.abs(np.diff(samples.voltage_v)).max() < 0.051  # 2000 V/s
+    assert samples.voltage_v[-1] == 0.0
+
+
 def test_feedback_tells_stage_fraction_and_time_left(suite):
     told = []
     result = suite.play(sine(4000), repeats=100, on_feedback=told.append)
