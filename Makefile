@@ -20,6 +20,7 @@ test: setup ## check the style, then run the unit and the integration tests
 	@$(in_environment) .venv/bin/ruff check . && .venv/bin/python -m pytest src test
 
 bench: setup ## measure speed and accuracy beside peers
+	@tools/peers
 	@$(in_environment) .venv/bin/python benchmarks/run.py
 
 DATA ?= ../shared/data
@@ -30,4 +31,4 @@ reproduce: setup ## run the studies of the thesis' chapters 2 to 4; writes docs/
 	@$(in_environment) .venv/bin/python -m piezo_bringup.reproduction
 
 clean: ## remove the environment and everything built
-	rm -rf .venv build install log
+	rm -rf .venv .venv-peers build install log

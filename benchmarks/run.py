@@ -2,19 +2,19 @@
 """Run all benchmarks and print one table: python run.py [--rounds N].
 
 What is compared is measured side by side in each round; of the rounds the table tells the median
-and the spread.
+and the spread. Identification is set beside its peers once, over many draws of the noise.
 """
 
 import argparse
 import os
 import random
-from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+import peers
 from hysteresis_speed import samples_per_s
 from loop_speed import LOCKSTEP, closed_loop, ping_pong_round_trips, tick_round_trips
-from table import Row, show, write
+from table import Measurements, show, write
 
 OUTPUT = Path(__file__).parents[1] / "runs" / "bench"
 LEVELS = (50, 200)
@@ -83,14 +83,15 @@ def main():
     os.environ["ROS_DOMAIN_ID"] = str(random.randint(1, 100))
     OUTPUT.mkdir(parents=True, exist_ok=True)
     print(f"{os.cpu_count()} cores, of which {os.getloadavg()[0]:.1f} are busy with other work")
-    measured = defaultdict(list)
+    measured = Measurements()
     for number in range(1, rounds + 1):
         for measure in (hysteresis, loops, round_trips):
             print(f"round {number} of {rounds}: {measure.__name__.replace('_', ' ')} ...",
                   flush=True)
             measure(measured)
-    rows = [Row(name, unit, values, **TARGETS.get(name, {}))
-            for (name, unit), values in measured.items()]
+    print("identification beside its peers ...", flush=True)
+    peers.measure(measured)
+    rows = measured.table(TARGETS)
     show(rows)
     write(rows, OUTPUT / "table.json")
     print(f"written to {OUTPUT / 'table.json'}")

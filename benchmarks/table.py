@@ -2,10 +2,11 @@
 """The benchmarks' table: printed, and written as JSON."""
 
 import json
+from collections import defaultdict
 from dataclasses import asdict, dataclass
 from statistics import median
 
-COLUMNS = "{:66}{:>12}{:>12}{:>12}  {}"
+COLUMNS = "{:84}{:>12}{:>12}{:>12}  {}"
 
 
 @dataclass
@@ -16,9 +17,10 @@ class Row:
     ----------
     name, unit : str
     values : list of float
-        One of each round.
+        One of each round; none of what could not be measured.
     at_least, at_most : float, optional
         What the median is to reach.
+    remark : str
     """
 
     name: str
@@ -26,11 +28,12 @@ class Row:
     values: list
     at_least: float | None = None
     at_most: float | None = None
+    remark: str = ""
 
     @property
     def median(self):
-        """Of the rounds."""
-        return median(self.values)
+        """Of the rounds, None without any."""
+        return median(self.values) if self.values else None
 
     @property
     def verdict(self):
@@ -39,7 +42,27 @@ class Row:
             return f"at least {self.at_least:g}: {_met(self.median >= self.at_least)}"
         if self.at_most is not None:
             return f"at most {self.at_most:g}: {_met(self.median <= self.at_most)}"
-        return ""
+        return self.remark
+
+
+class Measurements(defaultdict):
+    """Values by (name, unit) of the row.
+
+    Attributes
+    ----------
+    remarks : dict of str to str
+        By the name of the row.
+    """
+
+    def __init__(self):
+        super().__init__(list)
+        self.remarks = {}
+
+    def table(self, targets=None):
+        """Rows, with what their medians are to reach by name."""
+        targets = targets or {}
+        return [Row(name, unit, values, **targets.get(name, {}),
+                    remark=self.remarks.get(name, "")) for (name, unit), values in self.items()]
 
 
 def _met(yes):
@@ -50,10 +73,16 @@ def show(rows):
     """Print the rows."""
     print(COLUMNS.format("", "median", "lowest", "highest", "").rstrip())
     for row in rows:
-        figures = [f"{value:.3g}" if value < 1000 else f"{value:,.0f}"
-                   for value in (row.median, min(row.values), max(row.values))]
+        values = (row.median, min(row.values), max(row.values)) if row.values else "---"
+        figures = [_figure(value) for value in values]
         name = f"{row.name} ({row.unit})" if row.unit else row.name
         print(COLUMNS.format(name, *figures, row.verdict).rstrip())
+
+
+def _figure(value):
+    if isinstance(value, str):
+        return value
+    return f"{value:.3g}" if value < 1000 else f"{value:,.0f}"
 
 
 def write(rows, path):
