@@ -16,7 +16,7 @@ from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartRecording, StartTracking, StopRecording
 from std_srvs.srv import Trigger
 
-from piezo_bringup.client_node import Client
+from piezo_bringup.client_node import Client, GoalFailed
 from piezo_bringup.processes import Processes, clean_shared_memory
 from piezo_node_tools.quality import FEEDBACK, SAMPLES
 
@@ -288,6 +288,11 @@ def suite(whole_suite):
     whole_suite.forget()
     yield whole_suite
     whole_suite.answer = None
-    # Refused if the test left the stage busy or stopped.
-    last_sample = whole_suite.play([0.0]).last_sample
+    # Refused if the test left the stage busy or stopped, which is then mended for the next.
+    try:
+        last_sample = whole_suite.play([0.0]).last_sample
+    except GoalFailed:
+        whole_suite.call(Trigger, "emergency_stop")
+        whole_suite.until(lambda: whole_suite.call(Trigger, "reset").success)
+        raise
     assert whole_suite.samples(last_sample).voltage_v[-1] == 0.0

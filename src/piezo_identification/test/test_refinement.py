@@ -6,6 +6,7 @@ import pytest
 
 from piezo_identification import experiments
 from piezo_identification import identify as identify_module
+from piezo_identification.density_estimate import DensityEstimate
 from piezo_identification.identify_command import main as identify_main
 from piezo_identification.prediction import predict, unseen_errors
 from piezo_identification.refinement import (
@@ -175,8 +176,10 @@ def test_the_command_stores_the_errors_before_and_after(
     plant, play, recordings, tmp_path, capsys, monkeypatch
 ):
     hysteresis = plant.hysteresis
-    doubtful = replace(hysteresis, density_um_per_v2=1.02 * hysteresis.density_um_per_v2)
-    monkeypatch.setattr(identify_module, "estimate_hysteresis", lambda *_: doubtful)
+    doubtful = DensityEstimate(
+        "doubtful", hysteresis.levels_v, 1.02 * hysteresis.density_um_per_v2, hysteresis.offset_um,
+        visited=np.tril(np.ones_like(hysteresis.density_um_per_v2, dtype=bool)))
+    monkeypatch.setattr(identify_module, "estimate_density", lambda *_: doubtful)
     unseen = play(experiments.hysteresis(level_count=5, harmonic_period_s=1.0), 3, 1000.0)
     files = {"hysteresis": recordings["hysteresis"], "validation": unseen}
     arguments = []
