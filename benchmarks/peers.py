@@ -70,7 +70,8 @@ def dynamics(rows):
             clean_um + noise_um * np.random.default_rng(seed).normal(size=clean_um.size)
             for seed in range(SEEDS)])
         title = f"dynamics, {1000 * noise_um:.0f} nm"
-        ours = _Fits(_fit_ours(wave, outputs_um), truth)
+        our_fits = _fit_ours(wave, outputs_um)
+        ours = _Fits(our_fits, truth)
         rows[f"{title}: successes", "%"].append(100.0 * ours.success)
         rows[f"{title}: median error", "%"].append(100.0 * ours.error)
         rows[f"{title}: time of a fit", "ms"].append(1000.0 * ours.time_s)
@@ -78,10 +79,10 @@ def dynamics(rows):
         np.savez(records, input=wave, outputs=outputs_um, frequency_hz=FREQUENCY_HZ,
                  sample_period_s=SAMPLE_PERIOD_S, time_limit_s=TIME_LIMIT_S)
         for method in METHODS:
-            _add_peer(rows, title, method, records, truth, ours)
+            _add_peer(rows, title, method, records, truth, our_fits)
 
 
-def _add_peer(rows, title, method, records, truth, ours):
+def _add_peer(rows, title, method, records, truth, our_fits):
     """Add what a peer reaches, as a ratio to ours, or why it reaches nothing."""
     keys = [(f"{title}: {method} over ours, {what}", "times")
             for what in ("successes", "error", "time")]
@@ -92,6 +93,8 @@ def _add_peer(rows, title, method, records, truth, ours):
         rows.remarks[keys[0][0]] = str(error)
         return
     peer = _Fits(content["fits"], truth)
+    # Beside ours of the same records.
+    ours = _Fits(our_fits[: len(peer.times_s)], truth)
     for key, value in zip(keys, (peer.success / ours.success, peer.error / ours.error,
                                  peer.time_s / ours.time_s), strict=True):
         # Of a method that finds no model there is no error.
