@@ -82,7 +82,7 @@ def main():
     # Out of the way of whatever else runs on this machine.
     os.environ["ROS_DOMAIN_ID"] = str(random.randint(1, 100))
     OUTPUT.mkdir(parents=True, exist_ok=True)
-    print(f"{os.cpu_count()} cores, of which {os.getloadavg()[0]:.1f} are busy with other work")
+    print(f"{os.cpu_count()} cores; load average before: {os.getloadavg()[0]:.1f}")
     measured = Measurements()
     for number in range(1, rounds + 1):
         for measure in (hysteresis, loops, round_trips):
