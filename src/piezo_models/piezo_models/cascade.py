@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The whole stage: Preisach hysteresis, then creep, then electric and vibration dynamics."""
+"""The whole stage: Preisach hysteresis, then creep, then electric and vibration dynamics.
+
+What these three do not explain is added as effects, each at its place in the cascade.
+"""
 
 from dataclasses import dataclass
 
@@ -45,20 +48,47 @@ class StageModel:
     hysteretic_creep : HystereticCreep, optional
         Added to the output of the hysteresis. Simulations have it; inversions leave its slow
         motion to the feedback.
+    effects : tuple of Effect
+        What else the stage does; those of one place act in this order.
     """
 
     hysteresis: PreisachModel
     creep: CreepDynamics
     dynamics: ElectricVibrationDynamics
     hysteretic_creep: HystereticCreep | None = None
+    effects: tuple = ()
+
+    def effects_at(self, place):
+        """The effects of one of `piezo_models.effects.effect.PLACES`."""
+        return tuple(effect for effect in self.effects if effect.place == place)
 
     def linear(self):
         """Continuous `control.StateSpace` from hysteresis output to displacement."""
-        return self.creep.state_space() * self.dynamics.state_space()
+        system = self.creep.state_space() * self.dynamics.state_space()
+        for effect in self.effects_at("linear"):
+            system = effect.state_space() * system
+        return system
 
     def response(self, frequency_hz):
         """Complex response of `linear` at the given frequencies."""
-        return self.creep.response(frequency_hz) * self.dynamics.response(frequency_hz)
+        response = self.creep.response(frequency_hz) * self.dynamics.response(frequency_hz)
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
+        for effect in self.effects_at("linear"):
+            response = response * effect.state_space()(s)
+        return response
+
+    def amplified(self, voltage_v, sample_period_s):
+        """The voltage behind the effects that act on it, shape (N,)."""
+        for effect in self.effects_at("voltage"):
+            voltage_v = effect.apply(voltage_v, sample_period_s)
+        return voltage_v
+
+    def sensed(self, displacement_um, sample_period_s):
+        """What the sensor measures of the output of `linear`, behind the effects on either."""
+        for place in ("displacement", "sensor"):
+            for effect in self.effects_at(place):
+                displacement_um = effect.apply(displacement_um, sample_period_s)
+        return displacement_um
 
     def memory(self, rest_voltage_v=0.0, hysteresis=None, settled=True):
         """Memory of a stage at rest.
@@ -100,12 +130,13 @@ class StageModel:
         sample_period_s : float
         memory : StageMemory, optional
             Past of the stage; continued, and updated in place. By default the stage has rested at
-            0 V, reached from negative saturation, until the creep was over.
+            0 V, reached from negative saturation, until the creep was over. Effects that are not
+            linear begin anew, at rest.
 
         Returns
         -------
         (N,) array
-            Displacement in um.
+            Displacement in um, as the sensor measures it.
 
         Raises
         ------
@@ -114,10 +145,11 @@ class StageModel:
         """
         memory = self.memory() if memory is None else memory
         system = zoh(self.linear(), sample_period_s)
+        voltage_v = self.amplified(voltage_v, sample_period_s)
         hysteresis = self.hysteresis.simulate(voltage_v, memory.hysteresis)
         if self.hysteretic_creep is not None:
             hysteresis += self.hysteretic_creep.simulate(
                 voltage_v, sample_period_s, memory.hysteretic_creep
             )
         displacement, memory.linear_state = continue_linear(system, hysteresis, memory.linear_state)
-        return displacement
+        return self.sensed(displacement, sample_period_s)

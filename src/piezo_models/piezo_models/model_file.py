@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from piezo_models.cascade import StageModel
+from piezo_models.effects import known_effects
 from piezo_models.hysteretic_creep import HystereticCreep
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.preisach import PreisachModel
@@ -132,6 +133,10 @@ def _document(identified):
     model = identified.model
     hysteresis, dynamics = model.hysteresis, model.dynamics
     density = hysteresis.density_um_per_v2
+    effects = [
+        {"name": effect.name, "parameters": _plain(effect.parameters())}
+        for effect in model.effects
+    ]
     uncertainties = (
         {"uncertainties": _plain(identified.uncertainties)} if identified.uncertainties else {}
     )
@@ -164,6 +169,7 @@ def _document(identified):
             ),
             "antiresonance_damping_ratios": list(dynamics.antiresonance_damping_ratios),
         },
+        **({"effects": effects} if effects else {}),
         **uncertainties,
         **hysteretic_creep,
         "hysteresis": {
@@ -240,7 +246,7 @@ class _Reader:
             "creep",
             "dynamics",
             "hysteresis",
-            optional=("uncertainties", "hysteretic_creep"),
+            optional=("effects", "hysteretic_creep", "uncertainties"),
         )
         low, high = self.numbers(top["voltage_range_v"], "voltage_range_v", length=2)
         if not low < high:
@@ -257,6 +263,7 @@ class _Reader:
                 self.creep(top["creep"]),
                 self.dynamics(top["dynamics"]),
                 self.hysteretic_creep(top),
+                self.effects(top.get("effects", [])),
             ),
             voltage_range_v=(low, high),
             sample_periods_s=periods,
@@ -339,6 +346,26 @@ class _Reader:
             *(self.numbers(fields[name], f"hysteretic_creep.{name}") for name in names),
         )
 
+    def effects(self, value):
+        if not isinstance(value, list):
+            self.refuse("effects", "is not a list", "give the name and parameters of each")
+        known, effects = known_effects(), []
+        for i, entry in enumerate(value):
+            path = f"effects[{i}]"
+            fields = self.fields(entry, f"{path}.", "name", "parameters")
+            if fields["name"] not in known:
+                self.refuse(f"{path}.name", "is no effect that is installed here",
+                            f"install it, or give one of {', '.join(known)}")
+            kind = known[fields["name"]]
+            parameters = self.fields(fields["parameters"], f"{path}.parameters.", *kind.units())
+            effects.append(self.built(kind, path, **{
+                name: self.numbers(number, f"{path}.parameters.{name}")
+                if isinstance(number, list)
+                else self.number(number, f"{path}.parameters.{name}")
+                for name, number in parameters.items()
+            }))
+        return tuple(effects)
+
     def recordings(self, value):
         if not isinstance(value, list):
             self.refuse("recordings", "is not a list", "give path and sha256 of each recording")
@@ -348,9 +375,9 @@ class _Reader:
                 self.refuse(f"recordings[{i}]", "is not text", "give path and sha256 as text")
         return value
 
-    def built(self, kind, name, *arguments):
+    def built(self, kind, name, *arguments, **named):
         try:
-            return kind(*arguments)
+            return kind(*arguments, **named)
         except ValueError as error:
             raise ModelFileError(f"{self.path}: {name}: {error}") from error
 

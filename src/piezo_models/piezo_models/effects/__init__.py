@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Effects that may extend the cascade: each is one module here, and one line of `EFFECTS`.
+
+A package of its own adds one through an entry point of the group `piezo_models.effects`.
+"""
+
+from importlib.metadata import entry_points
+
+from piezo_models.effects.backlash import Backlash
+from piezo_models.effects.creep import Creep
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.effect import Effect, Evidence, fitted_values, with_fitted_values
+from piezo_models.effects.outliers import Outliers
+from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
+from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
+from piezo_models.effects.sensor_lag import SensorLag
+from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
+from piezo_models.effects.slew_limit import SlewLimit
+from piezo_models.effects.stiffening import Stiffening
+from piezo_models.effects.thermal_drift import ThermalDrift
+from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.effects.voltage_clipping import VoltageClipping
+
+EFFECTS = (
+    Creep,
+    ThermalDrift,
+    VibrationMode,
+    Delay,
+    SensorLag,
+    SensorNonlinearity,
+    PeriodicDisturbance,
+    SlewLimit,
+    VoltageClipping,
+    RateDependentHysteresis,
+    Stiffening,
+    Backlash,
+    Outliers,
+)
+"""Those of this package."""
+
+GROUP = "piezo_models.effects"
+"""Entry points that other packages offer their effects by."""
+
+__all__ = [
+    "EFFECTS", "GROUP", "Effect", "Evidence", "fitted_values", "known_effects",
+    "with_fitted_values",
+]
+
+
+def known_effects():
+    """Every effect by its name, those of other packages after those of this one.
+
+    Returns
+    -------
+    dict of str to type
+
+    Raises
+    ------
+    ValueError
+        If two have one name.
+    """
+    known = {}
+    for effect in (*EFFECTS, *(point.load() for point in entry_points(group=GROUP))):
+        if known.setdefault(effect.name, effect) is not effect:
+            raise ValueError(f"two effects are named {effect.name}: rename or uninstall one")
+    return known

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Play of a joint between actuator and stage."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numba import njit
+
+from piezo_models.effects.effect import Effect, parameter
+
+
+@njit(cache=True)
+def _played(position, half_width, start):
+    output = np.empty(position.size)
+    last = start
+    for n in range(position.size):
+        last = min(max(last, position[n] - half_width), position[n] + half_width)
+        output[n] = last
+    return output
+
+
+@dataclass(frozen=True)
+class Backlash(Effect):
+    """After each reversal the stage waits until the play is taken up."""
+
+    name: ClassVar[str] = "backlash"
+    place: ClassVar[str] = "displacement"
+    experiment: ClassVar[str] = "hysteresis: harmonics of small and large amplitude"
+
+    width_um: float = parameter("um", "logarithm", 1e-9, 1e6)
+
+    def apply(self, signal, sample_period_s, rest=None):
+        """See `Effect.apply`."""
+        start = float(signal[0] if rest is None else rest)
+        return _played(np.ascontiguousarray(signal), 0.5 * self.width_um, start)
+
+    def compensate(self, wanted, sample_period_s):
+        """The play is taken up at once after each reversal."""
+        ahead = np.sign(np.diff(np.tile(wanted, 2), append=wanted[0]))
+        for n in range(1, ahead.size):
+            if ahead[n] == 0.0:
+                ahead[n] = ahead[n - 1]
+        return wanted + 0.5 * self.width_um * ahead[wanted.size :]
+
+    @classmethod
+    def starts(cls, evidence):
+        """Widths from the noise to a tenth of the travel."""
+        high = 0.1 * evidence.travel_um
+        if high <= evidence.noise_um:
+            return []
+        return [cls(width) for width in np.geomspace(evidence.noise_um, high, 8)]

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Further creep: relaxations over the decades of time that a recording covers."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import control
+import numpy as np
+
+from piezo_models.effects.effect import Effect, parameter
+from piezo_models.effects.filtering import filtered
+
+PER_DECADE = 1.0
+MOST_RELAXATIONS = 5
+FEWEST_SAMPLES = 20
+"""In the shortest relaxation."""
+SHORTEST_S = 0.01
+
+
+@dataclass(frozen=True)
+class Creep(Effect):
+    """The displacement goes on by `gains` of it, each over a time constant of its own.
+
+    A sum over time constants a decade apart also follows creep that goes with the logarithm of
+    time.
+    """
+
+    name: ClassVar[str] = "creep"
+    place: ClassVar[str] = "linear"
+    experiment: ClassVar[str] = "creep: long square wave, steps held for minutes"
+
+    gains: tuple = parameter("1", "linear", 0.0, 1.0)
+    time_constants_s: tuple = parameter("s", "fixed", 1e-6, 1e9)
+
+    def state_space(self):
+        """Continuous `control.StateSpace` with unit gain at high frequency."""
+        rates = 1.0 / np.array(self.time_constants_s)
+        return control.ss(
+            np.diag(-rates), rates[:, None], np.array(self.gains)[None, :], [[1.0]]
+        )
+
+    def relaxations(self, signal, sample_period_s, rest=None):
+        """What each relaxation of gain 1 would add, shape (N, n)."""
+        return np.column_stack([
+            filtered([1.0], [time_s, 1.0], signal, sample_period_s, rest)
+            for time_s in self.time_constants_s
+        ])
+
+    def apply(self, signal, sample_period_s, rest=None):
+        """See `Effect.apply`."""
+        rest = signal[0] if rest is None else rest
+        # What crept before the beginning is part of the offset.
+        added = self.relaxations(signal - rest, sample_period_s, 0.0) @ self.gains
+        return signal + added + rest * sum(self.gains)
+
+    @classmethod
+    def starts(cls, evidence):
+        """Time constants that cover the recording, with the gains of least squares."""
+        shortest_s = max(SHORTEST_S, FEWEST_SAMPLES * evidence.sample_period_s)
+        longest_s = 0.5 * evidence.duration_s
+        if longest_s <= 2.0 * shortest_s:
+            return []
+        count = int(np.clip(round(PER_DECADE * np.log10(longest_s / shortest_s)) + 1,
+                            2, MOST_RELAXATIONS))
+        time_constants_s = tuple(np.geomspace(shortest_s, longest_s, count))
+        shape = cls((0.0,) * count, time_constants_s)
+        gains, _ = evidence.reduction(
+            shape.relaxations(evidence.displacement_um, evidence.sample_period_s)
+        )
+        return [cls(tuple(np.clip(gains, 1e-6, 0.5)), time_constants_s)]
+
+    @classmethod
+    def lacks_excitation(cls, evidence):
+        """Creep takes time."""
+        if evidence.duration_s < 10.0 * max(SHORTEST_S, evidence.sample_period_s):
+            return f"the recording lasts only {evidence.duration_s:.3g} s"
+        return None

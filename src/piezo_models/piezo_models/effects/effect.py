@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What every effect that may extend the cascade has in common."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+PLACES = ("voltage", "linear", "displacement", "sensor")
+"""Where an effect acts: on the voltage before the hysteresis; as a linear system behind the
+dynamics; on the displacement; or on what the sensor makes of it. In the order of the signal."""
+
+INVERSION_ROUNDS = 50
+INVERSION_TOLERANCE = 1e-9
+
+
+def parameter(unit, scale="linear", low=-np.inf, high=np.inf):
+    """Declare a parameter of an effect.
+
+    Parameters
+    ----------
+    unit : str
+    scale : str
+        In which it is fitted: "linear", "logarithm" for one that is positive, or "fixed".
+    low, high : float
+        Bounds.
+    """
+    return dataclasses.field(
+        metadata={"unit": unit, "scale": scale, "low": float(low), "high": float(high)}
+    )
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a recording shows of a model's error: from it an effect guesses its parameters.
+
+    Attributes
+    ----------
+    sample_period_s : float
+    voltage_v : (N,) array
+    displacement_um : (N,) array
+        Of the model.
+    residual_um : (N,) array
+        Measured minus simulated, after what a retuned model explains.
+    noise_um : float
+        Standard deviation of the noise of a sample.
+    dynamics : ElectricVibrationDynamics
+        Of the model.
+    reduction : callable
+        Given contributions, shape (N, n): the gains that fit them best to the residual, and the
+        part of its energy that they take off.
+    visible : callable
+        Given a contribution, shape (N, 1): the part of its variation that neither offset nor
+        initial creep nor a retuned model could explain.
+    """
+
+    sample_period_s: float
+    voltage_v: np.ndarray
+    displacement_um: np.ndarray
+    residual_um: np.ndarray
+    noise_um: float
+    dynamics: object
+    reduction: object
+    visible: object
+
+    @property
+    def time_s(self):
+        """Since the first sample."""
+        return np.arange(self.voltage_v.size) * self.sample_period_s
+
+    @property
+    def duration_s(self):
+        """Of the whole."""
+        return self.voltage_v.size * self.sample_period_s
+
+    @property
+    def travel_um(self):
+        """Largest minus smallest displacement."""
+        return float(np.ptp(self.displacement_um))
+
+    def best(self, candidates, contributions, count=1):
+        """The candidates whose contributions take off most.
+
+        Parameters
+        ----------
+        candidates : list
+        contributions : callable
+            Gives the contributions, shape (N, n), of a candidate.
+        count : int
+
+        Returns
+        -------
+        list of (candidate, gains)
+            The best first.
+        """
+        tried = [(candidate, *self.reduction(contributions(candidate))) for candidate in candidates]
+        tried.sort(key=lambda entry: -entry[2])
+        return [(candidate, gains) for candidate, gains, _ in tried[:count]]
+
+
+class Effect:
+    """An effect with its parameters: a frozen dataclass whose fields are made by `parameter`.
+
+    Attributes
+    ----------
+    name : str
+    place : str
+        One of `PLACES`.
+    several : bool
+        A stage may have more than one.
+    follows_voltage : bool
+        False for what comes from outside, at times of its own.
+    experiment : str
+        What to play so that the effect shows.
+    """
+
+    name: ClassVar[str]
+    place: ClassVar[str]
+    several: ClassVar[bool] = False
+    follows_voltage: ClassVar[bool] = True
+    experiment: ClassVar[str]
+
+    def apply(self, signal, sample_period_s, rest=None):
+        """The signal behind the effect.
+
+        Parameters
+        ----------
+        signal : (N,) array
+            Voltage in V or displacement in um, at its `place`.
+        sample_period_s : float
+        rest : float, optional
+            Level at which the signal has rested before; its first value by default.
+
+        Returns
+        -------
+        (N,) array
+        """
+        raise NotImplementedError
+
+    def compensate(self, wanted, sample_period_s):
+        """The periodic signal in front of the effect that gives the wanted one behind it.
+
+        Parameters
+        ----------
+        wanted : (N,) array
+            One period.
+        sample_period_s : float
+
+        Returns
+        -------
+        (N,) array
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
+        if not self.follows_voltage:
+            return wanted
+        signal = wanted.copy()
+        for _ in range(INVERSION_ROUNDS):
+            settled = self.apply(np.tile(signal, 3), sample_period_s)[-wanted.size :]
+            missing = wanted - settled
+            signal = signal + missing
+            if np.abs(missing).max() <= INVERSION_TOLERANCE * np.ptp(wanted):
+                return signal
+        raise ValueError(f"no signal gives the wanted one through {self.name}: ask for less")
+
+    @classmethod
+    def starts(cls, evidence):
+        """Effects to begin a fit from, guessed from a recording; none if nothing hints at one.
+
+        Parameters
+        ----------
+        evidence : Evidence
+
+        Returns
+        -------
+        list of Effect
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def lacks_excitation(cls, evidence):
+        """Why a recording cannot show the effect; None if it can.
+
+        Parameters
+        ----------
+        evidence : Evidence
+
+        Returns
+        -------
+        str or None
+        """
+        return None
+
+    def parameters(self):
+        """Value of each parameter by name; a list where it has several."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
+    @classmethod
+    def units(cls):
+        """Unit of each parameter by name."""
+        return {field.name: field.metadata["unit"] for field in dataclasses.fields(cls)}
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            numbers = np.atleast_1d(np.asarray(value, dtype=float))
+            low, high = field.metadata["low"], field.metadata["high"]
+            if not np.isfinite(numbers).all() or (numbers < low).any() or (numbers > high).any():
+                raise ValueError(
+                    f"{field.name} of {self.name} is {value}; give a number from {low:g} to "
+                    f"{high:g}"
+                )
+            plain = tuple(map(float, value)) if isinstance(value, (tuple, list)) else float(value)
+            object.__setattr__(self, field.name, plain)
+
+
+def fitted_values(effect):
+    """Numbers that a fit may change, logarithms where the parameter is fitted as one.
+
+    Returns
+    -------
+    values, low, high : (n,) arrays
+    """
+    values, lows, highs = [], [], []
+    for field in dataclasses.fields(effect):
+        scale = field.metadata["scale"]
+        if scale == "fixed":
+            continue
+        numbers = np.atleast_1d(np.asarray(getattr(effect, field.name), dtype=float))
+        bounds = field.metadata["low"], field.metadata["high"]
+        if scale == "logarithm":
+            with np.errstate(divide="ignore"):
+                numbers, bounds = np.log(numbers), np.log(np.maximum(bounds, 0.0))
+        values.append(numbers)
+        lows.append(np.full(numbers.size, bounds[0]))
+        highs.append(np.full(numbers.size, bounds[1]))
+    return np.concatenate(values), np.concatenate(lows), np.concatenate(highs)
+
+
+def with_fitted_values(effect, values):
+    """The effect with other values, in the order of `fitted_values`."""
+    changes, used = {}, 0
+    for field in dataclasses.fields(effect):
+        scale, old = field.metadata["scale"], getattr(effect, field.name)
+        if scale == "fixed":
+            continue
+        size = len(old) if isinstance(old, tuple) else 1
+        numbers = np.asarray(values[used : used + size], dtype=float)
+        if scale == "logarithm":
+            numbers = np.exp(numbers)
+        numbers = np.clip(numbers, field.metadata["low"], field.metadata["high"])
+        changes[field.name] = tuple(numbers) if isinstance(old, tuple) else float(numbers[0])
+        used += size
+    return dataclasses.replace(effect, **changes)

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Disturbance of one frequency: mains, a pump, the building."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from piezo_models.effects.effect import Effect, parameter
+
+FEWEST_PERIODS = 3
+
+
+@dataclass(frozen=True)
+class PeriodicDisturbance(Effect):
+    """A tone that is added to the displacement, with its phase at the first sample."""
+
+    name: ClassVar[str] = "periodic_disturbance"
+    place: ClassVar[str] = "displacement"
+    several: ClassVar[bool] = True
+    follows_voltage: ClassVar[bool] = False
+    experiment: ClassVar[str] = "rest, at the full sample clock"
+
+    frequency_hz: float = parameter("Hz", "linear", 1e-9, 1e9)
+    cosine_um: float = parameter("um")
+    sine_um: float = parameter("um")
+
+    def _tones(self, samples, sample_period_s):
+        phase = 2.0 * np.pi * self.frequency_hz * sample_period_s * np.arange(samples)
+        return np.column_stack([np.cos(phase), np.sin(phase)])
+
+    def apply(self, signal, sample_period_s, rest=None):
+        """See `Effect.apply`."""
+        tones = self._tones(signal.size, sample_period_s)
+        return signal + tones @ (self.cosine_um, self.sine_um)
+
+    @classmethod
+    def starts(cls, evidence):
+        """The largest line of the residual's spectrum."""
+        residual = evidence.residual_um * np.hanning(evidence.residual_um.size)
+        size = np.abs(np.fft.rfft(residual))
+        size[:FEWEST_PERIODS] = 0.0
+        size[-2:] = 0.0
+        if size.size <= FEWEST_PERIODS + 2:
+            return []
+        peak = int(np.argmax(size))
+        below, at, above = np.log(size[peak - 1 : peak + 2] + 1e-300)
+        offset = np.clip(0.5 * (below - above) / (below - 2.0 * at + above + 1e-300), -0.5, 0.5)
+        shape = cls((peak + offset) / evidence.duration_s, 0.0, 0.0)
+        gains, _ = evidence.reduction(
+            shape._tones(evidence.residual_um.size, evidence.sample_period_s)
+        )
+        return [cls(shape.frequency_hz, *gains)]

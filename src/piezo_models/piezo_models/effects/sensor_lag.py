@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Lag of the sensor, or of the filter behind it."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.effect import Effect, parameter
+from piezo_models.effects.filtering import filtered
+
+
+@dataclass(frozen=True)
+class SensorLag(Effect):
+    """The sensor follows the displacement with a time constant; the stage itself does not lag."""
+
+    name: ClassVar[str] = "sensor_lag"
+    place: ClassVar[str] = "sensor"
+    experiment: ClassVar[str] = Delay.experiment
+
+    time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e3)
+
+    def apply(self, signal, sample_period_s, rest=None):
+        """See `Effect.apply`."""
+        return filtered([1.0], [self.time_constant_s, 1.0], signal, sample_period_s, rest)
+
+    @classmethod
+    def starts(cls, evidence):
+        """The best of a scan."""
+        shapes = [
+            cls(time_s) for time_s in evidence.sample_period_s * np.geomspace(0.1, 1000.0, 13)
+        ]
+        found = evidence.best(
+            shapes,
+            lambda shape: (shape.apply(evidence.displacement_um, evidence.sample_period_s)
+                           - evidence.displacement_um)[:, None],
+        )
+        # A gain below one means a shorter lag.
+        return [cls(shape.time_constant_s * float(np.clip(gains[0], 1e-3, 3.0)))
+                for shape, gains in found if gains[0] > 0.0]
+
+    lacks_excitation = Delay.lacks_excitation

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Curved characteristic of the sensor."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from piezo_models.effects.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class SensorNonlinearity(Effect):
+    """The sensor reads off by Legendre polynomials of first to fourth degree over its range."""
+
+    name: ClassVar[str] = "sensor_nonlinearity"
+    place: ClassVar[str] = "sensor"
+    experiment: ClassVar[str] = "hysteresis: harmonics over the whole range, and fast tones"
+
+    first_um: float = parameter("um")
+    second_um: float = parameter("um")
+    third_um: float = parameter("um")
+    fourth_um: float = parameter("um")
+    centre_um: float = parameter("um", "fixed")
+    half_range_um: float = parameter("um", "fixed", 1e-12, 1e9)
+
+    def deviations(self, signal):
+        """What each polynomial would add with a size of 1 um, shape (N, 4)."""
+        x = np.clip((signal - self.centre_um) / self.half_range_um, -1.5, 1.5)
+        square = x * x
+        return np.column_stack([
+            x, 0.5 * (3.0 * square - 1.0), 0.5 * (5.0 * square - 3.0) * x,
+            0.125 * ((35.0 * square - 30.0) * square + 3.0),
+        ])
+
+    def apply(self, signal, sample_period_s, rest=None):
+        """See `Effect.apply`."""
+        return signal + self.deviations(signal) @ (
+            self.first_um, self.second_um, self.third_um, self.fourth_um
+        )
+
+    @classmethod
+    def starts(cls, evidence):
+        """Least squares over the travel of the recording."""
+        low, high = evidence.displacement_um.min(), evidence.displacement_um.max()
+        if low == high:
+            return []
+        shape = cls(0.0, 0.0, 0.0, 0.0, 0.5 * (low + high), 0.5 * (high - low))
+        gains, _ = evidence.reduction(shape.deviations(evidence.displacement_um))
+        return [cls(*gains, shape.centre_um, shape.half_range_um)]

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A further mode of vibration."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import control
+import numpy as np
+
+from piezo_models.effects.effect import Effect, parameter
+from piezo_models.effects.filtering import filtered
+
+SCANNED_DAMPING_RATIOS = (0.01, 0.04, 0.15)
+LOWEST_PERIODS = 20
+"""A mode shows in a recording that lasts at least as many of its periods."""
+
+
+@dataclass(frozen=True)
+class VibrationMode(Effect):
+    """The part `participation` of the displacement passes a mode, the rest passes unchanged.
+
+    With a participation of 1 the mode is in series with the others, as in (4.3); otherwise it
+    brings an antiresonance of its own. The gain at rest is not changed.
+    """
+
+    name: ClassVar[str] = "vibration_mode"
+    place: ClassVar[str] = "linear"
+    several: ClassVar[bool] = True
+    experiment: ClassVar[str] = "dynamics: steps, or tones up to the highest frequency of interest"
+
+    frequency_rad_per_s: float = parameter("rad/s", "logarithm", 1e-3, 1e7)
+    damping_ratio: float = parameter("1", "logarithm", 1e-3, 0.4)
+    participation: float = parameter("1", "linear", -2.0, 3.0)
+
+    def _mode(self):
+        w = self.frequency_rad_per_s
+        return [w * w], [1.0, 2.0 * self.damping_ratio * w, w * w]
+
+    def state_space(self):
+        """Continuous `control.StateSpace`."""
+        w = self.frequency_rad_per_s
+        return control.ss(
+            [[0.0, w], [-w, -2.0 * self.damping_ratio * w]], [[0.0], [w]],
+            [[self.participation, 0.0]], [[1.0 - self.participation]],
+        )
+
+    def apply(self, signal, sample_period_s, rest=None):
+        """See `Effect.apply`."""
+        ringing = filtered(*self._mode(), signal, sample_period_s, rest) - signal
+        return signal + self.participation * ringing
+
+    @classmethod
+    def starts(cls, evidence):
+        """The best of a scan over frequency and damping."""
+        low_hz = LOWEST_PERIODS / evidence.duration_s
+        high_hz = 0.2 / evidence.sample_period_s
+        if low_hz >= high_hz:
+            return []
+        points = min(60, 1 + round(12 * np.log2(high_hz / low_hz)))
+        shapes = [
+            cls(2.0 * np.pi * frequency_hz, damping_ratio, 1.0)
+            for frequency_hz in np.geomspace(low_hz, high_hz, points)
+            for damping_ratio in SCANNED_DAMPING_RATIOS
+        ]
+        found = evidence.best(
+            shapes,
+            lambda shape: (shape.apply(evidence.displacement_um, evidence.sample_period_s)
+                           - evidence.displacement_um)[:, None],
+            count=3,
+        )
+        return [
+            cls(shape.frequency_rad_per_s, shape.damping_ratio, float(np.clip(gains[0], -2, 3)))
+            for shape, gains in found
+        ]
+
+    @classmethod
+    def lacks_excitation(cls, evidence):
+        """Nothing rings where the displacement has nothing fast."""
+        fast_um = np.diff(evidence.displacement_um, 2)
+        if np.sqrt(np.mean(fast_um**2)) < 1e-2 * evidence.noise_um:
+            return "the displacement has nothing fast that could make a mode ring"
+        return None
