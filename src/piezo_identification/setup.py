@@ -24,6 +24,7 @@ setup(
         "console_scripts": [
             "identification = piezo_identification.identification_node:main",
             "measured = piezo_identification.measured_command:main",
+            "diagnose = piezo_identification.diagnose_command:main",
             "identify = piezo_identification.identify_command:main",
             "simulate = piezo_identification.simulate_command:main",
         ],

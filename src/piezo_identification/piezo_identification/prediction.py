@@ -65,17 +65,21 @@ def predict(model, recording):
     past = model.hysteresis.memory()
     model.hysteresis.simulate(before, past)
     memory = model.memory(hysteresis=past)
-    hysteresis_um = model.hysteresis.simulate(part.voltage_v, memory.hysteresis)
+    voltage_v = model.amplified(part.voltage_v, part.sample_period_s)
+    hysteresis_um = model.hysteresis.simulate(voltage_v, memory.hysteresis)
     rates_rad_per_s = list(model.creep.poles_rad_per_s)
     if model.hysteretic_creep is not None:
         hysteresis_um += model.hysteretic_creep.simulate(
-            part.voltage_v, part.sample_period_s, memory.hysteretic_creep
+            voltage_v, part.sample_period_s, memory.hysteretic_creep
         )
         rates_rad_per_s += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
     linear = model.linear()
-    simulated_um = simulate_linear(
-        mean_zoh(linear, part.sample_period_s, samples_per_mean(part)), hysteresis_um,
-        equilibrium_state(linear, hysteresis_um[0]),
+    simulated_um = model.sensed(
+        simulate_linear(
+            mean_zoh(linear, part.sample_period_s, samples_per_mean(part)), hysteresis_um,
+            equilibrium_state(linear, hysteresis_um[0]),
+        ),
+        part.sample_period_s,
     )
     settled = np.flatnonzero(part.time_s >= settling_time_s(model.dynamics))
     free = np.column_stack([

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`diagnose`: what a model lacks to explain a recording."""
+
+import argparse
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.report import render_report, verdict_sentence
+from piezo_models.model_file import load_model, save_model
+from piezo_recorder.reader import read_recording, sha256_of
+
+
+def main(arguments=None):
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        The command line's by default.
+
+    Returns
+    -------
+    int
+        Exit status: 0 whatever the verdict, or 2 for input that cannot be used.
+    """
+    parser = argparse.ArgumentParser(
+        prog="diagnose", description="Find the effect that a model lacks to explain recordings.",
+        epilog="Writes verdict.json, extended_model.json and report.html. Effects are fitted on "
+        "two thirds of the recordings and judged on the rest.",
+    )
+    parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
+    parser.add_argument("--data", metavar="FILE", type=Path, required=True, nargs="+",
+                        help="recordings or CSV files (time_s,voltage_v,displacement_um)")
+    parser.add_argument("--holdout", metavar="FILE", type=Path,
+                        help="another recording, on which the errors are measured")
+    parser.add_argument("--output", metavar="DIR", type=Path, required=True,
+                        help="directory for the results; made if it is missing")
+    options = parser.parse_args(arguments)
+    try:
+        _diagnose(options)
+    except (ValueError, OSError) as error:
+        print(f"diagnose: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _diagnose(options):
+    identified = load_model(options.model)
+    recordings = [read_recording(path) for path in options.data]
+    holdout = read_recording(options.holdout) if options.holdout else None
+    # Before the work, not after it.
+    options.output.mkdir(parents=True, exist_ok=True)
+    diagnosis = diagnose(identified.model, recordings, holdout, _print_progress)
+    (options.output / "verdict.json").write_text(
+        json.dumps(diagnosis.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8"
+    )
+    unchanged = diagnosis.model is identified.model
+    save_model(options.output / "extended_model.json", identified if unchanged else replace(
+        identified, model=diagnosis.model, uncertainties={},
+        errors={**identified.errors, "before_diagnosis": diagnosis.before,
+                "after_diagnosis": diagnosis.after},
+        recordings=[*identified.recordings, *(
+            {"path": str(path), "sha256": sha256_of(path)} for path in options.data
+        )],
+    ))
+    (options.output / "report.html").write_text(render_report(diagnosis), encoding="utf-8")
+    _print_table(diagnosis)
+    print(f"written to {options.output}")
+
+
+def _print_progress(stage, fraction):
+    print(f"{100.0 * fraction:3.0f} %  {stage}", flush=True)
+
+
+def _print_table(diagnosis):
+    print(f"verdict: {diagnosis.verdict}. {verdict_sentence(diagnosis)}")
+    print(f"{'':28}{'before':>12}{'after':>12}")
+    for name in ("rms_um", "e_y_percent"):
+        print(f"{name:28}{diagnosis.before[name]:12.4g}{diagnosis.after[name]:12.4g}")
+    print(f"{'noise_floor_um':28}{diagnosis.noise_floor_um:12.4g}")
+    for entry in diagnosis.effects:
+        print(f"{entry['name']:28}{entry['error_reduction_percent']:11.1f} % of the error")
+        for name, value in entry["parameters"].items():
+            numbers = value if isinstance(value, (list, tuple)) else [value]
+            print(f"  {name:26}{', '.join(f'{number:.5g}' for number in numbers):>12}")
+    for name, reason in diagnosis.not_decidable.items():
+        print(f"not decidable: {name}: {reason}")
+    if diagnosis.left:
+        print(diagnosis.left)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,355 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where candidates compete: fitted on one part of the data, judged on another."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from piezo_identification.diagnosis.prepared import PreparedRecording, retuned
+from piezo_identification.diagnosis.residual import noise_floor_um, noise_from_rest_um
+from piezo_models.effects import Evidence, fitted_values, with_fitted_values
+from piezo_models.effects.outliers import Outliers
+
+MOST_ROWS = 60_000
+"""Samples that are fitted and judged, in chunks spread evenly over longer recordings."""
+CHUNK = 250
+STRETCHES, HELD_OUT = 120, 3
+"""Stretches of a recording, and which of them are held out: one in three."""
+
+TUNING_PRICE = 0.02
+"""Of the energy of what is not explained: what a change of a parameter by the width to which it is
+known costs. However large the error, tuning explains it only with changes that can be believed."""
+
+MODEL_TOLERANCE = 1e-4
+"""Part of the travel to which a good model is right: less is not worth an effect."""
+
+JUMP, AFTER_JUMP = 0.05, 40
+"""Part of the voltage's span that is a jump, and samples for which its answer is sharp."""
+
+MOST_EVALUATIONS = 15
+STARTS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Effects as fitted, and what is left beside them.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+    residual : (n,) array
+        Of all rows, each over the tolerance of its recording.
+    coefficients : (m,) array
+        Of the free and the tuning columns.
+    covariance : (p, p) array or None
+        Of the fitted values of the effects.
+    """
+
+    effects: tuple
+    residual: np.ndarray
+    coefficients: np.ndarray
+    covariance: np.ndarray = None
+
+    @property
+    def values(self):
+        """How many numbers were fitted."""
+        return sum(fitted_values(effect)[0].size for effect in self.effects
+                   if type(effect) is not Outliers)
+
+
+class Contest:
+    """Recordings, the part that is fitted and the part that judges.
+
+    Parameters
+    ----------
+    model : StageModel
+    recordings : list of Recording
+
+    Raises
+    ------
+    ValueError
+        If a recording cannot be used.
+    """
+
+    def __init__(self, model, recordings):
+        self.model = model
+        self.recordings = list(recordings)
+        self.prepared = [PreparedRecording(model, recording) for recording in recordings]
+        self._choose_rows()
+        free = [
+            part.free_columns(rows) for part, rows in zip(self.prepared, self.rows, strict=True)
+        ]
+        tuning = np.vstack([
+            part.tuning_columns(rows) for part, rows in zip(self.prepared, self.rows, strict=True)
+        ])
+        self.free_count = sum(columns.shape[1] for columns in free)
+        columns = np.zeros((tuning.shape[0], self.free_count + tuning.shape[1]))
+        start = 0
+        for mask, block in zip(self._of_recording(), free, strict=True):
+            columns[mask, start : start + block.shape[1]] = block
+            start += block.shape[1]
+        columns[:, self.free_count :] = tuning
+        self.columns = columns
+        self.wrong = [np.zeros(part.time_s.size, dtype=bool) for part in self.prepared]
+        self.review(())
+
+    def _choose_rows(self):
+        """Rows of each recording, their stretches, and which are fitted."""
+        budget = MOST_ROWS // len(self.prepared)
+        self.rows, stretches = [], []
+        for index, part in enumerate(self.prepared):
+            settled = np.arange(part.begin, part.time_s.size)
+            if settled.size > budget:
+                # Chunks that do not keep step with a periodic waveform.
+                chunks = budget // CHUNK
+                room = settled.size // chunks
+                shift = np.random.default_rng(0).integers(0, room - CHUNK + 1, chunks)
+                starts = part.begin + np.arange(chunks) * room + shift
+                rows = (starts[:, None] + np.arange(CHUNK)).ravel()
+            else:
+                rows = settled
+            self.rows.append(rows)
+            stretch = (rows - part.begin) * STRETCHES // settled.size
+            stretches.append(index * STRETCHES + stretch)
+        self.stretch = np.concatenate(stretches)
+        self.fitted = self.stretch % HELD_OUT != HELD_OUT // 2
+
+    def _of_recording(self):
+        """Mask of the rows of each recording."""
+        edges = np.cumsum([0, *(rows.size for rows in self.rows)])
+        for start, end in zip(edges[:-1], edges[1:], strict=True):
+            mask = np.zeros(edges[-1], dtype=bool)
+            mask[start:end] = True
+            yield mask
+
+    def residual_um(self, index, effects=()):
+        """Measured minus simulated of one recording, without what it does not tell, (N,)."""
+        return self._without_free(index, self.prepared[index], effects)
+
+    def residual_of_um(self, index, model):
+        """The same beside another model."""
+        return self._without_free(index, PreparedRecording(model, self.recordings[index]))
+
+    def _without_free(self, index, part, effects=()):
+        difference = part.measured_um - part.simulate(effects)
+        every = np.arange(part.begin, part.time_s.size)
+        step = max(1, every.size // 50_000)
+        used = every[::step][~self.wrong[index][every[::step]]]
+        free = np.linalg.lstsq(part.free_columns(used), difference[used], rcond=1e-12)[0]
+        return difference - part.free_columns(np.arange(difference.size)) @ free
+
+    def review(self, effects):
+        """Estimate noise and outliers once more, beside the effects found."""
+        residuals = [
+            self.residual_um(index, effects) for index in range(len(self.prepared))
+        ]
+        self.noise_um, self.wrong = [], []
+        for part, residual in zip(self.prepared, residuals, strict=True):
+            suspect = Outliers.find(residual, 0.0)
+            noise = noise_floor_um(
+                np.where(suspect, 0.0, residual)[part.begin :], part.sample_period_s
+            )
+            rest = noise_from_rest_um(part.measured_um[part.begin :], part.voltage_v[part.begin :])
+            self.noise_um.append(min(noise, rest) if rest else noise)
+            wrong = Outliers.find(residual, self.noise_um[-1])
+            self.wrong.append(wrong & ~_just_after_a_jump(part.voltage_v))
+        self._weigh(effects)
+
+    def _weigh(self, effects):
+        """Tolerance of each row, the rows that count, and the projection on the fitted ones."""
+        tolerances = [
+            np.hypot(noise, MODEL_TOLERANCE * np.ptp(part.measured_um))
+            for part, noise in zip(self.prepared, self.noise_um, strict=True)
+        ]
+        self.tolerance_um = np.concatenate([
+            np.full(rows.size, tolerance)
+            for rows, tolerance in zip(self.rows, tolerances, strict=True)
+        ])
+        good = ~np.concatenate(
+            [wrong[rows] for wrong, rows in zip(self.wrong, self.rows, strict=True)]
+        )
+        self.fit, self.judge = self.fitted & good, ~self.fitted & good
+        weighted = self.columns / self.tolerance_um[:, None]
+        free = weighted[self.fit, : self.free_count]
+        left = self.rows_of(effects)[self.fit]
+        left = left - free @ np.linalg.lstsq(free, left, rcond=1e-12)[0]
+        price = np.sqrt(TUNING_PRICE * (left @ left))
+        self.prior = price * np.eye(weighted.shape[1])[self.free_count :]
+        self.q, self.r = np.linalg.qr(np.vstack([weighted[self.fit], self.prior]))
+        self.weighted = weighted
+
+    def rows_of(self, effects, quick=()):
+        """Measured minus simulated over the tolerance, at all rows."""
+        difference = np.concatenate([
+            (part.measured_um - part.simulate(effects, quick))[rows]
+            for part, rows in zip(self.prepared, self.rows, strict=True)
+        ])
+        return difference / self.tolerance_um
+
+    def _objective(self, difference):
+        """What the free and tuning columns leave of the fitted rows, with their own deviations."""
+        padded = np.concatenate(
+            [difference[self.fit], np.zeros(self.columns.shape[1] - self.free_count)]
+        )
+        return padded - self.q @ (self.q.T @ padded)
+
+    def trial(self, effects, covariance=None, quick=()):
+        """Judge effects as they are."""
+        difference = self.rows_of(effects, quick)
+        padded = np.concatenate(
+            [difference[self.fit], np.zeros(self.columns.shape[1] - self.free_count)]
+        )
+        coefficients = np.linalg.lstsq(self.r, self.q.T @ padded, rcond=1e-12)[0]
+        return Trial(tuple(effects), difference - self.weighted @ coefficients, coefficients,
+                     covariance)
+
+    def fit_effects(self, effects, fixed=(), quick=False):
+        """Fit effects by nonlinear least squares.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+            To begin from.
+        fixed : sequence of Effect
+            Kept as they are, before the others.
+        quick : bool
+            See `PreparedRecording.simulate`.
+
+        Returns
+        -------
+        Trial
+        """
+        starts = [fitted_values(effect) for effect in effects]
+        sizes = np.cumsum([0, *(values.size for values, _, _ in starts)])
+
+        def effects_at(vector):
+            return tuple(
+                with_fitted_values(effect, vector[start:end])
+                for effect, start, end in zip(effects, sizes[:-1], sizes[1:], strict=True)
+            )
+
+        def difference(vector):
+            tried = effects_at(vector)
+            return self._objective(self.rows_of((*fixed, *tried), tried if quick else ()))
+
+        vector, low, high = (np.concatenate(parts) for parts in zip(*starts, strict=True))
+        solution = least_squares(
+            difference, np.clip(vector, low, high), bounds=(low, high), x_scale="jac", ftol=1e-5,
+            max_nfev=MOST_EVALUATIONS,
+        )
+        scatter = 2.0 * solution.cost / max(1, np.count_nonzero(self.fit) - vector.size)
+        covariance = scatter * np.linalg.pinv(solution.jac.T @ solution.jac)
+        found = effects_at(solution.x)
+        return self.trial((*fixed, *found), covariance, found if quick else ())
+
+    def evidence(self, index, effects=()):
+        """What a recording shows beside the model with these effects."""
+        part = self.prepared[index]
+        mask = next(mask for number, mask in enumerate(self._of_recording()) if number == index)
+        fit = self.fit[mask]
+        rows = self.rows[index][fit]
+        tolerance = self.tolerance_um[mask][0]
+        columns = self.weighted[mask][fit]
+        prior = self.prior
+        q, _ = np.linalg.qr(np.vstack([columns, prior]))
+
+        def project(values):
+            padded = np.vstack([values[rows] / tolerance, np.zeros((len(prior), values.shape[1]))])
+            return padded - q @ (q.T @ padded)
+
+        simulated = part.simulate(effects)
+        left = project((part.measured_um - simulated)[:, None])[:, 0]
+        energy = left @ left
+
+        def reduction(contributions):
+            seen = project(contributions)
+            gains = np.linalg.lstsq(seen, left, rcond=1e-10)[0]
+            rest = left - seen @ gains
+            return gains, 1.0 - (rest @ rest) / energy
+
+        def visible(contribution):
+            varying = (contribution[rows] - contribution[rows].mean()) / tolerance
+            return np.linalg.norm(project(contribution)) / max(np.linalg.norm(varying), 1e-300)
+
+        return Evidence(
+            part.sample_period_s, part.voltage_v, simulated, self.residual_um(index, effects),
+            self.noise_um[index], self.model.dynamics, reduction,
+            visible,
+        )
+
+    def challenge(self, kind, effects, evidences):
+        """The best fit of one more effect beside those found; None if nothing hints at it.
+
+        Parameters
+        ----------
+        kind : type
+            Of the effect.
+        effects : tuple of Effect
+            Those found.
+        evidences : list of Evidence
+            One for each recording, beside those found.
+
+        Returns
+        -------
+        Trial or None
+        """
+        starts = [start for evidence in evidences for start in kind.starts(evidence)]
+        if not starts:
+            return None
+        none = self._objective(self.rows_of(effects))
+        costs = []
+        for start in starts:
+            left = self._objective(self.rows_of((*effects, start), (start,)))
+            costs.append(left @ left)
+        order = np.argsort(costs)
+        if costs[order[0]] >= none @ none:
+            return None
+        fits = [
+            self.fit_effects((starts[number],), effects, quick=True) for number in order[:STARTS]
+            if costs[number] < none @ none
+        ]
+        return min(fits, key=lambda fit: np.sum(fit.residual[self.fit] ** 2))
+
+    def held_out_square(self, trial):
+        """Mean square of what is left on the rows that judge, in tolerances."""
+        return float(np.mean(trial.residual[self.judge] ** 2))
+
+    def significance(self, before, after):
+        """How surely the second trial is better than the first on the rows that judge.
+
+        The prediction by which they differ is correlated with what the first left. The products
+        are summed up within each stretch, so that errors that are alike for long count as one.
+
+        Returns
+        -------
+        float
+            In standard deviations.
+        """
+        judge = self.judge
+        change = before.residual[judge] - after.residual[judge]
+        stretch = self.stretch[judge]
+        signal = np.bincount(stretch, before.residual[judge] * change)
+        chance = np.bincount(stretch, after.residual[judge] * change)
+        # Even a perfect fit leaves the noise.
+        least = np.mean(after.residual[judge] ** 2) * np.sum(change**2)
+        spread = np.sqrt(max(np.sum(chance**2), least))
+        return float(np.sum(signal) / spread) if spread > 0.0 else 0.0
+
+    def size(self, before, after):
+        """RMS of the prediction by which two trials differ, in tolerances."""
+        judge = self.judge
+        return float(np.sqrt(np.mean((before.residual[judge] - after.residual[judge]) ** 2)))
+
+    def extended_model(self, trial):
+        """The model with the effects, and its parameters as they were tuned beside them."""
+        changes = trial.coefficients[self.free_count :]
+        model = retuned(self.model, changes)
+        return replace(model, effects=(*self.model.effects, *trial.effects))
+
+
+def _just_after_a_jump(voltage_v):
+    """Mask of the samples in which the answer to a jump of the voltage may look like outliers."""
+    jumps = np.abs(np.diff(voltage_v, prepend=voltage_v[0])) > JUMP * np.ptp(voltage_v)
+    near = np.convolve(jumps, np.ones(AFTER_JUMP))[: jumps.size]
+    return near > 0.0

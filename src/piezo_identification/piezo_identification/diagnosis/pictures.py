@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of a diagnosis: before and after on the same axes."""
+
+import io
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from piezo_identification.diagnosis.residual import (
+    dependences,
+    input_correlation,
+    spectrum,
+    whiteness,
+)
+
+# Of Okabe and Ito's palette; each goes with a line style of its own.
+BEFORE = {"color": "#d55e00", "linewidth": 0.9, "label": "before"}
+AFTER = {"color": "#0072b2", "linewidth": 0.9, "label": "after"}
+NOISE = {"color": "#8c8c8c", "linestyle": ":", "label": "noise"}
+MOST_POINTS = 20_000
+
+
+def draw_residuals(part, before_um, after_um):
+    """Residuals over time, before and after.
+
+    Parameters
+    ----------
+    part : PreparedRecording
+    before_um, after_um : (N,) array
+
+    Returns
+    -------
+    bytes
+        Of a PNG file.
+    """
+    figure, (above, below) = _figure(2, height_ratios=(1, 2), sharex=True)
+    shown = slice(part.begin, None, max(1, part.time_s.size // MOST_POINTS))
+    above.plot(part.time_s[shown], part.voltage_v[shown], color="black", linewidth=0.8)
+    below.plot(part.time_s[shown], 1e3 * before_um[shown], **BEFORE)
+    below.plot(part.time_s[shown], 1e3 * after_um[shown], **AFTER)
+    _label(above, None, "voltage / V")
+    _label(below, "time / s", "residual / nm")
+    below.legend(loc="upper right")
+    return _png(figure)
+
+
+def draw_spectra(part, before_um, after_um, noise_um):
+    """Spectra of both residuals, of the model's displacement, and of white noise; PNG bytes."""
+    figure, axes = _figure(1)
+    signals = (
+        (part.simulate(), {"color": "black", "linewidth": 0.8, "label": "model"}),
+        (before_um, BEFORE), (after_um, AFTER),
+    )
+    for signal, style in signals:
+        frequency_hz, density = spectrum(signal[part.begin :], part.sample_period_s)
+        axes.loglog(frequency_hz[1:-1], np.sqrt(density[1:-1]) * 1e3, **style)
+    axes.axhline(1e3 * noise_um * np.sqrt(2.0 * part.sample_period_s), **NOISE)
+    _label(axes, "frequency / Hz", "density / (nm/sqrt(Hz))")
+    axes.legend(loc="lower left")
+    return _png(figure)
+
+
+def draw_tests(part, before_um, after_um):
+    """Whiteness and correlation with the input, with the band of 99 %; PNG bytes."""
+    figure, (above, below) = _figure(2)
+    for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
+        residual_um = residual_um[part.begin :]
+        white = whiteness(residual_um)
+        above.plot(white.lags, white.correlation, **style)
+        with_input = input_correlation(residual_um, part.voltage_v[part.begin :])
+        below.plot(with_input.lags, with_input.correlation, **style)
+    for axes, test in ((above, white), (below, with_input)):
+        axes.axhspan(-test.band, test.band, color="0.85")
+    _label(above, None, "with itself")
+    _label(below, "lag / samples", "with the voltage")
+    above.legend(loc="upper right")
+    return _png(figure)
+
+
+def draw_dependences(part, before_um, after_um):
+    """Mean residual over each quantity that an effect may go with; PNG bytes."""
+    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
+        found = dependences(
+            residual_um[part.begin :], part.simulate()[part.begin :],
+            part.voltage_v[part.begin :], part.time_s[part.begin :],
+        )
+        axes = figure.axes or figure.subplots(2, 3).ravel()
+        for one, dependence in zip(axes, found, strict=True):
+            one.plot(dependence.centre, 1e3 * dependence.mean_um, marker=".", **style)
+            one.fill_between(dependence.centre, -1e3 * dependence.band_um,
+                             1e3 * dependence.band_um, color=style["color"], alpha=0.15)
+            _label(one, dependence.quantity, "mean residual / nm")
+    return _png(figure)
+
+
+def _figure(rows, **options):
+    figure = Figure(figsize=(8.0, 4.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    if "height_ratios" in options:
+        return figure, figure.subplots(rows, 1, **options)
+    return figure, figure.subplots(rows, 1)
+
+
+def _label(axes, x, y):
+    axes.set(xlabel=x or "", ylabel=y)
+    axes.grid(True, color="0.88", linewidth=0.6)
+    axes.set_axisbelow(True)
+
+
+def _png(figure):
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=110)
+    return stream.getvalue()

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The report of a diagnosis: one self-contained page for the logbook."""
+
+import base64
+from html import escape
+
+from piezo_identification.diagnosis import pictures
+from piezo_identification.diagnosis.residual import input_correlation, whiteness
+from piezo_models.effects import known_effects
+
+STYLE = """
+body { font: 1rem/1.5 system-ui, sans-serif; color: #111; background: #fff; max-width: 60rem;
+       margin: 0 auto; padding: 1rem; }
+h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; border-top: 1px solid #ccc; padding-top: 1rem; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { padding: .2rem .7rem; text-align: left; border-bottom: 1px solid #ddd; }
+.wide { overflow-x: auto; } figure { margin: 1rem 0; break-inside: avoid; }
+figure img { width: 100%; height: auto; } figcaption { font-size: .9rem; }
+"""
+
+
+def verdict_sentence(diagnosis):
+    """The verdict in one sentence."""
+    before, after = (1e3 * errors["rms_um"] for errors in (diagnosis.before, diagnosis.after))
+    names = " and ".join(entry["name"] for entry in diagnosis.effects)
+    if diagnosis.verdict == "none":
+        return f"The model lacks nothing that the data shows: {before:.3g} nm RMS are left."
+    if diagnosis.verdict == "explained":
+        return (f"The model lacks {names}: with it the error on held-out data falls from "
+                f"{before:.3g} to {after:.3g} nm RMS.")
+    beside = f" beside {names}" if names else ""
+    return (f"Something is left{beside} that no known effect explains: {after:.3g} nm RMS on "
+            f"held-out data.")
+
+
+def render_report(diagnosis):
+    """Return the report as one HTML page.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    """
+    contest = diagnosis.contest
+    sections = [_section("What was found", _effects_table(diagnosis))]
+    if diagnosis.left:
+        sections.append(_section("What is left", _paragraph(diagnosis.left)))
+    for index, part in enumerate(contest.prepared):
+        before_um = contest.residual_um(index)
+        after_um = contest.residual_of_um(index, diagnosis.model)
+        sections.append(_section(
+            str(part.path),
+            _tests_table(part, before_um, after_um)
+            + _figure("Residuals", "Measured minus simulated displacement over time.",
+                      pictures.draw_residuals(part, before_um, after_um))
+            + _figure("Spectra", "Spectra of the residuals, of the model and of the noise.",
+                      pictures.draw_spectra(part, before_um, after_um, contest.noise_um[index]))
+            + _figure("Correlations", "Correlation of the residuals; the band holds 99 % of it "
+                      "where there is none.", pictures.draw_tests(part, before_um, after_um))
+            + _figure("Dependences", "Mean of the residuals where a quantity has some value; the "
+                      "bands hold 99 % of the means where nothing depends on it.",
+                      pictures.draw_dependences(part, before_um, after_um)),
+        ))
+    sections.append(_section("What was tried", _tried(diagnosis.selection)))
+    sections.append(_section("What the data could not decide", _undecided(diagnosis)))
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>Diagnosis</title><style>{STYLE}</style></head><body>\n"
+        f"<h1>{escape(verdict_sentence(diagnosis))}</h1>\n" + "\n".join(sections)
+        + "\n</body></html>\n"
+    )
+
+
+def _effects_table(diagnosis):
+    rows = [("error on held-out data", "before", "after")]
+    for name in ("rms_um", "e_y_percent"):
+        rows.append((name, f"{diagnosis.before[name]:.4g}", f"{diagnosis.after[name]:.4g}"))
+    rows.append(("noise_floor_um", f"{diagnosis.noise_floor_um:.4g}", ""))
+    tables = _table(rows)
+    where = "{samples} samples of {source}".format(**diagnosis.holdout)
+    tables += _paragraph(f"Held out: {where}.")
+    if diagnosis.effects:
+        rows = [("effect", "parameter", "value", "standard deviation", "error reduction / %")]
+        for entry in diagnosis.effects:
+            first = True
+            for name, value in entry["parameters"].items():
+                deviation = entry.get("standard_deviations", {}).get(name)
+                rows.append((
+                    entry["name"] if first else "", name, _number(value),
+                    "" if deviation is None else _number(deviation),
+                    f"{entry['error_reduction_percent']:.1f}" if first else "",
+                ))
+                first = False
+        tables += _table(rows)
+    return tables
+
+
+def _tests_table(part, before_um, after_um):
+    rows = [("lags outside the band of 99 %", "before", "after")]
+    before_um, after_um = before_um[part.begin :], after_um[part.begin :]
+    voltage_v = part.voltage_v[part.begin :]
+    for name, tests in (
+        ("whiteness", [whiteness(residual) for residual in (before_um, after_um)]),
+        ("correlation with the voltage",
+         [input_correlation(residual, voltage_v) for residual in (before_um, after_um)]),
+    ):
+        rows.append((name, *(f"{100.0 * test.share_outside:.0f} %" for test in tests)))
+    return _table(rows)
+
+
+def _tried(selection):
+    text = ""
+    for number, attempts in enumerate(selection.rounds, 1):
+        rows = [("candidate", "error reduction / %", "significance", "size / tolerance")]
+        rows += [
+            (attempt.name, f"{attempt.reduction_percent:.2f}", f"{attempt.significance:.1f}",
+             f"{attempt.size:.2f}") if attempt.trial is not None
+            else (attempt.name, "-", "-", attempt.remark or "nothing hints at it")
+            for attempt in attempts
+        ]
+        text += _paragraph(f"Round {number}, on held-out data; the best first:") + _table(rows)
+    return text
+
+
+def _undecided(diagnosis):
+    if not diagnosis.not_decidable:
+        return _paragraph("Nothing.")
+    kinds = known_effects()
+    rows = [("effect", "why", "what to play")]
+    rows += [
+        (name, reason, kinds[name].experiment) for name, reason in diagnosis.not_decidable.items()
+    ]
+    return _table(rows)
+
+
+def _number(value):
+    if isinstance(value, (list, tuple)):
+        return ", ".join(f"{number:.4g}" for number in value)
+    return f"{value:.5g}"
+
+
+def _section(title, content):
+    return f"<section><h2>{escape(title)}</h2>{content}</section>"
+
+
+def _paragraph(text):
+    return f"<p>{escape(text)}</p>"
+
+
+def _table(rows):
+    def line(cell, texts):
+        return "<tr>" + "".join(f"<{cell}>{escape(text)}</{cell}>" for text in texts) + "</tr>"
+
+    body = "".join(line("td", row) for row in rows[1:])
+    return (f'<div class="wide"><table><thead>{line("th", rows[0])}</thead>'
+            f"<tbody>{body}</tbody></table></div>")
+
+
+def _figure(name, caption, png):
+    data = base64.b64encode(png).decode()
+    return (f'<figure><img alt="{escape(name)}" src="data:image/png;base64,{data}">'
+            f"<figcaption>{escape(caption)}</figcaption></figure>")

@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the residual of a model shows: is it noise, and if not, what does it go with."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import detrend, welch
+
+from piezo_identification.waveforms import turning_points
+
+BAND_99 = 2.576
+"""Standard deviations within which 99 % of a normal distribution lie."""
+
+MOST_LAGS = 100
+BINS = 24
+HIGH_BANDS = 4
+"""Parts of the upper half of the spectrum; the quietest tells the noise."""
+
+
+@dataclass(frozen=True)
+class CorrelationTest:
+    """Correlation over lags, and the band in which 99 % of it lie if there is none.
+
+    Attributes
+    ----------
+    lags : (n,) array of int
+    correlation : (n,) array
+    band : float
+    share_outside : float
+    """
+
+    lags: np.ndarray
+    correlation: np.ndarray
+    band: float
+
+    @property
+    def share_outside(self):
+        """Of the lags; about 0.01 where there is no correlation."""
+        return float(np.mean(np.abs(self.correlation) > self.band))
+
+    @property
+    def passed(self):
+        """True if as few lags lie outside as chance has it, and none of them far."""
+        lags = self.lags.size
+        if np.abs(self.correlation).max() > 2.0 * self.band:
+            return False
+        return self.share_outside * lags <= 0.01 * lags + BAND_99 * np.sqrt(0.01 * lags) + 0.5
+
+
+def whiteness(residual_um, most_lags=MOST_LAGS):
+    """Correlation of the residual with itself, some samples later.
+
+    Parameters
+    ----------
+    residual_um : (N,) array
+    most_lags : int
+
+    Returns
+    -------
+    CorrelationTest
+    """
+    residual = residual_um - residual_um.mean()
+    lags = np.arange(1, min(most_lags, residual.size // 4) + 1)
+    return CorrelationTest(lags, _correlation(residual, residual, lags),
+                           BAND_99 / np.sqrt(residual.size))
+
+
+def input_correlation(residual_um, input, most_lags=MOST_LAGS):
+    """Correlation of the residual with earlier values of an input.
+
+    Both are made white by the same differences first, so that a smooth input does not correlate
+    with everything.
+
+    Parameters
+    ----------
+    residual_um, input : (N,) array
+    most_lags : int
+
+    Returns
+    -------
+    CorrelationTest
+    """
+    white_input, coefficients = _whitened(input - input.mean())
+    residual = np.convolve(residual_um - residual_um.mean(), coefficients, mode="valid")
+    lags = np.arange(0, min(most_lags, residual.size // 4) + 1)
+    return CorrelationTest(lags, _correlation(residual, white_input, lags),
+                           BAND_99 / np.sqrt(residual.size))
+
+
+def _whitened(signal, order=6):
+    """The signal behind an autoregressive filter that makes it white, and the filter."""
+    lagged = np.column_stack(
+        [signal[order - lag : signal.size - lag] for lag in range(1, order + 1)]
+    )
+    weights = np.linalg.lstsq(lagged, signal[order:], rcond=1e-10)[0]
+    coefficients = np.concatenate([[1.0], -weights])
+    return np.convolve(signal, coefficients, mode="valid"), coefficients
+
+
+def _correlation(later, earlier, lags):
+    scale = np.linalg.norm(later) * np.linalg.norm(earlier)
+    if scale == 0.0:
+        return np.zeros(lags.size)
+    return np.array([later[lag:] @ earlier[: earlier.size - lag] for lag in lags]) / scale
+
+
+def spectrum(signal_um, sample_period_s):
+    """Power spectral density.
+
+    Parameters
+    ----------
+    signal_um : (N,) array
+    sample_period_s : float
+
+    Returns
+    -------
+    frequency_hz, density_um2_per_hz : arrays
+    """
+    segment = int(min(signal_um.size, max(256, signal_um.size // 8)))
+    return welch(signal_um, 1.0 / sample_period_s, nperseg=segment, detrend="linear")
+
+
+def noise_floor_um(residual_um, sample_period_s):
+    """Standard deviation of white noise as large as the residual's high frequencies.
+
+    The stage follows nothing at the highest frequencies of a fast recording; what is there is the
+    sensor's. The quietest part of the upper half is taken, and the median in it, so that a tone
+    does not count.
+
+    Parameters
+    ----------
+    residual_um : (N,) array
+    sample_period_s : float
+
+    Returns
+    -------
+    float
+    """
+    segment = int(min(256, residual_um.size))
+    frequency_hz, density = welch(residual_um, 1.0 / sample_period_s, nperseg=segment,
+                                  average="median")
+    upper = np.flatnonzero(frequency_hz > 0.5 * frequency_hz[-1])[:-1]
+    quietest = min(np.median(density[part]) for part in np.array_split(upper, HIGH_BANDS))
+    return float(np.sqrt(quietest * 0.5 / sample_period_s))
+
+
+def noise_from_rest_um(displacement_um, voltage_v, fewest=200):
+    """Standard deviation of the noise where the voltage rests; None if it never does for long.
+
+    Parameters
+    ----------
+    displacement_um, voltage_v : (N,) array
+    fewest : int
+        Samples of a rest that counts.
+
+    Returns
+    -------
+    float or None
+    """
+    edges = np.flatnonzero(np.diff(voltage_v, prepend=np.nan, append=np.nan) != 0.0)
+    spreads = []
+    for start, end in zip(edges[:-1], edges[1:], strict=True):
+        # The first half may still move.
+        start = start + (end - start) // 2
+        if end - start >= fewest:
+            spreads.append(np.std(detrend(displacement_um[start:end])))
+    return float(np.median(spreads)) if spreads else None
+
+
+def noise_from_repeats_um(displacement_um, period, creep_order=2):
+    """Standard deviation of the noise from repeats of one waveform.
+
+    Parameters
+    ----------
+    displacement_um : (N,) array
+    period : int
+        Samples of the waveform.
+    creep_order : int
+        Degree of the polynomial that the repeats may drift by, one from the other.
+
+    Returns
+    -------
+    float or None
+        None with fewer than two repeats.
+    """
+    repeats = displacement_um.size // period
+    if repeats < 2:
+        return None
+    played = displacement_um[: repeats * period].reshape(repeats, period)
+    difference = np.diff(played, axis=0)
+    x = np.linspace(-1.0, 1.0, period)
+    basis = np.polynomial.legendre.legvander(x, creep_order)
+    left = difference.T - basis @ np.linalg.lstsq(basis, difference.T, rcond=None)[0]
+    return float(np.sqrt(np.mean(left**2) / 2.0))
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Mean of the residual where a quantity is within each of some bins.
+
+    Attributes
+    ----------
+    quantity : str
+        With its unit.
+    centre, mean_um, band_um : (n,) arrays
+        Of each bin; 99 % of the means lie within the band if nothing depends on the quantity.
+    share : float
+        Of the residual's variance that the means explain, beyond what chance does.
+    """
+
+    quantity: str
+    centre: np.ndarray
+    mean_um: np.ndarray
+    band_um: np.ndarray
+    share: float
+
+
+def dependence(residual_um, values, quantity, bins=BINS):
+    """How the residual depends on a quantity.
+
+    Parameters
+    ----------
+    residual_um, values : (N,) array
+    quantity : str
+    bins : int
+        Of equally many samples each.
+
+    Returns
+    -------
+    Dependence
+    """
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
+    index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(0, edges.size - 2))
+    count = np.bincount(index)
+    used = count > 0
+    means = np.bincount(index, residual_um) / np.maximum(count, 1)
+    mean, rest = means[used], residual_um - means[index]
+    centre = np.bincount(index, values)[used] / count[used]
+    count = count[used]
+    # Neighbouring samples are alike: a bin holds fewer independent ones than samples.
+    correlated = _correlated_samples(rest)
+    variance, chance = float(np.var(residual_um)), float(np.var(rest))
+    band = BAND_99 * np.sqrt(chance * np.minimum(1.0, correlated / count))
+    between = float(np.sum(count * (mean - residual_um.mean()) ** 2) / residual_um.size)
+    by_chance = chance * min(1.0, (count.size - 1) * correlated / residual_um.size)
+    share = max(0.0, between - by_chance) / variance if variance > 0.0 else 0.0
+    return Dependence(quantity, centre, mean, band, share)
+
+
+def dependences(residual_um, displacement_um, voltage_v, time_s):
+    """How the residual depends on each quantity that an effect may go with.
+
+    Parameters
+    ----------
+    residual_um, displacement_um, voltage_v, time_s : (N,) array
+
+    Returns
+    -------
+    list of Dependence
+        On displacement, speed, amplitude, direction, history and time.
+    """
+    speed = np.gradient(displacement_um, time_s)
+    amplitude, history = _branches(voltage_v)
+    direction = np.sign(np.gradient(voltage_v))
+    return [
+        dependence(residual_um, values, quantity)
+        for quantity, values in (
+            ("displacement / um", displacement_um),
+            ("speed / (um/s)", speed),
+            ("voltage span of the branch / V", amplitude),
+            ("direction", direction),
+            ("voltage of the last reversal / V", history),
+            ("time / s", time_s),
+        )
+    ]
+
+
+def _branches(voltage_v):
+    """For each sample the span of its branch, and the voltage at which the branch began."""
+    points = turning_points(voltage_v, 1e-3 * np.ptp(voltage_v))
+    span, start_v = np.zeros(voltage_v.size), np.full(voltage_v.size, voltage_v[0])
+    for start, end in zip(points[:-1], points[1:], strict=True):
+        span[start : end + 1] = abs(voltage_v[end] - voltage_v[start])
+        start_v[start : end + 1] = voltage_v[start]
+    return span, start_v
+
+
+def _correlated_samples(residual_um):
+    """Neighbours for which one independent sample stands."""
+    residual = residual_um - residual_um.mean()
+    energy = residual @ residual
+    if energy == 0.0:
+        return 1.0
+    padded = np.fft.rfft(residual, 2 * residual.size)
+    correlation = np.fft.irfft(np.abs(padded) ** 2)[: residual.size] / energy
+    below = np.flatnonzero(correlation < 0.05)
+    end = int(below[0]) if below.size else residual.size
+    return float(max(1.0, 1.0 + 2.0 * np.sum(correlation[1:end])))

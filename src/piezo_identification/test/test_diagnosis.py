@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezo_identification import experiments
+from piezo_identification.diagnose_command import main
+from piezo_identification.diagnosis.contest import Contest
+from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.prepared import PreparedRecording, retuned
+from piezo_identification.prediction import predict
+from piezo_identification.waveforms import played
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
+from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.effects.voltage_clipping import VoltageClipping
+from piezo_models.model_file import IdentifiedModel, load_model, save_model
+
+MODE = VibrationMode(2.0 * np.pi * 1400.0, 0.03, 0.5)
+
+
+@pytest.fixture(scope="module")
+def record(plant, play):
+    def record_with(*effects, seed=1, **options):
+        experiment = experiments.validation(arc_s=0.02, tones_s=0.2)
+        return play(experiment, seed, stage=replace(plant, effects=effects), **options)
+
+    return record_with
+
+
+@pytest.fixture(scope="module")
+def of_mode(plant, record):
+    return diagnose(plant, [record(MODE)])
+
+
+def test_the_plant_with_effects_predicts_its_own_recording(plant, record):
+    effects = (VoltageClipping(-20.0, 90.0), MODE, Delay(6e-5))
+    prediction = predict(replace(plant, effects=effects), record(*effects, noise_um=0.0))
+    assert np.abs(prediction.measured_um - prediction.simulated_um).max() < 1e-5
+
+
+def test_noise_is_noise(plant, record):
+    diagnosis = diagnose(plant, [record()])
+    assert (diagnosis.verdict, diagnosis.effects, diagnosis.left) == ("none", [], "")
+    assert diagnosis.model is plant
+    assert diagnosis.before == diagnosis.after
+
+
+def test_a_missing_mode_is_found_and_its_parameters_are_those_of_the_plant(of_mode):
+    assert of_mode.verdict == "explained"
+    first = of_mode.effects[0]
+    assert first["name"] == "vibration_mode"
+    for name, value in MODE.parameters().items():
+        error = abs(first["parameters"][name] - value)
+        assert error < 0.02 * value
+        assert error < 10.0 * first["standard_deviations"][name]
+    assert of_mode.after["rms_um"] < 1.1 * of_mode.noise_floor_um < 0.5 * of_mode.before["rms_um"]
+
+
+def test_the_extended_model_is_better_on_another_recording(plant, of_mode, record):
+    unseen = record(MODE, seed=2)
+    before, after = (predict(model, unseen).e_y_percent() for model in (plant, of_mode.model))
+    assert after < 0.3 * before
+
+
+def test_two_effects_are_found_one_after_the_other(plant, record):
+    diagnosis = diagnose(plant, [record(PeriodicDisturbance(333.3, 0.05, 0.02), Delay(8e-5))])
+    assert diagnosis.verdict == "explained"
+    assert {entry["name"] for entry in diagnosis.effects} == {"periodic_disturbance", "delay"}
+    strengths = [entry["error_reduction_percent"] for entry in diagnosis.effects]
+    assert strengths == sorted(strengths, reverse=True)
+
+
+def test_what_no_candidate_explains_gets_no_name(plant, record):
+    recording = record()
+    generator = np.random.default_rng(0)
+    wander = np.cumsum(generator.normal(size=recording.voltage_v.size // 50 + 2))
+    wander *= 0.1 / np.std(wander[20:] - wander[:-20])
+    index = np.arange(recording.voltage_v.size)
+    strange = replace(
+        recording,
+        displacement_um=recording.displacement_um
+        + np.interp(index, 50.0 * np.arange(wander.size), wander),
+    )
+    diagnosis = diagnose(plant, [strange])
+    assert diagnosis.verdict == "unexplained"
+    assert diagnosis.effects == []
+    assert "nm RMS" in diagnosis.left and "Hz" in diagnosis.left
+
+
+def test_tuning_columns_are_the_derivatives_of_a_retuned_model(plant, record):
+    recording = record(noise_um=0.0)
+    part = PreparedRecording(plant, recording)
+    rows = np.arange(part.begin, part.time_s.size, 37)
+    columns = part.tuning_columns(rows)
+    generator = np.random.default_rng(0)
+    changes = 0.01 * generator.normal(size=columns.shape[1])
+    moved, still = (
+        PreparedRecording(model, recording).simulate()[rows]
+        for model in (retuned(plant, changes), plant)
+    )
+    linear = columns @ changes
+    assert np.abs(moved - still - linear).max() < 0.02 * np.abs(linear).max()
+
+
+def test_held_out_stretches_are_not_fitted(plant, record):
+    contest = Contest(plant, [record()])
+    assert not (contest.fit & contest.judge).any()
+    assert 0.3 < np.mean(~contest.fitted) < 0.37
+    start = contest.trial(())
+    assert contest.significance(start, contest.trial((Delay(5e-5),))) < 3.0
+
+
+def test_no_recording_and_too_short_a_recording_are_refused(plant, record):
+    with pytest.raises(ValueError, match="no recording"):
+        diagnose(plant, [])
+    part = played(record())
+    with pytest.raises(ValueError, match="record longer"):
+        diagnose(plant, [part.select(np.arange(part.voltage_v.size) < 600)])
+
+
+def test_the_command_writes_verdict_model_and_report(plant, record, tmp_path, capsys):
+    model, output = tmp_path / "model.json", tmp_path / "out"
+    save_model(model, IdentifiedModel(plant, (-20.0, 120.0)))
+    files = []
+    for seed in (1, 2):
+        part = played(record(MODE, seed=seed))
+        files.append(str(tmp_path / f"{seed}.csv"))
+        table = np.column_stack([part.time_s, part.voltage_v, part.displacement_um])
+        np.savetxt(files[-1], table, fmt="%.6f", delimiter=",", comments="",
+                   header="time_s,voltage_v,displacement_um")
+    assert main(["--model", str(model), "--data", files[0], "--holdout", files[1],
+                 "--output", str(output)]) == 0
+    assert "verdict: explained" in capsys.readouterr().out
+    verdict = json.loads((output / "verdict.json").read_text())
+    assert verdict["effects"][0]["name"] == "vibration_mode"
+    assert verdict["holdout"]["source"] == files[1]
+    assert verdict["after"]["rms_um"] < 0.3 * verdict["before"]["rms_um"]
+    assert load_model(output / "extended_model.json").model.effects[0].name == "vibration_mode"
+    page = (output / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 4
+    assert "http" not in page.replace("http-equiv", "")
+
+
+def test_the_command_refuses_bad_input_in_one_line(tmp_path, capsys):
+    missing = str(tmp_path / "missing.json")
+    assert main(["--model", missing, "--data", missing, "--output", str(tmp_path / "out")]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
