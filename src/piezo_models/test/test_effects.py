@@ -54,7 +54,7 @@ def stage(effects=()):
     density = np.tril(np.full((20, 20), 0.004))
     return StageModel(
         PreisachModel(-20.0, 120.0, density, -5.0), CreepDynamics((0.1,), (0.11,)),
-        ElectricVibrationDynamics(5e-4, (5000.0,), (0.1,)), effects,
+        ElectricVibrationDynamics(5e-4, (5000.0,), (0.1,)), effects=effects,
     )
 
 
