@@ -10,6 +10,7 @@ from rclpy.action import ActionClient
 from rclpy.experimental import EventsExecutor
 
 SERVER_TIMEOUT_S = 30.0
+LOST_RESPONSE_S = 10.0
 ACTIONS = {
     "play_waveform": (PlayWaveform, "play_waveform"),
     "run_experiment": (RunExperiment, "identification/run_experiment"),
@@ -120,7 +121,12 @@ class Client:
         client = self.node.create_client(service_type, name)
         if not self.spin_until(client.service_is_ready, SERVER_TIMEOUT_S):
             raise RuntimeError(f"nobody serves {name}: start its node")
-        response = self.wait(client.call_async(service_type.Request(**fields)))
+        request = service_type.Request(**fields)
+        answer = client.call_async(request)
+        if not self.spin_until(answer.done, LOST_RESPONSE_S):
+            # A response gets lost where the server has not met the client yet: ask once more.
+            answer = client.call_async(request)
+        response = self.wait(answer)
         self.node.destroy_client(client)
         return response
 
