@@ -117,6 +117,9 @@ class ControllerNode(LifecycleNode):
         progress.check()
         if not run.complete:
             raise CallFailed("the stage stopped before the end: its diagnostics tell why")
+        if plan.left_alone:
+            result.message = ("the feedforward leaves alone what comes from outside: "
+                              f'{", ".join(plan.left_alone)}')
 
     def _plan(self, goal, model_text):
         if goal.mode not in MODES:

@@ -2,7 +2,7 @@
 """Voltage that makes the model of a stage follow a periodic reference (thesis 5.2.2)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,9 @@ SETTLE_S = 0.1
 ALIGNMENT_SAMPLES = 40
 # Above it the stage passes too little for an inverse; what a reference holds there is left out.
 BANDWIDTH_HZ = 2500.0
+# What the compensation of an effect adds at reversals is cut off lower where it takes too much.
+COMPENSATION_BANDWIDTHS_HZ = BANDWIDTH_HZ, 1200.0, 600.0, 300.0
+NEGLIGIBLE_CONTENT = 1e-3
 CORRECTIONS = 2
 BISECTIONS = 14
 VOLTAGE = "voltages", "V"
@@ -51,6 +54,8 @@ class FeedforwardPlan:
         Repeated from then on.
     feedback_start_sample : int
         Where feedback may begin: before it the stage's past is not the model's.
+    left_alone : tuple of str
+        Effects of the model that come from outside at times of their own, and stay in the error.
     """
 
     once_voltage_v: np.ndarray
@@ -58,6 +63,7 @@ class FeedforwardPlan:
     reference_once_um: np.ndarray
     reference_period_um: np.ndarray
     feedback_start_sample: int
+    left_alone: tuple = ()
 
     def voltage_v(self, first_sample, count):
         """Voltages of `count` samples from `first_sample` on (V)."""
@@ -75,7 +81,8 @@ def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v
 
     The linear dynamics are inverted harmonic by harmonic on the sampled model (4.22), the
     hysteresis exactly and with its memory. Creep does not end within a run: the mean is chosen
-    such that the displacement has the reference's mean over `duration_s`.
+    such that the displacement has the reference's mean over `duration_s`. Further effects of the
+    model are compensated at their places, so that it is what the sensor measures that follows.
 
     Parameters
     ----------
@@ -84,7 +91,7 @@ def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v
     model : piezo_models.cascade.StageModel
     mode : str
         ``feedforward``; or ``open_loop``, which knows no more than the gain of the whole range
-        and the mean.
+        and the mean, and compensates nothing.
     voltage_range_v : tuple of float
     slew_limit_v_per_s, sample_period_s, start_voltage_v : float
     duration_s : float
@@ -136,6 +143,10 @@ class _Planner:
 
     def __init__(self, model, period, mode, highest_v, slew_limit_v_per_s, sample_period_s,
                  start_voltage_v, duration_s):
+        self.model = replace(model, effects=tuple(
+            effect for effect in model.effects if effect.follows_voltage))
+        self.left_alone = tuple(
+            effect.name for effect in model.effects if not effect.follows_voltage)
         self.hysteresis = model.hysteresis
         self.period = period
         self.mode = mode
@@ -178,8 +189,17 @@ class _Planner:
 
     def plan(self, reference_um):
         """The plan for one reference; raises `_OutOfReach`."""
-        mean_um = reference_um.mean()
-        wave = self._wave(reference_um - mean_um)
+        for target_um in self._behind_linear(reference_um):
+            try:
+                return self._plan_target(target_um, reference_um)
+            except _OutOfReach as error:
+                reason = error
+        raise reason
+
+    def _plan_target(self, target_um, reference_um):
+        """The plan for which the linear part's output is the target, period by period."""
+        mean_um = target_um.mean()
+        wave = self._wave(target_um - mean_um)
         level, level_gain = mean_um, self.mean_weights[self.fade_start:].sum()
         if self.mode == "open_loop":
             level = self.hysteresis.voltage_min_v + (
@@ -192,7 +212,35 @@ class _Planner:
         self._check_slew(voltage_v)
         return FeedforwardPlan(voltage_v[:self.once], voltage_v[self.once:],
                                self._expected_once_um(hysteresis_um, reference_um),
-                               reference_um.copy(), self.fade_start)
+                               reference_um.copy(), self.fade_start, self.left_alone)
+
+    def _behind_linear(self, reference_um):
+        """Periods of the linear part's output for which the sensor measures the reference.
+
+        The best first; the further ones take less of the amplifier.
+        """
+        effects = self.model.effects_at("displacement") + self.model.effects_at("sensor")
+        if self.mode == "open_loop" or not effects:
+            return [reference_um]
+        added_um = np.fft.rfft(
+            self._compensated(reference_um, ("sensor", "displacement")) - reference_um)
+        content = np.abs(np.fft.rfft(reference_um - reference_um.mean()))
+        frequency_hz = np.fft.rfftfreq(self.period, self.sample_period_s)
+        highest_hz = frequency_hz[content >= NEGLIGIBLE_CONTENT * content.max()][-1]
+        return [reference_um + np.fft.irfft(np.where(frequency_hz <= cut_hz, added_um, 0.0),
+                                            self.period)
+                for cut_hz in COMPENSATION_BANDWIDTHS_HZ
+                if cut_hz >= min(highest_hz, BANDWIDTH_HZ)]
+
+    def _compensated(self, wanted, places):
+        """One period in front of the effects at places, the last first, for one behind them."""
+        for effect in (effect for place in places
+                       for effect in reversed(self.model.effects_at(place))):
+            try:
+                wanted = effect.compensate(wanted, self.sample_period_s)
+            except ValueError as error:
+                raise _OutOfReach(str(error)) from None
+        return wanted
 
     def _wave(self, alternating_um):
         """One period of what drives the reference without its mean: um, or V in open loop."""
@@ -217,11 +265,15 @@ class _Planner:
         voltage_v = np.r_[self.start_voltage_v + (lowest_v - self.start_voltage_v) * self.ramp,
                           lowest_v + (centre_v - lowest_v) * self.ramp]
         memory = self.rest_memory.copy()
-        hysteresis_um = self.hysteresis.simulate(voltage_v, memory)
+        hysteresis_um = self.hysteresis.simulate(
+            self.model.amplified(voltage_v, self.sample_period_s), memory)
         if self.mode == "open_loop":
             played_v, played_um = target, self.hysteresis.simulate(target, memory)
         else:
             played_v, played_um = self.hysteresis.invert(target, memory), target
+            period_v = played_v[-self.period:]
+            ahead_v = self._compensated(period_v, ("voltage",)) - period_v
+            played_v = played_v + self.fade * ahead_v[self.fade_phase]
         self._check_range(played_v, lowest_v, self.highest_v, VOLTAGE)
         return np.r_[voltage_v, played_v], np.r_[hysteresis_um, played_um]
 
@@ -233,9 +285,11 @@ class _Planner:
         return self.rest_displacement_um + self.mean_weights @ deviation_um
 
     def _expected_once_um(self, hysteresis_um, reference_um):
-        """The model's displacement in the once part, led over to the reference by its end."""
+        """What the model measures in the once part, led over to the reference by its end."""
         deviation_um = hysteresis_um[:self.once] - self.rest_hysteresis_um
-        expected_um = self.rest_displacement_um + simulate_linear(self.sampled, deviation_um)
+        expected_um = self.model.sensed(
+            self.rest_displacement_um + simulate_linear(self.sampled, deviation_um),
+            self.sample_period_s)
         creep_um = reference_um.mean() - expected_um[-self.period:].mean()
         lead = self.fade[:self.once - self.fade_start]
         expected_um[self.fade_start:] += lead * creep_um

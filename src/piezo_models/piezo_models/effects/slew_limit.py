@@ -41,14 +41,14 @@ class SlewLimit(Effect):
         return reached - 0.5 * (reached - before) * np.minimum(1.0, change / step_v)
 
     def compensate(self, wanted, sample_period_s):
-        """The wanted voltage itself, if it changes slowly enough."""
+        """Ahead by as much as the change within each sample stays behind."""
         fastest = np.abs(np.diff(np.append(wanted, wanted[0]))).max() / sample_period_s
         if fastest > self.slew_limit_v_per_s:
             raise ValueError(
                 f"the voltage would change by {fastest:.6g} V/s, the amplifier gives "
                 f"{self.slew_limit_v_per_s:.6g} V/s: ask for slower motion"
             )
-        return wanted
+        return super().compensate(wanted, sample_period_s)
 
     @classmethod
     def starts(cls, evidence):
