@@ -2,17 +2,9 @@
 """Electric and vibration dynamics from a short square wave: subspace start, output-error fit."""
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.signal import lfilter, lfilter_zi
 
-from piezo_identification.estimate import (
-    Estimate,
-    dynamics_of_vector,
-    dynamics_vector,
-    order_trial,
-    parameter_covariance,
-    split_dynamics_vector,
-)
+from piezo_identification.output_error import fit_output_error
 from piezo_identification.waveforms import played, samples_per_mean, square_wave
 from piezo_models.linear import (
     ElectricVibrationDynamics,
@@ -23,12 +15,6 @@ from piezo_models.linear import (
 
 WARM_UP_S = 0.3
 """Part at the start that is not used, as the approach from rest still shows in it."""
-
-MOST_MODES = 4
-"""Vibration modes beyond which the search for their number ends."""
-
-SEARCH_WIDTH = np.log(3.0)
-"""Factor by which the fit may leave the subspace start, as a logarithm."""
 
 
 def estimate_dynamics(recording, creep, mode_count=None):
@@ -46,8 +32,8 @@ def estimate_dynamics(recording, creep, mode_count=None):
         Of the dynamics experiment, at the full sample clock.
     creep : CreepDynamics
     mode_count : int, optional
-        Number of vibration modes; by default as many as the Bayesian information criterion
-        justifies.
+        Number of vibration modes, without antiresonances; by default as many of both as the
+        Bayesian information criterion justifies.
 
     Returns
     -------
@@ -63,52 +49,6 @@ def estimate_dynamics(recording, creep, mode_count=None):
     record = _DynamicsRecord(recording, creep)
     return fit_output_error(
         record.respond, record.measured_um, record.fixed, record.start, mode_count
-    )
-
-
-def fit_output_error(respond, measured_um, fixed, start, mode_count=None):
-    """Electric and vibration dynamics (4.3) of least output error.
-
-    Parameters
-    ----------
-    respond : callable
-        Response (N,) of dynamics to the input of the record.
-    measured_um : ndarray, shape (N,)
-        Creep taken off.
-    fixed : ndarray, shape (N, K)
-        What else the output may hold, such as an offset; fitted linearly, as is the gain.
-    start : callable
-        Dynamics of a number of modes from which to begin.
-    mode_count : int, optional
-        By default as many as the Bayesian information criterion justifies.
-
-    Returns
-    -------
-    Estimate
-    """
-    def residual(logarithms):
-        model = dynamics_of_vector(np.exp(logarithms), (logarithms.size - 1) // 2)
-        basis = np.column_stack([respond(model), fixed])
-        return measured_um - basis @ np.linalg.lstsq(basis, measured_um, rcond=1e-12)[0]
-
-    best, trials = None, []
-    for count in range(MOST_MODES + 1) if mode_count is None else [mode_count]:
-        logarithms = np.log(dynamics_vector(start(count)))
-        solution = least_squares(
-            residual, logarithms, xtol=1e-10, ftol=1e-12, max_nfev=40,
-            bounds=(logarithms - SEARCH_WIDTH, logarithms + SEARCH_WIDTH),
-        )
-        parameters = solution.x.size + 1 + fixed.shape[1]
-        trials.append(order_trial(count, solution.fun, parameters))
-        if best is not None and trials[-1].information >= trials[-2].information:
-            break
-        best = (count, solution, parameters)
-    count, solution, parameters = best
-    vector = np.exp(solution.x)
-    spread = np.sqrt(np.diag(parameter_covariance(solution.jac, solution.fun, parameters)))
-    return Estimate(
-        dynamics_of_vector(vector, count), split_dynamics_vector(vector * spread, count), count,
-        tuple(trials), mode_count is not None,
     )
 
 

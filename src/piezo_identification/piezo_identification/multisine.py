@@ -9,10 +9,10 @@ from piezo_identification.dynamics import (
     WARM_UP_S,
     drift_basis,
     dynamics_of_poles,
-    fit_output_error,
     played_at_the_clock,
     remove_creep,
 )
+from piezo_identification.output_error import fit_output_error
 from piezo_identification.prediction import slow_branches
 from piezo_models.linear import equilibrium_state, simulate_linear, zoh
 

@@ -48,6 +48,20 @@ def test_the_number_of_modes_is_that_of_the_plant(plant, play, truth):
     assert estimate.damping_ratios == pytest.approx(truth.damping_ratios, rel=1e-2)
 
 
+@pytest.mark.parametrize("truth", [
+    ElectricVibrationDynamics(0.0001, (2700.0, 5200.0), (0.015, 0.02), (3600.0,), (0.02,)),
+    ElectricVibrationDynamics(
+        0.0003, (1500.0, 3000.0, 5200.0), (0.02, 0.03, 0.02), (2200.0, 4500.0), (0.03, 0.02)),
+])
+def test_modes_that_move_side_by_side_are_found_with_their_antiresonances(plant, play, truth):
+    recording = play(experiments.dynamics(), 1, stage=replace(plant, dynamics=truth))
+    estimate = estimate_dynamics(recording, plant.creep)
+    assert str(estimate.order) == f"{len(truth.damping_ratios)}-{len(truth.damping_ratios) - 1}"
+    frequency_hz = np.geomspace(10.0, 1500.0, 200)
+    difference = estimate.model.response(frequency_hz) / truth.response(frequency_hz) - 1.0
+    assert np.abs(difference).max() < 5e-3
+
+
 def test_the_subspace_start_is_exact_without_noise():
     rates = np.array([-400.0 + 4900.0j, -400.0 - 4900.0j, -2000.0])
     time_s = np.arange(1, 400) * 25e-6
