@@ -9,10 +9,11 @@ from action_msgs.msg import GoalStatus
 
 from piezo_bringup.client_node import GoalFailed
 from piezo_identification.experiments import EXPERIMENTS, named_experiment
+from piezo_identification.relay import relay_oscillation
 from piezo_recorder.reader import read_recording
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize("name", [*EXPERIMENTS, "multisine"])
 def test_experiment_is_recorded_as_designed(suite, tmp_path, name):
     told = []
     result = suite.run_experiment(name, tmp_path, on_feedback=told.append)
@@ -53,7 +54,8 @@ def test_unknown_experiment_is_refused_and_nothing_moves(suite, tmp_path):
     with pytest.raises(GoalFailed) as failure:
         suite.run_experiment("creeep", tmp_path)
     assert failure.value.result.message.startswith(
-        "unknown experiment 'creeep': choose one of creep, dynamics, hysteresis, validation")
+        "unknown experiment 'creeep': choose one of creep, dynamics, hysteresis, validation, "
+        "multisine, relay")
     assert list(tmp_path.iterdir()) == []
     assert suite.play([0.0]).first_sample == before + 1
 
@@ -125,3 +127,47 @@ def test_experiment_is_refused_while_the_stage_plays_something_else(suite, tmp_p
         suite.run_experiment("dynamics", tmp_path)
     status, _ = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED
+
+
+def test_relay_oscillates_in_feedback_and_tells_the_ultimate_gain(suite, tmp_path):
+    told = []
+    result = suite.run_experiment("relay", tmp_path, on_feedback=told.append)
+    experiment = named_experiment("relay")
+    recording = read_recording(result.recording)
+    assert recording.gaps == []
+    assert recording.voltage_v[-1] == 0.0
+    tracked = recording.select(recording.tracking)
+    planned_v = experiment.feedforward_v
+    assert np.array_equal(tracked.voltage_v[: planned_v.size], planned_v)
+    assert np.abs(tracked.voltage_v[planned_v.size :] - planned_v[-1]).max() <= 7.0 + 1e-9
+    oscillation = relay_oscillation(recording, experiment)
+    assert oscillation.summary in result.summary
+    assert "declared delay of 2.01 ms" in result.summary
+    # What the loop's delay leaves to the phase of the stage, but for switching in whole ticks.
+    phase_deg = np.degrees(np.angle(oscillation.response_um_per_v[0]))
+    delayed_deg = 360.0 * oscillation.frequency_hz * experiment.delay_s
+    tick_deg = 360.0 * oscillation.frequency_hz * experiment.tick_s
+    assert abs(delayed_deg - phase_deg - 180.0) < 0.6 * tick_deg
+    fractions = [feedback.fraction for feedback in told]
+    assert fractions == sorted(fractions)
+    assert {feedback.stage for feedback in told} <= {"relay: feedback"}
+
+
+def test_cancelled_relay_ramps_to_rest_and_keeps_its_recording(suite, tmp_path):
+    goal = suite.begin("run_experiment", experiment="relay", directory=str(tmp_path))
+    status, result = suite.cancel(goal)
+    assert status == GoalStatus.STATUS_CANCELED
+    assert (result.success, result.message) == (False, "cancelled")
+    recording = read_recording(result.recording)
+    assert recording.gaps == []
+    assert recording.voltage_v[-1] == 0.0
+    assert suite.play([0.0]).success
+
+
+def test_emergency_stop_ends_a_relay(suite, tmp_path):
+    goal = suite.begin("run_experiment", experiment="relay", directory=str(tmp_path))
+    assert suite.trigger("emergency_stop").success
+    status, result = suite.result(goal)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert "stopped before the end" in result.message
+    suite.until(lambda: suite.trigger("reset").success)

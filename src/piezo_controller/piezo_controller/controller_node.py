@@ -1,20 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Track references with the stage: the action ``controller/track``."""
 
-import array
 import hashlib
 import json
 import math
-import threading
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from piezo_interfaces.action import Track
-from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
-from piezo_interfaces.srv import LoadFeedforward, StartTracking
 from rclpy.lifecycle import LifecycleNode
-from std_srvs.srv import Trigger
 
 from piezo_controller.feedback_design import design_feedback
 from piezo_controller.feedback_loop import MultirateFeedback
@@ -23,17 +17,15 @@ from piezo_controller.references import Reference, sample_reference
 from piezo_controller.tracking_run import TrackingRun
 from piezo_controller.weights import load_weights
 from piezo_models.model_file import load_model
-from piezo_node_tools.calls import CallFailed, call_service
+from piezo_node_tools.calls import CallFailed
 from piezo_node_tools.goals import GoalServers
 from piezo_node_tools.parameters import declare
-from piezo_node_tools.quality import FEEDBACK, SAMPLES
 from piezo_node_tools.recording import RecorderCaller
 from piezo_node_tools.spinning import autostart, run_node
+from piezo_node_tools.tracking import REPORT_PERIOD_S, StageTracker
 
 MODES = ("open_loop", "feedforward", "composite")
 LONGEST_DURATION_S = 3600.0
-REPORT_PERIOD_S = 0.1
-SILENCE_TIMEOUT_S = 10.0
 
 
 class ControllerNode(LifecycleNode):
@@ -42,16 +34,8 @@ class ControllerNode(LifecycleNode):
     def __init__(self):
         super().__init__("controller")
         self._declare_parameters()
-        self._run = None
-        self._begun = False
-        self._missed_feedback = 0
-        self._at_rest = threading.Event()
         self._feedback_designs = {}
-        self._feedback = self.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
-        self.create_subscription(SampleBlock, "samples", self._on_samples, SAMPLES)
-        self._load = self.create_client(LoadFeedforward, "load_feedforward")
-        self._start = self.create_client(StartTracking, "start_tracking")
-        self._stop = self.create_client(Trigger, "stop_tracking")
+        self._tracker = StageTracker(self)
         self._recorder = RecorderCaller(self)
         self._goals = GoalServers(self)
         self._goals.serve(Track, "controller/track", self._track)
@@ -83,34 +67,18 @@ class ControllerNode(LifecycleNode):
         """Cancel what runs; return whether it has ended."""
         return self._goals.end()
 
-    def _on_samples(self, block):
-        run = self._run
-        if run is None:
-            return
-        if block.flags & SampleBlock.FLAG_TRACKING:
-            self._begun = True
-            self._missed_feedback = block.missed_feedback
-            voltage_v = run.take(np.frombuffer(block.displacement_um))
-            if self._answering:
-                self._feedback.publish(FeedbackVoltage(tick=block.tick, voltage_v=voltage_v))
-        elif self._begun and not block.flags & SampleBlock.FLAG_RAMPING:
-            self._last_sample = block.first_sample + len(block.displacement_um) - 1
-            self._at_rest.set()
-
     def _track(self, goal, result, progress):
         model_text = _read_text(goal.model)
         run, plan, feedback = self._plan(goal, model_text)
         progress.check()
-        self._at_rest.clear()
         directory = goal.directory or self._directory
         result.recording = self._recorder.start(directory, f"track_{goal.mode}", {
             "model.json": model_text, "parameters.json": _parameters(goal)})
         try:
             self._play(run, plan, feedback is not None, progress)
         finally:
-            self._run = None
-            self._recorder.stop(self._last_sample if self._at_rest.is_set() else 0)
-            result.missed_feedback = self._missed_feedback
+            self._recorder.stop(self._tracker.last_sample)
+            result.missed_feedback = self._tracker.missed_feedback
             if run.samples > len(plan.once_voltage_v):
                 result.e_rms_percent = run.e_rms_percent()
                 result.largest_error_um = run.largest_error_um
@@ -153,25 +121,13 @@ class ControllerNode(LifecycleNode):
         return self._feedback_designs[key]
 
     def _play(self, run, plan, answering, progress):
-        call_service(self._load, LoadFeedforward.Request(
-            once_voltage_v=array.array("d", plan.once_voltage_v.tobytes()),
-            period_voltage_v=array.array("d", plan.period_voltage_v.tobytes())))
-        self._begun, self._answering, self._missed_feedback = False, answering, 0
-        self._run = run
-        ticks = math.ceil(run.total_samples / self._samples_per_tick)
-        call_service(self._start, StartTracking.Request(feedback=answering, ticks=ticks))
-        samples_before, silent_s, stopping = 0, 0.0, False
-        while not self._at_rest.wait(REPORT_PERIOD_S):
-            if progress.cancelled and not stopping:
-                stopping = True
-                with suppress(CallFailed):  # the stage may just have stopped by itself
-                    call_service(self._stop, Trigger.Request())
-            silent_s = silent_s + REPORT_PERIOD_S if run.samples == samples_before else 0.0
-            if silent_s > SILENCE_TIMEOUT_S:
-                raise CallFailed(f"the stage sent no samples for {SILENCE_TIMEOUT_S:g} s")
-            samples_before = run.samples
-            progress.report(run.fraction, e_rms_percent=run.e_rms_percent(
-                round(REPORT_PERIOD_S * self._sample_rate_hz)))
+        self._tracker.run(
+            plan.once_voltage_v, plan.period_voltage_v,
+            math.ceil(run.total_samples / self._samples_per_tick),
+            lambda block: run.take(np.frombuffer(block.displacement_um)), answering,
+            lambda: progress.cancelled,
+            lambda: progress.report(run.fraction, e_rms_percent=run.e_rms_percent(
+                round(REPORT_PERIOD_S * self._sample_rate_hz))))
 
 
 def _reference(message):

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from piezo_identification.relay import relay
+
 SWING_FRACTION = 0.3
 """Step of the square waves over the voltage range: large, yet within the slew limit."""
 
@@ -32,12 +34,18 @@ class StageLimits:
         Largest rate of change of the voltage.
     sample_rate_hz : float
         Sample clock of the stage.
+    rest_voltage_v : float
+        Voltage of the stage at rest.
+    samples_per_tick : int
+        Samples of one feedback period.
     """
 
     voltage_min_v: float = -20.0
     voltage_max_v: float = 120.0
     slew_limit_v_per_s: float = 2e6
     sample_rate_hz: float = 40_000.0
+    rest_voltage_v: float = 0.0
+    samples_per_tick: int = 40
 
     @property
     def span_v(self):
@@ -82,6 +90,11 @@ class Experiment:
     def duration_s(self):
         """Time that all repeats take, without the ramps from and to rest."""
         return self.voltage_v.size * self.sample_period_s * self.repeats
+
+    def parameters(self):
+        """What a recording should keep of it."""
+        return {"sample_period_s": self.sample_period_s, "repeats": self.repeats,
+                "samples": self.voltage_v.size}
 
 
 def creep(limits=StageLimits(), period_s=400.0, sample_period_s=0.01, periods=1, swing_v=None):
@@ -245,8 +258,8 @@ EXPERIMENTS = {
 }
 """Those of the identification sequence, in its order."""
 
-FURTHER_EXPERIMENTS = {"multisine": multisine}
-"""Those that are played when asked for."""
+FURTHER_EXPERIMENTS = {"multisine": multisine, "relay": relay}
+"""Those that run when asked for; `relay` acts in feedback, the others play a waveform."""
 
 
 def named_experiment(name, limits=StageLimits()):

@@ -4,17 +4,20 @@
 import json
 from pathlib import Path
 
+import numpy as np
 from piezo_interfaces.action import Identify, PlayWaveform, RunExperiment
 from rclpy.lifecycle import LifecycleNode
 
 from piezo_identification.experiments import EXPERIMENTS, StageLimits, named_experiment
 from piezo_identification.identify import IdentificationCancelled, identify
+from piezo_identification.relay import RelayExperiment, RelayRun, relay_oscillation
 from piezo_models.model_file import save_model
-from piezo_node_tools.calls import ActionCaller, Cancelled
+from piezo_node_tools.calls import ActionCaller, CallFailed, Cancelled
 from piezo_node_tools.goals import GoalServers
 from piezo_node_tools.parameters import declare
 from piezo_node_tools.recording import RecorderCaller
 from piezo_node_tools.spinning import autostart, run_node
+from piezo_node_tools.tracking import StageTracker
 from piezo_recorder.reader import read_recording
 
 # Of the identify action: what the experiments take of it, the rest are the estimators.
@@ -34,10 +37,14 @@ class IdentificationNode(LifecycleNode):
             declare(self, "slew_limit_v_per_s", 2.0e6,
                     "Slew limit of the stage (V/s).", 1.0, 1.0e9),
             declare(self, "sample_rate_hz", 40000.0,
-                    "Rate of the stage's sample clock (Hz).", 1000.0, 200000.0))
+                    "Rate of the stage's sample clock (Hz).", 1000.0, 200000.0),
+            declare(self, "rest_voltage_v", 0.0,
+                    "Voltage of the stage at rest (V).", -1000.0, 1000.0),
+            declare(self, "samples_per_tick", 40, "Samples of one feedback period.", 1, 4000))
         self._directory = declare(
             self, "directory", "runs", "Where recordings and models go if a goal names no place.")
         self._player = ActionCaller(self, PlayWaveform, "play_waveform")
+        self._tracker = StageTracker(self)
         self._recorder = RecorderCaller(self)
         self._goals = GoalServers(self)
         self._goals.serve(RunExperiment, "identification/run_experiment", self._run_experiment)
@@ -51,35 +58,54 @@ class IdentificationNode(LifecycleNode):
     def _run_experiment(self, goal, result, progress):
         directory = goal.directory or self._directory
         experiment = named_experiment(goal.experiment, self._limits)
-        self._play(experiment, directory, result, lambda stage, fraction: progress.report(
-            fraction, stage=f"{experiment.name}: {stage}"), progress)
         result.summary = f"{experiment.description}, {experiment.duration_s:g} s"
+        self._record(experiment, directory, result, lambda stage, fraction: progress.report(
+            fraction, stage=f"{experiment.name}: {stage}"), progress)
+        if isinstance(experiment, RelayExperiment):
+            oscillation = relay_oscillation(read_recording(result.recording), experiment)
+            result.summary += f"\n{oscillation.summary}"
 
-    def _play(self, experiment, directory, result, report, progress):
-        """Play and record an experiment; its recording is in the result whatever happens."""
+    def _record(self, experiment, directory, result, report, progress):
+        """Run and record an experiment; its recording is in the result whatever happens."""
         path = self._recorder.start(directory, experiment.name, {
             "parameters.json": self._described(experiment)})
         if hasattr(result, "recording"):
             result.recording = path
         else:
             result.recordings.append(path)
+        run = self._relay if isinstance(experiment, RelayExperiment) else self._play
         last_sample = 0
         try:
-            last_sample = self._player.run(
-                PlayWaveform.Goal(voltage_v=experiment.voltage_v.tolist(),
-                                  sample_period_s=experiment.sample_period_s,
-                                  repeats=experiment.repeats),
-                lambda feedback: report(feedback.stage, feedback.fraction),
-                lambda: progress.cancelled).last_sample
+            last_sample = run(experiment, report, progress)
         finally:
             self._recorder.stop(last_sample)
         progress.check()
 
+    def _play(self, experiment, report, progress):
+        """Play a waveform; return the last sample."""
+        return self._player.run(
+            PlayWaveform.Goal(voltage_v=experiment.voltage_v.tolist(),
+                              sample_period_s=experiment.sample_period_s,
+                              repeats=experiment.repeats),
+            lambda feedback: report(feedback.stage, feedback.fraction),
+            lambda: progress.cancelled).last_sample
+
+    def _relay(self, experiment, report, progress):
+        """Answer the stage's blocks as a relay; return the last sample."""
+        run = RelayRun(experiment)
+        self._tracker.run(
+            experiment.feedforward_v, np.empty(0), experiment.ticks,
+            lambda block: run.take(np.frombuffer(block.displacement_um)), True,
+            lambda: progress.cancelled, lambda: report("feedback", run.fraction))
+        if not (run.fraction == 1.0 or progress.cancelled):
+            raise CallFailed("the stage stopped before the end: its diagnostics tell why")
+        return self._tracker.last_sample
+
     def _described(self, experiment):
         return json.dumps({
             "experiment": experiment.name, "description": experiment.description,
-            "sample_period_s": experiment.sample_period_s, "repeats": experiment.repeats,
-            "samples": len(experiment.voltage_v), "minimum_voltage_v": self._limits.voltage_min_v,
+            "duration_s": experiment.duration_s, **experiment.parameters(),
+            "minimum_voltage_v": self._limits.voltage_min_v,
             "maximum_voltage_v": self._limits.voltage_max_v}, indent=1)
 
     def _identify(self, goal, result, progress):
@@ -116,7 +142,7 @@ class IdentificationNode(LifecycleNode):
             def report(stage, fraction, name=name, begin=begin, share=share):
                 progress.report(EXPERIMENTS_FRACTION * (begin + share * fraction),
                                 stage=f"{name}: {stage}")
-            self._play(named_experiment(name, self._limits), directory, result, report, progress)
+            self._record(named_experiment(name, self._limits), directory, result, report, progress)
         return result.recordings
 
 

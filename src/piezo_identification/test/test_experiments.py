@@ -5,8 +5,10 @@ import pytest
 from piezo_identification import experiments
 from piezo_identification.experiments import StageLimits, named_experiment
 
+WAVEFORMS = (experiments.EXPERIMENTS | experiments.FURTHER_EXPERIMENTS).keys() - {"relay"}
 
-@pytest.mark.parametrize("name", experiments.EXPERIMENTS | experiments.FURTHER_EXPERIMENTS)
+
+@pytest.mark.parametrize("name", sorted(WAVEFORMS))
 def test_every_named_experiment_stays_within_the_limits(name):
     experiment = named_experiment(name)
     limits = StageLimits()
