@@ -50,7 +50,8 @@ class Client:
         return self
 
     def __exit__(self, *_):
-        self._executor.remove_node(self.node)
+        # Without this the executor keeps what it waits on, and the stage a reader that hangs.
+        self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
 
