@@ -6,7 +6,6 @@ from scipy.signal import lfilter
 
 from piezo_identification.armax import fit_armax
 from piezo_identification.dynamics import (
-    MOST_MODES,
     WARM_UP_S,
     drift_basis,
     dynamics_of_poles,
@@ -20,6 +19,7 @@ from piezo_identification.estimate import (
     split_dynamics_vector,
 )
 from piezo_identification.multisine import hysteresis_and_displacement
+from piezo_identification.output_error import MOST_MODES
 from piezo_identification.waveforms import square_wave
 
 
