@@ -30,6 +30,8 @@ class DensityEstimate:
         How many of them were kept.
     smoothing_weight : float, optional
         For the smoothed method.
+    reversible_um_per_v : ndarray, shape (n,), optional
+        On the diagonal, alpha = beta; for the smoothed method.
     """
 
     method: str
@@ -40,6 +42,7 @@ class DensityEstimate:
     singular_values: np.ndarray | None = None
     rank: int | None = None
     smoothing_weight: float | None = None
+    reversible_um_per_v: np.ndarray | None = None
 
     @property
     def visited_fraction(self):
@@ -55,7 +58,8 @@ class DensityEstimate:
     def model(self):
         """The hysteresis as a `PreisachModel`."""
         return PreisachModel(
-            self.levels_v[0], self.levels_v[-1], self.density_um_per_v2, self.offset_um
+            self.levels_v[0], self.levels_v[-1], self.density_um_per_v2, self.offset_um,
+            self.reversible_um_per_v,
         )
 
     def report(self):

@@ -3,8 +3,8 @@
 
 A sample is a sum of few Everett values, one per remembered extreme, where the regression on the
 density involves every active cell. The unknowns are the Everett values at the crossings of the
-levels, which the densities of the cells determine and which determine them. Crossings (i + 1, j)
-and cells (i, j) are counted alike: i-major with j <= i.
+levels, and behind them the reversible parts of the n cells of the diagonal; together they determine
+the densities. Crossings (i + 1, j) and cells (i, j) are counted alike: i-major with j <= i.
 """
 
 from dataclasses import dataclass
@@ -28,8 +28,8 @@ class EverettRegression:
 
     Parameters
     ----------
-    matrix : csr_array, shape (N, n (n + 1) / 2)
-        The output is `matrix @ everett` and an offset.
+    matrix : csr_array, shape (N, n (n + 1) / 2 + n)
+        The output is `matrix @ unknowns` and an offset.
     history : ndarray of int, shape (N,)
         Samples of one number share one offset. 0: the memory is known. Above: the memory is known
         inside the voltages seen so far, and what lies outside has not moved. -1: the voltage is
@@ -65,13 +65,13 @@ def everett_regression(voltage_v, levels_v, samples=None):
     position = _positions(voltage_v, levels_v)
     values, columns, starts, history = _rows(position, size, np.asarray(samples, dtype=np.int64))
     matrix = csr_array(
-        (values, columns, starts), shape=(len(samples), size * (size + 1) // 2)
+        (values, columns, starts), shape=(len(samples), size * (size + 3) // 2)
     )
     return EverettRegression(matrix, history)
 
 
 def density_operator(size):
-    """Densities of the cells, times the area of a full one, from the Everett values.
+    """Densities of the cells, times the area of a full one, from the unknowns of the regression.
 
     Parameters
     ----------
@@ -80,9 +80,9 @@ def density_operator(size):
 
     Returns
     -------
-    csr_array, shape (n (n + 1) / 2, n (n + 1) / 2)
-        The mixed second difference; on the diagonal twice the Everett value, as the cell there is
-        half.
+    csr_array, shape (n (n + 1) / 2, n (n + 1) / 2 + n)
+        The mixed second difference; on the diagonal twice what the reversible part leaves of the
+        Everett value, as the cell there is half.
     """
     i, j = np.tril_indices(size)
     cell = np.arange(i.size)
@@ -93,6 +93,7 @@ def density_operator(size):
         (cell[inner], beside[inner], -1.0),
         (cell[inner], cell[inner] + 1, -1.0),
         (cell[i > j + 1], beside[i > j + 1] + 1, 1.0),
+        (cell[i == j], cell.size + np.arange(size), -2.0),
     ]
     return coo_array(
         (
@@ -102,25 +103,27 @@ def density_operator(size):
                 np.concatenate([column for _, column, _ in corners]),
             ),
         ),
-        shape=(cell.size, cell.size),
+        shape=(cell.size, cell.size + size),
     ).tocsr()
 
 
-def everett_values(density):
-    """Everett values at the crossings from the densities of the cells, in O(cells).
+def unknowns_of(density, reversible):
+    """Unknowns of the regression from what they determine, in O(cells).
 
     Parameters
     ----------
     density : ndarray, shape (n, n)
         Times the area of a full cell; lower triangular.
+    reversible : ndarray, shape (n,)
+        Times the width of a cell.
 
     Returns
     -------
-    ndarray, shape (n (n + 1) / 2,)
+    ndarray, shape (n (n + 1) / 2 + n,)
     """
-    shares = np.tril(density, -1) + np.diag(0.5 * np.diagonal(density))
+    shares = np.tril(density, -1) + np.diag(0.5 * np.diagonal(density) + reversible)
     rows = np.cumsum(shares[:, ::-1], axis=1)[:, ::-1]
-    return np.cumsum(rows, axis=0)[np.tril_indices(len(density))]
+    return np.append(np.cumsum(rows, axis=0)[np.tril_indices(len(density))], reversible)
 
 
 def visited_cells(voltage_v, levels_v):
@@ -164,6 +167,11 @@ def _crossing(i, j):
 
 
 @njit(cache=True)
+def _reversible(i, size):
+    return size * (size + 1) // 2 + i
+
+
+@njit(cache=True)
 def _put(values, columns, count, value, column):
     if value == 0.0:
         return count
@@ -174,11 +182,13 @@ def _put(values, columns, count, value, column):
 
 @njit(cache=True)
 def _everett_row(values, columns, count, sign, alpha, beta, size):
-    """Append the weights with which the crossings give sign times the value at (alpha, beta)."""
+    """Append the weights with which the unknowns give sign times the value at (alpha, beta)."""
     i = _cell_of(alpha, size)
     j = _cell_of(beta, size)
     if i == j:
-        return _put(values, columns, count, sign * (alpha - beta) ** 2, _crossing(i + 1, i))
+        way = alpha - beta
+        count = _put(values, columns, count, sign * way * way, _crossing(i + 1, i))
+        return _put(values, columns, count, sign * (way - way * way), _reversible(i, size))
     x = alpha - i
     y = j + 1 - beta
     count = _put(values, columns, count, sign * x * y, _crossing(i + 1, j))
@@ -186,9 +196,11 @@ def _everett_row(values, columns, count, sign, alpha, beta, size):
     count = _put(values, columns, count, sign * x * (1.0 - y), _crossing(i + 1, j + 1))
     if i > j + 1:
         count = _put(values, columns, count, sign * (1.0 - x) * (1.0 - y), _crossing(i, j + 1))
-    # The triangles on the diagonal fill up with the square of the way.
+    # The triangles on the diagonal fill up with the square of the way, the reversible with the way.
     count = _put(values, columns, count, sign * (x * x - x), _crossing(i + 1, i))
-    return _put(values, columns, count, sign * (y * y - y), _crossing(j + 1, j))
+    count = _put(values, columns, count, sign * (x - x * x), _reversible(i, size))
+    count = _put(values, columns, count, sign * (y * y - y), _crossing(j + 1, j))
+    return _put(values, columns, count, sign * (y - y * y), _reversible(j, size))
 
 
 @njit(cache=True)
@@ -253,8 +265,8 @@ def _rows(position, size, samples):
         if row < samples.size and samples[row] == n:
             history[row] = number
             if number >= 0:
-                values = _longer(values, count + 6 * top)
-                columns = _longer(columns, count + 6 * top)
+                values = _longer(values, count + 8 * top)
+                columns = _longer(columns, count + 8 * top)
                 for k in range(1, top + 1):
                     if k % 2 == 1:
                         count = _everett_row(

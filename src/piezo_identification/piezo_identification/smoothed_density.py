@@ -2,7 +2,7 @@
 """The density by smoothed non-negative least squares, on any recording and on large grids."""
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array, csr_array, eye_array, hstack, vstack
 
 from piezo_identification.density_estimate import DensityEstimate, lower_triangle
 from piezo_identification.everett_regression import (
@@ -30,8 +30,9 @@ def smoothed_density(
 
     Minimises the mean square of what the regression on the Everett values leaves, and the weighted
     integral of the squares of the density's second derivatives along both thresholds (voltages in
-    units of the range). Everything is sparse: the Everett values are the unknowns, the density is
-    their mixed second difference.
+    units of the range). The reversible part on the diagonal is smoothed alike, as a function of the
+    voltage. Everything is sparse: Everett values and reversible part are the unknowns, the density
+    is the mixed second difference of what the second leaves of the first.
 
     Parameters
     ----------
@@ -86,8 +87,9 @@ def smoothed_density(
     equations = _Equations.of(
         voltage_v, output_um, levels_v, samples, transients, translation_weight
     )
-    everett, beside, _ = equations.solve(smoothing_weight, multiplier)
-    density = np.maximum(density_operator(size) @ everett, 0.0)
+    unknowns, beside, _ = equations.solve(smoothing_weight, multiplier)
+    bounded = np.maximum(bounded_operator(size) @ unknowns, 0.0)
+    density, reversible = np.split(bounded, [-size])
     width_v = (levels_v[-1] - levels_v[0]) / size
     level_count = size if level_count is None else level_count
     seen = visited_cells(voltage_v, np.linspace(levels_v[0], levels_v[-1], level_count + 1))
@@ -96,7 +98,24 @@ def smoothed_density(
         "smoothed non-negative least squares", levels_v,
         lower_triangle(density, size) / width_v**2, float(beside[0]),
         np.tril(seen[np.ix_(cell, cell)]), smoothing_weight=smoothing_weight,
+        reversible_um_per_v=reversible / width_v,
     )
+
+
+def bounded_operator(size):
+    """What must not be negative: the densities of the cells, and the reversible parts.
+
+    Parameters
+    ----------
+    size : int
+
+    Returns
+    -------
+    csr_array, shape (n (n + 1) / 2 + n, n (n + 1) / 2 + n)
+        Acts on the unknowns of the regression.
+    """
+    crossings = size * (size + 1) // 2
+    return vstack([density_operator(size), eye_array(size, crossings + size, k=crossings)]).tocsr()
 
 
 def curvature_operator(size):
@@ -125,9 +144,33 @@ def curvature_operator(size):
 
 
 def _on_finer_grid(forces, coarse, fine):
-    """Forces of the bounds of a fine grid's cells: each that of the coarse cell it lies in."""
+    """Forces of the bounds of a fine grid: each that of the coarse cell it lies in."""
     cell = np.arange(fine) * coarse // fine
-    return lower_triangle(forces, coarse)[np.ix_(cell, cell)][np.tril_indices(fine)]
+    density, reversible = np.split(forces, [-coarse])
+    return np.concatenate([
+        lower_triangle(density, coarse)[np.ix_(cell, cell)][np.tril_indices(fine)],
+        reversible[cell],
+    ])
+
+
+def reversible_differences(size, order):
+    """Differences of the reversible parts, and a trace of the parts themselves.
+
+    The trace lets the parts be zero where the voltage tells nothing of them.
+
+    Parameters
+    ----------
+    size, order : int
+
+    Returns
+    -------
+    csr_array, shape (2 n - order, n (n + 1) / 2 + n)
+        Acts on the unknowns of the regression.
+    """
+    crossings = size * (size + 1) // 2
+    differences = np.diff(np.eye(size), order, axis=0)
+    parts = csr_array(np.vstack([differences, np.eye(size) / size**2]))
+    return hstack([csr_array((2 * size - order, crossings)), parts]).tocsr()
 
 
 def translation_operator(size):
@@ -153,7 +196,7 @@ class _Equations:
 
     def __init__(self, size, others, translation_weight):
         self.translation_weight = translation_weight
-        unknowns = size * (size + 1) // 2
+        unknowns = size * (size + 3) // 2
         self.size, self.count = size, 0
         self.quadratic, self.linear = csr_array((unknowns, unknowns)), np.zeros(unknowns)
         self.border, self.corner = np.zeros((unknowns, others)), np.zeros((others, others))
@@ -191,24 +234,30 @@ class _Equations:
         self.square += output @ output
 
     def solve(self, weight, multiplier=None):
-        """Everett values, coefficients of the other columns, and forces of the bounds."""
+        """Unknowns, coefficients of the other columns, and forces of the bounds."""
         density = density_operator(self.size)
         curvature = curvature_operator(self.size) @ density
+        bend = reversible_differences(self.size, 2)
         # Differences to derivatives, and sum to integral, of a density over the squared range.
-        roughness = weight * self.size**6 * (curvature.T @ curvature)
+        roughness = weight * (
+            self.size**6 * (curvature.T @ curvature) + self.size**5 * (bend.T @ bend)
+        )
         if self.translation_weight:
             translation = translation_operator(self.size) @ density
-            roughness += self.translation_weight * self.size**4 * (translation.T @ translation)
+            slope = reversible_differences(self.size, 1)
+            roughness += self.translation_weight * (
+                self.size**4 * (translation.T @ translation) + self.size**3 * (slope.T @ slope)
+            )
         return nonnegative_minimum(
             self.quadratic / self.count + roughness,
-            self.linear / self.count, density, self.border / self.count, self.corner / self.count,
-            self.border_linear / self.count, multiplier,
+            self.linear / self.count, bounded_operator(self.size), self.border / self.count,
+            self.corner / self.count, self.border_linear / self.count, multiplier,
         )
 
-    def misfit(self, everett, beside):
+    def misfit(self, unknowns, beside):
         """Sum of the squares of what the regression leaves."""
         return self.square + (
-            everett @ (self.quadratic @ everett + 2.0 * self.border @ beside - 2.0 * self.linear)
+            unknowns @ (self.quadratic @ unknowns + 2.0 * self.border @ beside - 2.0 * self.linear)
             + beside @ (self.corner @ beside - 2.0 * self.border_linear)
         )
 
@@ -228,8 +277,8 @@ def _best_weight(voltage_v, output_um, levels_v, samples, transients, translatio
     trials = []
     multiplier = None
     for weight in SMOOTHING_WEIGHTS:
-        everett, beside, multiplier = fitted.solve(weight, multiplier)
-        trials.append((weight, unseen.misfit(everett, beside), multiplier))
+        unknowns, beside, multiplier = fitted.solve(weight, multiplier)
+        trials.append((weight, unseen.misfit(unknowns, beside), multiplier))
     chance = 1.0 + np.sqrt(2.0 / max(unseen.count, 1))
     least = min(misfit for _, misfit, _ in trials)
     return next((weight, forces) for weight, misfit, forces in trials if misfit <= chance * least)

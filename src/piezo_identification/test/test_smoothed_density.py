@@ -7,7 +7,7 @@ from scipy.sparse import csr_array
 from piezo_identification.everett_regression import (
     density_operator,
     everett_regression,
-    everett_values,
+    unknowns_of,
     visited_cells,
 )
 from piezo_identification.nonnegative import nonnegative_minimum
@@ -49,11 +49,13 @@ def test_everett_rows_and_cells_agree_exactly(seed):
     rng = np.random.default_rng(seed)
     levels_v = np.linspace(-2.0, 5.0, 8)
     voltage_v = np.append(-2.0, rng.uniform(-3.0, 6.0, 200))
-    density = random_density(7, rng)
+    density, reversible = random_density(7, rng), rng.uniform(size=7)
     regression = everett_regression(voltage_v, levels_v)
     areas_v2 = activation_matrix(voltage_v, levels_v)
+    integral = np.append(0.0, np.cumsum(reversible))
     np.testing.assert_allclose(
-        regression.matrix @ everett_values(density), areas_v2 @ density[np.tril_indices(7)],
+        regression.matrix @ unknowns_of(density, reversible),
+        areas_v2 @ density[np.tril_indices(7)] + np.interp(voltage_v, levels_v, integral),
         atol=1e-12,
     )
     assert (regression.history == 0).all()
@@ -61,7 +63,8 @@ def test_everett_rows_and_cells_agree_exactly(seed):
 
 def test_the_density_is_the_mixed_difference_of_the_everett_values():
     density = random_density(200, np.random.default_rng(0))
-    returned = density_operator(200) @ everett_values(density)
+    reversible = np.random.default_rng(1).uniform(size=200)
+    returned = density_operator(200) @ unknowns_of(density, reversible)
     np.testing.assert_allclose(returned, density[np.tril_indices(200)], atol=1e-9)
 
 
@@ -74,7 +77,7 @@ def test_whatever_came_before_is_one_offset_for_each_history(seed):
     voltage_v = np.concatenate([rng.uniform(-1.5, 4.5, 60), [5.0], rng.uniform(-2.0, 5.0, 20)])
     output = activation_matrix(np.append(before_v, voltage_v), levels_v)[before_v.size :] @ density
     regression = everett_regression(voltage_v, levels_v)
-    rest = output - regression.matrix @ everett_values(_square(density, 7))
+    rest = output - regression.matrix @ unknowns_of(_square(density, 7), np.zeros(7))
     assert (regression.history[60:] == 0).all()
     for number in set(regression.history) - {-1}:
         assert np.ptp(rest[regression.history == number]) < 1e-12
@@ -149,6 +152,20 @@ def test_unseen_input_and_its_inverse_are_predicted(lowest_v, highest_v, floor):
     wanted_um = np.clip(truth_um + error_um.mean(), *model.output_range_um)
     reached_um = plant.simulate(model.invert(wanted_um)) - truth_um
     assert np.abs(reached_um - reached_um.mean()).max() < 5e-4 * span_um
+
+
+def test_a_response_that_does_not_wait_at_a_reversal_is_found():
+    rate_um_per_v = np.linspace(0.2, 0.5, 1000)
+    plant = PreisachModel(
+        -20.0, 120.0, truth().density_um_per_v2, -9.0, reversible_um_per_v=rate_um_per_v)
+    voltage_v, seen_v = reversal_curves(-20.0, 120.0, 40), unseen_voltage_v(-20.0, 120.0)
+    noise_um = np.random.default_rng(2).normal(scale=NOISE_UM, size=voltage_v.size)
+    estimate = smoothed_density(
+        voltage_v, plant.simulate(voltage_v) + noise_um, np.linspace(-20.0, 120.0, 81))
+    expected = np.interp(np.arange(80) + 0.5, 0.08 * (np.arange(1000) + 0.5), rate_um_per_v)
+    np.testing.assert_allclose(estimate.reversible_um_per_v, expected, rtol=0.05)
+    error_um = estimate.model().simulate(seen_v) - plant.simulate(seen_v)
+    assert np.std(error_um) < 2e-4 * np.ptp(plant.simulate(seen_v))
 
 
 def test_a_plane_of_200_levels_is_fitted_from_its_reversal_curves():

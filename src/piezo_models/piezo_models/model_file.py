@@ -140,6 +140,7 @@ def _document(identified):
     uncertainties = (
         {"uncertainties": _plain(identified.uncertainties)} if identified.uncertainties else {}
     )
+    reversible = hysteresis.reversible_um_per_v
     hysteretic = model.hysteretic_creep
     hysteretic_creep = {} if hysteretic is None else {
         "hysteretic_creep": {
@@ -176,6 +177,7 @@ def _document(identified):
             "voltage_min_v": hysteresis.voltage_min_v,
             "voltage_max_v": hysteresis.voltage_max_v,
             "offset_um": hysteresis.offset_um,
+            **({"reversible_um_per_v": reversible.tolist()} if reversible.any() else {}),
             "density_um_per_v2": [row[: i + 1].tolist() for i, row in enumerate(density)],
         },
     }
@@ -294,7 +296,8 @@ class _Reader:
 
     def hysteresis(self, value):
         fields = self.fields(
-            value, "hysteresis.", "voltage_min_v", "voltage_max_v", "offset_um", "density_um_per_v2"
+            value, "hysteresis.", "voltage_min_v", "voltage_max_v", "offset_um",
+            "density_um_per_v2", optional=("reversible_um_per_v",),
         )
         name = "hysteresis.density_um_per_v2"
         rows = fields["density_um_per_v2"]
@@ -312,7 +315,17 @@ class _Reader:
             self.number(fields["voltage_max_v"], "hysteresis.voltage_max_v"),
             density,
             self.number(fields["offset_um"], "hysteresis.offset_um"),
+            self.reversible(fields, len(rows)),
         )
+
+    def reversible(self, fields, length):
+        if "reversible_um_per_v" not in fields:
+            return None
+        name = "hysteresis.reversible_um_per_v"
+        values = self.numbers(fields["reversible_um_per_v"], name, length=length)
+        if min(values) < 0.0:
+            self.refuse(name, "holds a negative number", "fit a non-negative density")
+        return values
 
     def creep(self, value):
         names = ("poles_rad_per_s", "zeros_rad_per_s")

@@ -62,18 +62,22 @@ class PreisachModel:
         beta; zero above the diagonal. The cells on the diagonal are triangles.
     offset_um : float
         Output at negative saturation, where all relays are off.
+    reversible_um_per_v : (L,) array, optional
+        Density of the relays that switch on and off at one voltage, alpha = beta, on each cell of
+        the diagonal: the slope of the output that remains at a reversal. None by default.
 
     Raises
     ------
     ValueError
         If the limits are not increasing, or the density is not square, not finite, or not zero
-        above the diagonal.
+        above the diagonal, or the reversible part is not finite or of another length.
     """
 
     voltage_min_v: float
     voltage_max_v: float
     density_um_per_v2: np.ndarray
     offset_um: float = 0.0
+    reversible_um_per_v: np.ndarray | None = None
 
     def __post_init__(self):
         density = np.array(self.density_um_per_v2, dtype=float)
@@ -94,11 +98,20 @@ class PreisachModel:
             )
         if not np.isfinite(self.offset_um):
             raise ValueError("offset_um is not finite; give the output at negative saturation")
-        density.flags.writeable = False
+        reversible = np.zeros(len(density))
+        if self.reversible_um_per_v is not None:
+            reversible = np.array(self.reversible_um_per_v, dtype=float)
+        if reversible.shape != (len(density),) or not np.isfinite(reversible).all():
+            raise ValueError(
+                f"reversible_um_per_v has shape {reversible.shape} or is not finite; give a number "
+                f"for each of the {len(density)} cells of the diagonal"
+            )
+        density.flags.writeable = reversible.flags.writeable = False
         object.__setattr__(self, "voltage_min_v", voltage_min)
         object.__setattr__(self, "voltage_max_v", voltage_max)
         object.__setattr__(self, "density_um_per_v2", density)
         object.__setattr__(self, "offset_um", float(self.offset_um))
+        object.__setattr__(self, "reversible_um_per_v", reversible)
 
     @property
     def cell_width_v(self):
@@ -119,7 +132,9 @@ class PreisachModel:
 
     @cached_property
     def _table(self):
-        return _everett_table(self.density_um_per_v2, self.cell_width_v)
+        return _everett_table(
+            self.density_um_per_v2, self.reversible_um_per_v, self.cell_width_v
+        )
 
     @property
     def _grid(self):
@@ -224,7 +239,7 @@ class PreisachModel:
             left untouched.
         """
         target = _finite_sequence(hysteresis_um, "hysteresis_um")
-        if (self.density_um_per_v2 < 0).any():
+        if (self.density_um_per_v2 < 0).any() or (self.reversible_um_per_v < 0).any():
             raise ValueError(
                 "the density has negative cells, so the hysteresis has no inverse; "
                 "fit it by non-negative least squares"
@@ -284,7 +299,7 @@ def _finite_sequence(values, name):
     return values
 
 
-def _everett_table(density, cell_width):
+def _everett_table(density, reversible, cell_width):
     """Tables that give the Everett function inside any cell in closed form.
 
     Returns
@@ -295,11 +310,14 @@ def _everett_table(density, cell_width):
         integral of the square itself.
     diagonal : (L,) array
         Integrals of the triangles on the diagonal.
+    reversible : (L,) array
+        Integrals along the cells of the diagonal.
     """
     size = density.shape[0]
     squares = np.tril(density, -1) * cell_width**2
     diagonal = np.diagonal(density) * cell_width**2 / 2
-    integrals = squares + np.diag(diagonal)
+    reversible = reversible * cell_width
+    integrals = squares + np.diag(diagonal + reversible)
     rows = np.cumsum(integrals[:, ::-1], axis=1)[:, ::-1]
     everett = np.zeros((size + 1, size + 1))
     everett[1:, :-1] = np.cumsum(rows, axis=0)
@@ -308,7 +326,7 @@ def _everett_table(density, cell_width):
     cells[:, :-1, 1] = np.cumsum(squares[:, ::-1], axis=1)[:, ::-1][:, 1:]
     cells[1:, :, 2] = np.cumsum(squares, axis=0)[:-1]
     cells[:, :, 3] = squares
-    return cells, diagonal
+    return cells, diagonal, reversible
 
 
 @njit(cache=True)
@@ -317,30 +335,32 @@ def _cell_of(position, size):
 
 
 @njit(cache=True)
-def _everett(alpha, beta, cells, diagonal):
+def _everett(alpha, beta, cells, diagonal, reversible):
     """Everett function at two positions, in cells from voltage_min_v; alpha >= beta."""
     size = diagonal.size
     i = _cell_of(alpha, size)
     j = _cell_of(beta, size)
     if i == j:
-        return diagonal[i] * (alpha - beta) ** 2
+        return (alpha - beta) * (reversible[i] + (alpha - beta) * diagonal[i])
     x = alpha - i
     y = j + 1 - beta
     return (
         cells[i, j, 0]
-        + x * (cells[i, j, 1] + x * diagonal[i] + y * cells[i, j, 3])
-        + y * (cells[i, j, 2] + y * diagonal[j])
+        + x * (cells[i, j, 1] + reversible[i] + x * diagonal[i] + y * cells[i, j, 3])
+        + y * (cells[i, j, 2] + reversible[j] + y * diagonal[j])
     )
 
 
 @njit(cache=True)
-def _everett_values(alpha_v, beta_v, voltage_min, voltage_max, cell_width, cells, diagonal):
+def _everett_values(
+    alpha_v, beta_v, voltage_min, voltage_max, cell_width, cells, diagonal, reversible
+):
     values = np.zeros(alpha_v.size)
     for n in range(alpha_v.size):
         if alpha_v[n] > beta_v[n]:
             alpha = (alpha_v[n] - voltage_min) / cell_width
             beta = (beta_v[n] - voltage_min) / cell_width
-            values[n] = _everett(alpha, beta, cells, diagonal)
+            values[n] = _everett(alpha, beta, cells, diagonal, reversible)
     return values
 
 
@@ -375,7 +395,8 @@ def with_room(stack, top):
 
 @njit(cache=True)
 def _simulate(
-    voltage, extremes, outputs, top, voltage_min, voltage_max, cell_width, cells, diagonal
+    voltage, extremes, outputs, top, voltage_min, voltage_max, cell_width,
+    cells, diagonal, reversible,
 ):
     output = np.empty(voltage.size)
     scale = 1.0 / cell_width
@@ -390,10 +411,9 @@ def _simulate(
             if start >= 0:
                 here = (v - voltage_min) * scale
                 there = (extremes[start] - voltage_min) * scale
-                if top % 2 == 1:
-                    outputs[top] = outputs[start] + _everett(here, there, cells, diagonal)
-                else:
-                    outputs[top] = outputs[start] - _everett(there, here, cells, diagonal)
+                high, low = max(here, there), min(here, there)
+                change = _everett(high, low, cells, diagonal, reversible)
+                outputs[top] = outputs[start] + (change if top % 2 == 1 else -change)
         output[n] = outputs[top]
     return output, extremes, outputs, top
 
@@ -408,7 +428,7 @@ def _root(quadratic, linear, value):
 
 
 @njit(cache=True)
-def _rise(target, rounding, beta, cells, diagonal):
+def _rise(target, rounding, beta, cells, diagonal, reversible):
     """Lowest position alpha, in cells, at which the Everett function from `beta` is `target`.
 
     No flat stretch is crossed for a rest within `rounding`.
@@ -416,11 +436,9 @@ def _rise(target, rounding, beta, cells, diagonal):
     size = diagonal.size
     j = _cell_of(beta, size)
     y = j + 1 - beta
-    corner = diagonal[j] * y * y
+    corner = y * (reversible[j] + diagonal[j] * y)
     if target <= corner + rounding:
-        if corner > 0.0:
-            return beta + np.sqrt(min(max(target, 0.0), corner) / diagonal[j])
-        return beta
+        return beta + _root(diagonal[j], reversible[j], min(max(target, 0.0), corner))
     if j == size - 1:
         return float(size)
     low, high = j + 1, size - 1
@@ -431,11 +449,12 @@ def _rise(target, rounding, beta, cells, diagonal):
         else:
             high = middle - 1
     rest = max(target - (cells[low, j, 0] + y * cells[low, j, 2] + corner), 0.0)
-    return low + _root(diagonal[low], cells[low, j, 1] + y * cells[low, j, 3], rest)
+    slope = cells[low, j, 1] + reversible[low] + y * cells[low, j, 3]
+    return low + _root(diagonal[low], slope, rest)
 
 
 @njit(cache=True)
-def _fall(target, rounding, alpha, cells, diagonal):
+def _fall(target, rounding, alpha, cells, diagonal, reversible):
     """Highest position beta, in cells, at which the Everett function to `alpha` is `target`.
 
     No flat stretch is crossed for a rest within `rounding`.
@@ -443,11 +462,9 @@ def _fall(target, rounding, alpha, cells, diagonal):
     size = diagonal.size
     i = _cell_of(alpha, size)
     x = alpha - i
-    corner = diagonal[i] * x * x
+    corner = x * (reversible[i] + diagonal[i] * x)
     if target <= corner + rounding:
-        if corner > 0.0:
-            return alpha - np.sqrt(min(max(target, 0.0), corner) / diagonal[i])
-        return alpha
+        return alpha - _root(diagonal[i], reversible[i], min(max(target, 0.0), corner))
     if i == 0:
         return 0.0
     low, high = 0, i - 1
@@ -458,7 +475,8 @@ def _fall(target, rounding, alpha, cells, diagonal):
         else:
             low = middle + 1
     rest = max(target - (cells[i, low, 0] + x * cells[i, low, 1] + corner), 0.0)
-    return low + 1 - _root(diagonal[low], cells[i, low, 2] + x * cells[i, low, 3], rest)
+    slope = cells[i, low, 2] + reversible[low] + x * cells[i, low, 3]
+    return low + 1 - _root(diagonal[low], slope, rest)
 
 
 @njit(cache=True)
@@ -473,6 +491,7 @@ def _invert(
     cell_width,
     cells,
     diagonal,
+    reversible,
 ):
     voltage = np.empty(target.size)
     scale = 1.0 / cell_width
@@ -490,7 +509,7 @@ def _invert(
                 top -= 2
             else:
                 beta = (extremes[top] - voltage_min) * scale
-                alpha = _rise(goal - outputs[top], rounding, beta, cells, diagonal)
+                alpha = _rise(goal - outputs[top], rounding, beta, cells, diagonal, reversible)
                 ceiling = extremes[top - 1] if top >= 2 else voltage_max
                 v = min(max(voltage_min + alpha * cell_width, v), ceiling)
             top += 1
@@ -505,7 +524,7 @@ def _invert(
                 top -= 2
             else:
                 alpha = (extremes[top] - voltage_min) * scale
-                beta = _fall(outputs[top] - goal, rounding, alpha, cells, diagonal)
+                beta = _fall(outputs[top] - goal, rounding, alpha, cells, diagonal, reversible)
                 v = max(min(voltage_min + beta * cell_width, v), extremes[top - 1])
             top += 1
         if top == extremes.size:

@@ -111,7 +111,9 @@ def cell_centre_relays(model):
     i, j = np.tril_indices(model.density_um_per_v2.shape[0])
     centres = (model.levels_v[:-1] + model.levels_v[1:]) / 2
     areas = np.where(i == j, 0.5, 1.0) * model.cell_width_v**2
-    return centres[i], centres[j], model.density_um_per_v2[i, j] * areas
+    weights = model.density_um_per_v2[i, j] * areas
+    weights[i == j] += model.reversible_um_per_v * model.cell_width_v
+    return centres[i], centres[j], weights
 
 
 def simulate_relays(voltage_v, alpha_v, beta_v, weight_um, offset_um=0.0):

@@ -13,13 +13,17 @@ laws = settings(deadline=None, max_examples=150)
 
 @st.composite
 def models(draw, smallest_density=0.0):
-    """Densities of 1 to 12 levels, up to nine cells in ten empty if zero is allowed."""
+    """Densities of 1 to 12 levels, up to nine cells in ten empty if zero is allowed.
+
+    Half of them have a reversible part.
+    """
     size = draw(st.integers(1, 12))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     density = rng.uniform(max(smallest_density, 1e-3), 0.05, (size, size))
     if smallest_density == 0.0:
         density[rng.random((size, size)) < draw(st.sampled_from([0.0, 0.5, 0.9]))] = 0.0
-    return PreisachModel(-20.0, 120.0, np.tril(density), draw(st.floats(-5, 5)))
+    reversible = draw(st.sampled_from([0.0, 1.0])) * rng.uniform(0.0, 0.5, size)
+    return PreisachModel(-20.0, 120.0, np.tril(density), draw(st.floats(-5, 5)), reversible)
 
 
 # Steps of 0.7 V meet the levels of many grids, and revisit extremes.

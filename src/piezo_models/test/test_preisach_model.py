@@ -39,6 +39,23 @@ def test_everett_is_the_density_times_the_area_in_every_cell(uneven_model):
         assert uneven_model.everett_um(alpha, beta) == pytest.approx(expected, rel=1e-13, abs=1e-13)
 
 
+def test_the_reversible_part_adds_the_integral_along_the_diagonal():
+    reversible = np.array([0.1, 0.0, 0.4, 0.2])
+    density = np.tril(np.random.default_rng(0).uniform(0.0, 0.05, (4, 4)))
+    model = PreisachModel(-20.0, 120.0, density, 1.0, reversible)
+    without = PreisachModel(-20.0, 120.0, density, 1.0)
+    voltage_v = np.random.default_rng(1).uniform(-30.0, 130.0, 300)
+    integral_um = np.interp(voltage_v, model.levels_v, 35.0 * np.concatenate(
+        [[0.0], np.cumsum(reversible)]))
+    np.testing.assert_allclose(
+        model.simulate(voltage_v), without.simulate(voltage_v) + integral_um, atol=1e-11)
+
+
+def test_a_reversible_part_of_another_length_is_refused():
+    with pytest.raises(ValueError, match="each of the 2 cells"):
+        PreisachModel(0.0, 1.0, np.eye(2), reversible_um_per_v=[1.0])
+
+
 def test_everett_broadcasts_and_is_limited_to_the_range(uneven_model):
     alpha, beta = np.array([[150.0], [50.0]]), np.array([-40.0, 10.0, 60.0])
     values = uneven_model.everett_um(alpha, beta)
