@@ -64,14 +64,15 @@ class StageModel:
 
     def linear(self):
         """Continuous `control.StateSpace` from hysteresis output to displacement."""
-        system = self.creep.state_space() * self.dynamics.state_space()
+        system = self.creep.state_space() * self.dynamics.state_space(self.effects_at("modes"))
         for effect in self.effects_at("linear"):
             system = effect.state_space() * system
         return system
 
     def response(self, frequency_hz):
         """Complex response of `linear` at the given frequencies."""
-        response = self.creep.response(frequency_hz) * self.dynamics.response(frequency_hz)
+        response = self.creep.response(frequency_hz) * self.dynamics.response(
+            frequency_hz, self.effects_at("modes"))
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
         for effect in self.effects_at("linear"):
             response = response * effect.state_space()(s)

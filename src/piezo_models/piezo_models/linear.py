@@ -132,12 +132,26 @@ class ElectricVibrationDynamics:
             self.mode_frequencies_rad_per_s, self.damping_ratios, antiresonances, strict=True
         )
 
-    def state_space(self):
-        """Continuous `control.StateSpace`."""
-        sections = []
+    def state_space(self, beside=()):
+        """Continuous `control.StateSpace`.
+
+        Parameters
+        ----------
+        beside : sequence of `piezo_models.effects.vibration_mode.VibrationMode`
+            Further modes: each takes its participation of the displacement from these.
+        """
+        lag = []
         if self.time_constant_s > 0.0:
             rate = 1.0 / self.time_constant_s
-            sections.append(([[-rate]], [[rate]], [[1.0]], [[0.0]]))
+            lag = [([[-rate]], [[rate]], [[1.0]], [[0.0]])]
+        modes = self._series_of_modes()
+        if beside:
+            modes = (1.0 - sum(mode.participation for mode in beside)) * modes
+            modes = sum((mode.participation * mode.state_space() for mode in beside), modes)
+        return modes * _cascade(lag)
+
+    def _series_of_modes(self):
+        sections = []
         for w, zeta, antiresonance in self._modes():
             position, velocity, direct = 1.0, 0.0, 0.0
             if antiresonance is not None:
@@ -155,15 +169,19 @@ class ElectricVibrationDynamics:
             )
         return _cascade(sections)
 
-    def response(self, frequency_hz):
-        """Complex response at the given frequencies, in the shape of `frequency_hz`."""
+    def response(self, frequency_hz, beside=()):
+        """Complex response at the given frequencies, in their shape; see `state_space`."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
-        response = 1.0 / (self.time_constant_s * s + 1.0)
+        response = np.ones_like(s)
         for w, zeta, antiresonance in self._modes():
             response = response / _quadratic(s, w, zeta)
             if antiresonance is not None:
                 response = response * _quadratic(s, *antiresonance)
-        return response
+        response = (1.0 - sum(mode.participation for mode in beside)) * response
+        for mode in beside:
+            response = response + mode.participation / _quadratic(
+                s, mode.frequency_rad_per_s, mode.damping_ratio)
+        return response / (self.time_constant_s * s + 1.0)
 
 
 def _quadratic(s, frequency, damping):

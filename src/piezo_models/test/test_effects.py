@@ -118,19 +118,22 @@ def test_what_the_amplifier_does_not_give_is_refused():
         SlewLimit(100.0).compensate(wave(), PERIOD_S)
 
 
-@pytest.mark.parametrize("effect", [VibrationMode(3000.0, 0.05, 0.3), Creep((0.02,), (0.005,))])
-def test_linear_effects_act_on_samples_as_their_system_does(effect):
+@pytest.mark.parametrize(("effect", "system"), [
+    (VibrationMode(3000.0, 0.05, 0.3), 0.7 + 0.3 * VibrationMode(3000.0, 0.05, 0.3).state_space()),
+    (Creep((0.02,), (0.005,)), Creep((0.02,), (0.005,)).state_space()),
+], ids=["vibration_mode", "creep"])
+def test_linear_effects_act_on_samples_as_their_system_does(effect, system):
     signal = wave(40_000, 20)
     response = control.forced_response(
-        effect.state_space(), np.arange(signal.size) * PERIOD_S, signal - signal[0],
+        system, np.arange(signal.size) * PERIOD_S, signal - signal[0],
         interpolate=True,
     ).outputs
-    rest = float(effect.state_space().dcgain()) * signal[0]
+    rest = float(system.dcgain()) * signal[0]
     np.testing.assert_allclose(effect.apply(signal, PERIOD_S), response + rest, atol=1e-6)
 
 
 def test_a_linear_effect_is_a_part_of_the_stages_linear_system():
-    effect = VibrationMode(3000.0, 0.05, 0.3)
+    effect = Creep((0.02,), (0.005,))
     frequency_hz = np.array([1.0, 300.0, 900.0])
     ratio = stage((effect,)).response(frequency_hz) / stage().response(frequency_hz)
     expected = effect.state_space()(2j * np.pi * frequency_hz)
@@ -139,6 +142,17 @@ def test_a_linear_effect_is_a_part_of_the_stages_linear_system():
     np.testing.assert_allclose(
         system(2j * np.pi * frequency_hz), stage((effect,)).response(frequency_hz), rtol=1e-6
     )
+
+
+def test_a_further_mode_moves_beside_the_others_behind_the_same_lag():
+    model, modes = stage(), [VibrationMode(9000.0, 0.01, 0.004), VibrationMode(3000.0, 0.05, 0.3)]
+    s = 2j * np.pi * np.array([1.0, 300.0, 900.0, 1430.0])
+    lag = model.creep.state_space()(s) / (model.dynamics.time_constant_s * s + 1.0)
+    expected = 0.696 * model.linear()(s) + lag * (
+        0.004 * modes[0].state_space()(s) + 0.3 * modes[1].state_space()(s))
+    extended = stage(tuple(modes))
+    np.testing.assert_allclose(extended.linear()(s), expected, rtol=1e-9)
+    np.testing.assert_allclose(extended.response(s.imag / (2.0 * np.pi)), expected, rtol=1e-9)
 
 
 def test_the_stage_applies_effects_at_their_places():

@@ -274,8 +274,7 @@ class Contest:
 
         return Evidence(
             part.sample_period_s, part.voltage_v, simulated, self.residual_um(index, effects),
-            self.noise_um[index], self.model.dynamics, reduction,
-            visible,
+            self.noise_um[index], self.model.dynamics, part.drive_um, reduction, visible,
         )
 
     def challenge(self, kind, effects, evidences):

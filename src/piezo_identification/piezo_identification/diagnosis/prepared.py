@@ -2,6 +2,7 @@
 """A recording prepared for many simulations of a model with one effect or another."""
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -98,7 +99,8 @@ class PreparedRecording:
         """
         on_voltage = tuple(effect for effect in effects if effect.place == "voltage")
         in_series = tuple(
-            effect for effect in effects if effect.place == "linear" and effect not in quick
+            effect for effect in effects
+            if effect.place == "modes" or effect.place == "linear" and effect not in quick
         )
         displacement_um = self._answer(on_voltage, in_series)
         for place in ("linear", "displacement", "sensor"):
@@ -108,6 +110,13 @@ class PreparedRecording:
                         displacement_um, self.sample_period_s, self.rest_um
                     )
         return self.model.sensed(displacement_um, self.sample_period_s)
+
+    @cached_property
+    def drive_um(self):
+        """What drives the modes of vibration: the displacement if they followed at once, (N,)."""
+        lag = type(self.model.dynamics)(self.model.dynamics.time_constant_s)
+        without_modes = replace(self.model, dynamics=lag, effects=self.model.effects_at("linear"))
+        return self._respond(without_modes.linear(), self._hysteresis_um)
 
     def _answer(self, on_voltage, in_series):
         """Output of the linear part, kept for the next time."""
@@ -119,9 +128,7 @@ class PreparedRecording:
                 for effect in on_voltage:
                     voltage_v = effect.apply(voltage_v, self.sample_period_s, self._before_v[0])
                 hysteresis_um, _ = self._input_of_linear(voltage_v)
-            linear = self.model.linear()
-            for effect in in_series:
-                linear = effect.state_space() * linear
+            linear = replace(self.model, effects=(*self.model.effects, *in_series)).linear()
             # A fit tries many; the first and the last few are worth the memory.
             while len(self._answers) > KEPT_ANSWERS:
                 del self._answers[list(self._answers)[1]]

@@ -7,9 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-PLACES = ("voltage", "linear", "displacement", "sensor")
-"""Where an effect acts: on the voltage before the hysteresis; as a linear system behind the
-dynamics; on the displacement; or on what the sensor makes of it. In the order of the signal."""
+PLACES = ("voltage", "modes", "linear", "displacement", "sensor")
+"""Where an effect acts: on the voltage before the hysteresis; beside the modes of vibration; as a
+linear system behind them; on the displacement; or on what the sensor makes of it. In the order of
+the signal."""
 
 INVERSION_ROUNDS = 50
 INVERSION_TOLERANCE = 1e-9
@@ -47,6 +48,8 @@ class Evidence:
         Standard deviation of the noise of a sample.
     dynamics : ElectricVibrationDynamics
         Of the model.
+    drive_um : (N,) array
+        What drives the modes: the displacement if they followed at once.
     reduction : callable
         Given contributions, shape (N, n): the gains that fit them best to the residual, and the
         part of its energy that they take off.
@@ -61,6 +64,7 @@ class Evidence:
     residual_um: np.ndarray
     noise_um: float
     dynamics: object
+    drive_um: np.ndarray
     reduction: object
     visible: object
 

@@ -17,14 +17,14 @@ LOWEST_PERIODS = 20
 
 @dataclass(frozen=True)
 class VibrationMode(Effect):
-    """The part `participation` of the displacement passes a mode, the rest passes unchanged.
+    """The part `participation` of the displacement is that of a mode beside the others.
 
-    With a participation of 1 the mode is in series with the others, as in (4.3); otherwise it
-    brings an antiresonance of its own. The gain at rest is not changed.
+    The modes of a structure add up: the further mode is driven as the others are, and brings an
+    antiresonance with each of them. The gain at rest is not changed.
     """
 
     name: ClassVar[str] = "vibration_mode"
-    place: ClassVar[str] = "linear"
+    place: ClassVar[str] = "modes"
     several: ClassVar[bool] = True
     experiment: ClassVar[str] = "dynamics: steps, or tones up to the highest frequency of interest"
 
@@ -37,17 +37,18 @@ class VibrationMode(Effect):
         return [w * w], [1.0, 2.0 * self.damping_ratio * w, w * w]
 
     def state_space(self):
-        """Continuous `control.StateSpace`."""
+        """Continuous `control.StateSpace` of the mode alone, with unit gain at rest."""
         w = self.frequency_rad_per_s
         return control.ss(
-            [[0.0, w], [-w, -2.0 * self.damping_ratio * w]], [[0.0], [w]],
-            [[self.participation, 0.0]], [[1.0 - self.participation]],
+            [[0.0, w], [-w, -2.0 * self.damping_ratio * w]], [[0.0], [w]], [[1.0, 0.0]], [[0.0]]
         )
 
     def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
-        ringing = filtered(*self._mode(), signal, sample_period_s, rest) - signal
-        return signal + self.participation * ringing
+        """See `Effect.apply`: behind the mode where there is none beside it."""
+        return signal + self.participation * (self._rung(signal, sample_period_s, rest) - signal)
+
+    def _rung(self, drive, sample_period_s, rest=None):
+        return filtered(*self._mode(), drive, sample_period_s, rest)
 
     @classmethod
     def starts(cls, evidence):
@@ -64,7 +65,7 @@ class VibrationMode(Effect):
         ]
         found = evidence.best(
             shapes,
-            lambda shape: (shape.apply(evidence.displacement_um, evidence.sample_period_s)
+            lambda shape: (shape._rung(evidence.drive_um, evidence.sample_period_s)
                            - evidence.displacement_um)[:, None],
             count=3,
         )
