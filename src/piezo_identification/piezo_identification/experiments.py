@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from piezo_identification.diagnostic_waveform import diagnostic_block
 from piezo_identification.relay import relay
 
 SWING_FRACTION = 0.3
@@ -253,12 +254,37 @@ def multisine(limits=StageLimits(), arc_s=0.5, tones_s=1.0):
     )
 
 
+def diagnostic(limits=StageLimits(), repeats=4):
+    """Every effect that a model may lack shows: rest, loops, rates, steps and tones.
+
+    It begins at the lowest voltage, where the memory of the hysteresis is known. Repeats tell the
+    noise from what the voltage causes, and drift from both.
+
+    Parameters
+    ----------
+    limits : StageLimits
+        What the stage allows.
+    repeats : int
+        How often the whole is played.
+
+    Raises
+    ------
+    ValueError
+        If the waveform leaves the range or exceeds the slew limit.
+    """
+    voltage_v = diagnostic_block(limits)
+    return _fitting(
+        limits, Experiment("diagnostic", voltage_v, 1.0 / limits.sample_rate_hz, repeats,
+                           "rest, loops, loops ever faster, steps and tones, repeated")
+    )
+
+
 EXPERIMENTS = {
     "creep": creep, "dynamics": dynamics, "hysteresis": hysteresis, "validation": validation
 }
 """Those of the identification sequence, in its order."""
 
-FURTHER_EXPERIMENTS = {"multisine": multisine, "relay": relay}
+FURTHER_EXPERIMENTS = {"multisine": multisine, "relay": relay, "diagnostic": diagnostic}
 """Those that run when asked for; `relay` acts in feedback, the others play a waveform."""
 
 
