@@ -8,7 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from piezo_controller.feedback_design import FeedbackController
+from piezo_controller.feedback_design import (
+    FeedbackController,
+    UnstableLoop,
+    check_stabilises,
+)
 
 FORMAT = "piezo_stage_controller"
 VERSION = 1
@@ -112,3 +116,35 @@ def load_controller(path):
     return FeedbackController(sample_period_s=period_s, report=document["report"],
                               weights=document["weights"], model_sha256=document["model_sha256"],
                               **matrices)
+
+
+def load_stabilising_controller(path, model, tick_s, clock_period_s):
+    """Read a controller file for use with a model.
+
+    Parameters
+    ----------
+    path : path-like
+    model : piezo_models.cascade.StageModel
+    tick_s, clock_period_s : float
+        Of the stage (s).
+
+    Returns
+    -------
+    FeedbackController
+
+    Raises
+    ------
+    ControllerFileError
+        See `load_controller`; or the controller is for another tick, or does not stabilise the
+        model.
+    """
+    controller = load_controller(path)
+    if not math.isclose(controller.sample_period_s, tick_s, rel_tol=1e-6):
+        raise ControllerFileError(
+            f"{path}: sample_period_s is {controller.sample_period_s:g}, but the stage's tick is "
+            f"{tick_s:g} s; design the controller with as many samples per tick as the stage has")
+    try:
+        check_stabilises(controller, model, clock_period_s)
+    except UnstableLoop as reason:
+        raise ControllerFileError(f"{path}: {reason}") from None
+    return controller

@@ -15,7 +15,7 @@ from piezo_controller.feedback_loop import MultirateFeedback
 from piezo_controller.feedforward import plan_feedforward
 from piezo_controller.references import Reference, sample_reference
 from piezo_controller.tracking_run import TrackingRun
-from piezo_controller.weights import load_weights
+from piezo_controller.weights import DEFAULT, load_weights
 from piezo_models.model_file import load_model
 from piezo_node_tools.calls import CallFailed
 from piezo_node_tools.goals import GoalServers
@@ -59,7 +59,7 @@ class ControllerNode(LifecycleNode):
         self._max_feedback_v = declare(
             self, "max_feedback_v", 20.0, "Largest feedback voltage (V).", 0.001, 1000.0)
         self._weights_file = declare(
-            self, "weights", "", "Weights of the feedback design (YAML); empty for the default.")
+            self, "weights", "", "Weights of the feedback design: a file (YAML), thesis, or empty for the default.")
         self._directory = declare(
             self, "directory", "runs", "Where recordings go if a goal names no place.")
 
@@ -117,7 +117,7 @@ class ControllerNode(LifecycleNode):
         key = hashlib.sha256(model_text.encode()).hexdigest()
         if key not in self._feedback_designs:
             self._feedback_designs[key] = design_feedback(
-                model, load_weights(self._weights_file or None), 1.0 / self._sample_rate_hz, key)
+                model, load_weights(self._weights_file or DEFAULT), 1.0 / self._sample_rate_hz, key)
         return self._feedback_designs[key]
 
     def _play(self, run, plan, answering, progress):

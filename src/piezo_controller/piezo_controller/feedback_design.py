@@ -1,18 +1,44 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Design of the discrete H-infinity feedback at the tick's rate (thesis 5.2.4)."""
+"""Design of the feedback at the tick's rate: H-infinity (thesis 5.2.4), PID and PI."""
 
 from dataclasses import dataclass
 
 import control
 import numpy as np
 
-from piezo_controller.h_infinity import close, synthesise
-from piezo_controller.lifted_plant import lift
+from piezo_controller.controller_reduction import reduce_order
+from piezo_controller.dk_iteration import iterate, scale, tick_frequencies
+from piezo_controller.generalised_plant import (
+    UNCERTAINTIES,
+    design_plant,
+    generalised_plant,
+    hysteresis_gain_range,
+)
+from piezo_controller.h_infinity import close, is_stable
 from piezo_controller.loop_measures import measure_loop
-from piezo_models.linear import zoh
+from piezo_controller.structured_singular_value import (
+    sampled_response,
+    structured_singular_values,
+)
+from piezo_controller.ziegler_nichols import (
+    pid,
+    proportional_integral,
+    ultimate_point_by_relay,
+    ultimate_point_by_response,
+)
 
-# Lowers the controller's resonance at 270 Hz from 7 to 3 V/um, and the sensitivity's peak.
+METHODS = ("h_infinity", "pid", "pi")
+SCALINGS = ("constant", "dynamic")
+
+# Damps the controller's resonance at 270 Hz, and lowers the sensitivity's peak.
 SLACK = 0.1
+# Part of the norm with the scalings that a lower order may cost.
+REDUCTION_COST = 0.01
+FREQUENCIES = 200
+
+
+class UnstableLoop(ValueError):
+    """A feedback that does not stabilise the model it is to be used with."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +52,9 @@ class FeedbackController:
     sample_period_s : float
         The tick (s).
     report : dict
-        Plain numbers, see `design_feedback`.
+        Plain numbers and texts, see `design_feedback`.
     weights : dict
-        The weights that it was designed with, in the layout of the weights file.
+        The weights that it was designed with, in the layout of the weights file; empty for PID.
     model_sha256 : str
         Of the model file that it was designed for; empty if the model came from no file.
     """
@@ -47,113 +73,141 @@ class FeedbackController:
         return control.ss(self.A, self.B, self.C, self.D, self.sample_period_s)
 
 
-def design_plant(model, tick_s, clock_period_s):
-    """The linear plant that the feedback is designed on.
-
-    Parameters
-    ----------
-    model : piezo_models.cascade.StageModel
-    tick_s, clock_period_s : float
-        Periods of the feedback and of the sample clock (s); the one a multiple of the other.
-
-    Returns
-    -------
-    plant : control.StateSpace
-        From the hysteresis' output decided in a tick to the mean displacement known in it (um
-        per um), with the hold, the averaging and the computing time (`lift`).
-    hysteresis_gain_um_per_v : float
-        Nominal gain k_h: the middle of the secant gains (3.16) at mid-travel.
-    """
-    samples_per_tick = round(tick_s / clock_period_s)
-    if samples_per_tick < 1 or abs(samples_per_tick * clock_period_s / tick_s - 1) > 1e-9:
-        raise ValueError(f"the tick of {tick_s:g} s is no multiple of the sample clock's period "
-                         f"of {clock_period_s:g} s")
-    plant = lift(zoh(model.linear(), clock_period_s), samples_per_tick)
-    hysteresis = model.hysteresis
-    middle_v = (hysteresis.voltage_min_v + hysteresis.voltage_max_v) / 2
-    return plant, float(np.mean(hysteresis.gain_um_per_v([middle_v])))
-
-
-def generalised_plant(plant, hysteresis_gain_um_per_v, weights):
-    """The design problem of thesis fig. 5.5.
-
-    The feedforward's error enters from the reference alone, outside the loop: it is a
-    disturbance of size ``w_delta w_r``.
-
-    Parameters
-    ----------
-    plant, hysteresis_gain_um_per_v
-        From `design_plant`.
-    weights : DesignWeights
-
-    Returns
-    -------
-    control.StateSpace
-        Inputs: hysteresis uncertainty, reference, disturbance, noise, control. Outputs: input of
-        the uncertainty, weighted error, weighted control, measured error.
-    """
-    dt = plant.dt
-
-    def named(system, name, source, sink):
-        return control.ss(system.A, system.B, system.C, system.D, dt, name=name,
-                          inputs=[source], outputs=[sink])
-
-    def gain(value, name, source, sink):
-        return control.ss([], [], [], [[value]], dt, name=name, inputs=[source], outputs=[sink])
-
-    def weight(name, source, sink, scale=1.0):
-        return named(scale * getattr(weights, name).state_space(dt), name, source, sink)
-
-    k_h = hysteresis_gain_um_per_v
-    return control.interconnect(
-        [
-            gain(weights.hysteresis_uncertainty, "uncertain", "u", "z_u"),
-            control.summing_junction(["u", "d_u"], "u_total", name="input", dt=dt),
-            named(k_h * plant, "plant", "u_total", "y"),
-            weight("reference", "r", "feedforward_error", weights.feedforward_error),
-            weight("disturbance", "d", "offset"),
-            control.summing_junction(["-feedforward_error", "-offset", "-y"], "e", name="error",
-                                     dt=dt),
-            weight("performance", "e", "z_e"),
-            weight("control", "u", "z_c"),
-            weight("noise", "n", "sensor_noise"),
-            control.summing_junction(["e", "-sensor_noise"], "m", name="measurement", dt=dt),
-        ],
-        inputs=["d_u", "r", "d", "n", "u"], outputs=["z_u", "z_e", "z_c", "m"])
-
-
-def design_feedback(model, weights, clock_period_s=25e-6, model_sha256=""):
+def design_feedback(model, weights, clock_period_s=25e-6, model_sha256="", method="h_infinity",
+                    scaling="constant", at_once=False, reduce=True):
     """Design the feedback for a model of the stage.
 
     Parameters
     ----------
     model : piezo_models.cascade.StageModel
     weights : DesignWeights
+        PID and PI take no more than the tick from it.
     clock_period_s : float
         Period of the sample clock (s).
     model_sha256 : str
         Hash of the model's file, kept with the controller.
+    method : str
+        ``h_infinity``; ``pid``, by a relay that oscillates with the model; ``pi``, by the
+        ultimate gain of the linear dynamics, corrected for the hysteresis.
+    scaling : str
+        ``constant`` or ``dynamic``: D of the D-K iteration.
+    at_once : bool
+        For a loop without averaging and computing time, see `design_plant`.
+    reduce : bool
+        Whether to lower the order where that costs next to nothing.
 
     Returns
     -------
     FeedbackController
-        Its report holds ``gamma``, ``closed_loop_norm``, ``order``, ``hysteresis_gain_um_per_v``
-        and the measures of `measure_loop`.
+        Its report holds ``method``, ``at_once``, ``order``, ``hysteresis_gain_um_per_v``,
+        ``hysteresis_gain_spread`` and the measures of `measure_loop` at that spread; for
+        ``h_infinity`` ``scaling``, ``gamma``, ``mu``, ``mu_history`` (of the iteration) and
+        ``order_before_reduction``; else ``ultimate_gain_v_per_um`` and ``ultimate_period_s``.
 
     Raises
     ------
     NoController
         The weights ask for too much.
+    NoOscillation
+        The model has no ultimate gain.
+    UnstableLoop
+        The rules of Ziegler and Nichols give an unstable loop.
+    ValueError
+        `method` or `scaling` is unknown.
     """
-    plant, gain_um_per_v = design_plant(model, weights.sample_period_s, clock_period_s)
-    problem = generalised_plant(plant, gain_um_per_v, weights)
-    controller, gamma = synthesise(problem, SLACK)
+    if method not in METHODS:
+        raise ValueError(f'unknown method {method!r} of the feedback: use one of '
+                         f'{", ".join(METHODS)}')
+    if scaling not in SCALINGS:
+        raise ValueError(f'unknown scaling {scaling!r}: use one of {", ".join(SCALINGS)}')
+    tick_s = weights.sample_period_s
+    plant, gain_um_per_v = design_plant(model, tick_s, clock_period_s, at_once)
+    if method == "h_infinity":
+        controller, found = _h_infinity(plant, gain_um_per_v, weights, scaling, reduce)
+    else:
+        controller, found = _ziegler_nichols(method, model, plant, tick_s, clock_period_s)
+    spread = hysteresis_gain_range(model)[1] / gain_um_per_v - 1
     report = {
-        "gamma": float(gamma),
-        "closed_loop_norm": float(control.linfnorm(close(problem, controller))[0]),
-        "order": controller.nstates,
-        "hysteresis_gain_um_per_v": gain_um_per_v,
-        **measure_loop(gain_um_per_v * plant, controller, weights.hysteresis_uncertainty),
+        "method": method, "at_once": at_once, **found, "order": controller.nstates,
+        "hysteresis_gain_um_per_v": gain_um_per_v, "hysteresis_gain_spread": spread,
+        **measure_loop(gain_um_per_v * plant, controller, spread),
     }
-    return FeedbackController(controller.A, controller.B, controller.C, controller.D,
-                              weights.sample_period_s, report, weights.as_dict(), model_sha256)
+    if not report["stable_within_gain_spread"]:
+        raise UnstableLoop(f"{method} gives a loop that is not stable for every gain of the "
+                           "hysteresis: use h_infinity, or another tick")
+    return FeedbackController(controller.A, controller.B, controller.C, controller.D, tick_s,
+                              report, weights.as_dict() if method == "h_infinity" else {},
+                              model_sha256)
+
+
+def check_stabilises(controller, model, clock_period_s=25e-6):
+    """Refuse a controller that does not stabilise a model in the loop of the stage.
+
+    Parameters
+    ----------
+    controller : FeedbackController
+    model : piezo_models.cascade.StageModel
+    clock_period_s : float
+        Period of the sample clock (s).
+
+    Raises
+    ------
+    UnstableLoop
+        The loop is not stable at the lowest, the nominal or the highest gain of the hysteresis at
+        mid-travel.
+    """
+    plant, nominal = design_plant(model, controller.sample_period_s, clock_period_s)
+    for gain_um_per_v in (nominal, *hysteresis_gain_range(model)):
+        loop = gain_um_per_v * plant * controller.state_space()
+        if not is_stable(control.feedback(loop, 1)):
+            raise UnstableLoop(
+                "the controller does not stabilise the model at a hysteresis gain of "
+                f"{gain_um_per_v:.3g} um/V: design one for this model")
+
+
+def structured_singular_value(problem, controller):
+    """Structured singular value of a closed loop over frequency.
+
+    Parameters
+    ----------
+    problem : control.StateSpace
+        From `generalised_plant`.
+    controller : control.StateSpace
+
+    Returns
+    -------
+    frequency_hz, mu : ndarray, shape (F,)
+    """
+    frequency_hz = tick_frequencies(problem.dt, FREQUENCIES)
+    responses = sampled_response(close(problem, controller),
+                                 np.exp(2j * np.pi * frequency_hz * problem.dt))
+    return frequency_hz, structured_singular_values(responses, UNCERTAINTIES)[0]
+
+
+def _h_infinity(plant, gain_um_per_v, weights, scaling, reduce):
+    problem = generalised_plant(plant, gain_um_per_v, weights)
+    synthesis = iterate(problem, UNCERTAINTIES, scaling == "dynamic", SLACK)
+    controller = synthesis.controller
+    if reduce:
+        scaled = scale(problem, synthesis.scalings)
+        limit = (1 + REDUCTION_COST) * control.linfnorm(close(scaled, controller))[0]
+        controller = reduce_order(controller, lambda candidate: (
+            is_stable(close(scaled, candidate))
+            and control.linfnorm(close(scaled, candidate))[0] <= limit))
+    return controller, {
+        "scaling": scaling, "gamma": float(synthesis.gamma),
+        "mu": float(structured_singular_value(problem, controller)[1].max()),
+        "mu_history": synthesis.history,
+        "order_before_reduction": synthesis.controller.nstates,
+    }
+
+
+def _ziegler_nichols(method, model, plant, tick_s, clock_period_s):
+    if method == "pid":
+        ultimate = ultimate_point_by_relay(model, round(tick_s / clock_period_s), clock_period_s)
+        controller = pid(ultimate, tick_s)
+    else:
+        ultimate = ultimate_point_by_response(plant, hysteresis_gain_range(model)[1])
+        controller = proportional_integral(ultimate, tick_s)
+    return controller, {"ultimate_gain_v_per_um": ultimate.gain,
+                        "ultimate_period_s": ultimate.period_s}

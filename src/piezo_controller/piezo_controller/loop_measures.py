@@ -43,36 +43,43 @@ def measure_loop(plant, controller, gain_spread):
     Returns
     -------
     dict
-        ``bandwidth_hz`` (where the sensitivity first reaches -3 dB), ``peak_sensitivity`` and
-        its ``peak_frequency_hz``, ``gain_margin``, ``phase_margin_deg``,
-        ``settling_to_5_percent_s`` (after a step disturbance of the output),
+        ``bandwidth_hz`` (where the sensitivity first reaches -3 dB), ``crossover_hz`` (where the
+        open loop first falls to 1), ``peak_sensitivity`` and its ``peak_frequency_hz``,
+        ``gain_margin`` and ``phase_margin_deg`` with ``_at_lowest_gain`` and
+        ``_at_highest_gain``, ``settling_to_5_percent_s`` (after a step disturbance of the output),
         ``stable_within_gain_spread``.
     """
     frequency_hz = np.geomspace(0.1, 0.5 / plant.dt, 8000)
     loop, sensitivity = loop_responses(plant, controller, frequency_hz)
     size = np.abs(sensitivity)
-    gain_margin, phase_margin_deg = _margins(loop)
     gains = np.linspace(1 - gain_spread, 1 + gain_spread, 5)
-    return {
+    measures = {
         "bandwidth_hz": float(frequency_hz[np.argmax(size > BAND_EDGE)]),
+        "crossover_hz": float(frequency_hz[np.argmax(np.abs(loop) < 1)]),
         "peak_sensitivity": float(size.max()),
         "peak_frequency_hz": float(frequency_hz[size.argmax()]),
-        "gain_margin": gain_margin,
-        "phase_margin_deg": phase_margin_deg,
         "settling_to_5_percent_s": _settling_s(plant, controller),
         "stable_within_gain_spread": all(
             is_stable(control.feedback(gain * plant * controller, 1)) for gain in gains),
     }
+    for where, gain in (("", 1.0), ("_at_lowest_gain", gains[0]), ("_at_highest_gain", gains[-1])):
+        gain_margin, phase_margin_deg = _margins(gain * loop)
+        measures["gain_margin" + where] = gain_margin
+        measures["phase_margin_deg" + where] = phase_margin_deg
+    return measures
 
 
 def _margins(loop):
-    """Gain margin (factor) and phase margin (degrees) from a dense frequency response."""
+    """Gain margin (factor) and phase margin (degrees) from a dense frequency response.
+
+    The gain margin is that towards higher gains: only crossings between -1 and 0 count.
+    """
     real, imaginary, size = loop.real, loop.imag, np.abs(loop)
     crossing = imaginary[:-1] * imaginary[1:] < 0
     unity = (size[:-1] - 1) * (size[1:] - 1) < 0
     # At half the tick's rate, the last frequency, the response is real.
     on_axis = np.append(real[:-1][crossing], real[-1])
-    gain_margin = 1 / max(-on_axis.min(), 1e-12)
+    gain_margin = 1 / max(-on_axis[on_axis > -1].min(initial=0.0), 1e-12)
     phase_margin = np.pi - np.abs(np.angle(loop[:-1][unity])).max(initial=0.0)
     return float(gain_margin), float(np.degrees(phase_margin))
 

@@ -2,13 +2,20 @@
 """Weights of the feedback design: what is asked of the loop, at which frequency."""
 
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from importlib.resources import files
 from pathlib import Path
 
 import control
 import yaml
 from scipy.signal import zpk2ss
+
+DISTURBANCE_HZ = 20.0
+"""Bandwidth of the disturbances that the weights are made for, section 5.3.1."""
+
+DEFAULT = "default"
+BUILT_IN = {DEFAULT: files(__package__) / "weights.yaml",
+            "thesis": files(__package__) / "weights_thesis.yaml"}
 
 
 class WeightsError(ValueError):
@@ -29,6 +36,24 @@ class Weight:
             return control.ss([], [], [], [[self.gain]], sample_period_s)
         return control.ss(*zpk2ss(self.zeros, self.poles, self.gain), sample_period_s)
 
+    def stretched(self, factor):
+        """The same weight with its frequencies, as Tustin's rule counts them, times `factor`."""
+        if factor == 1:
+            return self
+
+        def moved(z):
+            # -1 is infinite frequency, and stays where it is.
+            return ((z + 1) + factor * (z - 1)) / ((z + 1) - factor * (z - 1))
+
+        # Zeros at infinity, of which there are as many as zeros are missing, come to lie here.
+        missing = (1 + factor) / (1 - factor)
+        zeros = (*map(moved, self.zeros), *(missing,) * (len(self.poles) - len(self.zeros)))
+        poles = tuple(map(moved, self.poles))
+        # The value is kept at a point where no real root lies.
+        gain = self.gain * abs(_product(1j, self.zeros, self.poles)
+                               / _product(moved(1j), zeros, poles))
+        return Weight(gain, zeros, poles)
+
 
 @dataclass(frozen=True)
 class DesignWeights:
@@ -39,7 +64,7 @@ class DesignWeights:
     sample_period_s : float
         The tick (s).
     performance, control, reference, noise, disturbance : Weight
-        ``w1``, ``w2``, ``w_r``, ``w_n``, ``w_d`` of (5.15) and (5.16).
+        ``w1``, ``w2``, ``w_r``, ``w_n``, ``w_d``; the thesis' are (5.15) and (5.16).
     feedforward_error : float
         ``w_delta`` of (5.12).
     hysteresis_uncertainty : float
@@ -55,6 +80,20 @@ class DesignWeights:
     feedforward_error: float
     hysteresis_uncertainty: float
 
+    def at_tick(self, sample_period_s):
+        """The same demands at another tick."""
+        return self._stretched(("performance", "control", "reference", "noise", "disturbance"),
+                               sample_period_s / self.sample_period_s,
+                               sample_period_s=sample_period_s)
+
+    def for_disturbances(self, bandwidth_hz):
+        """Disturbances of another bandwidth, rejected as well: ``w1`` and ``w_d`` are moved."""
+        return self._stretched(("performance", "disturbance"), bandwidth_hz / DISTURBANCE_HZ)
+
+    def _stretched(self, names, factor, **changes):
+        return replace(self, **{name: getattr(self, name).stretched(factor) for name in names},
+                       **changes)
+
     def as_dict(self):
         """Plain numbers and lists, in the layout of the weights file."""
         return {name: {key: list(item) if isinstance(item, tuple) else item
@@ -62,13 +101,13 @@ class DesignWeights:
                 for name, value in asdict(self).items()}
 
 
-def load_weights(path=None):
+def load_weights(path=DEFAULT):
     """Read a weights file.
 
     Parameters
     ----------
-    path : path-like, optional
-        YAML; without it the thesis' weights are read.
+    path : path-like
+        YAML, or the name of weights that come with the package: ``default`` or ``thesis``.
 
     Returns
     -------
@@ -79,7 +118,7 @@ def load_weights(path=None):
     WeightsError
         Names the file, the entry and what it should be.
     """
-    source = Path(path) if path is not None else files(__package__) / "weights.yaml"
+    source = BUILT_IN.get(str(path), Path(path))
     try:
         entries = yaml.safe_load(source.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
@@ -93,6 +132,10 @@ def load_weights(path=None):
         field.name: (_weight if field.type is Weight else _positive)(
             entries[field.name], field.name, source)
         for field in fields(DesignWeights)})
+
+
+def _product(point, zeros, poles):
+    return math.prod(point - zero for zero in zeros) / math.prod(point - pole for pole in poles)
 
 
 def _positive(value, name, source):

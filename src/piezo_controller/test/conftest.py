@@ -2,6 +2,8 @@
 import numpy as np
 import pytest
 
+from piezo_controller.feedback_design import design_feedback
+from piezo_controller.weights import load_weights
 from piezo_models.cascade import StageModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.preisach import PreisachModel
@@ -20,3 +22,9 @@ def stage_model():
         CreepDynamics((0.01419, 0.1684, 0.2402, 1.053, 17.57),
                       (0.01458, 0.1716, 0.241, 1.07, 18.29)),
         ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.68535, 0.081992)))
+
+
+@pytest.fixture(scope="session")
+def controller(stage_model):
+    """The default design for the stage."""
+    return design_feedback(stage_model, load_weights(), model_sha256="0" * 64)

@@ -8,15 +8,11 @@ import pytest
 from piezo_controller.controller_file import (
     ControllerFileError,
     load_controller,
+    load_stabilising_controller,
     save_controller,
 )
-from piezo_controller.feedback_design import design_feedback
-from piezo_controller.weights import load_weights
 
-
-@pytest.fixture(scope="module")
-def controller(stage_model):
-    return design_feedback(stage_model, load_weights(), model_sha256="0" * 64)
+TICK_S, CLOCK_PERIOD_S = 1e-3, 25e-6
 
 
 @pytest.fixture
@@ -83,3 +79,26 @@ def test_controller_that_cannot_be_written_leaves_the_old_file(controller, tmp_p
     assert path.read_text() == before
     with pytest.raises(ControllerFileError, match="cannot be written"):
         save_controller(tmp_path / "none" / "controller.json", controller)
+
+
+def test_controller_that_stabilises_the_model_is_loaded_for_it(controller, stage_model, tmp_path):
+    path = tmp_path / "controller.json"
+    save_controller(path, controller)
+    loaded = load_stabilising_controller(path, stage_model, TICK_S, CLOCK_PERIOD_S)
+    np.testing.assert_array_equal(loaded.A, controller.A)
+
+
+def test_controller_that_does_not_stabilise_the_model_is_refused(
+        controller, stage_model, tmp_path):
+    path = tmp_path / "controller.json"
+    factor = 1.1 * controller.report["gain_margin_at_highest_gain"]
+    save_controller(path, replace(controller, C=factor * controller.C, D=factor * controller.D))
+    with pytest.raises(ControllerFileError, match=r"controller.json: .*does not stabilise"):
+        load_stabilising_controller(path, stage_model, TICK_S, CLOCK_PERIOD_S)
+
+
+def test_controller_for_another_tick_is_refused(controller, stage_model, tmp_path):
+    path = tmp_path / "controller.json"
+    save_controller(path, controller)
+    with pytest.raises(ControllerFileError, match="sample_period_s is 0.001, .* 0.0005 s"):
+        load_stabilising_controller(path, stage_model, TICK_S / 2, CLOCK_PERIOD_S)

@@ -28,12 +28,27 @@ def test_command_writes_the_controller_and_pictures_and_prints_the_report(model_
     assert main(["--model", str(model_path), "--output", str(output)]) == 0
     controller = load_controller(output)
     assert controller.model_sha256 == sha256(model_path.read_bytes()).hexdigest()
-    for name in "bode", "nyquist":
+    for name in "bode", "nyquist", "weights", "mu":
         picture = (tmp_path / f"controller_{name}.png").read_bytes()
         assert picture.startswith(b"\x89PNG") and len(picture) > 10000
     printed = capsys.readouterr().out
     assert f"{controller.report['bandwidth_hz']:.1f} Hz" in printed
     assert f"{controller.report['gamma']:.3f}" in printed
+    assert f"{controller.report['mu']:.3f}" in printed
+    assert "1000 Hz, 40 samples a tick; by (5.10) " in printed
+    assert "200 of 200 drawn" in printed
+
+
+@pytest.mark.parametrize("method", ["pid", "pi"])
+def test_other_methods_need_no_weights_and_have_no_picture_of_them(model_path, tmp_path, method,
+                                                                   capsys):
+    output = tmp_path / "controller.json"
+    assert main(["--model", str(model_path), "--method", method, "--output", str(output)]) == 0
+    controller = load_controller(output)
+    assert (controller.report["method"], controller.weights) == (method, {})
+    assert {path.name for path in tmp_path.glob("*.png")} == {
+        "controller_bode.png", "controller_nyquist.png"}
+    assert "ultimate gain" in capsys.readouterr().out
 
 
 def test_weights_file_changes_the_design(model_path, tmp_path):
@@ -46,7 +61,7 @@ def test_weights_file_changes_the_design(model_path, tmp_path):
                  "--output", str(output)]) == 0
     controller = load_controller(output)
     assert controller.weights == weights
-    assert controller.report["bandwidth_hz"] < 38
+    assert controller.report["bandwidth_hz"] < 36
 
 
 def test_bad_input_ends_with_status_2_and_one_line(model_path, tmp_path, capsys):
@@ -62,9 +77,9 @@ def test_bad_input_ends_with_status_2_and_one_line(model_path, tmp_path, capsys)
         assert line.count("\n") == 1 and line.startswith("design: ")
 
 
-def test_default_weights_are_those_of_the_thesis_but_for_the_integrators_pole():
-    weights = load_weights()
-    assert weights.as_dict() == default_weights()
+def test_weights_of_the_thesis_are_its_but_for_the_integrators_pole():
+    weights = load_weights("thesis")
+    assert load_weights().as_dict() == default_weights()
     assert weights.performance.zeros == (-1.0,) and weights.performance.poles[0] < 1
     z = 1j
     assert weights.control.state_space(1e-3)(z) == pytest.approx(

@@ -2,11 +2,9 @@
 import numpy as np
 import pytest
 
-from piezo_controller.feedback_design import design_feedback
 from piezo_controller.feedback_loop import MultirateFeedback
 from piezo_controller.feedforward import plan_feedforward
 from piezo_controller.references import Reference, sample_reference
-from piezo_controller.weights import load_weights
 from piezo_models.cascade import StageModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, continue_linear, zoh
 from piezo_models.measures import e_rms_percent
@@ -14,11 +12,6 @@ from piezo_models.preisach import PreisachModel
 
 CLOCK_PERIOD_S, SAMPLES = 25e-6, 40
 NOISE_UM = 0.009
-
-
-@pytest.fixture(scope="module")
-def controller(stage_model):
-    return design_feedback(stage_model, load_weights())
 
 
 @pytest.fixture(scope="module")

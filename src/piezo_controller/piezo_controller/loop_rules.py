@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Bandwidth and rate of the feedback: the rules (5.9) to (5.11) of the thesis."""
+
+import math
+from dataclasses import dataclass
+
+# The thesis is on the bound itself; an ultimate frequency is not known better than this.
+ON_THE_BOUND = 0.05
+
+
+@dataclass(frozen=True)
+class LoopRules:
+    """Bounds within which the feedback is designed.
+
+    Attributes
+    ----------
+    lowest_bandwidth_hz, highest_bandwidth_hz : float
+        (5.9).
+    lowest_rate_hz, highest_rate_hz : float
+        Of the feedback, (5.10).
+    samples_per_tick : int
+        Of the rate that was chosen.
+    performance_hz, robustness_hz : float
+        ``omega_p`` and ``omega_s`` of (5.11) at that rate.
+    """
+
+    lowest_bandwidth_hz: float
+    highest_bandwidth_hz: float
+    lowest_rate_hz: float
+    highest_rate_hz: float
+    samples_per_tick: int
+    performance_hz: float
+    robustness_hz: float
+
+
+def choose_rates(ultimate_hz, clock_hz, computing_s, usual_samples_per_tick, disturbance_hz=20.0,
+                 suppression=2.0):
+    """Bounds of bandwidth and rate, and the rate to use.
+
+    The rate is the usual one if that is within its bounds; otherwise the slowest that is, since
+    a fast one amplifies noise and costs computing time.
+
+    Parameters
+    ----------
+    ultimate_hz : float
+        At which a relay oscillates with the stage: ``omega_r``, and ``omega_bc`` too.
+    clock_hz : float
+        Rate of the stage's sample clock, f_max.
+    computing_s : float
+        What one answer of the feedback takes, T_FB.
+    usual_samples_per_tick : int
+    disturbance_hz : float
+        Bandwidth of the disturbances, ``omega_d``.
+    suppression : float
+        Bandwidth of the feedback over theirs, at least: ``gamma``.
+
+    Returns
+    -------
+    LoopRules
+
+    Raises
+    ------
+    ValueError
+        No rate or no bandwidth is within the bounds.
+    """
+    performance_hz = suppression * disturbance_hz
+    highest_bandwidth_hz = min(clock_hz / 2, 1 / computing_s, ultimate_hz)
+    if performance_hz >= highest_bandwidth_hz:
+        raise ValueError(f"disturbances up to {disturbance_hz:g} Hz need a bandwidth of "
+                         f"{performance_hz:g} Hz, but {highest_bandwidth_hz:.4g} Hz is the most: "
+                         "lower the suppression or the bandwidth of the disturbances")
+    lowest_rate_hz = 2 * max(performance_hz, ultimate_hz, disturbance_hz)
+    highest_rate_hz = min(clock_hz, 1 / computing_s)
+    if lowest_rate_hz > highest_rate_hz:
+        raise ValueError(f"the feedback must answer {lowest_rate_hz:.4g} times a second, but can "
+                         f"{highest_rate_hz:.4g} times: lower the controller's order")
+    samples_per_tick = usual_samples_per_tick
+    usual_hz = clock_hz / usual_samples_per_tick
+    if not (1 - ON_THE_BOUND) * lowest_rate_hz <= usual_hz <= highest_rate_hz:
+        samples_per_tick = math.floor(clock_hz / lowest_rate_hz)
+    rate_hz = clock_hz / samples_per_tick
+    return LoopRules(performance_hz, highest_bandwidth_hz, lowest_rate_hz, highest_rate_hz,
+                     samples_per_tick, performance_hz,
+                     min(rate_hz / 2, 1 / computing_s, ultimate_hz))

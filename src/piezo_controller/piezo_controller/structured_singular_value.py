@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Structured singular value: how large a perturbation of known structure a loop endures."""
+
+import numpy as np
+from slycot import ab13md
+
+COMPLEX = 2
+
+
+def structured_singular_values(responses, scalars):
+    """Upper bound of the structured singular value, frequency by frequency.
+
+    The structure is `scalars` complex numbers of their own, then one full complex block, the
+    performance, from all further inputs to all further outputs; zeros make it square.
+
+    Parameters
+    ----------
+    responses : ndarray of complex, shape (F, outputs, inputs)
+    scalars : int
+
+    Returns
+    -------
+    mu : ndarray, shape (F,)
+    scalings : ndarray, shape (F, scalars)
+        Positive d such that the largest singular value of ``D M D^-1`` with ``D = diag(d, 1)``
+        is mu.
+    """
+    frequencies, outputs, inputs = responses.shape
+    size = max(outputs, inputs)
+    square = np.zeros((frequencies, size, size), dtype=complex)
+    square[:, :outputs, :inputs] = responses
+    blocks = [1] * scalars + [size - scalars]
+    kinds = [COMPLEX] * len(blocks)
+    mu, scalings = np.empty(frequencies), np.empty((frequencies, scalars))
+    for index, matrix in enumerate(square):
+        mu[index], d, *_ = ab13md(matrix, blocks, kinds)
+        scalings[index] = d[:scalars] / d[-1]
+    return mu, scalings
+
+
+def sampled_response(system, points):
+    """Response of a discrete system at points of the z plane, shape (points, outputs, inputs)."""
+    return np.moveaxis(system(points, squeeze=False), -1, 0)
