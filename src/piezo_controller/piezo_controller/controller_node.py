@@ -59,7 +59,8 @@ class ControllerNode(LifecycleNode):
         self._max_feedback_v = declare(
             self, "max_feedback_v", 20.0, "Largest feedback voltage (V).", 0.001, 1000.0)
         self._weights_file = declare(
-            self, "weights", "", "Weights of the feedback design: a file (YAML), thesis, or empty for the default.")
+            self, "weights", "",
+            "Weights of the feedback design: a file (YAML), thesis, or empty for the default.")
         self._directory = declare(
             self, "directory", "runs", "Where recordings go if a goal names no place.")
 
