@@ -13,7 +13,7 @@ from piezo_identification.relay import relay_oscillation
 from piezo_recorder.reader import read_recording
 
 
-@pytest.mark.parametrize("name", [*EXPERIMENTS, "multisine"])
+@pytest.mark.parametrize("name", [*EXPERIMENTS, "multisine", "diagnostic"])
 def test_experiment_is_recorded_as_designed(suite, tmp_path, name):
     told = []
     result = suite.run_experiment(name, tmp_path, on_feedback=told.append)

@@ -4,7 +4,7 @@
 import time
 
 import rclpy
-from piezo_interfaces.action import Identify, PlayWaveform, RunExperiment, Track
+from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment, Track
 from piezo_interfaces.msg import Reference
 from rclpy.action import ActionClient
 from rclpy.experimental import EventsExecutor
@@ -15,6 +15,7 @@ ACTIONS = {
     "play_waveform": (PlayWaveform, "play_waveform"),
     "run_experiment": (RunExperiment, "identification/run_experiment"),
     "identify": (Identify, "identification/identify"),
+    "diagnose": (Diagnose, "identification/diagnose"),
     "track": (Track, "controller/track"),
 }
 
@@ -64,6 +65,12 @@ class Client:
         """Run the whole identification; see `goal`."""
         return self.goal("identify", on_feedback=options.pop("on_feedback", None),
                          directory=str(directory), **options)
+
+    def diagnose(self, model, recordings, directory, holdout="", **options):
+        """Find what a model lacks to explain recordings; see `goal`."""
+        return self.goal(
+            "diagnose", model=str(model), recordings=[str(path) for path in recordings],
+            holdout=str(holdout), directory=str(directory), **options)
 
     def track(self, reference, model, mode, duration_s, directory, on_feedback=None):
         """Track a reference given as a dict of the fields of ``Reference``; see `goal`."""

@@ -2,15 +2,11 @@
 """`diagnose`: what a model lacks to explain a recording."""
 
 import argparse
-import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.report import render_report, verdict_sentence
-from piezo_models.model_file import load_model, save_model
-from piezo_recorder.reader import read_recording, sha256_of
+from piezo_identification.diagnosis.report import verdict_sentence
+from piezo_identification.diagnosis.results import diagnose_files
 
 
 def main(arguments=None):
@@ -48,26 +44,9 @@ def main(arguments=None):
 
 
 def _diagnose(options):
-    identified = load_model(options.model)
-    recordings = [read_recording(path) for path in options.data]
-    holdout = read_recording(options.holdout) if options.holdout else None
-    # Before the work, not after it.
-    options.output.mkdir(parents=True, exist_ok=True)
-    diagnosis = diagnose(identified.model, recordings, holdout, _print_progress)
-    (options.output / "verdict.json").write_text(
-        json.dumps(diagnosis.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8"
-    )
-    unchanged = diagnosis.model is identified.model
-    save_model(options.output / "extended_model.json", identified if unchanged else replace(
-        identified, model=diagnosis.model, uncertainties={},
-        errors={**identified.errors, "before_diagnosis": diagnosis.before,
-                "after_diagnosis": diagnosis.after},
-        recordings=[*identified.recordings, *(
-            {"path": str(path), "sha256": sha256_of(path)} for path in options.data
-        )],
-    ))
-    (options.output / "report.html").write_text(render_report(diagnosis), encoding="utf-8")
-    _print_table(diagnosis)
+    results = diagnose_files(
+        options.model, options.data, options.holdout, options.output, _print_progress)
+    _print_table(results.diagnosis)
     print(f"written to {options.output}")
 
 

@@ -5,9 +5,11 @@ import json
 from pathlib import Path
 
 import numpy as np
-from piezo_interfaces.action import Identify, PlayWaveform, RunExperiment
+from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment
 from rclpy.lifecycle import LifecycleNode
 
+from piezo_identification.diagnosis.report import verdict_sentence
+from piezo_identification.diagnosis.results import diagnose_files
 from piezo_identification.experiments import EXPERIMENTS, StageLimits, named_experiment
 from piezo_identification.identify import IdentificationCancelled, identify
 from piezo_identification.relay import RelayExperiment, RelayRun, relay_oscillation
@@ -25,7 +27,7 @@ EXPERIMENTS_FRACTION = 0.5
 
 
 class IdentificationNode(LifecycleNode):
-    """Serve ``identification/run_experiment`` and ``identification/identify``."""
+    """Serve the actions ``run_experiment``, ``identify`` and ``diagnose``."""
 
     def __init__(self):
         super().__init__("identification")
@@ -49,6 +51,7 @@ class IdentificationNode(LifecycleNode):
         self._goals = GoalServers(self)
         self._goals.serve(RunExperiment, "identification/run_experiment", self._run_experiment)
         self._goals.serve(Identify, "identification/identify", self._identify)
+        self._goals.serve(Diagnose, "identification/diagnose", self._diagnose)
         autostart(self)
 
     def wind_down(self):
@@ -120,7 +123,7 @@ class IdentificationNode(LifecycleNode):
         recordings = dict(zip(EXPERIMENTS, map(read_recording, result.recordings), strict=True))
         try:
             identified = identify(
-                **recordings,
+                **recordings, creep_pairs=goal.creep_pairs or None, modes=goal.modes or None,
                 progress=lambda stage, fraction: progress.report(
                     EXPERIMENTS_FRACTION + (1.0 - EXPERIMENTS_FRACTION) * fraction,
                     stage=f"estimate: {stage}"),
@@ -144,6 +147,24 @@ class IdentificationNode(LifecycleNode):
                                 stage=f"{name}: {stage}")
             self._record(named_experiment(name, self._limits), directory, result, report, progress)
         return result.recordings
+
+    def _diagnose(self, goal, result, progress):
+        def report(stage, fraction):
+            progress.check()
+            progress.report(fraction, stage=stage)
+
+        results = diagnose_files(goal.model, goal.recordings, goal.holdout or None,
+                                 goal.directory or self._directory, report)
+        diagnosis = results.diagnosis
+        result.verdict = diagnosis.verdict
+        result.sentence = verdict_sentence(diagnosis)
+        result.effects = [entry["name"] for entry in diagnosis.effects]
+        result.extended_model = str(results.extended_model)
+        result.report = str(results.report)
+        result.verdict_json = results.verdict.read_text(encoding="utf-8")
+        for name in ("rms_um", "e_y_percent"):
+            setattr(result, f"before_{name}", float(diagnosis.before[name]))
+            setattr(result, f"after_{name}", float(diagnosis.after[name]))
 
 
 def _make(directory):

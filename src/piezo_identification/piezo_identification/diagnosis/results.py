@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A diagnosis from files to files."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
+from piezo_identification.diagnosis.report import render_report
+from piezo_models.model_file import load_model, save_model
+from piezo_recorder.reader import read_recording, sha256_of
+
+READ_FRACTION, REPORT_FRACTION = 0.05, 0.9
+"""Of the whole: what is done before the diagnosis and before the report."""
+
+
+@dataclass(frozen=True)
+class DiagnosisResults:
+    """A diagnosis and the files that tell of it.
+
+    Attributes
+    ----------
+    diagnosis : Diagnosis
+    verdict, extended_model, report : Path
+    """
+
+    diagnosis: Diagnosis
+    verdict: Path
+    extended_model: Path
+    report: Path
+
+
+def diagnose_files(model, recordings, holdout, directory, progress):
+    """Diagnose recordings and write verdict, extended model and report.
+
+    Parameters
+    ----------
+    model : path-like
+    recordings : sequence of path-like
+    holdout : path-like or None
+        Recording on which the errors are measured.
+    directory : path-like
+        Made if it is missing.
+    progress : callable
+        Called with (what is done, fraction); what it raises ends the work.
+
+    Returns
+    -------
+    DiagnosisResults
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be read or written, or a recording cannot be used.
+    """
+    progress("read the recordings", 0.0)
+    identified = load_model(model)
+    read = [read_recording(path) for path in recordings]
+    held_out = read_recording(holdout) if holdout else None
+    directory = Path(directory).absolute()
+    try:
+        # Before the work, not after it.
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"{directory}: {error.strerror}; choose another directory") from None
+    diagnosis = diagnose(identified.model, read, held_out, lambda stage, fraction: progress(
+        stage, READ_FRACTION + (REPORT_FRACTION - READ_FRACTION) * fraction))
+    progress("write the report", REPORT_FRACTION)
+    results = DiagnosisResults(diagnosis, directory / "verdict.json",
+                               directory / "extended_model.json", directory / "report.html")
+    results.verdict.write_text(
+        json.dumps(diagnosis.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    save_model(results.extended_model, _extended(identified, diagnosis, recordings))
+    results.report.write_text(render_report(diagnosis), encoding="utf-8")
+    return results
+
+
+def _extended(identified, diagnosis, recordings):
+    if diagnosis.model is identified.model:
+        return identified
+    return replace(
+        identified, model=diagnosis.model, uncertainties={},
+        errors={**identified.errors, "before_diagnosis": diagnosis.before,
+                "after_diagnosis": diagnosis.after},
+        recordings=[*identified.recordings, *(
+            {"path": str(path), "sha256": sha256_of(path)} for path in recordings)])

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The identification node finds what a model lacks, asked by an action."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+
+from piezo_bringup.client_node import GoalFailed
+from piezo_identification.experiments import validation
+from piezo_models.cascade import StageModel
+from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.model_file import IdentifiedModel, load_model, save_model
+from piezo_models.preisach import PreisachModel
+
+MODE = VibrationMode(8796.0, 0.02, 0.05)
+NOISE_UM = 0.009
+
+
+@pytest.fixture(scope="module")
+def stage():
+    return StageModel(
+        PreisachModel(-20.0, 120.0, np.tril(np.full((20, 20), 0.008)), -9.0),
+        CreepDynamics((0.17,), (0.18,)), ElectricVibrationDynamics(5e-4, (2846.0,), (0.7,)))
+
+
+@pytest.fixture(scope="module")
+def files(stage, tmp_path_factory):
+    """A model, and recordings of a stage that has one mode more."""
+    directory = tmp_path_factory.mktemp("lacking")
+    paths = {"model": directory / "model.json"}
+    save_model(paths["model"], IdentifiedModel(stage, (-20.0, 120.0)))
+    for seed, name in enumerate(("data", "holdout")):
+        voltage_v = validation(arc_s=0.02, tones_s=0.2 + 0.1 * seed).voltage_v
+        displacement_um = replace(stage, effects=(MODE,)).simulate(voltage_v, 25e-6)
+        displacement_um += NOISE_UM * np.random.default_rng(seed).normal(size=voltage_v.size)
+        paths[name] = directory / f"{name}.csv"
+        np.savetxt(paths[name], np.column_stack(
+            [25e-6 * np.arange(voltage_v.size), voltage_v, displacement_um]),
+            fmt="%.6f", delimiter=",", comments="", header="time_s,voltage_v,displacement_um")
+    return paths
+
+
+def test_the_missing_effect_is_named_and_the_model_extended(suite, files, tmp_path):
+    told = []
+    result = suite.diagnose(files["model"], [files["data"]], tmp_path / "diagnosis",
+                            files["holdout"], on_feedback=told.append)
+    assert (result.success, result.verdict, result.effects) == (
+        True, "explained", ["vibration_mode"])
+    assert "lacks vibration_mode" in result.sentence
+    found, = load_model(result.extended_model).model.effects
+    assert found.frequency_rad_per_s == pytest.approx(MODE.frequency_rad_per_s, rel=1e-3)
+    verdict = json.loads(result.verdict_json)
+    assert verdict == json.loads((tmp_path / "diagnosis" / "verdict.json").read_text())
+    assert verdict["holdout"]["source"] == str(files["holdout"])
+    assert verdict["before"] == {"rms_um": result.before_rms_um,
+                                 "e_y_percent": result.before_e_y_percent}
+    assert verdict["after"] == {"rms_um": result.after_rms_um,
+                                "e_y_percent": result.after_e_y_percent}
+    assert result.after_rms_um < 1.1 * NOISE_UM < 0.5 * result.before_rms_um
+    assert Path(result.report).read_text().startswith("<!DOCTYPE html>")
+
+    fractions = [feedback.fraction for feedback in told]
+    assert fractions == sorted(fractions)
+    assert 0.0 <= fractions[0] < fractions[-1] <= 1.0
+    assert {"read the recordings", "effect 1: delay"} <= {feedback.stage for feedback in told}
+
+
+def test_a_model_that_lacks_nothing_stays_as_it_is(suite, files, tmp_path):
+    own = suite.diagnose(files["model"], [files["data"]], tmp_path / "first").extended_model
+    result = suite.diagnose(own, [files["data"]], tmp_path / "second", files["holdout"])
+    assert (result.verdict, result.effects) == ("none", [])
+    assert result.before_rms_um == result.after_rms_um
+    assert load_model(result.extended_model).model.effects == load_model(own).model.effects
+
+
+@pytest.mark.parametrize(("change", "sentence"), [
+    ({"recordings": []}, "there is no recording to diagnose"),
+    ({"recordings": ["/no/recording"]}, "/no/recording does not exist"),
+    ({"model": "/no/model.json"}, "/no/model.json.*No such file"),
+    ({"holdout": "/no/holdout"}, "/no/holdout does not exist"),
+    ({"directory": "/proc/nothing"}, "/proc/nothing: .*choose another directory"),
+])
+def test_what_cannot_be_used_is_refused_in_one_sentence(suite, files, tmp_path, change, sentence):
+    fields = {"model": str(files["model"]), "recordings": [str(files["data"])],
+              "directory": str(tmp_path / "diagnosis"), **change}
+    with pytest.raises(GoalFailed) as failure:
+        suite.goal("diagnose", **fields)
+    message = failure.value.result.message
+    assert re.search(sentence, message)
+    assert "\n" not in message and "Errno" not in message
+    assert not (tmp_path / "diagnosis" / "verdict.json").exists()
+
+
+def test_a_cancelled_diagnosis_leaves_no_verdict_and_the_node_ready(suite, files, tmp_path):
+    goal = suite.send_goal("diagnose", model=str(files["model"]),
+                           recordings=[str(files["data"])], directory=str(tmp_path))
+    status, result = suite.cancel(goal)
+    assert status == GoalStatus.STATUS_CANCELED
+    assert (result.success, result.message, result.verdict) == (False, "cancelled", "")
+    assert not (tmp_path / "verdict.json").exists()
+    with pytest.raises(GoalFailed, match="no recording"):
+        suite.goal("diagnose", model=str(files["model"]), directory=str(tmp_path))
