@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from piezo_identification.cancellation import check_cancelled
 from piezo_identification.estimate import parameter_covariance
 from piezo_identification.subspace import identify_subspace
 
@@ -153,6 +154,7 @@ class _PredictionErrors:
 
     def errors(self, parameters):
         """Errors (N,) and Jacobian (N, P), from C e = A y - B u - past - drift."""
+        check_cancelled()
         a, b, c, past, drift = self.split(parameters)
         kick = self.drift @ drift
         kick[: past.size] += past

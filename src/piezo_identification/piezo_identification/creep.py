@@ -5,6 +5,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from piezo_identification.cancellation import check_cancelled
 from piezo_identification.estimate import (
     Estimate,
     creep_of_partial_fractions,
@@ -57,7 +58,7 @@ def estimate_creep(recording, dynamics=None, pair_count=None):
     record = _CreepRecord(played(recording), dynamics)
     rates = np.empty(0)
     best, trials = rates, [record.trial(rates)]
-    for _ in range(pair_count or MOST_PAIRS):
+    for _ in range(MOST_PAIRS if pair_count is None else pair_count):
         rates = record.refine(np.append(rates, record.best_further_rate(rates)))
         trials.append(record.trial(rates))
         better = trials[-1].information < min(trial.information for trial in trials[:-1])
@@ -139,6 +140,7 @@ class _CreepRecord:
         return self._average(np.column_stack(columns))
 
     def _fit(self, rates):
+        check_cancelled()
         basis = self._basis(rates)
         coefficients = np.linalg.lstsq(basis, self.displacement, rcond=1e-12)[0]
         return coefficients, self.displacement - basis @ coefficients

@@ -40,8 +40,8 @@ def estimate_dynamics_armax(recording, creep, hysteresis=None, orders=None, mode
         Coefficients na, nb and nc, such as the thesis' (5, 6, 5) or (5, 1, 5); by default equal
         ones, odd, as high as the Bayesian information criterion justifies.
     mode_count : int, optional
-        How many of the modes to keep; poles that add least to the response are dropped. By
-        default all: (na - 1) / 2.
+        How many of the modes to keep, na being as high as they need at least; poles that add
+        least to the response are dropped. By default all: (na - 1) / 2.
 
     Returns
     -------
@@ -55,7 +55,9 @@ def estimate_dynamics_armax(recording, creep, hysteresis=None, orders=None, mode
         the orders are too low for the modes.
     """
     input, output, drift, sample_period_s = _signals(recording, creep, hysteresis)
-    candidates = [orders] if orders else [(n, n, n) for n in range(1, 2 * MOST_MODES + 2, 2)]
+    least = 1 + 2 * (mode_count or 0)
+    candidates = [orders] if orders else [
+        (n, n, n) for n in range(least, max(least, 2 * MOST_MODES + 1) + 1, 2)]
     best, trials = None, []
     for candidate in candidates:
         armax = fit_armax(input, output, *candidate, drift)

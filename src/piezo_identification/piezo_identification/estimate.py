@@ -7,6 +7,9 @@ import numpy as np
 
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 
+SHOWN = 12
+"""Trials in a table of orders."""
+
 
 @dataclass(frozen=True)
 class OrderTrial:
@@ -63,9 +66,12 @@ class Estimate:
         return next(trial.residual_rms for trial in self.trials if trial.order == self.order)
 
     def order_table(self):
-        """Every trial in a line, the chosen one marked: the reason for the order."""
+        """The best trials, each in a line, the chosen one marked: the reason for the order."""
         lines = ["order  parameters  residual RMS  information"]
+        worst = sorted(trial.information for trial in self.trials)[:SHOWN][-1]
         for trial in self.trials:
+            if trial.information > worst and trial.order != self.order:
+                continue
             mark = ""
             if trial.order == self.order:
                 mark = "  <- asked for" if self.order_given else "  <- least information"

@@ -45,6 +45,15 @@ class FrequencyResponse:
         return FrequencyResponse(self.path, self.frequency_hz[part], self.gain[part])
 
 
+def is_frequency_response(path):
+    """Whether a file's first line names the columns of a frequency response."""
+    try:
+        with Path(path).open(encoding="utf-8-sig") as file:
+            return COLUMNS[0] in file.readline()
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
 def read_frequency_response(path):
     """Read a CSV file with the columns frequency_hz, gain_re and gain_im.
 

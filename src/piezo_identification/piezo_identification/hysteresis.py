@@ -30,7 +30,7 @@ def estimate_hysteresis(
 
 def estimate_density(
     recording, creep, dynamics, level_count=70, cells_per_level=2, smoothing_weight=None,
-    translation_weight=0.0,
+    translation_weight=0.0, delay_s=0.0,
 ):
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
@@ -53,6 +53,8 @@ def estimate_density(
         By default chosen on held-out samples, see `smoothed_density`.
     translation_weight : float
         Of `smoothed_density`; for inputs that leave much of the plane unvisited.
+    delay_s : float
+        Of the measurement, beside the dynamics.
 
     Returns
     -------
@@ -70,7 +72,7 @@ def estimate_density(
     _check_coverage(recording.path, part, levels_v)
     edges_v = np.linspace(levels_v[0], levels_v[-1], level_count * cells_per_level + 1)
     return smoothed_density(
-        voltage_v, hysteresis_output_um(part, creep, dynamics), edges_v,
+        voltage_v, hysteresis_output_um(part, creep, dynamics, delay_s), edges_v,
         samples=np.flatnonzero(part.time_s >= settling_time_s(dynamics)),
         transients=np.exp(-np.outer(part.time_s, creep.zeros_rad_per_s)),
         smoothing_weight=smoothing_weight, level_count=level_count,
@@ -78,7 +80,7 @@ def estimate_density(
     )
 
 
-def hysteresis_output_um(recording, creep, dynamics):
+def hysteresis_output_um(recording, creep, dynamics, delay_s=0.0):
     """Hysteresis output at each sample: creep, electric and vibration dynamics taken off.
 
     Parameters
@@ -88,6 +90,8 @@ def hysteresis_output_um(recording, creep, dynamics):
     creep : CreepDynamics
     dynamics : ElectricVibrationDynamics
         Inverted at low frequency, (4.18) and (4.19).
+    delay_s : float
+        Further delay.
 
     Returns
     -------
@@ -95,10 +99,10 @@ def hysteresis_output_um(recording, creep, dynamics):
         But for the decaying trace of the creep's initial state.
     """
     displacement_um = recording.displacement_um
-    if dynamics.is_static:
+    if dynamics.is_static and delay_s == 0.0:
         return remove_creep(displacement_um, creep, recording.sample_period_s)
     # The hold lags half a sample, the mean leads half a sample less half a clock period.
-    lead_s = low_frequency_delay_s(dynamics) + 0.5 / recording.sample_rate_hz
+    lead_s = delay_s + low_frequency_delay_s(dynamics) + 0.5 / recording.sample_rate_hz
     slope_um_per_s = np.gradient(displacement_um, recording.sample_period_s)
     return remove_creep(displacement_um + lead_s * slope_um_per_s, creep, recording.sample_period_s)
 

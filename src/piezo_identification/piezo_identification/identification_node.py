@@ -13,6 +13,7 @@ from piezo_identification.diagnosis.results import diagnose_files
 from piezo_identification.experiments import EXPERIMENTS, StageLimits, named_experiment
 from piezo_identification.identify import IdentificationCancelled, identify
 from piezo_identification.relay import RelayExperiment, RelayRun, relay_oscillation
+from piezo_identification.response_fit import ResponseOrder
 from piezo_models.model_file import save_model
 from piezo_node_tools.calls import ActionCaller, CallFailed, Cancelled
 from piezo_node_tools.goals import GoalServers
@@ -45,6 +46,8 @@ class IdentificationNode(LifecycleNode):
             declare(self, "samples_per_tick", 40, "Samples of one feedback period.", 1, 4000))
         self._directory = declare(
             self, "directory", "runs", "Where recordings and models go if a goal names no place.")
+        self._refine = declare(
+            self, "refine", False, "Fit all components together at the end of identify.")
         self._player = ActionCaller(self, PlayWaveform, "play_waveform")
         self._tracker = StageTracker(self)
         self._recorder = RecorderCaller(self)
@@ -123,7 +126,8 @@ class IdentificationNode(LifecycleNode):
         recordings = dict(zip(EXPERIMENTS, map(read_recording, result.recordings), strict=True))
         try:
             identified = identify(
-                **recordings, creep_pairs=goal.creep_pairs or None, modes=goal.modes or None,
+                **recordings, refine=self._refine,
+                order=ResponseOrder(goal.creep_pairs or None, goal.modes or None, None),
                 progress=lambda stage, fraction: progress.report(
                     EXPERIMENTS_FRACTION + (1.0 - EXPERIMENTS_FRACTION) * fraction,
                     stage=f"estimate: {stage}"),

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """From recordings to a model: the whole sequence of estimators."""
 
+from dataclasses import replace
+
 from piezo_identification import refinement
-from piezo_identification.creep import estimate_creep
-from piezo_identification.dynamics import estimate_dynamics
+from piezo_identification.cancellation import checking
+from piezo_identification.frequency_response import FrequencyResponse
 from piezo_identification.hysteresis import estimate_density
+from piezo_identification.linear_dynamics import METHODS, estimate_linear_dynamics
 from piezo_identification.prediction import unseen_errors
+from piezo_identification.response_fit import ANY_ORDER
 from piezo_identification.sensor_sign import displacement_falls, reversed_displacement
 from piezo_models.cascade import StageModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.effects.delay import Delay
 from piezo_models.model_file import IdentifiedModel
 from piezo_recorder.reader import sha256_of
 
@@ -19,7 +23,7 @@ class IdentificationCancelled(Exception):
 
 def identify(
     creep=None, dynamics=None, hysteresis=None, validation=None, progress=None, cancelled=None,
-    refine=False, creep_pairs=None, modes=None, note=None,
+    refine=False, method=METHODS[0], order=ANY_ORDER, note=None,
 ):
     """Identify a stage model step by step (thesis 4.5).
 
@@ -32,8 +36,11 @@ def identify(
 
     Parameters
     ----------
-    creep, dynamics : Recording, optional
-        Of the experiments of these names.
+    creep : Recording, optional
+        Of the experiment of this name.
+    dynamics : Recording or FrequencyResponse, optional
+        Of the experiment of this name or of `multisine`, or a measured frequency response. Of a
+        response, the creep is taken where `creep` is not given, and the delay as an effect.
     hysteresis : Recording
         Of the hysteresis experiment.
     validation : Recording, optional
@@ -41,13 +48,15 @@ def identify(
     progress : callable, optional
         Called with (stage, fraction) when a stage begins, and with ("done", 1.0) at the end.
     cancelled : callable, optional
-        Asked between stages; true ends the work.
+        Asked all the time; true ends the work.
     refine : bool
         True: fit all components together on all recordings but the validation, and keep the result
         if it is better on what was held out and on the validation. The errors then hold those of
         before too.
-    creep_pairs, modes : int, optional
-        Orders of creep and vibration; by default chosen from the data.
+    method : str
+        One of `linear_dynamics.METHODS`, for the fast dynamics.
+    order : ResponseOrder
+        Orders of creep and vibration; what it leaves open is chosen from the data.
     note : callable, optional
         Called with text for people: why the orders, and which part of the Preisach plane the data
         determine.
@@ -67,33 +76,48 @@ def identify(
         raise ValueError("there is no recording of the hysteresis: give one")
     given = {"creep": creep, "dynamics": dynamics, "hysteresis": hysteresis,
              "validation": validation}
-    given = {name: recording for name, recording in given.items() if recording is not None}
-    signed = given
-    if displacement_falls(hysteresis):
-        signed = {name: reversed_displacement(recording) for name, recording in given.items()}
+    given = {name: data for name, data in given.items() if data is not None}
+    if refine and isinstance(dynamics, FrequencyResponse):
+        raise ValueError(
+            f"{dynamics.path} is a frequency response, which refining cannot simulate: refine "
+            "with recordings of samples only"
+        )
+    stage = "reading"
 
-    def begin(stage, fraction):
+    def check():
         if cancelled is not None and cancelled():
-            raise IdentificationCancelled(f"identification cancelled before: {stage}")
+            raise IdentificationCancelled(f"identification cancelled: {stage}")
+
+    def begin(name, fraction):
+        nonlocal stage
+        stage = name
+        check()
         if progress is not None:
             progress(stage, fraction)
 
-    estimates = _linear_dynamics(
-        signed.get("creep"), signed.get("dynamics"), creep_pairs, modes, begin
+    with checking(check):
+        return _identify(given, begin, refine, method, order, note or (lambda text: None))
+
+
+def _identify(given, begin, refine, method, order, note):
+    signed = given
+    if displacement_falls(given["hysteresis"]):
+        signed = {name: _reversed(data) for name, data in given.items()}
+    linear = estimate_linear_dynamics(
+        signed.get("creep"), signed.get("dynamics"), signed["hysteresis"], method, order,
+        lambda stage, fraction: begin(stage, 0.6 * fraction),
     )
-    uncertainties = {name: each.standard_deviations for name, each in estimates.items()}
-    creep_model = estimates["creep"].model if "creep" in estimates else CreepDynamics()
-    dynamics_model = (estimates["dynamics"].model if "dynamics" in estimates
-                      else ElectricVibrationDynamics())
     begin("hysteresis", 0.6)
-    density = estimate_density(signed["hysteresis"], creep_model, dynamics_model)
-    hysteresis_model = density.model()
-    if note is not None:
-        for name, estimate in estimates.items():
-            note(f"order of the {name}:\n{estimate.order_table()}")
-        note(f"hysteresis: {density.report()}")
-    model = StageModel(hysteresis_model, creep_model, dynamics_model)
-    errors = {}
+    density = estimate_density(
+        signed["hysteresis"], linear.creep, linear.dynamics, delay_s=linear.delay_s)
+    for name, estimate in linear.estimates.items():
+        note(f"order of the {name}:\n{estimate.order_table()}")
+    note(f"hysteresis: {density.report()}")
+    model = StageModel(
+        density.model(), linear.creep, linear.dynamics,
+        effects=(Delay(linear.delay_s),) if linear.delay_s else (),
+    )
+    uncertainties, errors = linear.uncertainties, {}
     if refine:
         model, uncertainties, errors = _refined(model, uncertainties, signed, begin)
     begin("validation", 0.95)
@@ -101,20 +125,26 @@ def identify(
         errors = unseen_errors(model, signed["validation"]) | errors
     identified = IdentifiedModel(
         model=model,
-        voltage_range_v=(hysteresis_model.voltage_min_v, hysteresis_model.voltage_max_v),
+        voltage_range_v=(model.hysteresis.voltage_min_v, model.hysteresis.voltage_max_v),
         sample_periods_s={
-            name: recording.select(recording.playing).sample_period_s
-            for name, recording in given.items() if name != "validation"
+            name: data.select(data.playing).sample_period_s for name, data in given.items()
+            if name != "validation" and not isinstance(data, FrequencyResponse)
         },
         errors=errors,
         recordings=[
-            {"path": str(recording.path), "sha256": sha256_of(recording.path)}
-            for recording in given.values()
+            {"path": str(data.path), "sha256": sha256_of(data.path)} for data in given.values()
         ],
         uncertainties=uncertainties,
     )
     begin("done", 1.0)
     return identified
+
+
+def _reversed(data):
+    """Data of a sensor that counts the other way."""
+    if isinstance(data, FrequencyResponse):
+        return replace(data, gain=-data.gain)
+    return reversed_displacement(data)
 
 
 def _refined(model, uncertainties, recordings, begin):
@@ -137,20 +167,3 @@ def _refined(model, uncertainties, recordings, begin):
     if not improved:
         return model, uncertainties, errors
     return result.model, result.standard_deviations, errors
-
-
-def _linear_dynamics(creep, dynamics, creep_pairs, modes, begin):
-    """Estimates of creep and dynamics by these names, as far as there are recordings."""
-    estimates = {}
-    # Where only one is recorded, there is nothing to go through twice.
-    passes = 2 if creep is not None and dynamics is not None else 1
-    for turn in range(passes):
-        if creep is not None:
-            begin("creep beside the dynamics" if turn else "creep", 0.3 * turn)
-            beside = estimates["dynamics"].model if turn else None
-            estimates["creep"] = estimate_creep(creep, beside, creep_pairs)
-        if dynamics is not None:
-            begin("dynamics beside the creep" if turn else "dynamics", 0.2 + 0.3 * turn)
-            beside = estimates["creep"].model if creep is not None else CreepDynamics()
-            estimates["dynamics"] = estimate_dynamics(dynamics, beside, modes)
-    return estimates

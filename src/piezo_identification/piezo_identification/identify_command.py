@@ -5,14 +5,22 @@ import argparse
 import sys
 from pathlib import Path
 
+from piezo_identification.frequency_response import (
+    FrequencyResponse,
+    is_frequency_response,
+    read_frequency_response,
+)
 from piezo_identification.identify import identify
+from piezo_identification.linear_dynamics import METHODS
+from piezo_identification.response_fit import ResponseOrder
 from piezo_identification.sensor_sign import displacement_falls
 from piezo_models.model_file import save_model
 from piezo_recorder.reader import read_recording
 
 EXPERIMENTS = {
     "creep": "long square wave",
-    "dynamics": "short square wave at the full sample clock",
+    "dynamics": "short square wave or multisine at the full sample clock, or a frequency response "
+    "(CSV frequency_hz,gain_re,gain_im)",
     "hysteresis": "harmonics of rising amplitude from the lowest voltage",
     "validation": "any other input: the errors are measured on it",
 }
@@ -45,10 +53,15 @@ def main(arguments=None):
     parser.add_argument("--refine", action="store_true",
                         help="fit all components together at the end; keeps what is better on "
                         "data held out, and prints the errors before and after")
+    parser.add_argument("--method", choices=METHODS, default=METHODS[0],
+                        help="how recorded dynamics are fitted (default: %(default)s)")
     for name, what in (("creep-pairs", "pole and zero pairs of the creep"),
-                       ("modes", "vibration modes")):
-        parser.add_argument(f"--{name}", metavar="NUMBER", type=int, choices=range(1, 11),
+                       ("modes", "vibration modes"),
+                       ("antiresonances", "antiresonances of a frequency response")):
+        parser.add_argument(f"--{name}", metavar="NUMBER", type=int, choices=range(11),
                             help=f"number of {what}; by default chosen from the data")
+    parser.add_argument("--band", metavar=("LOW_HZ", "HIGH_HZ"), type=float, nargs=2,
+                        help="part of a frequency response to fit; by default all of it")
     options = parser.parse_args(arguments)
     try:
         _identify({name: getattr(options, name) for name in EXPERIMENTS}, options)
@@ -63,19 +76,39 @@ def _identify(paths, options):
     # Before the work, not after it.
     if output.is_dir() or not output.absolute().parent.is_dir():
         raise ValueError(f"{output} is no file in an existing directory: choose another --output")
-    recordings = {}
+    data = {}
     for name, path in paths.items():
         if path is not None:
             print(f"reading {path}", flush=True)
-            recordings[name] = read_recording(path)
-    if displacement_falls(recordings["hysteresis"]):
+            of_response = name == "dynamics" and is_frequency_response(path)
+            data[name] = (read_frequency_response if of_response else read_recording)(path)
+    _check_options(data.get("dynamics"), options)
+    if options.band is not None:
+        data["dynamics"] = data["dynamics"].between(*options.band)
+    if displacement_falls(data["hysteresis"]):
         print("the displacement falls as the voltage rises: its sign is changed throughout")
     identified = identify(
-        **recordings, progress=_print_progress, refine=options.refine, note=print,
-        creep_pairs=options.creep_pairs, modes=options.modes)
+        **data, progress=_print_progress, refine=options.refine, note=print,
+        method=options.method,
+        order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances))
     save_model(output, identified)
     _print_summary(identified)
     print(f"model written to {output}")
+
+
+def _check_options(dynamics, options):
+    """Refuse options that what was given for the dynamics has no use for."""
+    is_response = isinstance(dynamics, FrequencyResponse)
+    useless = {
+        "--method": options.method != METHODS[0] and (dynamics is None or is_response),
+        "--modes": options.modes is not None and dynamics is None,
+        "--antiresonances": options.antiresonances is not None and not is_response,
+        "--band": options.band is not None and not is_response,
+        "--creep-pairs": options.creep_pairs is not None and options.creep is None
+        and not is_response,
+    }
+    for option in (option for option, is_useless in useless.items() if is_useless):
+        raise ValueError(f"{option} has nothing to act on: leave it out, or give the data it is of")
 
 
 def _print_progress(stage, fraction):
@@ -93,6 +126,7 @@ def _print_summary(identified):
         ("electric time constant", f"{1e3 * model.dynamics.time_constant_s:.5g} ms"),
         ("mode frequencies", _listing(model.dynamics.mode_frequencies_rad_per_s, "rad/s")),
         ("damping ratios", _listing(model.dynamics.damping_ratios, "")),
+        *((f"effect {effect.name}", str(effect.parameters())) for effect in model.effects),
         *_error_rows(identified.errors),
     ]
     for name, value in rows:

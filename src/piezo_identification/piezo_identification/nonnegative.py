@@ -7,6 +7,8 @@ import numpy as np
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
+from piezo_identification.cancellation import check_cancelled
+
 PENALTY = 100.0
 """Of a violated bound, over the mean curvature of the quadratic form."""
 
@@ -79,6 +81,7 @@ def nonnegative_minimum(quadratic, linear, bounded, border, corner, border_linea
     active = multiplier > 0.0
     point, beside = newton_point(active)
     for _ in range(MOST_FACTORISATIONS):
+        check_cancelled()
         values = bounded @ point
         violated = multiplier - penalty * values > 0.0
         if np.count_nonzero(violated != active) <= UNDECIDED * active.size:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from piezo_identification.cancellation import check_cancelled
 from piezo_identification.estimate import (
     Estimate,
     dynamics_of_vector,
@@ -167,6 +168,7 @@ class _Record:
 
     def _left(self, parts):
         """What parts and fixed columns leave of the measured output, and their gains."""
+        check_cancelled()
         basis = np.column_stack([*parts, self._fixed])
         gains = np.linalg.lstsq(basis, self._measured_um, rcond=1e-12)[0]
         return self._measured_um - basis @ gains, gains

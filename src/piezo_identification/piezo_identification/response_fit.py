@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Creep, electric and vibration dynamics and a delay from a measured frequency response."""
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from piezo_identification.cancellation import check_cancelled
 from piezo_identification.estimate import (
     Estimate,
     OrderTrial,
@@ -28,11 +30,17 @@ SEARCH_CREEP_PAIRS = 1
 SPARE_POLES = 24
 """Poles of the rational fit that finds the resonances, some to be wasted on noise."""
 
+MOST_DAMPED = 0.9
+"""Damping ratio up to which a pair of poles may start a mode."""
+
 LEAST_FREQUENCIES = 24
 """Frequencies below which no order can be told from another."""
 
 QUICK_EVALUATIONS = 12
 """Steps that tell a good start from a bad one."""
+
+BEAM = 2
+"""Orders with as many modes that are followed further: the best may not lead to the best."""
 
 DELAYS = 9
 """Delays from which the fit is tried, up to a period of the highest frequency that is strong."""
@@ -84,12 +92,13 @@ class ResponseOrder:
 
     Parameters
     ----------
-    creep_pairs, modes, antiresonances : int
+    creep_pairs, modes, antiresonances : int or None
+        None in a request: as many as the data justify.
     """
 
-    creep_pairs: int
-    modes: int
-    antiresonances: int
+    creep_pairs: int | None
+    modes: int | None
+    antiresonances: int | None
 
     @property
     def states(self):
@@ -99,8 +108,18 @@ class ResponseOrder:
     def __str__(self):
         return f"{self.creep_pairs}+{self.modes}-{self.antiresonances}"
 
+    def grants(self, order):
+        """Whether an order is what this one requests."""
+        return all(
+            wanted is None or wanted == number
+            for wanted, number in zip(astuple(self), astuple(order), strict=True)
+        )
 
-def estimate_from_response(measured, order=None, most_states=MOST_STATES):
+
+ANY_ORDER = ResponseOrder(None, None, None)
+
+
+def estimate_from_response(measured, order=ANY_ORDER, most_states=MOST_STATES):
     """Fit a measured frequency response with creep, a lag, modes, antiresonances and a delay.
 
     Vector fitting with more poles than wanted finds the resonances; the strongest start a
@@ -111,8 +130,8 @@ def estimate_from_response(measured, order=None, most_states=MOST_STATES):
     ----------
     measured : FrequencyResponse
         Take the part in which the sensor shows more than noise (`between`).
-    order : ResponseOrder, optional
-        By default that which the Bayesian information criterion prefers.
+    order : ResponseOrder
+        What it leaves open is what the Bayesian information criterion prefers.
     most_states : int
         Largest order that is tried.
 
@@ -133,14 +152,17 @@ def estimate_from_response(measured, order=None, most_states=MOST_STATES):
             f"least {LEAST_FREQUENCIES}"
         )
     fit = _ResponseFit(measured)
-    if order is not None and not order.antiresonances <= order.modes <= fit.resonances.size:
+    least_modes = max(order.modes or 0, order.antiresonances or 0)
+    if least_modes > (fit.resonances.size if order.modes is None else
+                      min(order.modes, fit.resonances.size)):
         raise ValueError(
             f"{measured.path} shows {fit.resonances.size} resonances, which does not allow "
             f"order {order}: ask for fewer modes or antiresonances"
         )
-    fits = fit.search(order, most_states)
-    if order is not None:
-        fits = {order: fits[order]}
+    fits = {
+        found: entry for found, entry in fit.search(order, most_states).items()
+        if order.grants(found)
+    }
     chosen = min(fits, key=lambda candidate: fits[candidate].trial.information)
     best = fits[chosen]
     spread = np.sqrt(np.diag(parameter_covariance(best.jacobian, best.residual)))
@@ -149,7 +171,7 @@ def estimate_from_response(measured, order=None, most_states=MOST_STATES):
     return Estimate(
         fit.model(vector, chosen),
         fit.fields(np.exp(vector[1:]) * spread[1:], spread[0], chosen), chosen,
-        tuple(entry.trial for entry in fits.values()), order is not None,
+        tuple(entry.trial for entry in fits.values()), None not in astuple(order),
     )
 
 
@@ -204,36 +226,47 @@ class _ResponseFit:
                 best = (error, delay_s, poles)
         _, delay_s, poles = best
         pairs = poles[(poles.imag > self.rate[0]) & (poles.imag < self.rate[-1])]
-        return delay_s, pairs[-pairs.real < 0.5 * np.abs(pairs)]
+        return delay_s, pairs[-pairs.real < MOST_DAMPED * np.abs(pairs)]
 
-    def search(self, order, most_states):
+    def search(self, wanted, most_states):
         """Fits by order: modes are added one by one, where they explain most."""
-        most_modes = (most_states - 1 - SEARCH_CREEP_PAIRS) // 2 if order is None else order.modes
+        most_modes = wanted.modes
+        if most_modes is None:
+            most_modes = max((most_states - 1 - SEARCH_CREEP_PAIRS) // 2,
+                             wanted.antiresonances or 0)
+        most_modes = min(most_modes, self.resonances.size)
         fits = {}
-        current = ResponseOrder(SEARCH_CREEP_PAIRS, 0, 0)
-        fit = self.solve(current, self._plain_start(current))
-        self._keep(fits, current, fit, order, most_states)
-        for modes in range(1, min(most_modes, self.resonances.size) + 1):
+        start = ResponseOrder(SEARCH_CREEP_PAIRS, 0, 0)
+        best = {start: self.solve(start, self._plain_start(start))}
+        self._keep(fits, best, wanted, most_states)
+        for modes in range(1, most_modes + 1):
             grown = {}
-            for more in (0, 1):
-                candidate = ResponseOrder(
-                    current.creep_pairs, modes, current.antiresonances + more)
-                missing = 0 if order is None else order.antiresonances - candidate.antiresonances
-                if order is None or 0 <= missing <= order.modes - modes:
-                    grown[candidate] = self._best_further_mode(current, fit.vector, candidate)
-            for candidate, entry in grown.items():
-                self._keep(fits, candidate, entry, order, most_states)
-            current = min(grown, key=lambda entry: grown[entry].trial.information)
-            fit = grown[current]
+            for (order, fit), more in product(best.items(), (0, 1)):
+                candidate = replace(order, modes=modes, antiresonances=order.antiresonances + more)
+                if self._leads_to(wanted, candidate, most_modes):
+                    entry = self._best_further_mode(order, fit.vector, candidate)
+                    if candidate not in grown or entry.cost < grown[candidate].cost:
+                        grown[candidate] = entry
+            self._keep(fits, grown, wanted, most_states)
+            promising = sorted(grown, key=lambda order: grown[order].trial.information)[:BEAM]
+            best = {order: grown[order] for order in promising}
         return fits
 
-    def _keep(self, fits, order, fit, wanted, most_states):
-        """File a fit, and those with other numbers of creep pairs that begin from it."""
-        fits[order] = fit
-        counts = range(MOST_CREEP_PAIRS + 1) if wanted is None else [wanted.creep_pairs]
-        for count in counts:
-            other = ResponseOrder(count, order.modes, order.antiresonances)
-            if other != order and (wanted is not None or other.states <= most_states):
+    @staticmethod
+    def _leads_to(wanted, order, most_modes):
+        """Whether antiresonances, of which every mode brings one at most, can still be as many."""
+        if wanted.antiresonances is None:
+            return True
+        return 0 <= wanted.antiresonances - order.antiresonances <= most_modes - order.modes
+
+    def _keep(self, fits, found, wanted, most_states):
+        """File fits, and those with other numbers of creep pairs that begin from them."""
+        fits |= found
+        counts = range(MOST_CREEP_PAIRS + 1) if wanted.creep_pairs is None else [wanted.creep_pairs]
+        for (order, fit), count in product(found.items(), counts):
+            other = replace(order, creep_pairs=count)
+            allowed = wanted.modes is not None or other.states <= most_states
+            if other != order and allowed and wanted.grants(other):
                 fits[other] = self.solve(other, self._with_creep(fit.vector, order, count))
 
     def _plain_start(self, order):
@@ -300,6 +333,7 @@ class _ResponseFit:
         return np.array(limits).T
 
     def _residual(self, vector, order):
+        check_cancelled()
         difference = self.model(vector, order).response(self.measured.frequency_hz)
         difference = difference - self.measured.gain
         return np.concatenate([difference.real, difference.imag])

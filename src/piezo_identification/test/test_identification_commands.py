@@ -25,13 +25,14 @@ def files(play, tmp_path_factory):
         "hysteresis": lambda: play(experiments.hysteresis(level_count=35), 1, 1000.0),
         "validation": lambda: play(experiments.validation(), 1),
     }
-    paths = {}
-    for name in NAMES:
-        part = played(makers[name]())
-        paths[name] = directory / f"{name}.csv"
-        table = np.column_stack([part.time_s, part.voltage_v, part.displacement_um])
-        np.savetxt(paths[name], table, fmt="%.6f", delimiter=",", header=HEADER, comments="")
-    return paths
+    return {name: csv_of(makers[name](), directory / f"{name}.csv") for name in NAMES}
+
+
+def csv_of(recording, path):
+    part = played(recording)
+    table = np.column_stack([part.time_s, part.voltage_v, part.displacement_um])
+    np.savetxt(path, table, fmt="%.6f", delimiter=",", header=HEADER, comments="")
+    return path
 
 
 def options(files):
@@ -78,6 +79,92 @@ def test_identify_takes_orders_and_says_why_and_what_the_data_determine(files, t
     assert "of the Preisach plane visited" in printed
 
 
+@pytest.fixture(scope="module")
+def response_file(plant, tmp_path_factory):
+    """The plant's response in another unit, with a delay and a little noise."""
+    frequency_hz = np.geomspace(1.0, 2000.0, 160)
+    random = np.random.default_rng(5)
+    noise = 1e-4 * random.normal(size=(2, 160))
+    gain = 3.0 * plant.response(frequency_hz) * np.exp(-2j * np.pi * frequency_hz * 120e-6)
+    gain = gain + noise[0] + 1j * noise[1]
+    path = tmp_path_factory.mktemp("response") / "response.csv"
+    np.savetxt(path, np.column_stack([frequency_hz, gain.real, gain.imag]), delimiter=",",
+               header="frequency_hz,gain_re,gain_im", comments="")
+    return path
+
+
+def identified_with(files, tmp_path, dynamics, *more, beside=("creep", "hysteresis", "validation")):
+    output = tmp_path / "model.json"
+    given = {name: files[name] for name in beside}
+    arguments = [*options(given | {"dynamics": dynamics}), "--output", output, *more]
+    assert identify_main([str(argument) for argument in arguments]) == 0
+    return load_model(output)
+
+
+def test_identify_takes_the_dynamics_from_a_frequency_response(
+        plant, files, response_file, tmp_path):
+    identified = identified_with(
+        files, tmp_path, response_file, "--modes", 2, "--antiresonances", 0)
+    model = identified.model
+    assert model.dynamics.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=2e-3)
+    assert model.effects[0].delay_s == pytest.approx(120e-6, rel=0.01)
+    assert model.dynamics.time_constant_s == pytest.approx(490e-6, rel=0.01)
+    assert len(model.creep.poles_rad_per_s) == 4
+    assert identified.uncertainties["dynamics"]["time_constant_s"] > 0.0
+    assert identified.sample_periods_s.keys() == {"creep", "hysteresis"}
+    # The validation has no such delay; the slow part hardly feels it.
+    assert identified.errors["hysteresis_e_y_percent"] < 0.2
+
+
+def test_identify_takes_the_orders_of_a_frequency_response_and_its_band(
+        files, response_file, tmp_path, capsys):
+    identified = identified_with(
+        files, tmp_path, response_file, "--modes", 1, "--antiresonances", 0, "--band", 1, 500)
+    assert len(identified.model.dynamics.mode_frequencies_rad_per_s) == 1
+    assert "0+1-0" in capsys.readouterr().out
+
+
+def test_identify_takes_the_dynamics_from_a_multisine(plant, files, play, tmp_path):
+    path = csv_of(play(experiments.multisine(tones_s=0.4), 1), tmp_path / "multisine.csv")
+    model = identified_with(files, tmp_path, path, "--modes", 2).model
+    assert model.dynamics.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=2e-3)
+    assert model.dynamics.time_constant_s == pytest.approx(490e-6, rel=0.01)
+
+
+def test_identify_fits_a_square_wave_by_armax(plant, files, play, tmp_path, capsys):
+    path = csv_of(play(experiments.dynamics(duration_s=0.6), 1), tmp_path / "dynamics.csv")
+    model = identified_with(
+        files, tmp_path, path, "--method", "armax", "--modes", 2, beside=["hysteresis"]).model
+    ratio = model.dynamics.response(np.array([100.0, 400.0])) / plant.dynamics.response(
+        np.array([100.0, 400.0]))
+    assert np.abs(ratio - 1.0).max() < 0.02
+    assert "order of the dynamics" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("more", "said"), [
+    (["--band", 1, 10], "--band has nothing to act on"),
+    (["--antiresonances", 1], "--antiresonances has nothing to act on"),
+])
+def test_identify_refuses_options_without_use(more, said, files, tmp_path, capsys):
+    arguments = [*options(files), "--output", tmp_path / "model.json", *more]
+    assert said in refusal(identify_main, arguments, capsys)
+
+
+@pytest.mark.parametrize(("text", "more", "said"), [
+    ("frequency_hz,gain_re,gain_im\n1,1,x\n", [], "line 2: a number is missing"),
+    ("frequency_hz,gain_re\n1,1\n", [], "no column gain_im"),
+    ("frequency_hz,gain_re,gain_im\n1,1,0\n", [], "1 frequencies, too few"),
+    ("frequency_hz,gain_re,gain_im\n1,1,0\n", ["--band", 5, 9], "no frequency from 5 to 9 Hz"),
+    ("frequency_hz,gain_re,gain_im\n1,1,0\n", ["--refine"], "refining cannot simulate"),
+])
+def test_identify_refuses_a_bad_response(text, more, said, files, tmp_path, capsys):
+    data = tmp_path / "response.csv"
+    data.write_text(text)
+    arguments = ["--dynamics", data, "--hysteresis", files["hysteresis"],
+                 "--output", tmp_path / "model.json", *more]
+    assert said in refusal(identify_main, arguments, capsys)
+
+
 def test_simulate_prints_the_error_and_draws_pictures(files, model_file, tmp_path, capsys):
     output = tmp_path / "pictures"
     arguments = ["--model", str(model_file), "--data", str(files["validation"])]
@@ -96,6 +183,14 @@ def test_cancelling_ends_the_work_before_the_next_stage(files):
         identify(creep, None, hysteresis=creep, cancelled=lambda: len(stages) == 1,
                  progress=lambda stage, fraction: stages.append((stage, fraction)))
     assert stages == [("creep", 0.0)]
+
+
+def test_cancelling_ends_an_estimator_at_its_next_step(files):
+    recordings = {name: read_recording(files[name]) for name in ("creep", "hysteresis")}
+    asked = []
+    with pytest.raises(IdentificationCancelled, match="cancelled: creep"):
+        identify(**recordings, cancelled=lambda: asked.append(None) or len(asked) > 20)
+    assert len(asked) == 21
 
 
 def refusal(main, arguments, capsys):
