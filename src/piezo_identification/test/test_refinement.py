@@ -9,14 +9,12 @@ from piezo_identification import identify as identify_module
 from piezo_identification.density_estimate import DensityEstimate
 from piezo_identification.identify_command import main as identify_main
 from piezo_identification.prediction import predict, unseen_errors
-from piezo_identification.refinement import (
-    HELD_OUT,
-    STRETCHES,
-    factor_surfaces,
-    refine,
-    sensitivity_systems,
-)
+from piezo_identification.refinement import refine
+from piezo_identification.refinement_problem import HELD_OUT, STRETCHES
+from piezo_identification.sensitivities import factor_surfaces, sensitivity_systems
 from piezo_identification.waveforms import played
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
 from piezo_models.hysteretic_creep import HystereticCreep
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_file import load_model
@@ -106,12 +104,11 @@ def test_the_standard_deviations_cover_the_errors_of_the_fast_dynamics(plant, re
 
 
 def test_what_does_not_help_on_stretches_held_out_is_not_kept(plant, recordings):
-    part = played(recordings["creep"])
+    part = played(recordings["hysteresis"])
     stretch = np.arange(part.voltage_v.size) * STRETCHES // part.voltage_v.size
     fitted = stretch % HELD_OUT != HELD_OUT // 2
-    swing_um = part.displacement_um - part.displacement_um.mean()
-    misleading = replace(part, displacement_um=part.displacement_um + 0.01 * fitted * swing_um)
-    result = refine(plant, {"creep": misleading})
+    misleading = replace(part, displacement_um=part.displacement_um * (1.0 + 0.01 * fitted))
+    result = refine(plant, {"hysteresis": misleading})
     assert result.held_out_ratio > 1.1
     assert not result.improved
     assert result.model is plant
@@ -136,6 +133,19 @@ def test_hysteretic_creep_is_found_where_there_is_some(plant, branchy, play):
     unseen = play(other, 2, 100.0, noise_um=0.001, stage=branchy)
     before, after = unseen_errors(plant, unseen), unseen_errors(result.model, unseen)
     assert after["e_y_percent"] < 0.5 * before["e_y_percent"]
+
+
+def test_effects_of_the_model_take_part_and_are_kept(plant, wrong, play):
+    effects = (Delay(2e-4), SensorNonlinearity(0.0, 0.3, 0.0, 0.0, 50.0, 60.0))
+    stage = replace(plant, effects=effects)
+    recordings = {"dynamics": play(experiments.dynamics(duration_s=0.2), 1, stage=stage),
+                  "hysteresis": play(experiments.hysteresis(
+                      level_count=8, harmonic_period_s=0.5), 1, 1000.0, stage=stage)}
+    result = refine(replace(wrong, creep=plant.creep, effects=effects), recordings)
+    assert result.model.effects == effects
+    assert result.model.dynamics.mode_frequencies_rad_per_s == pytest.approx(
+        plant.dynamics.mode_frequencies_rad_per_s, rel=2e-3)
+    assert result.model.dynamics.time_constant_s == pytest.approx(4.9e-4, rel=0.02)
 
 
 def test_hysteretic_creep_is_left_out_where_there_is_none(refined):
@@ -179,7 +189,7 @@ def test_the_command_stores_the_errors_before_and_after(
     doubtful = DensityEstimate(
         "doubtful", hysteresis.levels_v, 1.02 * hysteresis.density_um_per_v2, hysteresis.offset_um,
         visited=np.tril(np.ones_like(hysteresis.density_um_per_v2, dtype=bool)))
-    monkeypatch.setattr(identify_module, "estimate_density", lambda *_: doubtful)
+    monkeypatch.setattr(identify_module, "estimate_density", lambda *_, **__: doubtful)
     unseen = play(experiments.hysteresis(level_count=5, harmonic_period_s=1.0), 3, 1000.0)
     files = {"hysteresis": recordings["hysteresis"], "validation": unseen}
     arguments = []
