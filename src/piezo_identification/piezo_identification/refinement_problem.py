@@ -7,7 +7,7 @@ import numpy as np
 
 from piezo_identification.estimate import dynamics_vector, split_dynamics_vector
 from piezo_identification.prediction import mean_zoh
-from piezo_identification.sensitivities import factor_surfaces, sensitivity_systems
+from piezo_identification.sensitivities import hysteresis_parts, sensitivity_systems
 from piezo_identification.settling import settling_time_s
 from piezo_identification.waveforms import played, samples_per_mean
 from piezo_models.hysteretic_creep import HystereticCreep
@@ -52,9 +52,9 @@ class RefinementProblem:
         ])
         # Only a lag that is not there is zero.
         self.free = self.physical > 0.0
-        self.surfaces = factor_surfaces(model.hysteresis.density_um_per_v2.shape[0])
+        self.parts = hysteresis_parts(model.hysteresis)
         logarithms = np.log(self.physical[self.free])
-        factors = np.ones(len(self.surfaces))
+        factors = np.ones(len(self.parts))
         hysteretic = model.hysteretic_creep
         weights = np.array(() if hysteretic is None else hysteretic.weights_um_per_v)
         self.count = logarithms.size
@@ -64,7 +64,7 @@ class RefinementProblem:
             np.concatenate([logarithms + SEARCH_WIDTH, 2.0 * factors, weights + np.inf]),
         )
         self.records = [
-            _Record(recording, model, self.surfaces) for recording in recordings.values()
+            _Record(recording, model, self.parts) for recording in recordings.values()
         ]
 
     def evaluate(self, vector):
@@ -82,14 +82,16 @@ class RefinementProblem:
     def model(self, vector):
         """The stage model."""
         creep, dynamics = self.linear(vector)
-        hysteresis = self.first.hysteresis
-        factors, weights = np.split(vector[self.count :], [len(self.surfaces)])
-        surface = np.tensordot(factors, self.surfaces, 1)
+        factors, weights = np.split(vector[self.count :], [len(self.parts)])
         hysteretic = self.first.hysteretic_creep
         return replace(
             self.first, creep=creep, dynamics=dynamics,
             hysteresis=replace(
-                hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * surface
+                self.first.hysteresis,
+                density_um_per_v2=np.tensordot(
+                    factors, [part.density_um_per_v2 for part in self.parts], 1),
+                reversible_um_per_v=np.tensordot(
+                    factors, [part.reversible_um_per_v for part in self.parts], 1),
             ),
             hysteretic_creep=None if hysteretic is None else replace(
                 hysteretic, weights_um_per_v=tuple(weights)
@@ -161,7 +163,7 @@ class _Part:
 class _Record:
     """A recording, and the outputs that factors and weights multiply."""
 
-    def __init__(self, recording, model, surfaces):
+    def __init__(self, recording, model, parts):
         part = played(recording)
         self.stage = model
         self.period_s, self.samples = part.sample_period_s, samples_per_mean(part)
@@ -176,21 +178,17 @@ class _Record:
         self.measured_um = self._rows(part.displacement_um)
         before = recording.select(recording.sample_index <= part.sample_index[0]).voltage_v
         voltage_v = model.amplified(part.voltage_v, self.period_s)
-        density = model.hysteresis.density_um_per_v2
         past = model.hysteresis.memory()
         model.hysteresis.simulate(before, past)
         operators = _operators(model.hysteretic_creep)
         self.rates_rad_per_s = [
             1.0 / tau for tau in sorted({operator.time_constants_s[0] for operator in operators})
         ]
-        outputs_um = np.empty((self.time_s.size, len(surfaces) + len(operators)))
-        for column, operator in zip(outputs_um.T[len(surfaces) :], operators, strict=True):
+        outputs_um = np.empty((self.time_s.size, len(parts) + len(operators)))
+        for column, operator in zip(outputs_um.T[len(parts) :], operators, strict=True):
             memory = operator.memory(past.extremes_v[: past.top + 1])
             column[:] = operator.simulate(voltage_v, self.period_s, memory)
-        for column, surface in zip(outputs_um.T, surfaces, strict=False):
-            hysteresis = replace(
-                model.hysteresis, density_um_per_v2=density * surface, offset_um=0.0
-            )
+        for column, hysteresis in zip(outputs_um.T, parts, strict=False):
             memory = hysteresis.memory()
             hysteresis.simulate(before, memory)
             column[:] = hysteresis.simulate(voltage_v, memory)

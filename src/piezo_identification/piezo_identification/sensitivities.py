@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How the displacement depends on each parameter of the model."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 
@@ -49,6 +51,31 @@ def sensitivity_systems(creep, dynamics):
     return systems
 
 
+def hysteresis_parts(hysteresis):
+    """Hystereses that sum to a given one, but for its offset, and that may change alone.
+
+    Parameters
+    ----------
+    hysteresis : PreisachModel
+
+    Returns
+    -------
+    list of PreisachModel
+        The density times each of `factor_surfaces`; then, if there is any, the reversible part
+        times hats of the voltage.
+    """
+    density, reversible = hysteresis.density_um_per_v2, hysteresis.reversible_um_per_v
+    size = len(density)
+    surfaces = factor_surfaces(size)
+    profiles = _hats((np.arange(size) + 0.5) / size, MIDDLE_KNOTS) if reversible.any() else []
+    pairs = [(density * surface, 0.0 * reversible) for surface in surfaces]
+    pairs += [(0.0 * density, reversible * profile) for profile in profiles]
+    return [
+        replace(hysteresis, density_um_per_v2=part, reversible_um_per_v=beside, offset_um=0.0)
+        for part, beside in pairs
+    ]
+
+
 def factor_surfaces(size, middle_knots=MIDDLE_KNOTS, span_knots=SPAN_KNOTS):
     """Surfaces over the cells of a density that sum to one.
 
@@ -70,14 +97,14 @@ def factor_surfaces(size, middle_knots=MIDDLE_KNOTS, span_knots=SPAN_KNOTS):
     # A cell on the diagonal is a triangle, whose centroid lies aside.
     span = np.where(alpha == beta, 1.0 / 3.0, alpha - beta) / size
 
-    def hats(position, knots):
-        return [
-            np.maximum(0.0, 1.0 - np.abs(position * (knots - 1) - knot)) for knot in range(knots)
-        ]
-
     surfaces = [
         np.tril(middle_hat * span_hat)
-        for middle_hat in hats(0.5 * (alpha + beta + 1) / size, middle_knots)
-        for span_hat in hats(np.sqrt(np.maximum(span, 0.0)), span_knots)
+        for middle_hat in _hats(0.5 * (alpha + beta + 1) / size, middle_knots)
+        for span_hat in _hats(np.sqrt(np.maximum(span, 0.0)), span_knots)
     ]
     return np.array([surface for surface in surfaces if surface.any()])
+
+
+def _hats(position, knots):
+    """Functions of a position from 0 to 1, linear between knots, that sum to one."""
+    return [np.maximum(0.0, 1.0 - np.abs(position * (knots - 1) - knot)) for knot in range(knots)]

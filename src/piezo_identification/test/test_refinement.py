@@ -11,7 +11,11 @@ from piezo_identification.identify_command import main as identify_main
 from piezo_identification.prediction import predict, unseen_errors
 from piezo_identification.refinement import refine
 from piezo_identification.refinement_problem import HELD_OUT, STRETCHES
-from piezo_identification.sensitivities import factor_surfaces, sensitivity_systems
+from piezo_identification.sensitivities import (
+    factor_surfaces,
+    hysteresis_parts,
+    sensitivity_systems,
+)
 from piezo_identification.waveforms import played
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
@@ -78,6 +82,15 @@ def test_sensitivities_are_derivatives_by_the_logarithms_of_the_parameters():
 
 def test_the_surfaces_of_the_density_sum_to_one():
     np.testing.assert_allclose(factor_surfaces(40).sum(axis=0), np.tril(np.ones((40, 40))))
+
+
+def test_the_parts_of_a_hysteresis_sum_to_it(plant):
+    reversible = np.linspace(0.1, 0.2, len(plant.hysteresis.density_um_per_v2))
+    hysteresis = replace(plant.hysteresis, reversible_um_per_v=reversible)
+    voltage_v = 50.0 + 60.0 * np.sin(np.linspace(0.0, 20.0, 300)) * np.linspace(1.0, 0.2, 300)
+    total_um = sum(part.simulate(voltage_v) for part in hysteresis_parts(hysteresis))
+    np.testing.assert_allclose(
+        total_um + hysteresis.offset_um, hysteresis.simulate(voltage_v), atol=1e-9)
 
 
 def test_refining_corrects_every_component(plant, refined):
