@@ -271,15 +271,19 @@ def _is_free(domain):
 def nodes(tmp_path_factory):
     """Starts nodes that live as long as the tests of one module."""
     nodes = Nodes(tmp_path_factory.mktemp("nodes"))
-    yield nodes
-    nodes.stop()
+    try:
+        yield nodes
+    finally:
+        nodes.stop()
 
 
 @pytest.fixture(scope="session")
 def whole_suite(tmp_path_factory, domain):
     nodes = Nodes(tmp_path_factory.mktemp("suite"))
-    yield nodes.start("recorder", "identification", "controller", namespace="/left")
-    nodes.stop()
+    try:
+        yield nodes.start("recorder", "identification", "controller", namespace="/left")
+    finally:
+        nodes.stop()
 
 
 @pytest.fixture

@@ -24,12 +24,16 @@ def test_stage_refuses_everything_until_it_is_configured_and_activated(stage):
         with pytest.raises(GoalFailed, match="the stage is not active: activate it first"):
             stage.play([1.0])
         for response in (stage.load([1.0]), stage.start_tracking(False),
-                         stage.trigger("stop_tracking"), stage.trigger("emergency_stop"),
-                         stage.trigger("reset")):
+                         stage.trigger("stop_tracking")):
             assert not response.success
             assert response.message.endswith("the stage is not active: activate it first")
+        assert stage.trigger("emergency_stop").success
         assert stage.change_state(transition)
     assert stage.state() == "active"
+    # The stop of before holds on.
+    with pytest.raises(GoalFailed, match=r"the stage is stopped \(emergency stop\): reset it"):
+        stage.play([1.0])
+    assert stage.trigger("reset").success
     stage.connect()
     assert stage.play(np.full(40, 10.0)).success
 

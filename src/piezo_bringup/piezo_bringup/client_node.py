@@ -9,6 +9,8 @@ from piezo_interfaces.msg import Reference
 from rclpy.action import ActionClient
 from rclpy.experimental import EventsExecutor
 
+from piezo_node_tools.presence import announce_often
+
 SERVER_TIMEOUT_S = 30.0
 LOST_RESPONSE_S = 10.0
 ACTIONS = {
@@ -35,12 +37,15 @@ class Client:
     ----------
     namespace : str
         Of the stage that is meant.
+    name : str
+        Of the node.
     """
 
-    def __init__(self, namespace=""):
+    def __init__(self, namespace="", name="client"):
+        announce_often()
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
-        self.node = rclpy.create_node("client", namespace=namespace, context=self._context)
+        self.node = rclpy.create_node(name, namespace=namespace, context=self._context)
         self._executor = EventsExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._actions = {

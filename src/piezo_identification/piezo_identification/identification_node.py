@@ -92,7 +92,8 @@ class IdentificationNode(LifecycleNode):
         return self._player.run(
             PlayWaveform.Goal(voltage_v=experiment.voltage_v.tolist(),
                               sample_period_s=experiment.sample_period_s,
-                              repeats=experiment.repeats),
+                              repeats=experiment.repeats,
+                              client=self.get_fully_qualified_name()),
             lambda feedback: report(feedback.stage, feedback.fraction),
             lambda: progress.cancelled).last_sample
 

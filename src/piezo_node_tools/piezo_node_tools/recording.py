@@ -19,6 +19,7 @@ class RecorderCaller:
     """
 
     def __init__(self, node):
+        self._client = node.get_fully_qualified_name()
         self._start = node.create_client(StartRecording, "recorder/start_recording")
         self._stop = node.create_client(StopRecording, "recorder/stop_recording")
 
@@ -43,7 +44,7 @@ class RecorderCaller:
         return call_service(self._start, StartRecording.Request(
             directory=str(Path(directory).absolute()), name=_free_name(directory, name),
             attachment_names=list(attachments),
-            attachment_contents=list(attachments.values()))).path
+            attachment_contents=list(attachments.values()), client=self._client)).path
 
     def stop(self, last_sample=0):
         """Close the recording once ``last_sample`` is in it.

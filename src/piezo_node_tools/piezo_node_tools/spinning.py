@@ -12,6 +12,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from piezo_node_tools.parameters import declare
+from piezo_node_tools.presence import announce_often
 
 SPIN_TIMEOUT_S = 0.2
 WIND_DOWN_TIMEOUT_S = 10.0
@@ -81,6 +82,7 @@ def run_node(create_node, args=None):
 
 
 def _start(create_node, args):
+    announce_often()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:

@@ -34,6 +34,7 @@ class StageTracker:
 
     def __init__(self, node):
         self._take = None
+        self._client = node.get_fully_qualified_name()
         self._at_rest = threading.Event()
         self.last_sample = self.missed_feedback = 0
         self._feedback = node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
@@ -73,7 +74,8 @@ class StageTracker:
         self._answering = answering
         self._take = take
         try:
-            call_service(self._start, StartTracking.Request(feedback=answering, ticks=ticks))
+            call_service(self._start, StartTracking.Request(
+                feedback=answering, ticks=ticks, client=self._client))
             self._wait(cancelled, report)
         finally:
             self._take = None

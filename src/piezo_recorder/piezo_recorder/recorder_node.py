@@ -15,86 +15,22 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.task import Future
 
 from piezo_node_tools.parameters import declare
+from piezo_node_tools.presence import ClientWatch
 from piezo_node_tools.quality import SAMPLES
 from piezo_node_tools.spinning import autostart, run_node
 from piezo_recorder import sample_block
 from piezo_recorder.message_definition import installed_definition
-from piezo_recorder.sample_block import SampleCount
+from piezo_recorder.session import RecordingSession
 from piezo_recorder.writer import FLUSH_PERIOD_S, RecordingWriter
 
 DISCOVERY_TIMEOUT_S = 5.0
 ARRIVAL_TIMEOUT_S = 5.0
-# What belongs to the last sample may come behind it on other topics.
-QUIET_S = 0.02
 QUIET_TIMEOUT_S = 0.5
 POLL_PERIOD_S = 0.01
 DIAGNOSTICS_PERIOD_S = 1.0
+# What the stage may take to come to rest after the client of a recording is gone.
+AFTERMATH_S = 2.0
 MEGABYTE = 1e6
-
-
-class RecordingSession:
-    """One recording and the counts of its samples.
-
-    Parameters
-    ----------
-    writer : RecordingWriter
-    definitions : dict of str to MessageDefinition
-        By topic.
-    sample_rate_hz : float
-        Rate of the sample clock.
-    """
-
-    def __init__(self, writer, definitions, sample_rate_hz):
-        self.writer = writer
-        self.ended_early = ""
-        self.closed = False
-        self._received_at = 0.0
-        self._channels = {
-            topic: writer.add_topic(topic, definition)
-            for topic, definition in definitions.items()}
-        self._counts = {
-            topic: SampleCount(sample_rate_hz) for topic, definition in definitions.items()
-            if definition.type_name == sample_block.TYPE_NAME}
-
-    @property
-    def path(self):
-        return str(self.writer.path)
-
-    @property
-    def quiet(self):
-        """Whether nothing has come for a while."""
-        return time.monotonic() - self._received_at > QUIET_S
-
-    @property
-    def samples(self):
-        """Samples received of the first topic of samples."""
-        return next(iter(self._counts.values())).samples
-
-    @property
-    def missing(self):
-        """Gaps in the sample index of the first topic of samples."""
-        return next(iter(self._counts.values())).missing
-
-    def receive(self, topic, data, time_ns):
-        """Write one message and count its samples."""
-        self._received_at = time.monotonic()
-        self.writer.write(self._channels[topic], data, time_ns)
-        if topic in self._counts:
-            self._counts[topic].add(data)
-
-    def missing_until(self, last_sample):
-        """Samples still to come on the topic that is furthest behind.
-
-        A topic that never sent anything, such as the ground truth of a stage that has none,
-        is not waited for, except the first.
-        """
-        first, *others = self._counts.values()
-        started = [first, *(count for count in others if count.end is not None)]
-        return max(count.missing_until(last_sample) for count in started)
-
-    def close(self):
-        self.closed = True
-        self.writer.close()
 
 
 class Recorder(LifecycleNode):
@@ -113,6 +49,8 @@ class Recorder(LifecycleNode):
                 "Free disk space (megabyte) below which a recording is refused or closed.",
                 0, 1_000_000_000, read_only=False)
         self._session = None
+        self._client_watch = ClientWatch(self)
+        self._client_gone_at = None
         self._definitions = {}
         self._subscriptions_by_topic = {}
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -242,7 +180,8 @@ class Recorder(LifecycleNode):
     def _new_session(self, request):
         sample_rate_hz = self.get_parameter("sample_rate_hz").value
         writer = RecordingWriter(Path(request.directory, request.name), sample_rate_hz)
-        session = RecordingSession(writer, self._definitions, sample_rate_hz)
+        session = RecordingSession(writer, self._definitions, sample_rate_hz, request.client)
+        self._client_gone_at = None
         for name, content in zip(
                 request.attachment_names, request.attachment_contents, strict=True):
             writer.attach(name, content.encode())
@@ -319,7 +258,19 @@ class Recorder(LifecycleNode):
             self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics,
                               clock=self._steady_clock)]
 
+    def _client_is_gone(self):
+        """Whether the recording's client has been gone for as long as the stage moves on."""
+        client = self._session.client
+        if not client or not self._client_watch.is_gone(client):
+            self._client_gone_at = None
+            return False
+        self._client_gone_at = self._client_gone_at or time.monotonic()
+        return time.monotonic() - self._client_gone_at > AFTERMATH_S
+
     def _flush(self):
+        if self._client_is_gone():
+            self._end(f"its client {self._session.client} is gone")
+            return
         free_mb = _free_mb(self._session.writer.path)
         if free_mb < self._minimum_free_mb:
             self._end(f"only {free_mb:.0f} MB were free on the disk")

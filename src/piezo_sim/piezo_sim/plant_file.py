@@ -11,6 +11,8 @@ import yaml
 
 from piezo_sim.amplifier import VoltageAmplifier
 from piezo_sim.effect import Effect, PlantConfigError
+from piezo_sim.faults.device_failure import DeviceFailure
+from piezo_sim.faults.sensor_faults import NoisySensor, OffScaleSensor, SilentSensor, StuckSensor
 from piezo_sim.hysteresis import PreisachHysteresis
 from piezo_sim.linear import Creep, ElectricLag, VibrationMode
 from piezo_sim.sensor import DisplacementSensor
@@ -58,6 +60,12 @@ EFFECTS = {
         IntermittentContact,
         Depolarisation,
     )
+}
+
+# What breaks down, and when; in the section sensor, behind what is to break.
+FAULTS = {
+    fault.name: fault
+    for fault in (StuckSensor, SilentSensor, OffScaleSensor, NoisySensor, DeviceFailure)
 }
 
 
@@ -146,15 +154,16 @@ def _check_names(where: str, mapping, expected: list[str]) -> None:
 
 def _effect(where: str, entry) -> Effect:
     name = entry.get("effect") if isinstance(entry, dict) else None
-    if not isinstance(name, str) or name not in EFFECTS:
+    known = EFFECTS | FAULTS
+    if not isinstance(name, str) or name not in known:
         raise PlantConfigError(
-            f"{where} names an unknown effect {name!r}; known are {', '.join(EFFECTS)}."
+            f"{where} names an unknown effect {name!r}; known are {', '.join(known)}."
         )
     where = f"{where} {name}"
-    fields = dataclasses.fields(EFFECTS[name])
+    fields = dataclasses.fields(known[name])
     _check_names(where, entry, ["effect"] + [field.name for field in fields])
     values = {field.name: _value(where, field, entry[field.name]) for field in fields}
-    return EFFECTS[name](**values)
+    return known[name](**values)
 
 
 def _value(where: str, field: dataclasses.Field, entry):

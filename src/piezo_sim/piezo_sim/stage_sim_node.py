@@ -25,7 +25,7 @@ class SimulatedStageNode(StageNode):
     def on_activate(self, state):
         """Start the sample clock at sample 0, and the truth with it."""
         self._ground_truth = self._ground_truth or self.create_publisher(
-            SampleBlock, "ground_truth", self._samples_quality)
+            SampleBlock, "ground_truth", self._outputs.quality)
         self._truth, self._truth_first_sample = [], 0
         return super().on_activate(state)
 
@@ -39,7 +39,7 @@ class SimulatedStageNode(StageNode):
             self._truth_first_sample = block.first_sample
         self._truth.append((block.voltage_v, self._backend.true_displacement_um))
         samples = self._engine.next_sample - self._truth_first_sample
-        is_last = self._engine.idle and (self._lockstep or not self._active)
+        is_last = self._engine.idle and (self._settings.lockstep or not self._active)
         if samples >= GROUND_TRUTH_SAMPLES or is_last:
             self._publish_truth(block)
 
@@ -53,8 +53,7 @@ class SimulatedStageNode(StageNode):
             tick=block.tick, flags=block.flags,
             voltage_v=array.array("d", voltage_v.tobytes()),
             displacement_um=array.array("d", displacement_um.tobytes()))
-        message.header.stamp = self._stamp(self._truth_first_sample)
-        self.publish_samples(self._ground_truth, message)
+        self._outputs.publish_samples(self._ground_truth, message)
 
 
 def create_simulated_stage(node):

@@ -6,6 +6,13 @@ from typing import Protocol
 import numpy as np
 
 
+class BackendFault(RuntimeError):
+    """The hardware failed; its text says how.
+
+    Who raises it has brought the amplifier to rest as well as it still could.
+    """
+
+
 class StageBackend(Protocol):
     """An amplifier and a displacement sensor on one sample clock.
 
@@ -18,7 +25,13 @@ class StageBackend(Protocol):
     sample_rate_hz: float
 
     def open(self) -> None:
-        """Start the sample clock with the amplifier at the rest voltage."""
+        """Start the sample clock with the amplifier at the rest voltage.
+
+        Raises
+        ------
+        ValueError, OSError
+            If the hardware is not there or cannot do what it is asked.
+        """
 
     def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
         """Play samples and return what was measured meanwhile.
@@ -33,6 +46,11 @@ class StageBackend(Protocol):
         displacement_um : ndarray, shape (n,)
             Sample i is taken at the instant at which ``voltage_v[i]`` is applied,
             and so does not yet respond to it.
+
+        Raises
+        ------
+        BackendFault
+            If samples were lost or could not be played in time.
         """
 
     def close(self) -> None:

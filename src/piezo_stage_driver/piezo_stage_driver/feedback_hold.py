@@ -5,7 +5,7 @@ import math
 
 
 class FeedbackError(ValueError):
-    """An answer that is not a voltage."""
+    """An answer that is not a voltage, or answers nothing."""
 
 
 class FeedbackHold:
@@ -28,16 +28,19 @@ class FeedbackHold:
         self._first_tick = first_tick
         self._answers = {}
 
-    def answer(self, tick, voltage_v):
-        """Keep the answer to the block of ``tick``.
+    def answer(self, tick, voltage_v, present_tick):
+        """Keep the answer to the block of ``tick``; one that comes too late has no effect.
 
         Raises
         ------
         FeedbackError
-            If the voltage is not a finite number.
+            If the voltage is not a finite number, or the block is still to come.
         """
         if not math.isfinite(voltage_v):
             raise FeedbackError(f"the feedback for tick {tick} is not a finite number")
+        if tick > present_tick:
+            raise FeedbackError(f"the feedback is for tick {tick}, which is still to come: "
+                                "answer the tick of the last block")
         self._answers[tick] = voltage_v
 
     def awaited(self, tick):

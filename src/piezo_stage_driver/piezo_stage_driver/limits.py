@@ -83,6 +83,19 @@ class VoltageLimits:
                 f"the voltage jumps by {abs(steps[bad[0]]):.4g} V to sample {at}, more than the "
                 f"{largest_step_v:.4g} V that the slew limit allows: make the change slower")
 
+    def check_start(self, voltage_v, present_v, largest_step_v):
+        """Refuse a first voltage that the stage would have to jump to.
+
+        Raises
+        ------
+        LimitError
+        """
+        if abs(voltage_v - present_v) > largest_step_v:
+            raise LimitError(
+                f"the voltage jumps by {abs(voltage_v - present_v):.4g} V to sample 0, more than "
+                f"the {largest_step_v:.4g} V that the ramps go in one tick: "
+                "begin at the present voltage")
+
     def apply(self, voltage_v, previous_v, sample_period_s):
         """Hold a voltage within the limits.
 

@@ -6,16 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from piezo_stage_driver.engine import (
+from piezo_stage_driver.blocks import (
     FLAG_FEEDBACK_HELD,
     FLAG_FEEDFORWARD_HELD,
     FLAG_PLAYING,
     FLAG_RAMPING,
     FLAG_STOPPED,
     FLAG_TRACKING,
-    StageEngine,
-    StageRefusal,
 )
+from piezo_stage_driver.engine import StageEngine
 from piezo_stage_driver.feedback_hold import FeedbackError
 from piezo_stage_driver.limits import (
     FLAG_RANGE_LIMITED,
@@ -23,6 +22,7 @@ from piezo_stage_driver.limits import (
     LimitError,
     VoltageLimits,
 )
+from piezo_stage_driver.program import StageRefusal
 
 PERIOD_S = 1 / 40000.0
 
@@ -98,7 +98,7 @@ def test_slow_waveform_is_published_as_means_over_its_samples(decimation):
 @given(decimation=st.sampled_from([1, 2, 7, 40, 100]), cancel_after=st.integers(0, 40),
        chunk=st.sampled_from([40, 400, 16000]))
 def test_cancelled_waveform_ramps_to_rest_and_loses_no_sample(decimation, cancel_after, chunk):
-    engine, backend = make_engine(longest_chunk_samples=chunk)
+    engine, backend = make_engine(longest_stretch_samples=chunk)
     engine.play(np.full(500, 80.0), decimation * PERIOD_S)
     blocks = [engine.advance() for _ in range(cancel_after) if not engine.idle]
     engine.return_to_rest()
@@ -245,7 +245,7 @@ def test_emergency_stop_ramps_to_rest_and_stays_latched_until_reset():
     engine.play(np.full(4000, 100.0), PERIOD_S)
     for _ in range(80):
         engine.advance()
-    engine.emergency_stop("pressed")
+    engine.stop("pressed")
     with pytest.raises(StageRefusal, match="returns to rest"):
         engine.reset()
     run(engine)

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One recording while it is made."""
+
+import time
+
+from piezo_recorder import sample_block
+from piezo_recorder.sample_block import SampleCount
+
+# What belongs to the last sample may come behind it on other topics.
+QUIET_S = 0.02
+
+
+class RecordingSession:
+    """One recording and the counts of its samples.
+
+    Parameters
+    ----------
+    writer : RecordingWriter
+    definitions : dict of str to MessageDefinition
+        By topic.
+    sample_rate_hz : float
+        Rate of the sample clock.
+    client : str
+        Full name of the node it is made for; empty where nobody watches that.
+    """
+
+    def __init__(self, writer, definitions, sample_rate_hz, client=""):
+        self.writer = writer
+        self.client = client
+        self.ended_early = ""
+        self.closed = False
+        self._received_at = 0.0
+        self._channels = {
+            topic: writer.add_topic(topic, definition)
+            for topic, definition in definitions.items()}
+        self._counts = {
+            topic: SampleCount(sample_rate_hz) for topic, definition in definitions.items()
+            if definition.type_name == sample_block.TYPE_NAME}
+
+    @property
+    def path(self):
+        return str(self.writer.path)
+
+    @property
+    def quiet(self):
+        """Whether nothing has come for a while."""
+        return time.monotonic() - self._received_at > QUIET_S
+
+    @property
+    def samples(self):
+        """Samples received of the first topic of samples."""
+        return next(iter(self._counts.values())).samples
+
+    @property
+    def missing(self):
+        """Gaps in the sample index of the first topic of samples."""
+        return next(iter(self._counts.values())).missing
+
+    def receive(self, topic, data, time_ns):
+        """Write one message and count its samples."""
+        self._received_at = time.monotonic()
+        self.writer.write(self._channels[topic], data, time_ns)
+        if topic in self._counts:
+            self._counts[topic].add(data)
+
+    def missing_until(self, last_sample):
+        """Samples still to come on the topic that is furthest behind.
+
+        A topic that never sent anything, such as the ground truth of a stage that has none,
+        is not waited for, except the first.
+        """
+        first, *others = self._counts.values()
+        started = [first, *(count for count in others if count.end is not None)]
+        return max(count.missing_until(last_sample) for count in started)
+
+    def close(self):
+        self.closed = True
+        self.writer.close()

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A data acquisition card that breaks down."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from piezo_sim.effect import Surroundings, parameter
+from piezo_sim.faults.window import FaultWindow, require_window
+from piezo_stage_driver.backend import BackendFault
+
+
+@dataclass(frozen=True)
+class DeviceFailure:
+    """No samples are exchanged any more."""
+
+    name: ClassVar[str] = "device_failure"
+
+    begin_s: float = parameter("s")
+    end_s: float = parameter("s")
+
+    def __post_init__(self):
+        require_window(self)
+
+    def start(self, surroundings: Surroundings) -> "DeviceFailureRunner":
+        """Wait for the beginning."""
+        return DeviceFailureRunner(self, surroundings)
+
+
+class DeviceFailureRunner(FaultWindow):
+    """Refuses to go on."""
+
+    def spoil(self, samples: np.ndarray, first: int, last: int) -> None:
+        """Raise the fault."""
+        raise BackendFault("the simulated device failed: the samples were lost")

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The samples of a stage in the blocks in which they are published."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Flags of a block beside those of limits.py; the values are those of SampleBlock.
+FLAG_FEEDBACK_HELD = 4
+FLAG_RAMPING = 8
+FLAG_PLAYING = 16
+FLAG_TRACKING = 32
+FLAG_STOPPED = 64
+FLAG_FEEDFORWARD_HELD = 128
+
+SAMPLES_PER_BLOCK = 40
+
+
+@dataclass(frozen=True)
+class Block:
+    """Samples to publish, see ``piezo_interfaces/SampleBlock``."""
+
+    first_sample: int
+    sample_period_s: float
+    tick: int
+    voltage_v: np.ndarray
+    displacement_um: np.ndarray
+    flags: int
+    missed_feedback: int
+
+
+class BlockCollector:
+    """Collect samples until they fill a block.
+
+    Attributes
+    ----------
+    decimation : int
+        Samples of the clock of which one published sample is the mean.
+    pending_samples : int
+        Samples of the clock that no block holds yet.
+    """
+
+    def __init__(self):
+        self.decimation = 1
+        self._clear()
+
+    def _clear(self):
+        self._voltage_v, self._displacement_um = [], []
+        self.pending_samples = self._flags = 0
+
+    def add(self, voltage_v, displacement_um, flags, ends):
+        """Take samples.
+
+        Parameters
+        ----------
+        voltage_v, displacement_um : ndarray, shape (n,)
+        flags : int
+        ends : bool
+            Whether what follows belongs into another block.
+
+        Returns
+        -------
+        samples : int
+            Of the clock, that the block takes; 0 where it is not full yet.
+        voltage_v, displacement_um : ndarray or None
+            Of the block.
+        flags : int
+        """
+        self._voltage_v.append(voltage_v)
+        self._displacement_um.append(displacement_um)
+        self.pending_samples += len(voltage_v)
+        self._flags |= flags
+        full = self.pending_samples >= SAMPLES_PER_BLOCK * self.decimation
+        if not (full or ends) or self.pending_samples % self.decimation:
+            return 0, None, None, 0
+        filled = (self.pending_samples, self._decimated(self._voltage_v),
+                  self._decimated(self._displacement_um), self._flags)
+        self._clear()
+        return filled
+
+    def _decimated(self, parts):
+        samples = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        if self.decimation == 1:
+            return samples
+        return samples.reshape(-1, self.decimation).mean(axis=1)

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What stops the stage by itself: each guard looks at what happens and says what is wrong.
+
+A guard of the sensor examines every stretch of samples, the guard of the feedback every
+answer before it acts. Their answer is empty, or the cause of a stop.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+# Of the sample clock. Single samples far off are glitches, not the loss of the sensor.
+RANGE_PATIENCE_SAMPLES = 20
+NOISE_PATIENCE_SAMPLES = 400
+RESPONSE_PATIENCE_SAMPLES = 800
+
+
+class StopLatch:
+    """Why the stage is stopped, until somebody resets it.
+
+    Attributes
+    ----------
+    cause : str
+        Of the first stop; empty where there was none.
+    """
+
+    def __init__(self):
+        self.cause = ""
+
+    def stop(self, cause):
+        """Keep the cause, unless one is kept already."""
+        self.cause = self.cause or cause
+
+    def reset(self):
+        """Forget the cause."""
+        self.cause = ""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What the stage played and measured since the guards looked last.
+
+    Attributes
+    ----------
+    voltage_v : ndarray, shape (ticks,)
+        Mean over each tick.
+    displacement_um : ndarray, shape (n,)
+    lowest_um, highest_um : float
+        Of the displacement.
+    """
+
+    voltage_v: np.ndarray
+    displacement_um: np.ndarray
+    lowest_um: float
+    highest_um: float
+
+    @classmethod
+    def of(cls, voltage_v, displacement_um, samples_per_tick):
+        """Make one of samples, shape (n,), of whole ticks."""
+        return cls(voltage_v.reshape(-1, samples_per_tick).mean(axis=1), displacement_um,
+                   float(displacement_um.min()), float(displacement_um.max()))
+
+
+class SensorRange:
+    """The reading is a number within the range of the sensor.
+
+    Parameters
+    ----------
+    minimum_um, maximum_um : float
+        What the stage can reach, and a margin.
+    """
+
+    def __init__(self, minimum_um, maximum_um):
+        self._minimum_um, self._maximum_um = minimum_um, maximum_um
+        self.begin()
+
+    def begin(self):
+        """Start anew."""
+        self._outside_samples = 0
+
+    def examine(self, stretch):
+        """Say what is wrong with a `Stretch`; empty if nothing is."""
+        if not (math.isfinite(stretch.lowest_um) and math.isfinite(stretch.highest_um)):
+            return "the sensor's reading is not a number"
+        if self._minimum_um <= stretch.lowest_um and stretch.highest_um <= self._maximum_um:
+            self._outside_samples = 0
+            return ""
+        readings_um = stretch.displacement_um
+        outside = (readings_um < self._minimum_um) | (readings_um > self._maximum_um)
+        self._outside_samples += int(outside.sum())
+        if self._outside_samples < RANGE_PATIENCE_SAMPLES:
+            return ""
+        return (f"the sensor reads {readings_um[outside][-1]:g} um, outside "
+                f"[{self._minimum_um:g}, {self._maximum_um:g}] um")
+
+
+class SensorResponse:
+    """The reading moves when the voltage does.
+
+    It is compared from tick to tick: a stage need not follow what is faster.
+
+    Parameters
+    ----------
+    voltage_v : float
+        Change of the voltage that must move the stage; more than its backlash takes.
+    displacement_um : float
+        Change of the reading that counts as a response; more than its noise.
+    """
+
+    def __init__(self, voltage_v=20.0, displacement_um=0.4):
+        self._voltage_v, self._displacement_um = voltage_v, displacement_um
+        self.begin()
+
+    def begin(self):
+        """Start anew."""
+        self._waited_samples = 0
+        self._lowest_v = self._lowest_um = math.inf
+        self._highest_v = self._highest_um = -math.inf
+
+    def examine(self, stretch):
+        """Say what is wrong with a `Stretch`; empty if nothing is."""
+        self._lowest_v = min(self._lowest_v, float(stretch.voltage_v.min()))
+        self._highest_v = max(self._highest_v, float(stretch.voltage_v.max()))
+        self._lowest_um = min(self._lowest_um, stretch.lowest_um)
+        self._highest_um = max(self._highest_um, stretch.highest_um)
+        if self._highest_um - self._lowest_um > self._displacement_um:
+            self.begin()
+            return ""
+        change_v = self._highest_v - self._lowest_v
+        if change_v > self._voltage_v:
+            self._waited_samples += len(stretch.displacement_um)
+        if self._waited_samples < RESPONSE_PATIENCE_SAMPLES:
+            return ""
+        return f"the sensor is stuck: it did not move while the voltage changed by {change_v:.3g} V"
+
+
+class SensorNoise:
+    """The noise of the reading is not far above normal.
+
+    It is estimated from fourth differences, to which the stage's own motion is smooth.
+
+    Parameters
+    ----------
+    largest_rms_um : float
+    """
+
+    WEIGHTS = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
+
+    def __init__(self, largest_rms_um):
+        self._largest_rms_um = largest_rms_um
+        # Of normal noise, from the mean of the absolute fourth difference to its RMS.
+        self._scale = math.sqrt(np.pi / 2.0) / float(np.linalg.norm(self.WEIGHTS))
+        self.begin()
+
+    def begin(self):
+        """Start anew."""
+        self._noisy_samples = 0
+        self._tail_um = np.empty(0)
+
+    def examine(self, stretch):
+        """Say what is wrong with a `Stretch`; empty if nothing is."""
+        readings_um = stretch.displacement_um
+        if len(readings_um) < 2 * len(self.WEIGHTS):
+            readings_um = np.r_[self._tail_um, readings_um]
+            self._tail_um = readings_um[1 - len(self.WEIGHTS):]
+        if len(readings_um) < len(self.WEIGHTS):
+            return ""
+        differences_um = np.convolve(readings_um, self.WEIGHTS, "valid")
+        rms_um = self._scale * float(np.abs(differences_um).mean())
+        noisy = rms_um > self._largest_rms_um
+        self._noisy_samples = self._noisy_samples + len(stretch.displacement_um) if noisy else 0
+        if self._noisy_samples < NOISE_PATIENCE_SAMPLES:
+            return ""
+        return (f"the sensor's noise is {rms_um:.2g} um RMS, above {self._largest_rms_um:g} um: "
+                "look at its cable and supply")
+
+
+class FeedbackOscillation:
+    """The feedback does not oscillate ever more.
+
+    A loop that is not stable swings with a half period of a few ticks, each swing larger than
+    the one before. What swings as slowly as a reference, or keeps its size, is let pass.
+
+    Parameters
+    ----------
+    limit_v : float
+        Swing from peak to peak that is never let pass while it grows.
+    """
+
+    LONGEST_HALF_PERIOD_TICKS = 8
+    # From one record to the next, less is the scatter of a steady oscillation, more a new start.
+    GROWTH, LEAP = 1.1, 20.0
+    RECORDS = 2
+    # Of a swing: what leads back by less is no turn but noise.
+    TURN = 0.1
+
+    def __init__(self, limit_v):
+        self._limit_v = limit_v
+        self.begin()
+
+    def begin(self):
+        """Start anew."""
+        self._turn_v = self._extreme_v = 0.0
+        self._ticks = 0
+        self._rises = True
+        self._records, self._record_v = 0, math.inf
+
+    def examine(self, voltage_v):
+        """Say what is wrong with the feedback that is to act next; empty if nothing is."""
+        self._ticks += 1
+        change_v = voltage_v - self._extreme_v
+        if change_v > 0.0 if self._rises else change_v < 0.0:
+            self._extreme_v = voltage_v
+        elif abs(change_v) > self.TURN * abs(self._extreme_v - self._turn_v):
+            self._turn(voltage_v)
+        swing_v = abs(voltage_v - self._turn_v)
+        if swing_v <= self._limit_v or self._records < self.RECORDS or not self._grown(swing_v):
+            return ""
+        return f"the feedback oscillates ever more, {swing_v:.2g} V from peak to peak"
+
+    def _turn(self, voltage_v):
+        """Take in the swing that has ended with the last extreme, and begin another."""
+        swing_v = abs(self._extreme_v - self._turn_v)
+        fast = self._ticks <= self.LONGEST_HALF_PERIOD_TICKS
+        if fast and self._grown(swing_v):
+            self._records += 1
+            self._record_v = swing_v
+        elif not fast or not self._record_v / 2.0 <= swing_v <= self._record_v * self.GROWTH:
+            self._records, self._record_v = 0, swing_v
+        self._turn_v, self._extreme_v, self._ticks = self._extreme_v, voltage_v, 0
+        self._rises = not self._rises
+
+    def _grown(self, swing_v):
+        return self.GROWTH * self._record_v <= swing_v <= self.LEAP * self._record_v

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How long the answers take, as counts between bounds."""
+
+import bisect
+import time
+
+REMEMBERED_TICKS = 1024
+BOUNDS_MS = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+
+
+class AnswerLatency:
+    """Time from the publication of a block to the arrival of its answer.
+
+    Attributes
+    ----------
+    counts : list of int
+        Answers up to each of ``BOUNDS_MS``, and beyond the last.
+    longest_ms : float
+    """
+
+    def __init__(self):
+        self.counts = [0] * (len(BOUNDS_MS) + 1)
+        self.longest_ms = 0.0
+        self._published = [(-1, 0.0)] * REMEMBERED_TICKS
+
+    def published(self, tick):
+        """Note that the block of a tick goes out now."""
+        self._published[tick % REMEMBERED_TICKS] = (tick, time.monotonic())
+
+    def answered(self, tick):
+        """Note that the answer for a tick is here, in time or late."""
+        published_tick, published_s = self._published[tick % REMEMBERED_TICKS]
+        if tick == published_tick:
+            self.add(1e3 * (time.monotonic() - published_s))
+
+    def add(self, latency_ms):
+        """Count one latency (ms)."""
+        self.counts[bisect.bisect_left(BOUNDS_MS, latency_ms)] += 1
+        self.longest_ms = max(self.longest_ms, latency_ms)
+
+    def described(self):
+        """Return the counts under names, as in ``answers_within_0.5_ms``."""
+        names = [f"answers_within_{bound:g}_ms" for bound in BOUNDS_MS]
+        return dict(zip([*names, f"answers_beyond_{BOUNDS_MS[-1]:g}_ms"], self.counts,
+                        strict=True)) | {"longest_answer_ms": f"{self.longest_ms:.3f}"}
