@@ -205,7 +205,7 @@ def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, mode
         suite.goal("track", **goal_fields(model, tmp_path))
     with pytest.raises(GoalFailed, match="is being recorded: stop it first"):
         suite.run_experiment("dynamics", tmp_path)
-    with pytest.raises(GoalFailed, match=r"the stage is busy \(track\)"):
+    with pytest.raises(GoalFailed, match=r"the stage is busy \(track for /left/controller\)"):
         suite.play([1.0])
     status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_SUCCEEDED, result.message

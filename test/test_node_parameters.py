@@ -11,6 +11,8 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 
 from piezo_bringup.processes import EXECUTABLES
 
+CALIBRATION = (Path(__file__).parents[1]
+               / "src/piezo_stage_driver/config/nidaqmx_calibration.yaml")
 # Of rclpy itself.
 NOT_OURS = {"use_sim_time", "start_type_description_service"}
 
@@ -34,12 +36,16 @@ def test_every_parameter_is_described(suite, node):
      "parameter timing is 'slow': give paced or lockstep"),
     ("stage", ["-p", "autostart:=true", "-p", "plant:=/no/plant.yaml"],
      "/no/plant.yaml: the plant file cannot be read"),
+    ("hardware", ["-p", "autostart:=true", "-p", "backend_file:=CALIBRATION"],
+     "the backend nidaqmx needs the Python package nidaqmx"),
+    ("hardware", ["-p", "autostart:=true"], "set the parameter backend_file"),
     ("recorder", ["-p", "topics:=[samples]"], "names 1 topics, types 3"),
     ("recorder", ["--params-file", "/no/parameters.yaml"],
      "Couldn't parse params file: '--params-file /no/parameters.yaml'"),
 ])
 def test_bad_parameter_ends_the_node_at_start_with_one_clear_line(node, arguments, line):
-    package, executable = EXECUTABLES[node]
+    package, executable = {"hardware": ("piezo_stage_driver", "stage"), **EXECUTABLES}[node]
+    arguments = [argument.replace("CALIBRATION", str(CALIBRATION)) for argument in arguments]
     environment = {**os.environ}
     environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
     ended = subprocess.run(

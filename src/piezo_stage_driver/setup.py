@@ -24,5 +24,8 @@ setup(
         "console_scripts": [
             "stage = piezo_stage_driver.stage_node:main",
         ],
+        "piezo_stage_driver.backends": [
+            "nidaqmx = piezo_stage_driver.nidaqmx_stage:create",
+        ],
     },
 )

@@ -39,7 +39,7 @@ class SimulatedStageNode(StageNode):
             self._truth_first_sample = block.first_sample
         self._truth.append((block.voltage_v, self._backend.true_displacement_um))
         samples = self._engine.next_sample - self._truth_first_sample
-        is_last = self._engine.idle and (self._settings.lockstep or not self._active)
+        is_last = self._engine.idle and (self.settings.lockstep or not self._active)
         if samples >= GROUND_TRUTH_SAMPLES or is_last:
             self._publish_truth(block)
 

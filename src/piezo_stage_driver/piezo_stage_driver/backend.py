@@ -20,9 +20,13 @@ class StageBackend(Protocol):
     ----------
     sample_rate_hz : float
         Rate of the sample clock.
+    lead_samples : int
+        How far the voltages are written ahead of the clock, where samples cannot be exchanged at
+        the last instant; 0 where the attribute is missing. Whole ticks.
     """
 
     sample_rate_hz: float
+    lead_samples: int = 0
 
     def open(self) -> None:
         """Start the sample clock with the amplifier at the rest voltage.
@@ -44,8 +48,9 @@ class StageBackend(Protocol):
         Returns
         -------
         displacement_um : ndarray, shape (n,)
-            Sample i is taken at the instant at which ``voltage_v[i]`` is applied,
-            and so does not yet respond to it.
+            Sample i is taken at the instant at which ``voltage_v[i]`` is applied, and so does
+            not yet respond to it; with a lead, the voltage given ``lead_samples`` before it.
+            What is measured before the first voltage is applied does not count.
 
         Raises
         ------

@@ -2,6 +2,7 @@
 """The stage, tick by tick: what it plays, what it adds, when it stops."""
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -70,6 +71,10 @@ class StageEngine:
         self.voltage_v = rest_voltage_v
         self.next_sample = 0
         self.client = ""
+        # Ticks written ahead: their voltages, and the flags of their blocks.
+        lead_ticks = getattr(backend, "lead_samples", 0) // samples_per_tick
+        self._ahead = deque([(np.full(samples_per_tick, rest_voltage_v), 0)] * lead_ticks)
+        self.lead_ticks = lead_ticks
         self._feedforward = None
         self._feedback = None
         self._blocks = BlockCollector()
@@ -79,6 +84,11 @@ class StageEngine:
     def tick(self):
         """The tick about to be played."""
         return self.next_sample // self._ticks.samples_per_tick
+
+    @property
+    def last_sample(self):
+        """The last sample of what has been played, when it will have been measured."""
+        return self.next_sample + self.lead_ticks * self._ticks.samples_per_tick - 1
 
     @property
     def idle(self):
@@ -157,7 +167,7 @@ class StageEngine:
             [approach, Phase("play", waveform, length, FLAG_PLAYING)],
             0 if hold_at_end else self._ramp_samples(voltage_v[-1], self._rest_voltage_v),
             hold_at_end))
-        return self.next_sample + approach.samples, waveform.samples
+        return self.last_sample + 1 + approach.samples, waveform.samples
 
     def load_feedforward(self, once_voltage_v, period_voltage_v, append=False):
         """Take the feedforward that ``start_tracking`` plays.
@@ -213,7 +223,7 @@ class StageEngine:
         self._limits.check_start(
             self._feedforward.sequence_v[0], self.voltage_v, self._ramp_v_per_tick)
         self._feedforward.rewind()
-        self._feedback = FeedbackHold(self.tick) if feedback else None
+        self._feedback = FeedbackHold(self.tick, self.lead_ticks) if feedback else None
         samples = ticks * self._ticks.samples_per_tick or math.inf
         self._begin(client, Program(
             [Phase("track", self._feedforward, samples, FLAG_TRACKING)]))
@@ -289,9 +299,11 @@ class StageEngine:
         voltage_v, limited = self._limits.apply(wanted_v, self.voltage_v, self.sample_period_s)
         displacement_um = self._backend.exchange(voltage_v)
         self.voltage_v = float(voltage_v[-1])
+        self._ahead.append((voltage_v, flags | limited))
+        voltage_v, flags = self._ahead.popleft()
         self.next_sample += count
         ended = self._program.advance(count)
-        block = self._collect(voltage_v, displacement_um, flags | limited, ended is not None)
+        block = self._collect(voltage_v, displacement_um, flags, ended is not None)
         if ended is not None and self.idle and ended.name != "return" \
                 and not self._program.hold_at_end:
             self.return_to_rest()

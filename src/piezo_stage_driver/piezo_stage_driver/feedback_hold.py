@@ -19,13 +19,15 @@ class FeedbackHold:
     first_tick : int
         The tick in which tracking began; the block of the next one is the first
         that asks for an answer.
+    lead_ticks : int
+        How much later the blocks come because the hardware is written ahead.
     """
 
-    def __init__(self, first_tick):
+    def __init__(self, first_tick, lead_ticks=0):
         self.voltage_v = 0.0
         self.missed = 0
         self.missed_in_a_row = 0
-        self._first_tick = first_tick
+        self._first_tick = first_tick + lead_ticks
         self._answers = {}
 
     def answer(self, tick, voltage_v, present_tick):

@@ -12,10 +12,12 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
+from piezo_node_tools.parameters import declare
 from piezo_node_tools.presence import ClientWatch
 from piezo_node_tools.quality import FEEDBACK
-from piezo_node_tools.spinning import autostart
+from piezo_node_tools.spinning import autostart, run_node
 from piezo_stage_driver.backend import BackendFault
+from piezo_stage_driver.backends import create_backend
 from piezo_stage_driver.guards import StopLatch
 from piezo_stage_driver.latency import AnswerLatency
 from piezo_stage_driver.stage_outputs_node import StageOutputs
@@ -39,13 +41,18 @@ class StageNode(LifecycleNode):
     ----------
     create_backend : callable
         Takes the node, returns a ``StageBackend``; called when the node is configured.
+
+    Attributes
+    ----------
+    settings : StageSettings
+        The node's parameters.
     """
 
     def __init__(self, create_backend):
         super().__init__("stage")
         self._create_backend = create_backend
-        self._settings = StageSettings(self)
-        self._outputs = StageOutputs(self, self._settings)
+        self.settings = StageSettings(self)
+        self._outputs = StageOutputs(self, self.settings)
         self._latch = StopLatch()
         self._latency = AnswerLatency()
         self._backend = self._engine = self._loop = self._failure = None
@@ -71,7 +78,7 @@ class StageNode(LifecycleNode):
         """Make the backend and check the limits."""
         try:
             self._backend = self._create_backend(self)
-            self._engine = self._settings.create_engine(self._backend, self._latch)
+            self._engine = self.settings.create_engine(self._backend, self._latch)
         except ValueError as error:
             self.get_logger().error(f"cannot configure: {error}")
             return TransitionCallbackReturn.FAILURE
@@ -84,13 +91,13 @@ class StageNode(LifecycleNode):
         except (ValueError, OSError, BackendFault) as error:
             self.get_logger().error(f"cannot activate: {error}")
             return TransitionCallbackReturn.FAILURE
-        self._engine = self._settings.create_engine(self._backend, self._latch)
+        self._engine = self.settings.create_engine(self._backend, self._latch)
         self._outputs.epoch_ns = (
-            0 if self._settings.lockstep else self.get_clock().now().nanoseconds)
+            0 if self.settings.lockstep else self.get_clock().now().nanoseconds)
         self._latency = AnswerLatency()
         self._failure = None
         self._active = True
-        if not self._settings.lockstep:
+        if not self.settings.lockstep:
             self._loop = threading.Thread(target=self._run_paced, name="stage loop")
             self._loop_ends = False
             self._loop.start()
@@ -133,11 +140,13 @@ class StageNode(LifecycleNode):
                 self._engine.return_to_rest()
             while not self._engine.idle:
                 self._publish(self._engine.advance())
+            for _ in range(self._engine.lead_ticks):
+                self._publish(self._engine.advance())
         except BackendFault as fault:
             self._latch.stop(str(fault))
             self.get_logger().error(f"stopped: {fault}")
         finally:
-            self._goals.finish(self._engine.stop_cause or cause, self._engine.next_sample)
+            self._goals.finish(self._engine.stop_cause or cause, self._engine.last_sample)
             self._backend.close()
 
     # Time
@@ -146,12 +155,12 @@ class StageNode(LifecycleNode):
         """Advance a lockstep stage; return how long to wait for the next callback (s)."""
         if self._failure is not None:
             self._fail()
-        if not self._settings.lockstep or not self._active or self._engine.idle:
+        if not self.settings.lockstep or not self._active or self._engine.idle:
             return IDLE_WAIT_S
         if self._engine.awaiting_answer:
             now = time.monotonic()
             if self._answer_deadline is None:
-                self._answer_deadline = now + self._settings.lockstep_timeout_s
+                self._answer_deadline = now + self.settings.lockstep_timeout_s
             if now < self._answer_deadline:
                 return min(IDLE_WAIT_S, self._answer_deadline - now)
         self._answer_deadline = None
@@ -190,10 +199,10 @@ class StageNode(LifecycleNode):
             self.get_logger().error(f"stopped: {engine.stop_cause}")
             self._publish_diagnostics()
         if engine.idle:
-            if self._settings.lockstep:
+            if self.settings.lockstep:
                 # Time stands still from here on: one block at rest tells that all is over.
                 self._publish(engine.advance())
-            self._goals.finish(engine.stop_cause, engine.next_sample)
+            self._goals.finish(engine.stop_cause, engine.last_sample)
 
     def on_block(self, block):
         """Take part when a block is published; for stages that know more than they measure."""
@@ -322,3 +331,14 @@ class StageNode(LifecycleNode):
             self._latch.reset()
             response.success = True
         return response
+
+
+def main(args=None):
+    """Run the node ``stage`` over the backend that its parameters name."""
+    run_node(lambda: StageNode(_chosen_backend), args)
+
+
+def _chosen_backend(node):
+    name = declare(node, "backend", "nidaqmx", "Name of the backend, such as nidaqmx.")
+    file = declare(node, "backend_file", "", "Settings of the backend, such as its calibration.")
+    return create_backend(name, node.settings.for_backend(file))

@@ -2,6 +2,7 @@
 """The parameters of the stage node, and what is made of them."""
 
 from piezo_node_tools.parameters import declare
+from piezo_stage_driver.backends import BackendSettings
 from piezo_stage_driver.engine import LONGEST_STRETCH_SAMPLES, StageEngine
 from piezo_stage_driver.guards import (
     FeedbackOscillation,
@@ -61,6 +62,13 @@ class StageSettings:
     def lockstep(self):
         """Whether stage time waits for the answers."""
         return self.timing == "lockstep"
+
+    def for_backend(self, file):
+        """Return what a backend is told; ``file`` holds its own settings."""
+        return BackendSettings(
+            file=file, sample_rate_hz=self.sample_rate_hz, samples_per_tick=self.samples_per_tick,
+            minimum_voltage_v=self.minimum_voltage_v, maximum_voltage_v=self.maximum_voltage_v,
+            rest_voltage_v=self.rest_voltage_v, ramp_rate_v_per_s=self.ramp_rate_v_per_s)
 
     def create_engine(self, backend, latch):
         """Return an engine that drives the backend within the limits, under every guard.

@@ -66,11 +66,11 @@ class WaveformGoals:
             stage=engine.phase_name, fraction=float(engine.fraction),
             seconds_left=float(engine.seconds_left)))
 
-    def finish(self, message, next_sample):
+    def finish(self, message, last_sample):
         """End the goal, if there is one; the message is empty where it was played to its end."""
         if self._goal is not None:
             goal, result, self._goal, self._result = self._goal, self._result, None, None
-            result.message, result.last_sample = message, next_sample - 1
+            result.message, result.last_sample = message, last_sample
             result.success = not message
             self._answer(goal, result)
 

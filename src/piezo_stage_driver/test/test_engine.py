@@ -268,3 +268,50 @@ def test_held_voltage_is_where_the_next_waveform_begins():
 def test_empty_range_is_refused():
     with pytest.raises(LimitError, match="empty"):
         VoltageLimits(1.0, 1.0, 1.0)
+
+
+class LeadBackend(EchoBackend):
+    """Applies what it is given two ticks later."""
+
+    lead_samples = 80
+
+    def __init__(self):
+        super().__init__()
+        self.applied_v = np.zeros(80)
+
+    def exchange(self, voltage_v):
+        self.applied_v = np.r_[self.applied_v, voltage_v]
+        measured_um = 2.0 * self.applied_v[len(self.played_v):len(self.played_v) + len(voltage_v)]
+        super().exchange(voltage_v)
+        return measured_um
+
+
+def test_hardware_that_is_written_ahead_is_published_with_the_voltage_it_applied():
+    backend = LeadBackend()
+    engine = StageEngine(backend, VoltageLimits(-20.0, 120.0, 2.0e6))
+    waveform = 30.0 + 5.0 * np.sin(np.arange(400) * 0.1)
+    first, count = engine.play(waveform, PERIOD_S)
+    blocks = run(engine)
+    last_sample = engine.last_sample
+    blocks += [engine.advance(), engine.advance()]
+    assert blocks[-1].first_sample + 39 == last_sample
+    voltage_v, displacement_um = (joined(blocks, name) for name in ("voltage_v", "displacement_um"))
+    assert np.array_equal(displacement_um, 2.0 * voltage_v)
+    assert np.array_equal(voltage_v[first:first + count], waveform)
+    playing = [block for block in blocks if block.flags & FLAG_PLAYING]
+    assert np.array_equal(joined(playing, "voltage_v"), waveform)
+    assert_every_sample_accounted_for(blocks)
+
+
+def test_answers_to_hardware_that_is_written_ahead_are_awaited_as_much_later():
+    engine = StageEngine(LeadBackend(), VoltageLimits(-20.0, 120.0, 2.0e6))
+    engine.load_feedforward([], np.zeros(40))
+    engine.start_tracking(feedback=True)
+    ticks = []
+    for _ in range(6):
+        block = engine.advance()
+        if block.flags & FLAG_TRACKING:
+            engine.answer(block.tick, 1.0)
+            ticks.append(block.tick)
+    assert ticks == [3, 4, 5, 6]
+    assert engine.missed_feedback == 0

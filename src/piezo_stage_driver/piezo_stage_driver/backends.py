@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Find a backend by its name: ours, and those that other packages announce."""
+
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+
+GROUP = "piezo_stage_driver.backends"
+
+
+@dataclass(frozen=True)
+class BackendSettings:
+    """What the stage node tells a backend.
+
+    Attributes
+    ----------
+    file : str
+        Of the backend's own settings; empty where none was given.
+    sample_rate_hz : float
+    samples_per_tick : int
+    minimum_voltage_v, maximum_voltage_v, rest_voltage_v : float
+    ramp_rate_v_per_s : float
+        For a backend that must bring the amplifier to rest by itself.
+    """
+
+    file: str
+    sample_rate_hz: float
+    samples_per_tick: int
+    minimum_voltage_v: float
+    maximum_voltage_v: float
+    rest_voltage_v: float
+    ramp_rate_v_per_s: float
+
+
+def create_backend(name, settings):
+    """Make the backend that an entry point of the group ``piezo_stage_driver.backends`` names.
+
+    Parameters
+    ----------
+    name : str
+    settings : BackendSettings
+
+    Returns
+    -------
+    StageBackend
+
+    Raises
+    ------
+    ValueError
+        If there is none of this name, or it cannot be loaded or made.
+    """
+    known = {point.name: point for point in entry_points(group=GROUP)}
+    if name not in known:
+        raise ValueError(f"there is no backend {name!r}: set the parameter backend to "
+                         f"{' or '.join(sorted(known))}, or install the package that has it")
+    try:
+        create = known[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"the backend {name!r} cannot be loaded: {error}") from None
+    return create(settings)
