@@ -42,7 +42,7 @@ class ModelStageNode(StageNode):
     """Times each tick from its measurement until its answer is there."""
 
     def __init__(self):
-        super().__init__(lambda node: TimedModelStage(not node._lockstep))
+        super().__init__(lambda node: TimedModelStage(not node.settings.lockstep))
         self._file = declare(self, "round_trips_file", "", "Where to write (npy); empty: nowhere.")
         self._round_trips_s = array.array("d")
 

@@ -14,6 +14,7 @@ import numpy as np
 import peers
 from hysteresis_speed import samples_per_s
 from loop_speed import LOCKSTEP, closed_loop, ping_pong_round_trips, tick_round_trips
+from paced import paced_run
 from table import Measurements, show, write
 
 OUTPUT = Path(__file__).parents[1] / "runs" / "bench"
@@ -68,7 +69,21 @@ def round_trips(rows):
         rows[f"round trip, p{percent}: tick over ping-pong", "times"].append(tick / ping)
 
 
+def paced(rows):
+    """Add what a stage that keeps the wall clock's pace loses, and how late its answers are."""
+    run = paced_run(OUTPUT / "paced", PACED_S)
+    rows["paced, 1 kHz: samples lost", "samples"].append(run.lost_samples)
+    rows["paced, 1 kHz: ticks other than uploaded", "ticks"].append(run.disturbed_ticks)
+    rows["paced, 1 kHz: answers missed", "of 1000"].append(1000 * run.missed_feedback / run.ticks)
+    for name, count in run.histogram.items():
+        if name.endswith("_ms") and "longest" not in name:
+            title = name.removesuffix("_ms").replace("_", " ")
+            rows[f"paced, 1 kHz: {title} ms", "of 1000"].append(1000 * int(count) / run.ticks)
+
+
 TARGETS = {
+    "paced, 1 kHz: samples lost": {"at_most": 0},
+    "paced, 1 kHz: ticks other than uploaded": {"at_most": 0},
     "loop, stage and controller": {"at_least": 2.0},
     "round trip, p50: tick over ping-pong": {"at_most": 2.0},
 }
@@ -85,7 +100,7 @@ def main():
     print(f"{os.cpu_count()} cores; load average before: {os.getloadavg()[0]:.1f}")
     measured = Measurements()
     for number in range(1, rounds + 1):
-        for measure in (hysteresis, loops, round_trips):
+        for measure in (hysteresis, loops, round_trips, paced):
             print(f"round {number} of {rounds}: {measure.__name__.replace('_', ' ')} ...",
                   flush=True)
             measure(measured)

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from piezo_interfaces.msg import SampleBlock
 
 from piezo_node_tools.quality import SAMPLES
@@ -59,6 +60,44 @@ def test_answers_act_or_are_counted_as_missed(stage):
     held = len(samples.flagged(SampleBlock.FLAG_FEEDBACK_HELD))
     assert held == 40 * max(block.missed_feedback for block in samples.blocks)
     assert samples.flagged(SampleBlock.FLAG_TRACKING).max() == 2.0
+
+
+def test_fast_branch_is_as_uploaded_whatever_becomes_of_the_answers(stage):
+    period_v = 50 - 50 * np.cos(2 * np.pi * np.arange(400) / 400)
+    # Some answers are late by a tick or more, some never come.
+    stage.answer = lambda block: 0.001 * block.tick if block.tick % 7 else None
+    assert stage.load([], period_v).success
+    first_tick = stage.start_tracking(feedback=True, ticks=500).first_tick
+    samples = stage.samples(40 * (first_tick + 500))
+    stage.answer = None
+    assert samples.gapless
+    tracked = [block for block in samples.blocks if block.flags & SampleBlock.FLAG_TRACKING]
+    assert len(tracked) == 500
+    ticks = np.array([block.tick - 1 for block in tracked])
+    voltage_v = np.array([block.voltage_v for block in tracked])
+    held = np.array([block.flags & SampleBlock.FLAG_FEEDBACK_HELD > 0 for block in tracked])
+    answered = np.where(ticks - first_tick < 2, 0, np.where(held, 0, ticks - 1))
+    feedback_v = 0.001 * np.maximum.accumulate(answered)
+    assert np.array_equal(voltage_v, np.resize(period_v, (500, 40)) + feedback_v[:, None])
+    assert tracked[-1].missed_feedback == held.sum() >= 500 // 7 - 1
+
+
+def test_diagnostics_hold_the_histogram_of_the_answers(stage):
+    told = []
+    stage.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: told.extend(array.status), 10)
+    stage.answer = lambda block: 0.0
+    assert stage.load([0.0]).success
+    first_tick = stage.start_tracking(feedback=True, ticks=100).first_tick
+    stage.samples(40 * (first_tick + 100))
+    stage.answer = None
+    told.clear()
+    stage.until(lambda: any(status.name == "/paced/stage: stage" for status in told))
+    values = {value.key: value.value for value in told[-1].values}
+    counts = [int(value) for key, value in values.items() if key.startswith("answers_")]
+    assert len(counts) == 10
+    assert sum(counts) >= 90
+    assert float(values["longest_answer_ms"]) > 0.0
 
 
 def test_waveform_of_one_value_per_second_can_be_cancelled_before_it_fills_a_block(stage):

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The stage at 1 kHz of wall-clock time: python paced.py [SECONDS].
+
+A client of its own process answers every block. Every sample is accounted for: the feedforward
+exactly as uploaded, plus an answer that was sent; an answer that came too late is counted.
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
+from piezo_interfaces.srv import LoadFeedforward, StartTracking
+
+from piezo_bringup.client_node import Client
+from piezo_bringup.processes import Processes
+from piezo_node_tools.quality import FEEDBACK, PACED_SAMPLES
+
+TICKS_PER_S = 1000
+SAMPLES_PER_TICK = 40
+PERIOD_V = 50.0 - 50.0 * np.cos(2 * np.pi * np.arange(4000) / 4000)
+ANSWER_V = 0.001
+DIAGNOSTICS_S = 3.0
+
+
+def answer_v(tick):
+    """The answer to a block: another one for every tick of a second."""
+    return ANSWER_V * (tick % TICKS_PER_S)
+
+
+class PacedRun:
+    """Answers the blocks of a run and keeps the account.
+
+    Parameters
+    ----------
+    client : Client
+
+    Attributes
+    ----------
+    ticks : int
+        Tracked.
+    lost_samples, disturbed_ticks : int
+        Missing in the sample index; with another voltage than feedforward and an answer.
+    held_ticks, missed_feedback : int
+        Flagged as without an answer, and counted by the stage.
+    histogram : dict of str to str
+        Of the stage's diagnostics.
+    """
+
+    def __init__(self, client):
+        self.ticks = self.lost_samples = self.disturbed_ticks = self.held_ticks = 0
+        self.missed_feedback = 0
+        self.histogram = {}
+        self.over = False
+        self._client = client
+        self._next_sample = self._held_v = None
+        self._feedback = client.node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
+        client.node.create_subscription(SampleBlock, "samples", self._take, PACED_SAMPLES)
+        client.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 10)
+
+    def run(self, duration_s):
+        """Track for a time (s) of the wall clock."""
+        client = self._client
+        client.spin_until(lambda: self._feedback.get_subscription_count(), 30.0)
+        client.spin_until(lambda: self._next_sample, 30.0)
+        loaded = client.call(LoadFeedforward, "load_feedforward",
+                             period_voltage_v=PERIOD_V.tolist())
+        started = client.call(StartTracking, "start_tracking", feedback=True,
+                              ticks=round(duration_s * TICKS_PER_S))
+        if not (loaded.success and started.success):
+            raise RuntimeError(loaded.message or started.message)
+        client.spin_until(lambda: self.over, 2.0 * duration_s + 30.0)
+        client.spin_until(lambda: False, DIAGNOSTICS_S)
+
+    def _take(self, block):
+        if self._next_sample is not None:
+            self.lost_samples += block.first_sample - self._next_sample
+        self._next_sample = block.first_sample + len(block.voltage_v)
+        if block.flags & SampleBlock.FLAG_TRACKING:
+            self._feedback.publish(FeedbackVoltage(
+                tick=block.tick, voltage_v=answer_v(block.tick)))
+            self._account(block)
+        elif self.ticks:
+            self.over = True
+
+    def _account(self, block):
+        held = bool(block.flags & SampleBlock.FLAG_FEEDBACK_HELD)
+        if not held:
+            # The block of tick k was published in tick k + 1 and is answered by that of k - 1.
+            self._held_v = answer_v(block.tick - 2) if self.ticks > 1 else 0.0
+        begin = self.ticks * SAMPLES_PER_TICK % len(PERIOD_V)
+        wanted_v = PERIOD_V[begin:begin + SAMPLES_PER_TICK] + self._held_v
+        self.disturbed_ticks += not np.array_equal(np.frombuffer(block.voltage_v), wanted_v)
+        self.held_ticks += held
+        self.missed_feedback = block.missed_feedback
+        self.ticks += 1
+
+    def _diagnose(self, message):
+        for status in message.status:
+            if status.name.endswith("/stage: stage"):
+                self.histogram = {value.key: value.value for value in status.values
+                                  if "answer" in value.key}
+
+
+def paced_run(directory, duration_s):
+    """Run the simulated stage in paced mode; return the `PacedRun`."""
+    with Processes(directory) as processes, Client() as client:
+        processes.start("stage", {"autostart": True, "timing": "paced",
+                                  "max_missed_feedback": 10000})
+        run = PacedRun(client)
+        run.run(duration_s)
+        return run
+
+
+def main():
+    """Print the account."""
+    duration_s = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
+    with tempfile.TemporaryDirectory() as directory:
+        run = paced_run(Path(directory), duration_s)
+    print(f"{run.ticks} ticks in {duration_s:g} s; samples lost {run.lost_samples}, "
+          f"ticks disturbed {run.disturbed_ticks}")
+    print(f"answers missed {run.missed_feedback}, flagged {run.held_ticks}")
+    for name, count in run.histogram.items():
+        print(f"{name:26}{count:>12}")
+
+
+if __name__ == "__main__":
+    main()
