@@ -2,14 +2,19 @@
 """What a model says a recording should have measured, and how far it is off."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import control
 import numpy as np
 
+from piezo_identification.everett_regression import NEAR_THE_END
 from piezo_identification.settling import settling_time_s
 from piezo_identification.waveforms import played, samples_per_mean, turning_points
 from piezo_models.linear import equilibrium_state, simulate_linear, zoh
 from piezo_models.measures import e_y_percent
+
+PASTS, PAST_SEARCHES = 6, 3
+"""Highest and lowest voltages of a past that are tried, in grids each around the best before."""
 
 SLOW_BRANCH_S = 0.05
 """A way between two reversals that takes longer shows hysteresis, a shorter one dynamics."""
@@ -23,12 +28,16 @@ class Prediction:
     ----------
     time_s, voltage_v, measured_um, simulated_um : ndarray, shape (N,)
         From when the start has settled.
+    past_v : (float, float) or ()
+        Highest and then lowest voltage that the stage was taken to have had before; empty where it
+        begins saturated.
     """
 
     time_s: np.ndarray
     voltage_v: np.ndarray
     measured_um: np.ndarray
     simulated_um: np.ndarray
+    past_v: tuple = ()
 
     @property
     def is_reversed(self):
@@ -44,7 +53,9 @@ def predict(model, recording):
     """Simulate a model under the voltage of a recording.
 
     The state of the creep at the first sample, and the offset, are fitted: nothing tells what the
-    stage did before. The hysteresis is taken to come from negative saturation.
+    stage did before. So is the history of the hysteresis, unless the recording begins with all of
+    it switched off or on: the highest and then the lowest voltage before the first sample, in which
+    the first turning points of any history show.
 
     Parameters
     ----------
@@ -60,40 +71,81 @@ def predict(model, recording):
     ValueError
         If the recording has gaps, or is too short to settle.
     """
-    part = played(recording)
-    before = recording.select(recording.sample_index <= part.sample_index[0]).voltage_v
-    past = model.hysteresis.memory()
-    model.hysteresis.simulate(before, past)
-    memory = model.memory(hysteresis=past)
-    voltage_v = model.amplified(part.voltage_v, part.sample_period_s)
-    hysteresis_um = model.hysteresis.simulate(voltage_v, memory.hysteresis)
-    rates_rad_per_s = list(model.creep.poles_rad_per_s)
-    if model.hysteretic_creep is not None:
-        hysteresis_um += model.hysteretic_creep.simulate(
-            voltage_v, part.sample_period_s, memory.hysteretic_creep
-        )
-        rates_rad_per_s += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
-    linear = model.linear()
-    simulated_um = model.sensed(
-        simulate_linear(
-            mean_zoh(linear, part.sample_period_s, samples_per_mean(part)), hysteresis_um,
-            equilibrium_state(linear, hysteresis_um[0]),
-        ),
-        part.sample_period_s,
-    )
-    settled = np.flatnonzero(part.time_s >= settling_time_s(model.dynamics))
-    free = np.column_stack([
-        np.ones(settled.size),
-        *(np.exp(-p * part.time_s[settled]) for p in rates_rad_per_s),
-    ])
-    if settled.size <= free.shape[1]:
-        raise ValueError(f"{recording.path} has {part.time_s.size} samples: record longer")
-    difference_um = part.displacement_um[settled] - simulated_um[settled]
-    initial = np.linalg.lstsq(free, difference_um, rcond=1e-12)[0]
+    run = _Run(model, recording)
+    past_v = () if run.starts_saturated else run.fitted_past_v()
+    part, settled = run.part, run.settled
     return Prediction(
         part.time_s[settled], part.voltage_v[settled], part.displacement_um[settled],
-        simulated_um[settled] + free @ initial,
+        run.simulated_um(past_v), past_v,
     )
+
+
+class _Run:
+    """A recording, and what a model makes of it after different pasts."""
+
+    def __init__(self, model, recording):
+        self.model, self.part = model, played(recording)
+        self.before_v = recording.select(
+            recording.sample_index <= self.part.sample_index[0]).voltage_v
+        period_s = self.part.sample_period_s
+        self.voltage_v = model.amplified(self.part.voltage_v, period_s)
+        self.system = mean_zoh(model.linear(), period_s, samples_per_mean(self.part))
+        self.settled = np.flatnonzero(self.part.time_s >= settling_time_s(model.dynamics))
+        rates_rad_per_s = list(model.creep.poles_rad_per_s)
+        if model.hysteretic_creep is not None:
+            rates_rad_per_s += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
+        time_s = self.part.time_s[self.settled]
+        self.free = np.column_stack([
+            np.ones(time_s.size), *(np.exp(-rate * time_s) for rate in rates_rad_per_s)
+        ])
+        if self.settled.size <= self.free.shape[1]:
+            raise ValueError(
+                f"{recording.path} has {self.part.time_s.size} samples: record longer")
+
+    @property
+    def starts_saturated(self):
+        """Whether the first samples begin at either end of the model's voltages."""
+        hysteresis = self.model.hysteresis
+        near_v = NEAR_THE_END * (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
+        return bool(np.any((self.before_v <= hysteresis.voltage_min_v + near_v)
+                           | (self.before_v >= hysteresis.voltage_max_v - near_v)))
+
+    def fitted_past_v(self):
+        """Highest and then lowest voltage before the first sample that explain most."""
+        hysteresis, first_v = self.model.hysteresis, self.before_v[0]
+        bounds_v = np.array([[first_v, max(first_v, hysteresis.voltage_max_v)],
+                             [min(first_v, hysteresis.voltage_min_v), first_v]])
+        for _ in range(PAST_SEARCHES):
+            candidates = list(product(*(np.linspace(*bound, PASTS) for bound in bounds_v)))
+            best_v = min(candidates, key=self.error_um)
+            reach_v = np.diff(bounds_v).ravel() / (PASTS - 1)
+            around_v = np.array(best_v)[:, None] + np.outer(reach_v, [-1.0, 1.0])
+            bounds_v = np.clip(around_v, bounds_v[:, :1], bounds_v[:, 1:])
+        return tuple(float(voltage_v) for voltage_v in best_v)
+
+    def error_um(self, past_v):
+        """RMS of what a past leaves."""
+        difference_um = self.part.displacement_um[self.settled] - self.simulated_um(past_v)
+        return float(np.sqrt(np.mean(difference_um**2)))
+
+    def simulated_um(self, past_v):
+        """Displacement after a past, with the free parts that fit best."""
+        model, part = self.model, self.part
+        past = model.hysteresis.memory()
+        model.hysteresis.simulate([*past_v, *self.before_v], past)
+        memory = model.memory(hysteresis=past)
+        hysteresis_um = model.hysteresis.simulate(self.voltage_v, memory.hysteresis)
+        if model.hysteretic_creep is not None:
+            hysteresis_um += model.hysteretic_creep.simulate(
+                self.voltage_v, part.sample_period_s, memory.hysteretic_creep
+            )
+        simulated_um = model.sensed(
+            simulate_linear(self.system, hysteresis_um,
+                            equilibrium_state(model.linear(), hysteresis_um[0])),
+            part.sample_period_s,
+        )[self.settled]
+        difference_um = part.displacement_um[self.settled] - simulated_um
+        return simulated_um + self.free @ np.linalg.lstsq(self.free, difference_um, rcond=1e-12)[0]
 
 
 def unseen_errors(model, recording):

@@ -27,8 +27,8 @@ def main(arguments=None):
     """
     parser = argparse.ArgumentParser(
         prog="simulate", description="Simulate a model under the voltage of a recording.",
-        epilog="e_y (4.20) is the relative error by the sensor; offset and initial creep, which "
-        "the recording does not tell, are fitted.",
+        epilog="e_y (4.20) is the relative error by the sensor; offset, initial creep and the "
+        "past of the hysteresis, as far as the recording does not tell them, are fitted.",
     )
     parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
     parser.add_argument("--data", metavar="FILE", type=Path, required=True,
@@ -51,6 +51,9 @@ def _simulate(model_path, data_path, directory):
     if prediction.is_reversed:
         print("the displacement moves against the model: its sign is changed")
         prediction = predict(model, reversed_displacement(recording))
+    if prediction.past_v:
+        print("the recording does not begin saturated: taken to have come from {:.4g} V by way of "
+              "{:.4g} V".format(*prediction.past_v))
     print(f"e_y_percent {prediction.e_y_percent():.4g}")
     if directory is None:
         return

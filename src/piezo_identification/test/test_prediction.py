@@ -56,3 +56,18 @@ def test_a_recording_too_short_to_settle_is_refused(plant, play):
     short = recording.select(np.arange(recording.voltage_v.size) < start + 100)
     with pytest.raises(ValueError, match="record longer"):
         predict(plant, short)
+
+
+def test_a_recording_that_begins_anywhere_is_predicted_from_the_past_that_fits_best(plant, play):
+    memory = plant.memory()
+    plant.simulate(np.repeat([103.0, 0.0], 200_000), 1e-3, memory)
+    turns_v = np.array([55.0, 95.0, 20.0, 115.0, 0.0, 60.0])
+    ways = [np.linspace(*ends, 400) for ends in zip(turns_v[:-1], turns_v[1:], strict=True)]
+    wander = experiments.Experiment("wander", np.concatenate(ways), 1e-3, 1, "wander")
+    recording = play(wander, clock_hz=1000.0, memory=memory, noise_um=0.0)
+    recording = recording.select(recording.playing)
+    prediction = predict(plant, recording)
+    assert prediction.past_v == pytest.approx((103.0, 0.0), abs=5.0)
+    assert prediction.e_y_percent() < 0.05
+    from_below = predict(plant, play(experiments.validation(arc_s=0.05), 1))
+    assert from_below.past_v == ()
