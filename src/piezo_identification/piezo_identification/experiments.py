@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from piezo_identification.diagnostic_waveform import diagnostic_block
+from piezo_identification.input_designs import stair_amplitudes, stair_harmonics
 from piezo_identification.relay import relay
 
 SWING_FRACTION = 0.3
@@ -173,10 +174,10 @@ def hysteresis(limits=StageLimits(), level_count=70, harmonic_period_s=2.0, samp
         If the waveform leaves the range or exceeds the slew limit.
     """
     samples = round(harmonic_period_s / sample_period_s)
-    rise = 0.5 * (1.0 - np.cos(2.0 * np.pi * np.arange(samples) / samples))
-    amplitudes_v = np.linspace(0.0, limits.span_v, level_count + 1)[1:]
-    stairs_v = limits.voltage_min_v + np.outer(amplitudes_v, rise).ravel()
-    voltage_v = np.append(stairs_v, limits.voltage_min_v)
+    stairs_v = stair_harmonics(
+        np.arange(level_count * samples) / samples,
+        stair_amplitudes(level_count, limits.span_v), 1.0)
+    voltage_v = limits.voltage_min_v + np.append(stairs_v, 0.0)
     return _fitting(
         limits, Experiment("hysteresis", voltage_v, sample_period_s, 1,
                            f"{level_count} harmonics of rising amplitude over the whole range")

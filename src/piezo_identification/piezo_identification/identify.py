@@ -134,7 +134,7 @@ def _identify(given, begin, refine, method, order, note):
         recordings=[
             {"path": str(data.path), "sha256": sha256_of(data.path)} for data in given.values()
         ],
-        uncertainties=uncertainties,
+        uncertainties=uncertainties, visited=density.visited,
     )
     begin("done", 1.0)
     return identified

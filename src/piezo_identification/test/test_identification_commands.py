@@ -270,6 +270,8 @@ def test_a_slow_recording_of_another_stage_is_enough(slow_stage, sign, tmp_path,
     arguments = ["--hysteresis", str(fitted), "--output", str(model)]
     assert identify_main(arguments) == 0
     identified = load_model(model)
+    assert identified.visited.shape == identified.model.hysteresis.density_um_per_v2.shape
+    assert identified.visited[0, 0]
     assert identified.model.dynamics.is_static
     assert identified.model.creep.poles_rad_per_s == ()
     assert ("its sign is changed" in capsys.readouterr().out) == (sign < 0)

@@ -46,6 +46,9 @@ class IdentifiedModel:
         Time of creation, ISO 8601; now by default.
     uncertainties : dict of str to dict
         Standard deviations under "creep" and "dynamics", in names and shapes those of the model.
+    visited : ndarray of bool, shape (L, L), optional
+        Cells of the density that the recordings determine; lower triangular. In the others it is a
+        continuation. None where that is not known.
     """
 
     model: StageModel
@@ -55,6 +58,7 @@ class IdentifiedModel:
     recordings: list = field(default_factory=list)
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     uncertainties: dict = field(default_factory=dict)
+    visited: np.ndarray | None = None
 
 
 def save_model(path, identified):
@@ -140,6 +144,10 @@ def _document(identified):
     uncertainties = (
         {"uncertainties": _plain(identified.uncertainties)} if identified.uncertainties else {}
     )
+    visited = {} if identified.visited is None else {"visited": [
+        "".join("01"[int(cell)] for cell in row[: i + 1])
+        for i, row in enumerate(identified.visited)
+    ]}
     reversible = hysteresis.reversible_um_per_v
     hysteretic = model.hysteretic_creep
     hysteretic_creep = {} if hysteretic is None else {
@@ -173,6 +181,7 @@ def _document(identified):
         **({"effects": effects} if effects else {}),
         **uncertainties,
         **hysteretic_creep,
+        **visited,
         "hysteresis": {
             "voltage_min_v": hysteresis.voltage_min_v,
             "voltage_max_v": hysteresis.voltage_max_v,
@@ -248,7 +257,7 @@ class _Reader:
             "creep",
             "dynamics",
             "hysteresis",
-            optional=("effects", "hysteretic_creep", "uncertainties"),
+            optional=("effects", "hysteretic_creep", "uncertainties", "visited"),
         )
         low, high = self.numbers(top["voltage_range_v"], "voltage_range_v", length=2)
         if not low < high:
@@ -273,7 +282,22 @@ class _Reader:
             recordings=self.recordings(top["recordings"]),
             created=top["created"],
             uncertainties=self.uncertainties(top),
+            visited=self.visited(top),
         )
+
+    def visited(self, top):
+        if "visited" not in top:
+            return None
+        rows = top["visited"]
+        size = len(top["hysteresis"]["density_um_per_v2"])
+        right = isinstance(rows, list) and len(rows) == size and all(
+            isinstance(row, str) and len(row) == i + 1 and set(row) <= {"0", "1"}
+            for i, row in enumerate(rows)
+        )
+        if not right:
+            self.refuse("visited", "is no triangle of 0 and 1 like the density", "give row i with "
+                        "a 1 for each of its i + 1 cells that was visited, or leave the field out")
+        return np.array([[cell == "1" for cell in row.ljust(size, "0")] for row in rows])
 
     def uncertainties(self, top):
         """Standard deviations of each part, in the shape of its parameters."""

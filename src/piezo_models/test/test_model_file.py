@@ -255,3 +255,14 @@ def test_uncertainties_that_do_not_fit_the_model_are_refused(path, edit, named):
     change(path, add)
     with pytest.raises(ModelFileError, match=named):
         load_model(path)
+
+
+def test_visited_cells_are_kept_and_those_that_do_not_fit_the_density_refused(identified, tmp_path):
+    density = identified.model.hysteresis.density_um_per_v2
+    identified.visited = np.tril(np.random.default_rng(0).random(density.shape) < 0.5)
+    path = tmp_path / "m.json"
+    save_model(path, identified)
+    assert np.array_equal(load_model(path).visited, identified.visited)
+    change(path, lambda document: document["visited"].pop())
+    with pytest.raises(ModelFileError, match="visited is no triangle"):
+        load_model(path)
