@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from piezo_identification.prediction import mean_zoh
-from piezo_identification.refinement import factor_surfaces, sensitivity_systems
+from piezo_identification.sensitivities import factor_surfaces, sensitivity_systems
 from piezo_identification.settling import settling_time_s
 from piezo_identification.waveforms import played, samples_per_mean
 from piezo_models.linear import equilibrium_state, simulate_linear
