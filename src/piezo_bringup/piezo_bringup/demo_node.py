@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The demo: identify a simulated stage, track with the model, and report what came of it."""
+"""The demo: identify a simulated stage, track, find what the model lacks, track again, report."""
 
 import argparse
 import json
@@ -11,6 +11,7 @@ import sys
 import time
 import traceback
 from contextlib import contextmanager
+from importlib.resources import files
 from pathlib import Path
 
 from piezo_bringup.client_node import Client, GoalFailed
@@ -19,23 +20,34 @@ from piezo_bringup.processes import Processes
 from piezo_bringup.progress_line import ProgressLine
 from piezo_bringup.report import render_report
 from piezo_bringup.run_directory import claim_directory
-from piezo_bringup.summary import format_table, summarise
+from piezo_bringup.second_half import SecondHalf
+from piezo_bringup.summary import (
+    format_model_errors,
+    format_table,
+    format_tracking_errors,
+    summarise,
+    summarise_run,
+)
 from piezo_bringup.tracked_run import read_tracked_run
 from piezo_bringup.tracking_pictures import draw_errors
 from piezo_models.model_file import load_model
 from piezo_recorder.reader import read_recording
 
 NODES = {
-    "stage": {"timing": "lockstep", "autostart": True, "seed": 1},
+    # A stage with a creep and a vibration mode that nobody declared to the identification.
+    "stage": {"timing": "lockstep", "autostart": True, "seed": 1,
+              "plant": str(files("piezo_sim") / "undeclared.yaml")},
     "recorder": {},
     "identification": {},
     "controller": {},
 }
+DECLARED = {"modes": 2}
 # Frequency in Hz and amplitude in um peak to peak of the thesis' trajectories.
 TRAJECTORIES = ((40.0, 40.0), (100.0, 40.0), (500.0, 21.0), (1000.0, 10.25))
 CENTRE_UM = 50.0
 DURATION_S = 1.0
 MODES = ("open_loop", "feedforward", "composite")
+MODES_AFTER = ("feedforward", "composite")
 # Before each run, one second each: the hysteresis' past is wiped out, then most of the creep dies
 # out, so that every run begins as the feedforward takes it to begin.
 REST_VOLTAGE_V = (-20.0, *[0.0] * 60)
@@ -126,12 +138,19 @@ def run_demo(directory, command, progress):
             identified_s = time.monotonic()
             tracks = _track_all(client, processes, identified.model, directory, progress)
             tracked_s = time.monotonic()
+            diagnosis = _diagnose(client, processes, identified, directory, progress)
+            diagnosed_s = time.monotonic()
+            tracks_after = _track_all(client, processes, diagnosis.extended_model,
+                                      directory / "after", progress, MODES_AFTER)
+            tracked_again_s = time.monotonic()
         progress.show("end the nodes", 1.0)
     progress.show("draw the report", 1.0)
-    summary = _report(directory, identified, tracks, command)
+    summary = _report(directory, identified, tracks, diagnosis, tracks_after, command)
     summary["wall_s"] = {
         "identification": identified_s - begin_s,
         "tracking": tracked_s - identified_s,
+        "diagnosis": diagnosed_s - tracked_s,
+        "tracking_after": tracked_again_s - diagnosed_s,
         "all": time.monotonic() - begin_s,
     }
     (directory / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
@@ -143,13 +162,35 @@ def _identify(client, processes, directory, progress):
         progress.show(f"identify, {feedback.stage}", feedback.fraction, feedback.seconds_left)
 
     with _blaming(processes, "identification"):
-        return client.identify(directory, on_feedback=show)
+        return client.identify(directory, on_feedback=show, **DECLARED)
 
 
-def _track_all(client, processes, model, directory, progress):
+def _diagnose(client, processes, identified, directory, progress):
+    """Record the diagnostic experiment and find what the model lacks; judge on the validation."""
+    def show(feedback):
+        progress.show(f"diagnose, {feedback.stage}", feedback.fraction, feedback.seconds_left)
+
+    _rest(client, processes)
+    with _blaming(processes, "identification"):
+        recording = client.run_experiment("diagnostic", directory, on_feedback=show).recording
+        return client.diagnose(
+            identified.model, [recording], directory / "diagnosis",
+            holdout=_recording_of("validation", identified), on_feedback=show)
+
+
+def _rest(client, processes):
+    with _blaming(processes, "stage"):
+        client.goal("play_waveform", voltage_v=REST_VOLTAGE_V, sample_period_s=1.0, repeats=1)
+
+
+def _recording_of(experiment, identified):
+    return next(path for path in map(Path, identified.recordings) if path.name == experiment)
+
+
+def _track_all(client, processes, model, directory, progress, modes=MODES):
     """Track every trajectory in every mode; return the paths of the recordings."""
     begin_s = time.monotonic()
-    runs = [(*trajectory, mode) for trajectory in TRAJECTORIES for mode in MODES]
+    runs = [(*trajectory, mode) for trajectory in TRAJECTORIES for mode in modes]
     tracks = []
     for number, (frequency_hz, amplitude_um, mode) in enumerate(runs):
         def show(run_fraction, number=number, frequency_hz=frequency_hz, mode=mode):
@@ -161,8 +202,7 @@ def _track_all(client, processes, model, directory, progress):
         show(0.0)
         reference = {"kind": "harmonic", "frequency_hz": [frequency_hz],
                      "amplitude_um": [amplitude_um], "centre_um": CENTRE_UM}
-        with _blaming(processes, "stage"):
-            client.goal("play_waveform", voltage_v=REST_VOLTAGE_V, sample_period_s=1.0, repeats=1)
+        _rest(client, processes)
         with _blaming(processes, "controller"):
             tracks.append(client.track(
                 reference, model, mode, DURATION_S, directory / f"{frequency_hz:g}_hz",
@@ -170,17 +210,27 @@ def _track_all(client, processes, model, directory, progress):
     return tracks
 
 
-def _report(directory, identified, tracks, command):
+def _report(directory, identified, tracks, diagnosis, tracks_after, command):
     """Write the report; return the summary."""
     runs = [read_tracked_run(track) for track in tracks]
     errors = dict(zip(identified.error_names, identified.error_values, strict=True))
-    summary = summarise(runs, errors, directory)
-    recordings = {path.name: path for path in map(Path, identified.recordings)}
-    shown = {name: read_recording(recordings[name]) for name in ("creep", "dynamics", "validation")}
+    runs_after = [read_tracked_run(track) for track in tracks_after]
+    verdict = json.loads(diagnosis.verdict_json)
+    summary = {
+        **summarise(runs, errors, directory),
+        "diagnosis": {key: verdict[key] for key in ("verdict", "effects", "before", "after")},
+        "tracking_after": [summarise_run(run, directory) for run in runs_after],
+    }
+    shown = {name: read_recording(_recording_of(name, identified))
+             for name in ("creep", "dynamics", "validation")}
     model = load_model(identified.model).model
-    (directory / "tracking.png").write_bytes(to_png(draw_errors(summary["tracking"])))
+    second_half = SecondHalf(
+        diagnosis.sentence, verdict, load_model(diagnosis.extended_model).model, runs_after)
+    (directory / "tracking.png").write_bytes(to_png(
+        draw_errors(summary["tracking"], summary["tracking_after"])))
     (directory / "report.html").write_text(
-        render_report(summary, runs, model, shown, command, directory), encoding="utf-8")
+        render_report(summary, runs, model, shown, second_half, command, directory),
+        encoding="utf-8")
     return summary
 
 
@@ -196,7 +246,8 @@ def _blaming(processes, name):
 def main(args=None):
     """Run the demo from the command line."""
     parser = argparse.ArgumentParser(
-        prog="demo", description="Identify a simulated stage, track with the model, and report.")
+        prog="demo", description="Identify a simulated stage, track with the model, find what the "
+        "model lacks, track again with the extended model, and report.")
     parser.add_argument("--output", type=Path, default=Path("runs/demo"), metavar="DIRECTORY",
                         help="gets all results (default: %(default)s); an earlier run there is "
                              "moved aside")
@@ -235,6 +286,10 @@ def _print_results(summary, directory):
     errors = ", ".join(f"{name.removesuffix('_percent').replace('_', ' ')} {value:.3f} %"
                        for name, value in summary["identification"].items())
     print(f"model on unseen data: {errors}")
+    effects = " and ".join(entry["name"] for entry in summary["diagnosis"]["effects"])
+    print(f"\ndiagnosis: {summary['diagnosis']['verdict']}"
+          f"{', the model lacks ' + effects if effects else ''}\n")
+    print(f"{format_model_errors(summary)}\n\n{format_tracking_errors(summary)}\n")
     print(f"closed loop: {summary['lockstep_ratio']:.1f} simulated seconds a second; "
           f"the demo took {summary['wall_s']['all']:.0f} s")
     print(f"report: {directory / 'report.html'}")

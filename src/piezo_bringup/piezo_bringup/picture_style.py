@@ -11,7 +11,10 @@ WIDTH_IN = 5.6
 DOTS_PER_INCH = 180
 
 # Of Okabe and Ito's palette; each goes with a line style of its own.
-BLACK, GREY, BLUE, VERMILION, ORANGE = "#000000", "#8c8c8c", "#0072b2", "#d55e00", "#e69f00"
+BLACK, GREY, BLUE, VERMILION = "#000000", "#8c8c8c", "#0072b2", "#d55e00"
+ORANGE, GREEN = "#e69f00", "#009e73"
+BEFORE = {"color": VERMILION, "linestyle": "--", "linewidth": 1.1, "label": "before"}
+AFTER = {"color": GREEN, "linestyle": "-", "linewidth": 1.1, "label": "after"}
 MEASURED = {"color": GREY, "linewidth": 3.0, "label": "measured"}
 MODELLED = {"color": BLUE, "linewidth": 1.2, "label": "modelled"}
 DIFFERENCE = {"color": VERMILION, "linestyle": "none", "marker": ".", "markersize": 1.5}

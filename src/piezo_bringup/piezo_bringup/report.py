@@ -5,13 +5,14 @@ from piezo_bringup import identification_pictures, tracking_pictures
 from piezo_bringup.frequency_response import square_wave_response
 from piezo_bringup.page import Picture, Section, render_page
 from piezo_bringup.picture_style import to_png
+from piezo_bringup.second_half import second_half_sections
 from piezo_bringup.summary import table_rows
 from piezo_identification.prediction import predict
 
 TITLE = "A piezo stage, identified and controlled"
 
 
-def render_report(summary, runs, model, recordings, command, directory):
+def render_report(summary, runs, model, recordings, second_half, command, directory):
     """Return the report as one HTML page.
 
     Parameters
@@ -22,6 +23,8 @@ def render_report(summary, runs, model, recordings, command, directory):
     model : piezo_models.cascade.StageModel
     recordings : dict of str to Recording
         Of the experiments ``creep``, ``dynamics`` and ``validation``.
+    second_half : SecondHalf
+        What came of the diagnosis.
     command : str
         That made it all.
     directory : path-like
@@ -33,6 +36,7 @@ def render_report(summary, runs, model, recordings, command, directory):
         *(_frequency_section(frequency_hz, [run for run in runs
                                             if run.frequency_hz == frequency_hz])
           for frequency_hz in sorted({run.frequency_hz for run in runs})),
+        *second_half_sections(summary, runs, model, recordings["validation"], second_half),
         _measures_section(summary),
     ])
 
@@ -40,7 +44,9 @@ def render_report(summary, runs, model, recordings, command, directory):
 def _introduction(command):
     return (
         "A simulated stage was identified from its own measurements, and then made to follow sines "
-        "with the model so found. Stage, recorder, identification and controller ran as separate "
+        "with the model so found. The stage has more to it than the model was allowed to have: a "
+        "diagnostic recording told what, the model was extended by it, and the same sines were "
+        "followed again. Stage, recorder, identification and controller ran as separate "
         "ROS 2 nodes in lockstep, so the machine's speed changes no number except the speed "
         "itself.",
         f"All numbers and pictures come from one run of `{command}`. The recordings, the model and "
@@ -63,9 +69,11 @@ def _errors_section(summary):
          "The thesis' figures were measured on a real stage, ours on a simulated one: they tell "
          "the scale. A dash stands where the thesis gives none."),
         table_rows(summary),
-        (_picture("Errors over frequency", tracking_pictures.draw_errors(summary["tracking"]),
-                  "Tracking error of each mode over the frequency. What the sensor adds by its "
-                  "noise is the way from the hollow to the full circles."),))
+        (_picture("Errors over frequency", tracking_pictures.draw_errors(
+                      summary["tracking"], summary["tracking_after"]),
+                  "Tracking error of each mode over the frequency; that of composite once more "
+                  "with the extended model. What the sensor adds by its noise is the way from the "
+                  "hollow to the full circles."),))
 
 
 def _identification_section(errors, model, recordings, directory):

@@ -99,7 +99,42 @@ def table_rows(summary):
 
 def format_table(summary):
     """Return the table of tracking errors as text for a terminal."""
-    rows = table_rows(summary)
+    return _aligned(table_rows(summary))
+
+
+def model_error_rows(summary):
+    """Return the table of the model's error before and after its extension."""
+    before, after = summary["diagnosis"]["before"], summary["diagnosis"]["after"]
+    return [["model error on unseen data", "before", "after"],
+            ["RMS nm", *(f"{1e3 * errors['rms_um']:.1f}" for errors in (before, after))],
+            ["e_y %", *(f"{errors['e_y_percent']:.3f}" for errors in (before, after))]]
+
+
+def format_model_errors(summary):
+    """Return that table as text for a terminal."""
+    return _aligned(model_error_rows(summary))
+
+
+def tracking_error_rows(summary):
+    """Return the table of e_rms by the sensor before and after the extension of the model."""
+    before = {(e["frequency_hz"], e["mode"]): e for e in summary["tracking"]}
+    rows = [["Hz", "um p-p", "mode", "before %", "after %", "thesis %"]]
+    for entry in summary["tracking_after"]:
+        values = (before[entry["frequency_hz"], entry["mode"]]["e_rms_percent"],
+                  entry["e_rms_percent"])
+        rows.append([*(_text(entry[key], COLUMNS[key][1])
+                       for key in ("frequency_hz", "amplitude_um", "mode")),
+                     *(f"{value:.3f}" for value in values),
+                     _text(entry["thesis_e_rms_percent"], "{:g}")])
+    return rows
+
+
+def format_tracking_errors(summary):
+    """Return that table as text for a terminal."""
+    return _aligned(tracking_error_rows(summary))
+
+
+def _aligned(rows):
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True))
              for row in rows]

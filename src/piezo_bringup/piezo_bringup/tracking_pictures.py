@@ -6,6 +6,7 @@ import numpy as np
 from piezo_bringup.picture_style import (
     BLACK,
     BLUE,
+    GREEN,
     MODE_STYLES,
     REFERENCE,
     VERMILION,
@@ -17,18 +18,21 @@ from piezo_bringup.picture_style import (
 SHOWN_PERIODS = 2
 SPECTRUM_HZ = (1.0, 20000.0)
 SMALLEST_AMPLITUDE_V = 1e-6
-TRUE_POSITION = {"color": BLUE, "linestyle": (0, (1, 2)), "linewidth": 1.0,
+EXTENDED = {"color": GREEN, "linestyle": "-", "linewidth": 2.4}
+TRUE_POSITION = {"color": GREEN, "linestyle": (0, (1, 2)), "linewidth": 1.0,
                  "markerfacecolor": "white"}
 MODE_MARKERS = {"open_loop": "s", "feedforward": "^", "composite": "o"}
 
 
-def draw_errors(entries):
+def draw_errors(entries, entries_after=()):
     """The error e_rms of every mode over the frequency, and the thesis' composite controller.
 
     Parameters
     ----------
     entries : list of dict
         Of `summary.summarise_run`.
+    entries_after : list of dict, optional
+        The same with an extended model, of which composite is shown.
 
     Returns
     -------
@@ -40,8 +44,11 @@ def draw_errors(entries):
         _plot_errors(axes, [e for e in entries if e["mode"] == mode], "e_rms_percent",
                      marker=MODE_MARKERS[mode], **style)
     composite = [e for e in entries if e["mode"] == "composite"]
-    _plot_errors(axes, composite, "e_rms_true_percent", marker="o",
-                 label="composite, true position", **TRUE_POSITION)
+    after = [e for e in entries_after if e["mode"] == "composite"]
+    _plot_errors(axes, after, "e_rms_percent", marker="D", label="composite, extended model",
+                 **EXTENDED)
+    _plot_errors(axes, after or composite, "e_rms_true_percent", marker="o",
+                 label="the same, true position", **TRUE_POSITION)
     _plot_errors(axes, composite, "thesis_e_rms_percent", color=BLACK,
                  linestyle="-.", linewidth=1.0, marker="x", label="thesis, composite")
     frequencies = sorted({e["frequency_hz"] for e in entries})

@@ -4,7 +4,13 @@ import json
 import numpy as np
 import pytest
 
-from piezo_bringup.summary import format_table, summarise
+from piezo_bringup.summary import (
+    format_model_errors,
+    format_table,
+    format_tracking_errors,
+    summarise,
+    summarise_run,
+)
 from piezo_bringup.tracked_run import read_tracked_run
 
 SAMPLES = 4000  # 0.1 s
@@ -68,6 +74,21 @@ def test_the_table_sets_the_thesis_beside_ours_and_a_dash_where_it_has_none(
     assert [row.split()[:5] for row in rows] == [
         ["100", "40", "feedforward", "0.500", "-"], ["100", "40", "composite", "0.500", "1.21"]]
     assert len({len(line) for line in (head, rule, *rows)}) == 1
+
+
+def test_errors_before_and_after_stand_side_by_side(tracking_recordings, tmp_path):
+    before, after = (
+        read_tracked_run(tracking_recordings.write(tmp_path / f"{error_um}", error_um=error_um))
+        for error_um in (0.2, 0.02))
+    summary = {
+        **summarise([before], {}, tmp_path),
+        "tracking_after": [summarise_run(after, tmp_path)],
+        "diagnosis": {"before": {"rms_um": 0.03, "e_y_percent": 0.1},
+                      "after": {"rms_um": 0.0111, "e_y_percent": 0.04}}}
+    *_, row = format_tracking_errors(summary).splitlines()
+    assert row.split() == ["100", "40", "composite", "0.500", "0.050", "1.21"]
+    *_, rms, e_y = format_model_errors(summary).splitlines()
+    assert rms.split()[-2:] == ["30.0", "11.1"] and e_y.split()[-2:] == ["0.100", "0.040"]
 
 
 def test_a_recording_without_ground_truth_or_parameters_is_refused(tracking_recordings, tmp_path):

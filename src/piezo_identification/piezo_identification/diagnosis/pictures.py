@@ -19,10 +19,13 @@ BEFORE = {"color": "#d55e00", "linewidth": 0.9, "label": "before"}
 AFTER = {"color": "#0072b2", "linewidth": 0.9, "label": "after"}
 NOISE = {"color": "#8c8c8c", "linestyle": ":", "label": "noise"}
 MOST_POINTS = 20_000
+CLOSE_SAMPLES = 2000
+LOWEST_SHOWN = 0.1
+"""Of the noise, in spectra."""
 
 
 def draw_residuals(part, before_um, after_um):
-    """Residuals over time, before and after.
+    """Residuals over time, before and after: of the whole, and close where most was gained.
 
     Parameters
     ----------
@@ -34,15 +37,29 @@ def draw_residuals(part, before_um, after_um):
     bytes
         Of a PNG file.
     """
-    figure, (above, below) = _figure(2, height_ratios=(1, 2), sharex=True)
-    shown = slice(part.begin, None, max(1, part.time_s.size // MOST_POINTS))
-    above.plot(part.time_s[shown], part.voltage_v[shown], color="black", linewidth=0.8)
-    below.plot(part.time_s[shown], 1e3 * before_um[shown], **BEFORE)
-    below.plot(part.time_s[shown], 1e3 * after_um[shown], **AFTER)
-    _label(above, None, "voltage / V")
-    _label(below, "time / s", "residual / nm")
-    below.legend(loc="upper right")
+    figure = Figure(figsize=(8.0, 5.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    whole = slice(part.begin, None, max(1, part.time_s.size // MOST_POINTS))
+    columns = zip(
+        figure.subplots(2, 2, height_ratios=(1, 2), width_ratios=(2, 1), sharex="col").T,
+        (whole, _closest_look(part, before_um, after_um)), strict=True,
+    )
+    for (above, below), shown in columns:
+        above.plot(part.time_s[shown], part.voltage_v[shown], color="black", linewidth=0.8)
+        below.plot(part.time_s[shown], 1e3 * before_um[shown], **BEFORE)
+        below.plot(part.time_s[shown], 1e3 * after_um[shown], **AFTER)
+        _label(above, None, "voltage / V")
+        _label(below, "time / s", "residual / nm")
+    figure.legend(*below.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return _png(figure)
+
+
+def _closest_look(part, before_um, after_um):
+    """Slice of the samples in which the residual fell most."""
+    gained = np.cumsum((before_um**2 - after_um**2)[part.begin :])
+    samples = min(CLOSE_SAMPLES, gained.size - 1)
+    start = part.begin + int(np.argmax(gained[samples:] - gained[:-samples]))
+    return slice(start, start + samples)
 
 
 def draw_spectra(part, before_um, after_um, noise_um):
@@ -55,7 +72,9 @@ def draw_spectra(part, before_um, after_um, noise_um):
     for signal, style in signals:
         frequency_hz, density = spectrum(signal[part.begin :], part.sample_period_s)
         axes.loglog(frequency_hz[1:-1], np.sqrt(density[1:-1]) * 1e3, **style)
-    axes.axhline(1e3 * noise_um * np.sqrt(2.0 * part.sample_period_s), **NOISE)
+    noise = 1e3 * noise_um * np.sqrt(2.0 * part.sample_period_s)
+    axes.axhline(noise, **NOISE)
+    axes.set_ylim(bottom=LOWEST_SHOWN * noise)
     _label(axes, "frequency / Hz", "density / (nm/sqrt(Hz))")
     axes.legend(loc="lower left")
     return _png(figure)

@@ -6,6 +6,7 @@ from html import escape
 
 from piezo_identification.diagnosis import pictures
 from piezo_identification.diagnosis.residual import input_correlation, whiteness
+from piezo_identification.diagnosis.selection import SIGNIFICANT
 from piezo_models.effects import known_effects
 
 STYLE = """
@@ -33,15 +34,19 @@ def verdict_sentence(diagnosis):
             f"held-out data.")
 
 
-def render_report(diagnosis):
+def render_report(diagnosis, origin=()):
     """Return the report as one HTML page.
 
     Parameters
     ----------
     diagnosis : Diagnosis
+    origin : sequence of (str, str)
+        What the page is to tell of when, and from which files: name and text.
     """
     contest = diagnosis.contest
     sections = [_section("What was found", _effects_table(diagnosis))]
+    if origin:
+        sections.insert(0, _table([("of", ""), *origin]))
     if diagnosis.left:
         sections.append(_section("What is left", _paragraph(diagnosis.left)))
     for index, part in enumerate(contest.prepared):
@@ -50,7 +55,8 @@ def render_report(diagnosis):
         sections.append(_section(
             str(part.path),
             _tests_table(part, before_um, after_um)
-            + _figure("Residuals", "Measured minus simulated displacement over time.",
+            + _figure("Residuals", "Measured minus simulated displacement over time; right, close "
+                      "where the extension gains most.",
                       pictures.draw_residuals(part, before_um, after_um))
             + _figure("Spectra", "Spectra of the residuals, of the model and of the noise.",
                       pictures.draw_spectra(part, before_um, after_um, contest.noise_um[index]))
@@ -111,22 +117,42 @@ def _tests_table(part, before_um, after_um):
 def _tried(selection):
     text = ""
     for number, attempts in enumerate(selection.rounds, 1):
-        rows = [("candidate", "error reduction / %", "significance", "size / tolerance")]
+        rows = [("candidate", "error reduction / %", "significance", "size / tolerance",
+                 "outcome")]
         rows += [
-            (attempt.name, f"{attempt.reduction_percent:.2f}", f"{attempt.significance:.1f}",
-             f"{attempt.size:.2f}") if attempt.trial is not None
-            else (attempt.name, "-", "-", attempt.remark or "nothing hints at it")
-            for attempt in attempts
+            (attempt.name, *(
+                (f"{attempt.reduction_percent:.2f}", f"{attempt.significance:.1f}",
+                 f"{attempt.size:.2f}") if attempt.trial is not None else ("-", "-", "-")),
+             _outcome(attempt, attempts[0], selection)) for attempt in attempts
         ]
         text += _paragraph(f"Round {number}, on held-out data; the best first:") + _table(rows)
-    return text
+    return text + _paragraph(
+        f"Significance is in standard deviations of a gain by chance; more than {SIGNIFICANT:g} "
+        "are asked for. The tolerance is the noise and what a good model may be wrong by."
+    )
+
+
+def _outcome(attempt, best, selection):
+    """What became of a candidate, in words."""
+    if attempt.remark:
+        return attempt.remark
+    if attempt.trial is None:
+        return "nothing hints at it"
+    added = {effect.name for effect in selection.end.effects}
+    if attempt is best and attempt.name in added:
+        return "added"
+    if attempt.reduction_percent <= 0.0:
+        return "rejected: no gain"
+    if attempt.significance <= SIGNIFICANT:
+        return "rejected: not significant"
+    return "rejected: too small" if attempt is best else f"rejected: less than {best.name}"
 
 
 def _undecided(diagnosis):
     if not diagnosis.not_decidable:
         return _paragraph("Nothing.")
     kinds = known_effects()
-    rows = [("effect", "why", "what to play")]
+    rows = [("effect", "why", "experiment that would")]
     rows += [
         (name, reason, kinds[name].experiment) for name, reason in diagnosis.not_decidable.items()
     ]

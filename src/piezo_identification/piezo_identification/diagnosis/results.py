@@ -3,6 +3,7 @@
 
 import json
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
@@ -71,7 +72,11 @@ def diagnose_files(model, recordings, holdout, directory, progress):
     results.verdict.write_text(
         json.dumps(diagnosis.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     save_model(results.extended_model, _extended(identified, diagnosis, recordings))
-    results.report.write_text(render_report(diagnosis), encoding="utf-8")
+    origin = [("diagnosed", datetime.now().astimezone().isoformat(" ", "seconds")),
+              ("model", f"{model}, of {identified.created}"),
+              *(("recording", f"{path}, SHA-256 {sha256_of(path)[:16]}") for path in recordings),
+              ("extended model", str(results.extended_model))]
+    results.report.write_text(render_report(diagnosis, origin), encoding="utf-8")
     return results
 
 
