@@ -2,10 +2,11 @@
 """Whatever breaks, the stage comes to rest by a ramp, says why, and its recording is whole."""
 
 import os
+import resource
 import signal
 import subprocess
 import sys
-from importlib import resources
+from importlib import resources as package_files
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ def begin_s(number):
 
 
 def plant_file(path):
-    content = yaml.safe_load((resources.files("piezo_sim") / "plant.yaml").read_text())
+    content = yaml.safe_load((package_files.files("piezo_sim") / "plant.yaml").read_text())
 
     def told(value, unit):
         return {"value": value, "unit": unit, "source": "a test of the guards"}
@@ -183,6 +184,24 @@ def test_client_that_is_killed_stops_the_stage(paced, work):
     assert samples.gapless
     ramp_v = samples.flagged(SampleBlock.FLAG_STOPPED)
     assert np.allclose(np.diff(ramp_v[:1200]), -0.05)
+
+
+def test_full_disk_stops_the_run_and_says_so(paced, tmp_path):
+    stage, _ = paced
+    recorder = stage.processes.process("recorder").pid
+    unlimited = resource.prlimit(recorder, resource.RLIMIT_FSIZE, (300_000, -1))
+    try:
+        with pytest.raises(GoalFailed, match="was closed early: File too large") as failure:
+            stage.run_experiment("dynamics", tmp_path)
+    finally:
+        resource.prlimit(recorder, resource.RLIMIT_FSIZE, unlimited)
+    stage.until(lambda: stage.blocks[-1].voltage_v[-1] == 0.0)
+    assert "was closed early: File too large" in stage.logs()
+    recording = read_recording(failure.value.result.recording)
+    assert recording.gaps == []
+    assert 0 < len(recording.voltage_v) < 40_000
+    # With room again the next one is whole.
+    assert stage.run_experiment("dynamics", tmp_path).success
 
 
 def test_experiment_whose_node_is_killed_ends_at_rest_with_a_whole_recording(paced, tmp_path):

@@ -23,6 +23,8 @@ setup(
     entry_points={
         "console_scripts": [
             "recorder = piezo_recorder.recorder_node:main",
+            "repair = piezo_recorder.repair:main",
+            "report = piezo_recorder.report:main",
         ],
     },
 )

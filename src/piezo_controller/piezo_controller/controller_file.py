@@ -13,6 +13,7 @@ from piezo_controller.feedback_design import (
     UnstableLoop,
     check_stabilises,
 )
+from piezo_models.bounded_file import UnreadableFile, read_bounded_text
 
 FORMAT = "piezo_stage_controller"
 VERSION = 1
@@ -73,10 +74,9 @@ def load_controller(path):
         or invalid field.
     """
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ControllerFileError(f"{path}: cannot be read ({error.strerror}); "
-                                  "give an existing controller file") from None
+        document = json.loads(read_bounded_text(path))
+    except UnreadableFile as error:
+        raise ControllerFileError(f"{path}: {error}; give a controller file") from None
     except (ValueError, RecursionError):
         raise ControllerFileError(f"{path}: is not JSON; give a controller file") from None
 

@@ -126,7 +126,7 @@ class ControllerNode(LifecycleNode):
             plan.once_voltage_v, plan.period_voltage_v,
             math.ceil(run.total_samples / self._samples_per_tick),
             lambda block: run.take(np.frombuffer(block.displacement_um)), answering,
-            lambda: progress.cancelled,
+            lambda: progress.cancelled or self._recorder.closed_early,
             lambda: progress.report(run.fraction, e_rms_percent=run.e_rms_percent(
                 round(REPORT_PERIOD_S * self._sample_rate_hz))))
 

@@ -10,6 +10,8 @@ import control
 import yaml
 from scipy.signal import zpk2ss
 
+from piezo_models.bounded_file import UnreadableFile, read_bounded_text
+
 DISTURBANCE_HZ = 20.0
 """Bandwidth of the disturbances that the weights are made for, section 5.3.1."""
 
@@ -120,9 +122,9 @@ def load_weights(path=DEFAULT):
     """
     source = BUILT_IN.get(str(path), Path(path))
     try:
-        entries = yaml.safe_load(source.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = str(getattr(error, "strerror", None) or error).replace("\n", " ")
+        entries = yaml.safe_load(read_bounded_text(source))
+    except (UnreadableFile, yaml.YAMLError, RecursionError) as error:
+        reason = " ".join(str(error).split())
         raise WeightsError(f"the weights file {source} cannot be read: {reason}") from None
     names = [field.name for field in fields(DesignWeights)]
     if not isinstance(entries, dict) or set(entries) != set(names):

@@ -95,7 +95,7 @@ class IdentificationNode(LifecycleNode):
                               repeats=experiment.repeats,
                               client=self.get_fully_qualified_name()),
             lambda feedback: report(feedback.stage, feedback.fraction),
-            lambda: progress.cancelled).last_sample
+            lambda: progress.cancelled or self._recorder.closed_early).last_sample
 
     def _relay(self, experiment, report, progress):
         """Answer the stage's blocks as a relay; return the last sample."""
@@ -103,7 +103,8 @@ class IdentificationNode(LifecycleNode):
         self._tracker.run(
             experiment.feedforward_v, np.empty(0), experiment.ticks,
             lambda block: run.take(np.frombuffer(block.displacement_um)), True,
-            lambda: progress.cancelled, lambda: report("feedback", run.fraction))
+            lambda: progress.cancelled or self._recorder.closed_early,
+            lambda: report("feedback", run.fraction))
         if not (run.fraction == 1.0 or progress.cancelled):
             raise CallFailed("the stage stopped before the end: its diagnostics tell why")
         return self._tracker.last_sample

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from piezo_models.bounded_file import UnreadableFile, read_bounded_text
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
 from piezo_models.hysteretic_creep import HystereticCreep
@@ -111,19 +112,9 @@ def load_model(path):
     """
     path = Path(path)
     try:
-        size = path.stat().st_size
-        if size > _LARGEST_FILE_BYTES:
-            raise ModelFileError(
-                f"{path}: has {size} bytes, more than the {_LARGEST_FILE_BYTES} of any model; "
-                "give a model file"
-            )
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ModelFileError(
-            f"{path}: cannot be read ({error.strerror}); give an existing model file"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise ModelFileError(f"{path}: is not text; give a model file") from error
+        text = read_bounded_text(path, _LARGEST_FILE_BYTES)
+    except UnreadableFile as error:
+        raise ModelFileError(f"{path}: {error}; give a model file") from None
     try:
         document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:

@@ -3,6 +3,7 @@
 
 from pathlib import Path
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from piezo_interfaces.srv import StartRecording, StopRecording
 
 from piezo_node_tools.calls import call_service
@@ -16,9 +17,17 @@ class RecorderCaller:
     Parameters
     ----------
     node : rclpy.node.Node
+
+    Attributes
+    ----------
+    closed_early : bool
+        Whether the recorder had to close the last recording, as where the disk is full.
     """
 
     def __init__(self, node):
+        self.closed_early = False
+        self._status_name = f"{node.get_namespace().rstrip('/')}/recorder: recording"
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._client = node.get_fully_qualified_name()
         self._start = node.create_client(StartRecording, "recorder/start_recording")
         self._stop = node.create_client(StopRecording, "recorder/stop_recording")
@@ -41,6 +50,7 @@ class RecorderCaller:
         ------
         CallFailed
         """
+        self.closed_early = False
         return call_service(self._start, StartRecording.Request(
             directory=str(Path(directory).absolute()), name=_free_name(directory, name),
             attachment_names=list(attachments),
@@ -56,6 +66,11 @@ class RecorderCaller:
         """
         return call_service(
             self._stop, StopRecording.Request(last_sample=last_sample), STOP_TIMEOUT_S)
+
+    def _on_diagnostics(self, message):
+        for status in message.status:
+            if status.name == self._status_name and status.level == DiagnosticStatus.ERROR:
+                self.closed_early = True
 
 
 def _free_name(directory, name):

@@ -22,6 +22,8 @@ GROUND_TRUTH = "ground_truth"
 CSV_COLUMNS = ("time_s", "voltage_v", "displacement_um")
 # Of a period: what rounding of the times in a CSV file may come to.
 CSV_TIME_TOLERANCE = 0.1
+# An hour at 40 kHz takes about 5 GB.
+LARGEST_BYTES = 16_000_000_000
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
@@ -156,18 +158,19 @@ def read_recording(path, topic=None, sample_rate_hz=None):
 def sha256_of(path):
     """Return the SHA-256 hash of a recording's data: of its MCAP or CSV file, hexadecimal."""
     digest = hashlib.sha256()
-    for file in _data_files(Path(path)):
+    for file in data_files(Path(path)):
         with open(file, "rb") as stream:
             while part := stream.read(1 << 20):
                 digest.update(part)
     return digest.hexdigest()
 
 
-def _data_files(path):
+def data_files(path):
+    """Return the files that hold a recording's data; RecordingError where there are none."""
     if not path.exists():
         raise RecordingError(f"{path} does not exist: give a recording's directory, MCAP or CSV.")
     if not path.is_dir():
-        return [path]
+        return [_bounded(path)]
     try:
         text = (path / "metadata.yaml").read_text(encoding="utf-8")
         metadata = yaml.safe_load(text)["rosbag2_bagfile_information"]
@@ -184,7 +187,15 @@ def _data_files(path):
     missing = [file for file in files if not file.is_file()]
     if missing:
         raise RecordingError(f"{path} names {missing[0].name}, which is missing: copy it there.")
-    return files
+    return [_bounded(file) for file in files]
+
+
+def _bounded(file):
+    size = file.stat().st_size
+    if size > LARGEST_BYTES:
+        raise RecordingError(f"{file} has {size} bytes, more than the {LARGEST_BYTES} that are "
+                             "read at once: cut it into parts.")
+    return file
 
 
 # --- MCAP ---------------------------------------------------------------------------------------
@@ -209,10 +220,10 @@ class _Contents:
                     self._add(record, schemas, channels)
             # Whatever the parser stumbles over in damaged bytes.
             except Exception as error:
-                if not _was_cut_short(stream):
+                if not was_cut_short(stream):
                     raise RecordingError(
                         f"{path} is damaged or no MCAP file ({error or type(error).__name__}): "
-                        "copy it again or recover what is left with `mcap recover`.") from None
+                        "copy it again or repair the disk.") from None
                 self.complete = False
 
     def _add(self, record, schemas, channels):
@@ -235,7 +246,7 @@ class _Contents:
             self.sample_rate_hz = float(record.metadata["sample_rate_hz"])
 
 
-def _was_cut_short(stream):
+def was_cut_short(stream):
     """Tell a file that a killed recorder left, read to its end, from a damaged one."""
     read_to_end = not stream.read(1)
     stream.seek(0)
@@ -247,7 +258,7 @@ def _was_cut_short(stream):
 
 def _read_mcap(path, topic, sample_rate_hz):
     contents = _Contents()
-    for file in _data_files(path):
+    for file in data_files(path):
         contents.read(file)
     topic = _choose_topic(path, contents, topic)
     blocks = _decode(path, contents.schema, contents.blocks[topic])
@@ -345,7 +356,14 @@ def _gaps(path, topic, first, ends):
 # --- CSV ----------------------------------------------------------------------------------------
 
 def _read_csv(path):
-    path, = _data_files(path)
+    try:
+        return _read_table(*data_files(path))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise RecordingError(
+            f"{path} is not plain text ({error}): save it as comma-separated text.") from None
+
+
+def _read_table(path):
     header = _csv_header(path)
     values = _csv_values(path, len(header))
     if values is None:

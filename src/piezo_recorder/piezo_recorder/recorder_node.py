@@ -298,7 +298,7 @@ class Recorder(LifecycleNode):
     def _publish_diagnostics(self):
         session = self._session
         status = DiagnosticStatus(
-            name=f"{self.get_name()}: recording", level=DiagnosticStatus.OK,
+            name=f"{self.get_fully_qualified_name()}: recording", level=DiagnosticStatus.OK,
             message="closed" if session.closed else "recording")
         if session.ended_early:
             status.level = DiagnosticStatus.ERROR

@@ -51,7 +51,7 @@ class RecordingWriter:
         self._mcap = mcap.writer.Writer(self._stream, chunk_size=CHUNK_BYTES)
         self._mcap.start(profile="ros2", library="piezo_recorder")
         if sample_rate_hz is not None:
-            self._mcap.add_metadata(STAGE_METADATA, {"sample_rate_hz": repr(sample_rate_hz)})
+            self.add_metadata({"sample_rate_hz": repr(sample_rate_hz)})
         self._schemas = {}
         self._topics = {}
         self._counts = {}
@@ -70,6 +70,10 @@ class RecordingWriter:
     def message_count(self):
         """Messages written so far."""
         return sum(self._counts.values())
+
+    def add_metadata(self, metadata):
+        """Keep facts of the stage, a dict of str to str, for the reader."""
+        self._mcap.add_metadata(STAGE_METADATA, metadata)
 
     def add_topic(self, topic, definition):
         """Announce a topic.

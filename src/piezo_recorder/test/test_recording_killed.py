@@ -1,19 +1,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import os
 import pickle
+import random
 import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
 
 from piezo_recorder.reader import RecordingError, read_recording
+from piezo_recorder.repair import main as repair_command
+from piezo_recorder.report import main as report_command
 from piezo_recorder.writer import RecordingWriter
 
 TOPIC = "/stage/samples"
+KILLS = 50 if os.environ.get("LONG_TESTS") else 3
 # Writes a block a millisecond and tells when, until it is killed.
 RECORDER = """
 import pickle, sys, time
@@ -30,31 +37,87 @@ for number, data in enumerate(blocks):
 """
 
 
-def test_a_kill_loses_at_most_one_second(tmp_path, sample_blocks):
+def kill_a_recorder(directory, inputs, after_s):
+    """Kill a recorder some time after its first message; return when it wrote each one."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", RECORDER, directory, inputs], stdout=subprocess.PIPE,
+        text=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})
+    first = process.stdout.readline()
+    time.sleep(after_s)
+    process.send_signal(signal.SIGKILL)
+    lines = [line.split() for line in [first, *process.stdout.read().splitlines()]]
+    process.wait()
+    return [float(line[1]) for line in lines if len(line) == 2]
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory, sample_blocks):
+    """Twenty seconds of blocks, a millisecond each, and what they are of."""
     blocks = [sample_blocks.serialise(40 * k, np.full(40, k), np.full(40, -k))
               for k in range(20_000)]
-    inputs = tmp_path / "inputs"
-    inputs.write_bytes(pickle.dumps((sample_blocks.definition, blocks)))
-    process = subprocess.Popen(
-        [sys.executable, "-c", RECORDER, tmp_path / "run", inputs], stdout=subprocess.PIPE,
-        text=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})
-    written_at = []
-    while len(written_at) < 1300:
-        written_at.append(float(process.stdout.readline().split()[1]))
-    process.send_signal(signal.SIGKILL)
-    rest = [line.split() for line in process.stdout.read().splitlines()]
-    process.wait()
-    written_at += [float(line[1]) for line in rest if len(line) == 2]
+    path = tmp_path_factory.mktemp("killed") / "inputs"
+    path.write_bytes(pickle.dumps((sample_blocks.definition, blocks)))
+    return path
 
-    recording = read_recording(tmp_path / "run")
-    assert not recording.complete
-    assert recording.attachments == {"model.json": b"{}"}
-    assert recording.gaps == []
-    kept = len(recording.voltage_v) // 40
-    assert np.array_equal(recording.voltage_v, np.repeat(np.arange(kept), 40))
+
+@pytest.mark.parametrize("kill", range(KILLS))
+def test_a_kill_at_any_moment_loses_at_most_one_second(tmp_path, inputs, kill):
+    # The first of them surely after a second.
+    after_s = random.Random(kill).uniform(0.0, 2.5) if kill else 1.3
+    written_at = kill_a_recorder(tmp_path / "run", inputs, after_s)
+    try:
+        recording = read_recording(tmp_path / "run")
+        kept = len(recording.voltage_v) // 40
+    except RecordingError as error:
+        assert "holds no samples" in str(error) or "has no topic of samples" in str(error)
+        kept = 0
     lost = written_at[kept:]
-    assert kept > 0
     assert not lost or lost[-1] - lost[0] <= 1.0
+    if kept:
+        assert not recording.complete
+        assert recording.attachments == {"model.json": b"{}"}
+        assert recording.gaps == []
+        assert np.array_equal(recording.voltage_v, np.repeat(np.arange(kept), 40))
+
+    # The one line of repair, and what other readers say then.
+    assert repair_command([str(tmp_path / "run"), str(tmp_path / "mended")]) == 0
+    with AnyReader([tmp_path / "mended"]) as reader:
+        assert reader.message_count == kept
+        assert len([1 for _ in reader.messages()]) == kept
+    with open(tmp_path / "mended" / "mended_0.mcap", "rb") as stream:
+        summary = make_reader(stream).get_summary()
+        assert summary.statistics.message_count == kept
+    if kept:
+        mended = read_recording(tmp_path / "mended")
+        assert mended.complete
+        assert np.array_equal(mended.voltage_v, recording.voltage_v)
+        assert mended.attachments == recording.attachments
+
+
+def test_repair_overwrites_nothing_and_refuses_what_is_no_recording(tmp_path, closed_file, capsys):
+    path = tmp_path / "whole.mcap"
+    path.write_bytes(closed_file[0])
+    (tmp_path / "there").mkdir()
+    assert repair_command([str(path), str(tmp_path / "there")]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert repair_command([str(tmp_path / "none"), str(tmp_path / "new")]) == 2
+    assert "does not exist" in capsys.readouterr().err
+    path.write_bytes(b"no recording")
+    assert repair_command([str(path), str(tmp_path / "new")]) == 2
+    assert "damaged or no MCAP file" in capsys.readouterr().err
+
+
+def test_report_accounts_for_every_sample(tmp_path, sample_blocks, capsys):
+    blocks = [sample_blocks.serialise(40 * k, np.zeros(40), np.zeros(40)) for k in (0, 1, 4, 5)]
+    path = sample_blocks.write(tmp_path / "gap", {TOPIC: blocks})
+    assert report_command([str(path)]) == 1
+    said = capsys.readouterr().out
+    assert "160 samples, index 0 to 239" in said
+    assert "error: 80 samples are missing from sample 80 on" in said
+    path = sample_blocks.write(tmp_path / "whole", {TOPIC: blocks[:2]})
+    assert report_command([str(path)]) == 0
+    assert "error" not in capsys.readouterr().out
+    assert report_command([str(tmp_path / "none")]) == 2
 
 
 @pytest.fixture(scope="module")

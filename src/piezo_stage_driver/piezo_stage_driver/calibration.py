@@ -3,9 +3,10 @@
 
 import math
 from dataclasses import dataclass, fields
-from pathlib import Path
 
 import yaml
+
+from piezo_models.bounded_file import UnreadableFile, read_bounded_text
 
 
 class CalibrationError(ValueError):
@@ -85,11 +86,10 @@ def load_calibration(path):
         If the file cannot be read, or an entry is unknown, missing or impossible.
     """
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise CalibrationError(f"{path}: the calibration cannot be read: {reason}") from None
-    except yaml.YAMLError as error:
+        content = yaml.safe_load(read_bounded_text(path))
+    except UnreadableFile as error:
+        raise CalibrationError(f"{path}: the calibration {error}") from None
+    except (yaml.YAMLError, RecursionError) as error:
         raise CalibrationError(f"{path}: no YAML file: {' '.join(str(error).split())}") from None
     names = [field.name for field in fields(Calibration)]
     if not isinstance(content, dict):
