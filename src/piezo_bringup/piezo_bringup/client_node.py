@@ -9,7 +9,7 @@ from piezo_interfaces.msg import Reference
 from rclpy.action import ActionClient
 from rclpy.experimental import EventsExecutor
 
-from piezo_node_tools.presence import announce_often
+from piezo_node_tools.discovery import prepare_discovery
 
 SERVER_TIMEOUT_S = 30.0
 LOST_RESPONSE_S = 10.0
@@ -42,7 +42,7 @@ class Client:
     """
 
     def __init__(self, namespace="", name="client"):
-        announce_often()
+        prepare_discovery()
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self.node = rclpy.create_node(name, namespace=namespace, context=self._context)

@@ -1,22 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Notice soon that a process is gone, however it went."""
+"""Notice that a node is gone, however it went."""
 
-import os
 import time
-from pathlib import Path
 
 # What a node that has just started may take to be seen.
 APPEARANCE_TIMEOUT_S = 10.0
-
-
-def announce_often():
-    """Have this process announce itself so often that others miss it within 3 s.
-
-    By default they miss a process that was killed after 20 s only. Call it before ROS is
-    initialised; a profile that the environment names already is left as it is.
-    """
-    os.environ.setdefault(
-        "FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("participant.xml")))
 
 
 class ClientWatch:

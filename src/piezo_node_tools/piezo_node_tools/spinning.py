@@ -8,12 +8,14 @@ from pathlib import Path
 
 import rclpy
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
+from piezo_node_tools.discovery import prepare_discovery
 from piezo_node_tools.parameters import declare
-from piezo_node_tools.presence import announce_often
 
+RCLError = rclpy_implementation.RCLError
 SPIN_TIMEOUT_S = 0.2
 WIND_DOWN_TIMEOUT_S = 10.0
 LAST_WORDS_S = 0.2
@@ -82,7 +84,7 @@ def run_node(create_node, args=None):
 
 
 def _start(create_node, args):
-    announce_often()
+    prepare_discovery()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
@@ -91,6 +93,8 @@ def _start(create_node, args):
         return create_node()
     except ValueError as error:
         _refuse(error)
+    except RCLError as error:  # as where security is asked for that the middleware has not
+        _refuse(" ".join(str(error).split(", at /")[0].split()))
 
 
 def _refuse(reason):
