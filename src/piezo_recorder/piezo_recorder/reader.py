@@ -222,7 +222,7 @@ class _Contents:
             except Exception as error:
                 if not was_cut_short(stream):
                     raise RecordingError(
-                        f"{path} is damaged or no MCAP file ({error or type(error).__name__}): "
+                        f"{path} is damaged or no MCAP file ({_brief(error)}): "
                         "copy it again or repair the disk.") from None
                 self.complete = False
 
@@ -244,6 +244,11 @@ class _Contents:
             self.attachments[record.name] = record.data
         elif isinstance(record, mcap.records.Metadata) and record.name == STAGE_METADATA:
             self.sample_rate_hz = float(record.metadata["sample_rate_hz"])
+
+
+def _brief(error):
+    """What a library says, in one short line."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def was_cut_short(stream):
@@ -289,12 +294,12 @@ def _choose_topic(path, contents, topic):
 
 def _decode(path, schema, blocks):
     typestore = get_typestore(Stores.EMPTY)
-    typestore.register(get_types_from_msg(schema.data.decode(), schema.name))
     try:
+        typestore.register(get_types_from_msg(schema.data.decode(), schema.name))
         decoded = [typestore.deserialize_cdr(data, schema.name) for data in blocks]
     except Exception as error:
         raise RecordingError(
-            f"{path} has a sample block that does not fit its own definition ({error}): "
+            f"{path} has a sample block that does not fit its own definition ({_brief(error)}): "
             "record it again.") from None
     uneven = next((number for number, block in enumerate(decoded, start=1)
                    if len(block.voltage_v) != len(block.displacement_um)), None)
