@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test bench reproduce measured clean
+.PHONY: help setup demo test long soak bench reproduce measured clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
@@ -18,6 +18,14 @@ demo: ## identify and control the simulated stage; report in runs/demo
 
 test: setup ## check the style, then run the unit and the integration tests
 	@$(in_environment) .venv/bin/ruff check . && .venv/bin/python -m pytest src test
+
+long: setup ## run the tests of bad files and killed recorders with their full numbers
+	@$(in_environment) LONG_TESTS=1 .venv/bin/python -m pytest test/test_bad_input.py src/piezo_recorder/test/test_recording_killed.py
+
+SECONDS_OF_SOAK ?= 3600
+SEED ?= 1
+soak: setup ## run everything at random, with faults, for SECONDS_OF_SOAK from SEED; in runs/soak
+	@$(in_environment) .venv/bin/python benchmarks/soak.py --seconds $(SECONDS_OF_SOAK) --seed $(SEED)
 
 bench: setup ## measure speed and accuracy beside peers
 	@tools/peers

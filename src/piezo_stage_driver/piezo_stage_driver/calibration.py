@@ -8,6 +8,9 @@ import yaml
 
 from piezo_models.bounded_file import UnreadableFile, read_bounded_text
 
+# Of NI-DAQmx.
+TERMINALS = ("DEFAULT", "DIFF", "RSE", "NRSE", "PSEUDO_DIFF")
+
 
 class CalibrationError(ValueError):
     """A calibration file that cannot be used; the message says where and what to do."""
@@ -115,6 +118,8 @@ def _check_type(path, field, value):
 
 def _checked(path, calibration):
     for sentence, holds in {
+        f"terminal_configuration is none of {', '.join(TERMINALS)}":
+            calibration.terminal_configuration in TERMINALS,
         "amplifier_gain is 0": calibration.amplifier_gain != 0.0,
         "sensor_um_per_v is 0": calibration.sensor_um_per_v != 0.0,
         "lead_ticks is below 1: the card needs its samples in advance": calibration.lead_ticks >= 1,

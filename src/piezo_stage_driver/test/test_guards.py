@@ -218,6 +218,35 @@ def test_loop_that_is_not_stable_is_stopped_before_5_um(gain):
     assert np.all(np.diff(tracked_v[away:]) <= 1e-9)
 
 
+@settings(deadline=None, max_examples=60)
+@given(work=st.sampled_from(["play", "slow", "track"]), after=st.integers(0, 120),
+       again_after=st.integers(0, 20))
+def test_stop_at_any_moment_ramps_from_the_very_next_tick(work, after, again_after):
+    backend = ProportionalStage()
+    engine = guarded_engine(backend, longest_stretch_samples=TICK)
+    if work == "track":
+        engine.load_feedforward(np.linspace(0.0, 80.0, 1600), [])
+        engine.start_tracking(feedback=False, ticks=90)
+    else:
+        engine.play(np.full(40, 80.0), PERIOD_S * (1 if work == "play" else 40))
+    for _ in range(after):
+        engine.advance()
+    at_v, begun = engine.voltage_v, len(backend.played_v)
+    engine.stop("pressed")
+    for _ in range(again_after):
+        engine.advance()
+    engine.stop("pressed again")
+    while not engine.idle:
+        engine.advance()
+    ramp_v = np.r_[at_v, backend.played_v[begun:]]
+    assert np.all(np.diff(ramp_v) <= 1e-9)
+    assert np.abs(np.diff(ramp_v)).max(initial=0.0) <= 2000 * PERIOD_S + 1e-9
+    assert engine.voltage_v == 0.0
+    assert engine.stop_cause == "pressed"
+    if at_v > 0.0:
+        assert ramp_v[TICK] < at_v
+
+
 def test_busy_stage_tells_for_whom():
     engine = guarded_engine(ProportionalStage())
     engine.play(np.full(4000, 60.0), PERIOD_S, client="/left/identification")

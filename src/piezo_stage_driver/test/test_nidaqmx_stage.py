@@ -14,7 +14,7 @@ from piezo_stage_driver import nidaqmx_stage
 from piezo_stage_driver.backend import BackendFault
 from piezo_stage_driver.backends import BackendSettings, create_backend
 from piezo_stage_driver.blocks import FLAG_TRACKING
-from piezo_stage_driver.calibration import CalibrationError, load_calibration
+from piezo_stage_driver.calibration import TERMINALS, CalibrationError, load_calibration
 from piezo_stage_driver.engine import StageEngine
 from piezo_stage_driver.limits import VoltageLimits
 from piezo_stage_driver.nidaqmx_stage import NidaqmxStage, load_driver
@@ -163,7 +163,7 @@ def test_stand_in_has_the_signatures_of_the_package():
             inspect.signature(theirs).parameters.keys())
     assert driver.DaqError("text", -200290).error_code == -200290
     assert driver.constants.RegenerationMode.DONT_ALLOW_REGENERATION
-    assert driver.constants.TerminalConfiguration["DIFF"]
+    assert set(TERMINALS) == {terminal.name for terminal in driver.constants.TerminalConfiguration}
 
 
 # Calibration
@@ -184,6 +184,7 @@ def test_calibration_scales_both_ways():
     ({"amplifier_gain": True}, "give a finite number"),
     ({"input_channel": "Dev2/ai0"}, "are not on one device"),
     ({"input_minimum_v": 10.0}, "input_minimum_v is not below"),
+    ({"terminal_configuration": "SINGLE"}, "terminal_configuration is none of DEFAULT, DIFF"),
     ({"gain": 1.0}, "unknown entry 'gain'"),
     ({"sensor_um_per_v": None}, "sensor_um_per_v is None"),
 ])
