@@ -19,7 +19,7 @@ BEFORE = {"color": "#d55e00", "linewidth": 0.9, "label": "before"}
 AFTER = {"color": "#0072b2", "linewidth": 0.9, "label": "after"}
 NOISE = {"color": "#8c8c8c", "linestyle": ":", "label": "noise"}
 MOST_POINTS = 20_000
-CLOSE_SAMPLES = 2000
+CLOSE_SAMPLES = 800
 LOWEST_SHOWN = 0.1
 """Of the noise, in spectra."""
 
@@ -50,15 +50,20 @@ def draw_residuals(part, before_um, after_um):
         below.plot(part.time_s[shown], 1e3 * after_um[shown], **AFTER)
         _label(above, None, "voltage / V")
         _label(below, "time / s", "residual / nm")
+    below.locator_params(axis="x", nbins=3)
     figure.legend(*below.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return _png(figure)
 
 
 def _closest_look(part, before_um, after_um):
-    """Slice of the samples in which the residual fell most."""
-    gained = np.cumsum((before_um**2 - after_um**2)[part.begin :])
-    samples = min(CLOSE_SAMPLES, gained.size - 1)
-    start = part.begin + int(np.argmax(gained[samples:] - gained[:-samples]))
+    """Slice of the samples in which the scatter of the residual fell most."""
+    samples = min(CLOSE_SAMPLES, before_um.size - part.begin)
+    windows = (before_um.size - part.begin) // samples
+    scatters = [
+        residual_um[part.begin : part.begin + windows * samples].reshape(windows, samples).var(1)
+        for residual_um in (before_um, after_um)
+    ]
+    start = part.begin + samples * int(np.argmax(scatters[0] - scatters[1]))
     return slice(start, start + samples)
 
 

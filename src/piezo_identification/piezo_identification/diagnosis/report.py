@@ -2,7 +2,10 @@
 """The report of a diagnosis: one self-contained page for the logbook."""
 
 import base64
+from dataclasses import fields
 from html import escape
+
+import numpy as np
 
 from piezo_identification.diagnosis import pictures
 from piezo_identification.diagnosis.residual import input_correlation, whiteness
@@ -46,7 +49,7 @@ def render_report(diagnosis, origin=()):
     contest = diagnosis.contest
     sections = [_section("What was found", _effects_table(diagnosis))]
     if origin:
-        sections.insert(0, _table([("of", ""), *origin]))
+        sections.insert(0, _table(origin))
     if diagnosis.left:
         sections.append(_section("What is left", _paragraph(diagnosis.left)))
     for index, part in enumerate(contest.prepared):
@@ -66,6 +69,8 @@ def render_report(diagnosis, origin=()):
                       "bands hold 99 % of the means where nothing depends on it.",
                       pictures.draw_dependences(part, before_um, after_um)),
         ))
+    if diagnosis.model is not contest.model:
+        sections.append(_section("What was tuned beside", _tuned(contest.model, diagnosis.model)))
     sections.append(_section("What was tried", _tried(diagnosis.selection)))
     sections.append(_section("What the data could not decide", _undecided(diagnosis)))
     return (
@@ -78,10 +83,13 @@ def render_report(diagnosis, origin=()):
 
 
 def _effects_table(diagnosis):
-    rows = [("error on held-out data", "before", "after")]
-    for name in ("rms_um", "e_y_percent"):
-        rows.append((name, f"{diagnosis.before[name]:.4g}", f"{diagnosis.after[name]:.4g}"))
-    rows.append(("noise_floor_um", f"{diagnosis.noise_floor_um:.4g}", ""))
+    before, after = diagnosis.before, diagnosis.after
+    rows = [
+        ("error on held-out data", "before", "after"),
+        ("RMS / nm", *(f"{1e3 * errors['rms_um']:.4g}" for errors in (before, after))),
+        ("e_y / %", *(f"{errors['e_y_percent']:.4g}" for errors in (before, after))),
+        ("noise of the sensor / nm", f"{1e3 * diagnosis.noise_floor_um:.4g}", ""),
+    ]
     tables = _table(rows)
     where = "{samples} samples of {source}".format(**diagnosis.holdout)
     tables += _paragraph(f"Held out: {where}.")
@@ -93,7 +101,7 @@ def _effects_table(diagnosis):
                 deviation = entry.get("standard_deviations", {}).get(name)
                 rows.append((
                     entry["name"] if first else "", name, _number(value),
-                    "" if deviation is None else _number(deviation),
+                    "" if deviation is None else _number(deviation, 2),
                     f"{entry['error_reduction_percent']:.1f}" if first else "",
                 ))
                 first = False
@@ -159,10 +167,28 @@ def _undecided(diagnosis):
     return _table(rows)
 
 
-def _number(value):
+def _tuned(before, after):
+    """The model's own parameters before and after; what they gained alone is no effect's."""
+    rows = [("parameter", "before", "after", "change / %")]
+    for old, new in ((before.dynamics, after.dynamics), (before.creep, after.creep)):
+        for field in fields(old):
+            pairs = zip(np.atleast_1d(getattr(old, field.name)),
+                        np.atleast_1d(getattr(new, field.name)), strict=True)
+            rows += [(field.name, _number(was), _number(now), f"{100.0 * (now / was - 1.0):+.2f}")
+                     for was, now in pairs if was]
+    density = [model.hysteresis.density_um_per_v2.sum() for model in (before, after)]
+    rows.append(("density of the hysteresis, sum", *map(_number, density),
+                 f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
+    return _paragraph(
+        "Without the effects the model's own parameters had been fitted to make up for them. "
+        "Beside the effects they were free to move as far as they are uncertain."
+    ) + _table(rows)
+
+
+def _number(value, digits=5):
     if isinstance(value, (list, tuple)):
-        return ", ".join(f"{number:.4g}" for number in value)
-    return f"{value:.5g}"
+        return ", ".join(f"{number:.{min(digits, 4)}g}" for number in value)
+    return f"{value:.{digits}g}"
 
 
 def _section(title, content):
