@@ -180,7 +180,8 @@ class FeedbackOscillation:
     """The feedback does not oscillate ever more.
 
     A loop that is not stable swings with a half period of a few ticks, each swing larger than
-    the one before. What swings as slowly as a reference, or keeps its size, is let pass.
+    all before, up from its noise. What swings as slowly as most references, keeps its size, beats,
+    or is large from its first swing on, is let pass.
 
     Parameters
     ----------
@@ -189,9 +190,12 @@ class FeedbackOscillation:
     """
 
     LONGEST_HALF_PERIOD_TICKS = 8
-    # From one record to the next, less is the scatter of a steady oscillation, more a new start.
-    GROWTH, LEAP = 1.1, 20.0
-    RECORDS = 2
+    # From where a growth began to where it is stopped, and what is a new start in one swing.
+    GROWTH, LEAP = 10.0, 20.0
+    # Swings that grew before the one that is stopped.
+    GROWN_SWINGS = 2
+    # Of the largest swing: less than this in between is no growth from swing to swing.
+    LULL = 0.5
     # Of a swing: what leads back by less is no turn but noise.
     TURN = 0.1
 
@@ -204,7 +208,7 @@ class FeedbackOscillation:
         self._turn_v = self._extreme_v = 0.0
         self._ticks = 0
         self._rises = True
-        self._records, self._record_v = 0, math.inf
+        self._restart(0.0)
 
     def examine(self, voltage_v):
         """Say what is wrong with the feedback that is to act next; empty if nothing is."""
@@ -215,7 +219,10 @@ class FeedbackOscillation:
         elif abs(change_v) > self.TURN * abs(self._extreme_v - self._turn_v):
             self._turn(voltage_v)
         swing_v = abs(voltage_v - self._turn_v)
-        if swing_v <= self._limit_v or self._records < self.RECORDS or not self._grown(swing_v):
+        fast = self._ticks <= self.LONGEST_HALF_PERIOD_TICKS
+        grown = self.GROWTH * self._begun_v <= swing_v <= self.LEAP * self._largest_v
+        if not (fast and grown and self._grown_swings >= self.GROWN_SWINGS
+                and swing_v > max(self._limit_v, self._largest_v)):
             return ""
         return f"the feedback oscillates ever more, {swing_v:.2g} V from peak to peak"
 
@@ -223,13 +230,17 @@ class FeedbackOscillation:
         """Take in the swing that has ended with the last extreme, and begin another."""
         swing_v = abs(self._extreme_v - self._turn_v)
         fast = self._ticks <= self.LONGEST_HALF_PERIOD_TICKS
-        if fast and self._grown(swing_v):
-            self._records += 1
-            self._record_v = swing_v
-        elif not fast or not self._record_v / 2.0 <= swing_v <= self._record_v * self.GROWTH:
-            self._records, self._record_v = 0, swing_v
+        if not fast or swing_v < self.LULL * self._largest_v:
+            self._restart(max(swing_v, self._largest_v))
+        elif swing_v > self.LEAP * self._largest_v:
+            self._restart(swing_v)
+        elif swing_v > self._largest_v:
+            self._largest_v = swing_v
+            self._grown_swings += 1
         self._turn_v, self._extreme_v, self._ticks = self._extreme_v, voltage_v, 0
         self._rises = not self._rises
 
-    def _grown(self, swing_v):
-        return self.GROWTH * self._record_v <= swing_v <= self.LEAP * self._record_v
+    def _restart(self, swing_v):
+        """Look for growth from here on."""
+        self._begun_v = self._largest_v = swing_v
+        self._grown_swings = 0
