@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import peers
+from computing_time import computing_times_s
 from hysteresis_speed import samples_per_s
 from loop_speed import LOCKSTEP, closed_loop, ping_pong_round_trips, tick_round_trips
 from paced import paced_run
@@ -59,9 +60,15 @@ def loops(rows):
 
 
 def round_trips(rows):
-    """Add the tick's round trip beside the ping-pong's."""
+    """Add the tick's round trip, and the time to compute an answer, beside the ping-pong's."""
     tick_s = tick_round_trips(OUTPUT / "tick", PACED_S)
     ping_s = ping_pong_round_trips(OUTPUT / "ping", ROUND_TRIPS)
+    for order, computing_s in computing_times_s().items():
+        name = f"computing an answer, controller of order {order}"
+        for percent in (50, 99):
+            computing = np.percentile(computing_s, percent)
+            rows[f"{name}, p{percent}", "us"].append(computing * MICROSECONDS)
+        rows[f"{name}, p99: over ping-pong", "times"].append(computing / np.percentile(ping_s, 99))
     for percent in (50, 99):
         tick, ping = np.percentile(tick_s, percent), np.percentile(ping_s, percent)
         rows[f"round trip, tick, p{percent}", "us"].append(tick * MICROSECONDS)
@@ -86,6 +93,7 @@ TARGETS = {
     "paced, 1 kHz: ticks other than uploaded": {"at_most": 0},
     "loop, stage and controller": {"at_least": 2.0},
     "round trip, p50: tick over ping-pong": {"at_most": 2.0},
+    "computing an answer, controller of order 15, p99": {"at_most": 100.0},
 }
 
 

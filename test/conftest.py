@@ -222,7 +222,8 @@ class Nodes:
         self._ends = ExitStack()
         self._groups = 0
 
-    def start(self, *names, namespace="", connect=True, **stage_parameters):
+    def start(self, *names, namespace="", connect=True, node_parameters=None,
+              **stage_parameters):
         """Start a lockstep stage and other nodes in a namespace; return a client of the stage."""
         self._groups += 1
         directory = self._directory / str(self._groups)
@@ -230,7 +231,8 @@ class Nodes:
         processes = self._ends.enter_context(Processes(directory))
         for name in ("stage", *names):
             parameters = {"timing": "lockstep", "autostart": True, **stage_parameters}
-            processes.start(name, parameters if name == "stage" else None, namespace or None)
+            processes.start(name, parameters if name == "stage"
+                            else (node_parameters or {}).get(name), namespace or None)
         client = self._ends.enter_context(StageClient(namespace, processes))
         client.until(lambda: {"client", "stage", *names} <= client.node_names())
         if connect:

@@ -135,6 +135,15 @@ def test_each_mode_is_better_than_the_one_before(tracked):
     assert errors[0] > errors[1] > 2 * errors[2]
 
 
+@pytest.mark.parametrize(("mode", "largest_e_rms_percent"), [
+    ("pid", 15.0), ("pi", 20.0), ("composite_single_rate", 2.0)])
+def test_further_modes_track_a_slow_reference(
+        suite, model, tmp_path, mode, largest_e_rms_percent):
+    result = suite.track(harmonic(10.0), model, mode, 0.3, tmp_path)
+    assert result.e_rms_percent <= largest_e_rms_percent
+    assert result.missed_feedback == 0
+
+
 def test_run_is_recorded_with_model_parameters_and_truth_and_without_gaps(tracked, model):
     for mode, result in tracked.items():
         recording = read_recording(result.recording)
@@ -161,7 +170,7 @@ def other_version(model, tmp_path_factory):
 @pytest.mark.parametrize(("fields", "sentence"), [
     ({"model": "/no/model.json"}, "the model '/no/model.json'.*: No such file.*identify the stage"),
     ({"model": "other_version"}, "version.* 99"),
-    ({"mode": "closed"}, "unknown mode 'closed': use one of open_loop, feedforward, composite"),
+    ({"mode": "closed"}, "unknown mode 'closed': use one of open_loop, pid, pi, feedforward, "),
     ({"duration_s": 0.0}, "duration_s is 0: give more than 0"),
     ({"duration_s": math.nan}, "duration_s is nan: give more than 0"),
     ({"reference": harmonic(amplitude_um=math.nan)}, "amplitude_um nan is not a positive number"),

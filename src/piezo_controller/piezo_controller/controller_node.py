@@ -10,10 +10,17 @@ import numpy as np
 from piezo_interfaces.action import Track
 from rclpy.lifecycle import LifecycleNode
 
+from piezo_controller.controller_file import load_stabilising_controller
+from piezo_controller.feedback_before_inverse import FeedbackBeforeInverse
 from piezo_controller.feedback_design import design_feedback
 from piezo_controller.feedback_loop import MultirateFeedback
-from piezo_controller.feedforward import plan_feedforward
-from piezo_controller.references import Reference, sample_reference
+from piezo_controller.references import Reference
+from piezo_controller.tracking_modes import (
+    FEEDBACK_METHODS,
+    StageClock,
+    feedback_room_v,
+    plan_mode,
+)
 from piezo_controller.tracking_run import TrackingRun
 from piezo_controller.weights import DEFAULT, load_weights
 from piezo_models.model_file import load_model
@@ -24,7 +31,7 @@ from piezo_node_tools.recording import RecorderCaller
 from piezo_node_tools.spinning import autostart, run_node
 from piezo_node_tools.tracking import REPORT_PERIOD_S, StageTracker
 
-MODES = ("open_loop", "feedforward", "composite")
+PLACES = ("behind_inverse", "before_inverse")
 LONGEST_DURATION_S = 3600.0
 
 
@@ -42,25 +49,35 @@ class ControllerNode(LifecycleNode):
         autostart(self)
 
     def _declare_parameters(self):
-        self._voltage_range_v = (
-            declare(self, "minimum_voltage_v", -20.0,
-                    "Lowest voltage of the feedforward (V).", -1000.0, 1000.0),
-            declare(self, "maximum_voltage_v", 120.0,
-                    "Highest voltage of the feedforward (V).", -1000.0, 1000.0))
-        self._slew_limit_v_per_s = declare(
-            self, "slew_limit_v_per_s", 2.0e6, "Slew limit of the stage (V/s).", 1.0, 1.0e9)
-        self._rest_voltage_v = declare(
-            self, "rest_voltage_v", 0.0, "Voltage of the stage at rest (V).", -1000.0, 1000.0)
-        self._sample_rate_hz = declare(
-            self, "sample_rate_hz", 40000.0,
-            "Rate of the stage's sample clock (Hz).", 1000.0, 200000.0)
-        self._samples_per_tick = declare(
-            self, "samples_per_tick", 40, "Samples of one feedback period.", 1, 4000)
+        self._stage = StageClock(
+            voltage_range_v=(
+                declare(self, "minimum_voltage_v", -20.0,
+                        "Lowest voltage of the feedforward (V).", -1000.0, 1000.0),
+                declare(self, "maximum_voltage_v", 120.0,
+                        "Highest voltage of the feedforward (V).", -1000.0, 1000.0)),
+            slew_limit_v_per_s=declare(
+                self, "slew_limit_v_per_s", 2.0e6, "Slew limit of the stage (V/s).", 1.0, 1.0e9),
+            rest_voltage_v=declare(
+                self, "rest_voltage_v", 0.0, "Voltage of the stage at rest (V).",
+                -1000.0, 1000.0),
+            sample_rate_hz=declare(
+                self, "sample_rate_hz", 40000.0,
+                "Rate of the stage's sample clock (Hz).", 1000.0, 200000.0),
+            samples_per_tick=declare(
+                self, "samples_per_tick", 40, "Samples of one feedback period.", 1, 4000))
         self._max_feedback_v = declare(
             self, "max_feedback_v", 20.0, "Largest feedback voltage (V).", 0.001, 1000.0)
         self._weights_file = declare(
             self, "weights", "",
             "Weights of the feedback design: a file (YAML), thesis, or empty for the default.")
+        self._controller_file = declare(
+            self, "controller_file", "",
+            "Feedback of the composite modes, as design wrote it; empty to design it for the "
+            "model.")
+        self._feedback_place = declare(
+            self, "feedback_place", PLACES[0],
+            "Where the feedback of the composite modes enters: behind_inverse, as a voltage; "
+            "before_inverse, as an output of the hysteresis.")
         self._directory = declare(
             self, "directory", "runs", "Where recordings go if a goal names no place.")
 
@@ -86,49 +103,63 @@ class ControllerNode(LifecycleNode):
         progress.check()
         if not run.complete:
             raise CallFailed("the stage stopped before the end: its diagnostics tell why")
-        if plan.left_alone:
-            result.message = ("the feedforward leaves alone what comes from outside: "
-                              f'{", ".join(plan.left_alone)}')
+        left_alone = plan.left_alone and ("the feedforward leaves alone what comes from outside: "
+                                          f'{", ".join(plan.left_alone)}')
+        result.message = "; ".join(filter(None, (left_alone, run.lateness)))
 
     def _plan(self, goal, model_text):
-        if goal.mode not in MODES:
-            raise ValueError(f"unknown mode {goal.mode!r}: use one of {', '.join(MODES)}")
         if not 0.0 < goal.duration_s <= LONGEST_DURATION_S:
             raise ValueError(f"duration_s is {goal.duration_s:g}: "
                              f"give more than 0 and at most {LONGEST_DURATION_S:g} s")
         model = load_model(goal.model).model
-        reference_um = sample_reference(_reference(goal.reference), self._sample_rate_hz)
-        plan = plan_feedforward(
-            reference_um, model, "open_loop" if goal.mode == "open_loop" else "feedforward",
-            voltage_range_v=self._voltage_range_v, slew_limit_v_per_s=self._slew_limit_v_per_s,
-            sample_period_s=1.0 / self._sample_rate_hz, start_voltage_v=self._rest_voltage_v,
-            duration_s=goal.duration_s)
+        plan = plan_mode(goal.mode, _reference(goal.reference), model, self._stage,
+                         goal.duration_s)
         feedback = None
-        if goal.mode == "composite":
-            feedback = MultirateFeedback(
-                self._design_feedback(model, model_text), self._max_feedback_v)
-        run = TrackingRun(plan, self._whole_ticks(goal.duration_s), feedback)
+        if goal.mode in FEEDBACK_METHODS:
+            feedback = self._feedback(goal.mode, model, model_text, plan)
+        run = TrackingRun(plan, self._whole_ticks(goal.duration_s), feedback, self._stage.tick_s)
         return run, plan, feedback
 
     def _whole_ticks(self, duration_s):
-        ticks = math.ceil(duration_s * self._sample_rate_hz / self._samples_per_tick - 1e-9)
-        return ticks * self._samples_per_tick
+        ticks = math.ceil(duration_s / self._stage.tick_s - 1e-9)
+        return ticks * self._stage.samples_per_tick
 
-    def _design_feedback(self, model, model_text):
-        key = hashlib.sha256(model_text.encode()).hexdigest()
-        if key not in self._feedback_designs:
-            self._feedback_designs[key] = design_feedback(
-                model, load_weights(self._weights_file or DEFAULT), 1.0 / self._sample_rate_hz, key)
-        return self._feedback_designs[key]
+    def _feedback(self, mode, model, model_text, plan):
+        composite = FEEDBACK_METHODS[mode] == "h_infinity"
+        if composite and self._controller_file:
+            controller = load_stabilising_controller(
+                self._controller_file, model, self._stage.tick_s, self._stage.sample_period_s)
+        else:
+            controller = self._design_feedback(FEEDBACK_METHODS[mode], model, model_text)
+        if not composite:
+            # All of the travel is the feedback's work.
+            return MultirateFeedback(
+                controller, feedback_room_v(plan, self._stage.voltage_range_v))
+        if self._feedback_place == "behind_inverse":
+            return MultirateFeedback(controller, self._max_feedback_v)
+        if self._feedback_place == "before_inverse":
+            return FeedbackBeforeInverse(
+                controller, model, plan, self._stage.samples_per_tick, self._max_feedback_v,
+                self._stage.rest_voltage_v)
+        raise ValueError(f"feedback_place is {self._feedback_place!r}: use one of "
+                         f"{', '.join(PLACES)}")
+
+    def _design_feedback(self, method, model, model_text):
+        digest = hashlib.sha256(model_text.encode()).hexdigest()
+        if (digest, method) not in self._feedback_designs:
+            weights = load_weights(self._weights_file or DEFAULT).at_tick(self._stage.tick_s)
+            self._feedback_designs[digest, method] = design_feedback(
+                model, weights, self._stage.sample_period_s, digest, method)
+        return self._feedback_designs[digest, method]
 
     def _play(self, run, plan, answering, progress):
         self._tracker.run(
             plan.once_voltage_v, plan.period_voltage_v,
-            math.ceil(run.total_samples / self._samples_per_tick),
+            math.ceil(run.total_samples / self._stage.samples_per_tick),
             lambda block: run.take(np.frombuffer(block.displacement_um)), answering,
             lambda: progress.cancelled or self._recorder.closed_early,
             lambda: progress.report(run.fraction, e_rms_percent=run.e_rms_percent(
-                round(REPORT_PERIOD_S * self._sample_rate_hz))))
+                round(REPORT_PERIOD_S * self._stage.sample_rate_hz))))
 
 
 def _reference(message):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """One run of the loop: answers every block, and keeps the account of the error."""
 
+import time
+
 import numpy as np
 
 
@@ -15,10 +17,14 @@ class TrackingRun:
         Length of the periodic part; the error is that of this part.
     feedback : MultirateFeedback, optional
         Answers the blocks; None where only the feedforward acts.
+    tick_s : float
+        Period of the feedback (s).
     """
 
-    def __init__(self, plan, run_samples, feedback=None):
+    def __init__(self, plan, run_samples, feedback=None, tick_s=1e-3):
         self._feedback = feedback
+        self._tick_s = tick_s
+        self._answer_times_s = []
         self._feedback_start_sample = plan.feedback_start_sample
         self._once_samples = len(plan.once_voltage_v)
         self.samples = 0
@@ -57,7 +63,23 @@ class TrackingRun:
         self._displacement_um[first:self.samples] = displacement_um
         if self._feedback is None or not self._feedback_start_sample <= first < self.total_samples:
             return 0.0
-        return self._feedback.step(expected_um, displacement_um)
+        begin_s = time.perf_counter()
+        voltage_v = self._feedback.step(expected_um, displacement_um)
+        self._answer_times_s.append(time.perf_counter() - begin_s)
+        return voltage_v
+
+    @property
+    def lateness(self):
+        """What to tell of answers that no stage at the wall clock could have waited for."""
+        if not self._answer_times_s:
+            return ""
+        usual_s = float(np.percentile(self._answer_times_s, 99.0))
+        if usual_s <= self._tick_s:
+            return ""
+        late = int(np.count_nonzero(np.array(self._answer_times_s) > self._tick_s))
+        return (f"{late} of {len(self._answer_times_s)} answers of the feedback took longer to "
+                f"compute than the tick of {1e6 * self._tick_s:.0f} us: at the wall clock they "
+                f"would be late (99 % took {1e6 * usual_s:.0f} us or less)")
 
     def e_rms_percent(self, last_samples=None):
         """Error of the periodic part so far, (2.32); of its last samples if so asked.

@@ -5,7 +5,7 @@ import pytest
 from piezo_controller.feedback_design import design_feedback
 from piezo_controller.weights import load_weights
 from piezo_models.cascade import StageModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, continue_linear, zoh
 from piezo_models.preisach import PreisachModel
 
 
@@ -28,3 +28,25 @@ def stage_model():
 def controller(stage_model):
     """The default design for the stage."""
     return design_feedback(stage_model, load_weights(), model_sha256="0" * 64)
+
+
+CLOCK_PERIOD_S = 25e-6
+NOISE_UM = 0.009
+
+
+@pytest.fixture(scope="session")
+def exchange_with():
+    """Makes the `exchange` of a stage that is another model, with noise and an offset."""
+    def make(model, offset_um=0.0):
+        memory, system = model.memory(), zoh(model.linear(), CLOCK_PERIOD_S)
+        hysteresis, states = memory.hysteresis, [memory.linear_state]
+        draws = np.random.default_rng(5)
+
+        def exchange(voltage_v):
+            output_um = model.hysteresis.simulate(voltage_v, hysteresis)
+            displacement_um, states[0] = continue_linear(system, output_um, states[0])
+            return displacement_um + offset_um + draws.normal(scale=NOISE_UM, size=len(voltage_v))
+
+        return exchange
+
+    return make

@@ -2,16 +2,18 @@
 import numpy as np
 import pytest
 
+from piezo_controller.feedback_design import design_feedback
 from piezo_controller.feedback_loop import MultirateFeedback
 from piezo_controller.feedforward import plan_feedforward
+from piezo_controller.offline_loop import play_run
 from piezo_controller.references import Reference, sample_reference
+from piezo_controller.tracking_run import TrackingRun
+from piezo_controller.weights import load_weights
 from piezo_models.cascade import StageModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, continue_linear, zoh
-from piezo_models.measures import e_rms_percent
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.preisach import PreisachModel
 
-CLOCK_PERIOD_S, SAMPLES = 25e-6, 40
-NOISE_UM = 0.009
+SAMPLES = 40
 
 
 @pytest.fixture(scope="module")
@@ -27,37 +29,21 @@ def disturbed_stage(stage_model):
                                   dynamics.damping_ratios))
 
 
-def track(stage, plan, feedback, ticks, offset_um=0.0):
-    """Close the loop tick by tick: the answer to the block of tick k - 1 acts in tick k + 1."""
-    memory, system = stage.memory(), zoh(stage.linear(), CLOCK_PERIOD_S)
-    hysteresis, state = memory.hysteresis, memory.linear_state
-    noise_um = np.random.default_rng(5).normal(scale=NOISE_UM, size=(ticks, SAMPLES))
-    measured_um = np.empty((ticks, SAMPLES))
-    feedback_v = np.zeros(ticks + 1)
-    for tick in range(ticks):
-        first = tick * SAMPLES
-        if feedback is not None and first > plan.feedback_start_sample:
-            feedback_v[tick + 1] = feedback.step(plan.expected_um(first - SAMPLES, SAMPLES),
-                                                 measured_um[tick - 1])
-        voltage_v = plan.voltage_v(first, SAMPLES) + feedback_v[tick]
-        output_um = stage.hysteresis.simulate(voltage_v, hysteresis)
-        displacement_um, state = continue_linear(system, output_um, state)
-        measured_um[tick] = displacement_um + offset_um + noise_um[tick]
-    return measured_um.ravel()
+@pytest.fixture
+def tracking_error_percent(exchange_with):
+    def error_percent(stage, plan, feedback, offset_um):
+        run = TrackingRun(plan, 200 * SAMPLES, feedback)
+        play_run(run, plan, exchange_with(stage, offset_um), SAMPLES)
+        return run.e_rms_percent()
 
-
-def tracking_error_percent(stage, plan, feedback, offset_um):
-    begin = len(plan.once_voltage_v)
-    ticks = begin // SAMPLES + 200
-    measured_um = track(stage, plan, feedback, ticks, offset_um)
-    expected_um = plan.expected_um(begin, ticks * SAMPLES - begin)
-    return e_rms_percent(expected_um, measured_um[begin:])
+    return error_percent
 
 
 @pytest.mark.parametrize("frequency_hz, amplitude_um, limit_percent", [
     (40.0, 40.0, 0.06), (100.0, 40.0, 0.1), (500.0, 21.0, 0.1), (1000.0, 9.0, 0.15)])
-def test_exact_model_tracks_at_the_sensors_floor(stage_model, controller, frequency_hz,
-                                                 amplitude_um, limit_percent):
+def test_exact_model_tracks_at_the_sensors_floor(
+        stage_model, controller, tracking_error_percent, frequency_hz, amplitude_um,
+        limit_percent):
     reference_um = sample_reference(
         Reference("harmonic", (frequency_hz,), (amplitude_um,), (), 50.0))
     plan = plan_feedforward(reference_um, stage_model, duration_s=0.2)
@@ -67,7 +53,8 @@ def test_exact_model_tracks_at_the_sensors_floor(stage_model, controller, freque
 
 @pytest.mark.parametrize("frequency_hz, amplitude_um", [(40.0, 40.0), (500.0, 21.0)])
 def test_feedback_removes_an_offset_and_what_the_model_does_not_know(
-        stage_model, disturbed_stage, controller, frequency_hz, amplitude_um):
+        stage_model, disturbed_stage, controller, tracking_error_percent, frequency_hz,
+        amplitude_um):
     reference_um = sample_reference(
         Reference("harmonic", (frequency_hz,), (amplitude_um,), (), 50.0))
     plan = plan_feedforward(reference_um, stage_model, duration_s=0.2)
@@ -107,6 +94,15 @@ def test_limited_voltage_comes_back_at_once_when_the_error_turns(controller):
 def test_limit_of_zero_is_refused(controller):
     with pytest.raises(ValueError, match="positive voltage"):
         MultirateFeedback(controller, max_feedback_v=0.0)
+
+
+def test_controller_with_an_integrator_comes_back_from_the_limit(stage_model):
+    integrator = design_feedback(stage_model, load_weights(), method="pi")
+    feedback = MultirateFeedback(integrator, max_feedback_v=5.0)
+    assert [feedback.step(10.0, 0.0) for _ in range(1000)][-1] == 5.0
+    # An integrator that had gone on for 1000 ticks would take 10,000 to come back.
+    back_v = [feedback.step(-1.0, 0.0) for _ in range(40)]
+    assert back_v[20] < 5.0 and back_v[-1] < 0
 
 
 def test_observer_gain_keeps_the_limited_state_stable(controller):

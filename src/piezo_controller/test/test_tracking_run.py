@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The account of one run: what it answers to each block, and the error it reports."""
 
+import re
+import time
+
 import numpy as np
 import pytest
 
 from piezo_controller.feedforward import FeedforwardPlan
+from piezo_controller.offline_loop import play_run
 from piezo_controller.tracking_run import TrackingRun
 
 ONCE, PERIOD, RUN, BLOCK = 120, 60, 200, 40
@@ -62,3 +66,43 @@ def test_running_error_is_that_of_the_last_samples():
     percent = 100 * 0.02 / np.ptp(PERIOD_UM)
     assert run.e_rms_percent(BLOCK) == pytest.approx(percent)
     assert run.e_rms_percent(2 * BLOCK) == pytest.approx(percent / np.sqrt(2))
+
+
+class Slow:
+    """Feedback that takes its time."""
+
+    def __init__(self, seconds):
+        self._seconds = seconds
+
+    def step(self, expected_um, displacement_um):
+        end = time.perf_counter() + self._seconds
+        while time.perf_counter() < end:
+            pass
+        return 0.0
+
+
+def test_answers_that_take_longer_than_a_tick_are_told():
+    displacement_um = np.zeros(ONCE + RUN)
+    late = TrackingRun(PLAN, RUN, Slow(2e-3), tick_s=1e-3)
+    play(late, displacement_um)
+    assert re.search(r"6 of 6 answers .* the tick of 1000 us", late.lateness)
+    in_time = TrackingRun(PLAN, RUN, Slow(0.0), tick_s=60.0)
+    play(in_time, displacement_um)
+    assert in_time.lateness == ""
+
+
+def test_open_loop_is_never_late():
+    run = TrackingRun(PLAN, RUN, tick_s=1e-9)
+    play(run, np.zeros(ONCE + RUN))
+    assert run.lateness == ""
+
+
+def test_played_run_answers_with_the_timing_of_the_stage():
+    # Each block of displacement is its number; the answer to one acts two ticks later.
+    blocks = iter(range(100))
+    played = play_run(TrackingRun(PLAN, RUN, Witness()), PLAN,
+                      lambda voltage_v: np.full(len(voltage_v), float(next(blocks))), BLOCK)
+    answers = (EXPECTED_UM[:ONCE + RUN] - played.displacement_um).reshape(-1, BLOCK).mean(axis=1)
+    answers[:2] = 0.0
+    np.testing.assert_allclose(played.feedback_v.reshape(-1, BLOCK)[2:, 0], answers[:-2])
+    np.testing.assert_allclose(played.voltage_v, played.feedback_v)

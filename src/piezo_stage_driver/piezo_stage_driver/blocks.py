@@ -70,7 +70,9 @@ class BlockCollector:
         self._displacement_um.append(displacement_um)
         self.pending_samples += len(voltage_v)
         self._flags |= flags
-        full = self.pending_samples >= SAMPLES_PER_BLOCK * self.decimation
+        # Feedback answers blocks: at the full rate there is one to every tick.
+        full = self.decimation == 1 or (
+            self.pending_samples >= SAMPLES_PER_BLOCK * self.decimation)
         if not (full or ends) or self.pending_samples % self.decimation:
             return 0, None, None, 0
         filled = (self.pending_samples, self._decimated(self._voltage_v),

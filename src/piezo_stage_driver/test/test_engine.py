@@ -140,8 +140,9 @@ def test_second_command_is_refused_while_one_plays():
         engine.load_feedforward([0.0], [])
 
 
-def test_feedback_computed_from_a_tick_acts_one_tick_after_it_could_be_answered():
-    engine, backend = make_engine()
+@pytest.mark.parametrize("samples_per_tick", [1, 40])
+def test_feedback_computed_from_a_tick_acts_one_tick_after_it_could_be_answered(samples_per_tick):
+    engine, backend = make_engine(samples_per_tick=samples_per_tick)
     engine.load_feedforward(np.zeros(40), np.zeros(40))
     first_tick = engine.start_tracking(feedback=True, ticks=10)
     answered = {}
@@ -151,7 +152,7 @@ def test_feedback_computed_from_a_tick_acts_one_tick_after_it_could_be_answered(
         if block.tick > first_tick:
             answered[block.tick] = 0.01 * block.tick
             engine.answer(block.tick, answered[block.tick])
-    ticks = backend.played_v[:400].reshape(-1, 40)
+    ticks = backend.played_v[:10 * samples_per_tick].reshape(-1, samples_per_tick)
     assert np.all(ticks[:2] == 0.0)
     for tick in range(first_tick + 2, first_tick + 10):
         assert np.all(ticks[tick] == answered[tick - 1])

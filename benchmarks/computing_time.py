@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a tick's answer takes to compute, without any message."""
+
+import time
+
+import numpy as np
+from stage_model import stage_model
+
+from piezo_controller.feedback_design import design_feedback
+from piezo_controller.feedback_loop import MultirateFeedback
+from piezo_controller.feedforward import plan_feedforward
+from piezo_controller.tracking_run import TrackingRun
+from piezo_controller.weights import load_weights
+
+SAMPLES_PER_TICK = 40
+TICKS = 5000
+WARM_UP = 200
+
+
+def computing_times_s():
+    """Times of the answers of the run's account with its feedback.
+
+    Returns
+    -------
+    dict of int to ndarray
+        By the order of the controller: the thesis' 15, and what the reduction leaves of the
+        default; each in s.
+    """
+    model = stage_model()
+    plan = plan_feedforward(np.full(SAMPLES_PER_TICK, 50.0), model, duration_s=0.1)
+    controllers = (
+        design_feedback(model, load_weights("thesis"), at_once=True, reduce=False),
+        design_feedback(model, load_weights()))
+    return {controller.report["order"]: _times_s(plan, controller) for controller in controllers}
+
+
+def _times_s(plan, controller):
+    run = TrackingRun(plan, (WARM_UP + TICKS) * SAMPLES_PER_TICK, MultirateFeedback(controller))
+    blocks_um = 50.0 + 0.01 * np.random.default_rng(1).standard_normal(
+        (run.total_samples // SAMPLES_PER_TICK, SAMPLES_PER_TICK))
+    times_s = np.empty(len(blocks_um))
+    for index, block_um in enumerate(blocks_um):
+        begin_s = time.perf_counter()
+        run.take(block_um)
+        times_s[index] = time.perf_counter() - begin_s
+    return times_s[-TICKS:]
