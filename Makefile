@@ -35,7 +35,7 @@ DATA ?= ../shared/data
 measured: ## identify from measured data in DATA, beside its published figures; in runs/measured
 	@./run piezo_identification measured --data "$(DATA)" --output runs/measured
 
-reproduce: setup ## run the studies of the thesis' chapters 2 to 4; writes docs/reproduction.md
+reproduce: setup ## run the studies of the thesis' chapters 2 to 5; writes docs/reproduction.md
 	@$(in_environment) .venv/bin/python -m piezo_bringup.reproduction
 
 clean: ## remove the environment and everything built

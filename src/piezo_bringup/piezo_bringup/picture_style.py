@@ -24,6 +24,7 @@ MODE_STYLES = {
                     "label": "feedforward"},
     "composite": {"color": BLUE, "linestyle": "-", "linewidth": 1.3, "label": "composite"},
 }
+PID = {"color": GREEN, "linestyle": "-.", "linewidth": 1.4, "label": "PID"}
 REFERENCE = {"color": GREY, "linewidth": 4.0, "label": "reference"}
 
 
