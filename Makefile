@@ -5,10 +5,10 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test long soak bench reproduce measured clean
+.PHONY: help setup demo test long soak bench reproduce measured diagnose-suite clean
 
 help: ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 8
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
 
 setup: ## make the environment and build the packages; skips what is done
 	@tools/setup
@@ -37,6 +37,10 @@ measured: ## identify from measured data in DATA, beside its published figures; 
 
 reproduce: setup ## run the studies of the thesis' chapters 2 to 5; writes docs/reproduction.md
 	@$(in_environment) .venv/bin/python -m piezo_bringup.reproduction
+
+CASES ?= 260
+diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite
+	@./run piezo_bringup diagnose_suite --cases $(CASES) --seed $(SEED) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 clean: ## remove the environment and everything built
 	rm -rf .venv .venv-peers build install log

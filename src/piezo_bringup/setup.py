@@ -24,6 +24,7 @@ setup(
     entry_points={
         "console_scripts": [
             "demo = piezo_bringup.demo_node:main",
+            "diagnose_suite = piezo_bringup.diagnose_suite.command:main",
         ],
     },
 )

@@ -33,7 +33,7 @@ COMPENSATED = [
     (Creep((0.002, 0.003), (0.01, 0.05)), 5e-3), (THIRD_MODE, 1e-6), (Delay(1.3e-4), 1e-6),
     (SensorLag(1e-4), 1e-6), (SensorNonlinearity(0.1, 0.5, 0.3, 0.1, 50.0, 50.0), 1e-6),
     (SlewLimit(1e6), 1e-6), (VoltageClipping(-18.0, 118.0), 1e-6),
-    (RateDependentHysteresis(0.02, 1000.0, 0.3), 1e-3),
+    (RateDependentHysteresis(0.02, 1000.0, 0.3, 1e-3), 1e-3),
     (Stiffening(0.3, 0.3, 0.3, 50.0, 50.0, 2846.0, 0.68), 1e-6), (Backlash(0.05), 5e-3),
 ]
 FROM_OUTSIDE = [ThermalDrift(0.1, 0.2, 1.0), PeriodicDisturbance(50.0, 0.03, 0.04),
@@ -114,7 +114,7 @@ def test_clipping_by_the_amplifier_refuses_and_names_an_amplitude_within_it(with
 
 def test_compensation_that_takes_too_much_of_the_amplifier_is_done_as_far_as_it_reaches(
         without_creep):
-    friction = replace(without_creep, effects=(RateDependentHysteresis(0.1, 100.0, 0.1),))
+    friction = replace(without_creep, effects=(RateDependentHysteresis(0.1, 100.0, 0.1, 1e-4),))
     reference_um = harmonic(500.0, 21.0)
     ignorant = plan_feedforward(reference_um, without_creep)
     knowing = plan_feedforward(reference_um, friction)

@@ -11,7 +11,7 @@ from piezo_identification.diagnosis.residual import noise_floor_um, noise_from_r
 from piezo_models.effects import Evidence, fitted_values, with_fitted_values
 from piezo_models.effects.outliers import Outliers
 
-MOST_ROWS = 60_000
+MOST_ROWS = 30_000
 """Samples that are fitted and judged, in chunks spread evenly over longer recordings."""
 CHUNK = 250
 STRETCHES, HELD_OUT = 120, 3
@@ -28,7 +28,11 @@ JUMP, AFTER_JUMP = 0.05, 40
 """Part of the voltage's span that is a jump, and samples for which its answer is sharp."""
 
 MOST_EVALUATIONS = 15
-STARTS = 2
+QUICK_EVALUATIONS = 6
+"""Of a fit whose result will be fitted once more."""
+
+STARTS, RIVAL_START = 2, 1.2
+"""Guesses that a fit begins from, and what the second may leave over what the first leaves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +43,9 @@ class Trial:
     ----------
     effects : tuple of Effect
     residual : (n,) array
-        Of all rows, each over the tolerance of its recording.
+        What the free and the tuning columns leave of `difference`.
+    difference : (n,) array
+        Measured minus simulated of all rows, each over the tolerance of its recording.
     coefficients : (m,) array
         Of the free and the tuning columns.
     covariance : (p, p) array or None
@@ -48,6 +54,7 @@ class Trial:
 
     effects: tuple
     residual: np.ndarray
+    difference: np.ndarray
     coefficients: np.ndarray
     covariance: np.ndarray = None
 
@@ -201,8 +208,8 @@ class Contest:
             [difference[self.fit], np.zeros(self.columns.shape[1] - self.free_count)]
         )
         coefficients = np.linalg.lstsq(self.r, self.q.T @ padded, rcond=1e-12)[0]
-        return Trial(tuple(effects), difference - self.weighted @ coefficients, coefficients,
-                     covariance)
+        return Trial(tuple(effects), difference - self.weighted @ coefficients, difference,
+                     coefficients, covariance)
 
     def fit_effects(self, effects, fixed=(), quick=False):
         """Fit effects by nonlinear least squares.
@@ -236,7 +243,7 @@ class Contest:
         vector, low, high = (np.concatenate(parts) for parts in zip(*starts, strict=True))
         solution = least_squares(
             difference, np.clip(vector, low, high), bounds=(low, high), x_scale="jac", ftol=1e-5,
-            max_nfev=MOST_EVALUATIONS,
+            max_nfev=QUICK_EVALUATIONS if quick else MOST_EVALUATIONS,
         )
         scatter = 2.0 * solution.cost / max(1, np.count_nonzero(self.fit) - vector.size)
         covariance = scatter * np.linalg.pinv(solution.jac.T @ solution.jac)
@@ -278,7 +285,7 @@ class Contest:
         )
 
     def challenge(self, kind, effects, evidences):
-        """The best fit of one more effect beside those found; None if nothing hints at it.
+        """The best fit of one more effect beside those found.
 
         Parameters
         ----------
@@ -292,27 +299,38 @@ class Contest:
         Returns
         -------
         Trial or None
+            As guessed if no guess is better than nothing; None without any guess.
         """
         starts = [start for evidence in evidences for start in kind.starts(evidence)]
         if not starts:
             return None
-        none = self._objective(self.rows_of(effects))
         costs = []
         for start in starts:
             left = self._objective(self.rows_of((*effects, start), (start,)))
             costs.append(left @ left)
-        order = np.argsort(costs)
-        if costs[order[0]] >= none @ none:
-            return None
-        fits = [
-            self.fit_effects((starts[number],), effects, quick=True) for number in order[:STARTS]
-            if costs[number] < none @ none
-        ]
+        none = self._objective(self.rows_of(effects))
+        promising = [
+            starts[number] for number in np.argsort(costs)
+            if costs[number] < none @ none and costs[number] < RIVAL_START * min(costs)
+        ][:STARTS]
+        if not promising:
+            start = starts[np.argmin(costs)]
+            return self.trial((*effects, start), quick=(start,))
+        fits = [self.fit_effects((start,), effects, quick=True) for start in promising]
         return min(fits, key=lambda fit: np.sum(fit.residual[self.fit] ** 2))
 
     def held_out_square(self, trial):
         """Mean square of what is left on the rows that judge, in tolerances."""
         return float(np.mean(trial.residual[self.judge] ** 2))
+
+    def structure(self, trial):
+        """Mean square of what is left beyond the noise on the rows that judge, in tolerances."""
+        noise = np.concatenate([
+            np.full(rows.size, noise_um)
+            for rows, noise_um in zip(self.rows, self.noise_um, strict=True)
+        ])
+        expected = (noise / self.tolerance_um)[self.judge]
+        return max(0.0, self.held_out_square(trial) - float(np.mean(expected**2)))
 
     def significance(self, before, after):
         """How surely the second trial is better than the first on the rows that judge.
@@ -334,6 +352,27 @@ class Contest:
         least = np.mean(after.residual[judge] ** 2) * np.sum(change**2)
         spread = np.sqrt(max(np.sum(chance**2), least))
         return float(np.sum(signal) / spread) if spread > 0.0 else 0.0
+
+    def visible(self, before, after):
+        """Part of what effects contribute that the free and tuning columns cannot explain.
+
+        Parameters
+        ----------
+        before, after : Trial
+            Without and with the effects.
+        """
+        contribution = before.difference - after.difference
+        contribution = contribution - contribution[self.fit].mean()
+        whole = np.linalg.norm(contribution[self.fit])
+        return float(np.linalg.norm(self._objective(contribution)) / max(whole, 1e-300))
+
+    def contribution(self, before, after):
+        """RMS of what effects contribute on the rows that judge, means removed, in tolerances."""
+        squares, count = 0.0, 0
+        for mask in self._of_recording():
+            added = (before.difference - after.difference)[mask & self.judge]
+            squares, count = squares + np.sum((added - added.mean()) ** 2), count + added.size
+        return float(np.sqrt(squares / count))
 
     def size(self, before, after):
         """RMS of the prediction by which two trials differ, in tolerances."""

@@ -9,7 +9,6 @@ from piezo_identification.diagnosis.contest import Contest
 from piezo_identification.diagnosis.residual import dependences, spectrum, whiteness
 from piezo_identification.diagnosis.selection import select
 from piezo_identification.prediction import predict
-from piezo_models.effects import fitted_values
 from piezo_models.effects.outliers import FEWEST as FEWEST_OUTLIERS
 from piezo_models.effects.outliers import Outliers
 from piezo_models.measures import e_y_percent
@@ -102,10 +101,11 @@ def diagnose(model, recordings, holdout=None, progress=None):
         raise ValueError("there is no recording to diagnose: give one")
     contest = Contest(model, recordings)
     selection = select(contest, progress)
-    wrong = sum(int(wrong.sum()) for wrong in contest.wrong)
-    start, end = (
-        _structure(contest, trial) for trial in (selection.start, selection.end)
+    wrong = sum(
+        int(wrong[part.begin :].sum())
+        for wrong, part in zip(contest.wrong, contest.prepared, strict=True)
     )
+    start, end = (contest.structure(trial) for trial in (selection.start, selection.end))
     allowed = max(STRUCTURE**2, EXPLAINED * start)
     if end > allowed:
         verdict = "unexplained"
@@ -118,7 +118,7 @@ def diagnose(model, recordings, holdout=None, progress=None):
         trial = selection.start
     effects = _effect_entries(contest, trial)
     if wrong >= FEWEST_OUTLIERS:
-        effects.append(_outlier_entry(contest))
+        effects.append(_outlier_entry(contest, trial))
     effects.sort(key=lambda entry: -entry["error_reduction_percent"])
     extended = model
     if effects:
@@ -126,8 +126,8 @@ def diagnose(model, recordings, holdout=None, progress=None):
         if wrong >= FEWEST_OUTLIERS:
             extended = replace(extended, effects=(*extended.effects, *_outlier_effect(contest)))
     before, after, where = _errors(model, extended, contest, trial, holdout)
-    reasons = dict(selection.blind)
     named = {entry["name"] for entry in effects}
+    reasons = {name: why for name, why in selection.blind.items() if name not in named}
     for name, twin in selection.twins.items():
         if name not in named and twin in named:
             reasons[name] = f"the data does not tell it from {twin}"
@@ -138,39 +138,27 @@ def diagnose(model, recordings, holdout=None, progress=None):
     )
 
 
-def _structure(contest, trial):
-    """Mean square of what is left beyond the noise, in tolerances."""
-    noise = np.concatenate([
-        np.full(rows.size, noise_um)
-        for rows, noise_um in zip(contest.rows, contest.noise_um, strict=True)
-    ])
-    residual = trial.residual[contest.judge]
-    expected = (noise / contest.tolerance_um)[contest.judge]
-    return max(0.0, float(np.mean(residual**2) - np.mean(expected**2)))
-
-
 def _effect_entries(contest, trial):
-    entries, used = [], 0
+    entries = []
     for number, effect in enumerate(trial.effects):
         others = (*trial.effects[:number], *trial.effects[number + 1 :])
-        without = contest.held_out_square(contest.trial(others))
-        reduction = 100.0 * (1.0 - np.sqrt(contest.held_out_square(trial) / without))
+        # Without it and everything else as it is, the error would be larger by what it contributes.
+        added = contest.contribution(contest.trial(others), trial)
+        left = np.sqrt(contest.held_out_square(trial))
         entry = {"name": effect.name, "parameters": effect.parameters(),
-                 "error_reduction_percent": float(reduction)}
+                 "error_reduction_percent": float(100.0 * (1.0 - left / np.hypot(left, added)))}
         entries.append(entry)
-        used += fitted_values(effect)[0].size
     _add_deviations(entries, trial)
     return entries
 
 
 def _add_deviations(entries, trial):
-    """Standard deviations of the fitted parameters, of those effects that were fitted together."""
+    """Standard deviations of the fitted parameters."""
     if trial.covariance is None:
         return
     deviations = np.sqrt(np.maximum(np.diag(trial.covariance), 0.0))
-    fitted = trial.effects[-_last_fitted(trial, deviations.size) :]
     start = 0
-    for entry, effect in zip(entries[-len(fitted) :], fitted, strict=True):
+    for entry, effect in zip(entries, trial.effects, strict=True):
         entry["standard_deviations"] = named = {}
         for field in fields(effect):
             value, scale = getattr(effect, field.name), field.metadata["scale"]
@@ -187,25 +175,17 @@ def _add_deviations(entries, trial):
             )
 
 
-def _last_fitted(trial, values):
-    """How many of the last effects have so many fitted values."""
-    count = 0
-    while values > 0:
-        count += 1
-        values -= fitted_values(trial.effects[-count])[0].size
-    return count
-
-
 def _outlier_effect(contest):
     for index in range(len(contest.prepared)):
         yield from Outliers.starts(contest.evidence(index))[:1]
         return
 
 
-def _outlier_entry(contest):
-    wrong = np.concatenate(contest.wrong)
+def _outlier_entry(contest, trial):
+    parts = list(enumerate(contest.prepared))
+    wrong = np.concatenate([contest.wrong[index][part.begin :] for index, part in parts])
     residual = np.concatenate([
-        contest.residual_um(index) for index in range(len(contest.prepared))
+        contest.residual_um(index, trial.effects)[part.begin :] for index, part in parts
     ])
     clean, all_rms = np.std(residual[~wrong]), np.std(residual)
     return {

@@ -168,10 +168,7 @@ class PreparedRecording:
             for sensitivity in sensitivity_systems(model.creep, model.dynamics)
         ]
         for surface in _surfaces(model):
-            part = replace(
-                model.hysteresis, offset_um=0.0,
-                density_um_per_v2=model.hysteresis.density_um_per_v2 * surface,
-            )
+            part = _times(replace(model.hysteresis, offset_um=0.0), surface)
             output_um, _ = self._hysteresis(part, self.voltage_v)
             columns.append(self._respond(linear, output_um)[rows])
         return np.column_stack(columns) @ _tuning_map(model)
@@ -237,6 +234,13 @@ def retuned(model, changes):
         factors(dynamics.antiresonance_damping_ratios),
     )
     surface = 1.0 + np.tensordot(changes[used:], _surfaces(model), axes=1)
-    density = model.hysteresis.density_um_per_v2 * np.maximum(surface, 0.0)
-    hysteresis = replace(model.hysteresis, density_um_per_v2=density)
+    hysteresis = _times(model.hysteresis, np.maximum(surface, 0.0))
     return replace(model, creep=creep, dynamics=dynamics, hysteresis=hysteresis)
+
+
+def _times(hysteresis, surface):
+    """The hysteresis with its density, and its reversible part on the diagonal, multiplied."""
+    return replace(
+        hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * surface,
+        reversible_um_per_v=hysteresis.reversible_um_per_v * np.diagonal(surface),
+    )

@@ -17,13 +17,26 @@ NOTICEABLE = 0.25
 BESIDE = 0.02
 """The same as a part of all that the model did not explain: an effect is not known any better."""
 
+VISIBLE = 0.1
+"""Part of a contribution that a retuned model must leave for it to be seen."""
+
 TWIN = 3.0
 """Standard deviations by which one candidate must beat another to be told from it."""
 
 PENALTY = 10.0
 """Tolerances squared by which a fitted number must lower the sum on held-out data."""
 
-MOST_EFFECTS = 4
+CLEARLY_FEWER = 2
+"""Fitted numbers by which a set must be smaller to come before one that is slightly better."""
+
+MOST_EFFECTS = 3
+
+RIVALS = 4
+"""Sets of one size that go on, and how many times as much as the best they may leave."""
+RIVAL = 1.5
+
+PROGRESS = 0.7
+"""Part of the structure's power that may be left by a round before the search is given up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +55,7 @@ class Attempt:
     size : float
         RMS of its contribution in tolerances.
     remark : str
-        Why it was not tried; empty if it was.
+        Why the data could not show it; empty if it could.
     """
 
     name: str
@@ -51,11 +64,6 @@ class Attempt:
     reduction_percent: float = 0.0
     size: float = 0.0
     remark: str = ""
-
-    def convincing(self, least):
-        """True if it is both significant and as large as the least that is noticeable."""
-        return (self.significance > SIGNIFICANT and self.size > least
-                and self.reduction_percent > 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +90,11 @@ class Selection:
 
 
 def select(contest, progress=None):
-    """Let the known effects compete.
+    """Let sets of the known effects compete.
+
+    Every round adds one more effect to each of the few best sets of the round before, in every way,
+    and fits the best of the larger sets as a whole. The larger set must be convincingly better
+    than the best smaller one. In the end each effect must be needed beside the others.
 
     Parameters
     ----------
@@ -95,36 +107,134 @@ def select(contest, progress=None):
     Selection
     """
     kinds = [kind for kind in known_effects().values() if kind is not Outliers]
-    start = current = contest.trial(())
-    rounds, twins, blind = [], {}, {}
+    start = best = contest.trial(())
+    rounds, twins, blind, beam = [], {}, {}, [best]
     for turn in range(MOST_EFFECTS):
-        evidences = [
-            contest.evidence(index, current.effects) for index in range(len(contest.prepared))
-        ]
         attempts = []
-        for number, kind in enumerate(kinds):
-            if progress is not None:
-                progress(f"effect {turn + 1}: {kind.name}",
-                         (turn + number / len(kinds)) / MOST_EFFECTS)
-            attempts.append(_attempt(contest, kind, current, evidences))
+        for place, current in enumerate(beam):
+            report = _share_of(progress, turn + place / len(beam), 1.0 / len(beam))
+            attempts += _attempts(contest, kinds, current, report)
         if turn == 0:
             blind = {attempt.name: attempt.remark for attempt in attempts if attempt.remark}
-        attempts.sort(key=lambda attempt: _score(contest, attempt))
-        rounds.append(attempts)
-        least = max(NOTICEABLE, BESIDE * np.sqrt(contest.held_out_square(start)))
-        convincing = [attempt for attempt in attempts if attempt.convincing(least)]
-        if not convincing:
+        rounds.append(sorted(attempts[: len(kinds)], key=lambda one: _score(contest, one.trial)))
+        grown = _simplest_first(contest, _fitted(contest, attempts))
+        if not grown or not _convincing(contest, start, best, grown[0]):
             break
-        best = convincing[0]
-        for other in convincing[1:]:
-            if contest.significance(other.trial, best.trial) < TWIN:
-                twins[other.name] = best.name
-        current = contest.fit_effects(best.trial.effects)
-        contest.review(current.effects)
-        start, current = contest.trial(()), contest.trial(current.effects, current.covariance)
-        if contest.held_out_square(current) < 1.0 + NOTICEABLE**2:
+        before, best = contest.structure(best), grown[0]
+        stuck = contest.structure(best) > PROGRESS * before
+        contest.review(best.effects)
+        start, *grown = (
+            contest.trial(trial.effects, trial.covariance) for trial in (start, *grown)
+        )
+        best = grown[0]
+        twins = _twins(contest, grown)
+        if stuck or contest.held_out_square(best) < 1.0 + NOTICEABLE**2:
             break
-    return Selection(start, current, rounds, twins, blind)
+        beam = _rivals(contest, grown)
+    best = _needed(contest, start, best)
+    return Selection(start, best, rounds, twins, blind)
+
+
+def _share_of(progress, begun, share):
+    """The progress of a part of the rounds."""
+    if progress is None:
+        return lambda name, fraction: None
+    return lambda name, fraction: progress(
+        f"effect {int(begun) + 1}: {name}", (begun + share * fraction) / MOST_EFFECTS
+    )
+
+
+def _attempts(contest, kinds, current, report):
+    """Each kind as one more effect beside those of a trial."""
+    evidences = [
+        contest.evidence(index, current.effects) for index in range(len(contest.prepared))
+    ]
+    attempts = []
+    for number, kind in enumerate(kinds):
+        report(kind.name, number / len(kinds))
+        attempts.append(_attempt(contest, kind, current, evidences))
+    return attempts
+
+
+def _fitted(contest, attempts):
+    """The best of the sets, each fitted as a whole, the best first."""
+    tried = {}
+    for attempt in sorted(attempts, key=lambda one: _score(contest, one.trial)):
+        if attempt.trial is not None:
+            names = tuple(sorted(effect.name for effect in attempt.trial.effects))
+            tried.setdefault(names, attempt.trial)
+    rivals = _rivals(contest, list(tried.values()))
+    fitted = [contest.fit_effects(trial.effects) for trial in rivals]
+    return sorted(fitted, key=lambda trial: _score(contest, trial))
+
+
+def _rivals(contest, trials):
+    """The first of some trials, and of the next those that leave not much more."""
+    return [
+        trial for trial in trials[:RIVALS]
+        if _left(contest, trial) < RIVAL * _left(contest, trials[0])
+    ]
+
+
+def _convincing(contest, start, before, after):
+    """True if a trial is better than another both significantly and noticeably."""
+    least = max(NOTICEABLE, BESIDE * np.sqrt(contest.held_out_square(start)))
+    return (
+        contest.significance(before, after) > SIGNIFICANT
+        and contest.size(before, after) > least
+        and contest.held_out_square(after) < contest.held_out_square(before)
+    )
+
+
+def _left(contest, trial):
+    """RMS of what is left beyond the noise on held-out data, in tolerances."""
+    return np.sqrt(max(NOTICEABLE**2, contest.structure(trial)))
+
+
+def _alike(contest, best, other):
+    """True if the data cannot tell a set of effects from the best one.
+
+    What the best set leaves beyond the noise is how far its prediction can be trusted: sets that
+    differ by less cannot be told apart.
+    """
+    return (contest.size(other, best) < _left(contest, best)
+            or contest.significance(other, best) < TWIN)
+
+
+def _simplest_first(contest, grown):
+    """The sets, but one that is like the best with clearly fewer numbers first."""
+    if not grown:
+        return grown
+    first = min(
+        (trial for trial in grown if _alike(contest, grown[0], trial)),
+        key=lambda trial: trial.values,
+    )
+    if first.values > grown[0].values - CLEARLY_FEWER:
+        return grown
+    return sorted(grown, key=lambda trial: trial is not first)
+
+
+def _twins(contest, grown):
+    """Effects of other sets that are like the best set, and what they stand for."""
+    best, twins = grown[0], {}
+    names = [effect.name for effect in best.effects]
+    for other in grown[1:]:
+        if _alike(contest, best, other):
+            others = [effect.name for effect in other.effects]
+            missing = [name for name in names if name not in others]
+            twins |= {name: missing[0] for name in others if name not in names and missing}
+    return twins
+
+
+def _needed(contest, start, best):
+    """The set without those effects beside which nothing is worse."""
+    for number in range(len(best.effects) - 1, -1, -1):
+        others = (*best.effects[:number], *best.effects[number + 1 :])
+        if others:
+            without = contest.fit_effects(others)
+            if not _convincing(contest, start, without, best):
+                return _needed(contest, start, without)
+    return best
 
 
 def _attempt(contest, kind, current, evidences):
@@ -137,17 +247,20 @@ def _attempt(contest, kind, current, evidences):
     if trial is None:
         return Attempt(kind.name, None)
     before, after = contest.held_out_square(current), contest.held_out_square(trial)
+    remark = ""
+    if contest.visible(current, trial) < VISIBLE:
+        remark = "here a model with slightly other parameters does the same"
     return Attempt(
         kind.name, trial, contest.significance(current, trial),
-        100.0 * (1.0 - np.sqrt(after / before)), contest.size(current, trial),
+        100.0 * (1.0 - np.sqrt(after / before)), contest.size(current, trial), remark,
     )
 
 
-def _score(contest, attempt):
+def _score(contest, trial):
     """Sum of squares on held-out data with a penalty for every fitted number."""
-    if attempt.trial is None:
+    if trial is None:
         return np.inf
     rows = np.count_nonzero(contest.judge)
-    square = contest.held_out_square(attempt.trial)
+    square = contest.held_out_square(trial)
     # Where structure is left, a number must lower the sum in proportion.
-    return rows * square + PENALTY * attempt.trial.values * max(1.0, square)
+    return rows * square + PENALTY * trial.values * max(1.0, square)

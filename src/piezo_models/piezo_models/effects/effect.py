@@ -16,7 +16,7 @@ INVERSION_ROUNDS = 50
 INVERSION_TOLERANCE = 1e-9
 
 
-def parameter(unit, scale="linear", low=-np.inf, high=np.inf):
+def parameter(unit, scale="linear", low=-np.inf, high=np.inf, default=dataclasses.MISSING):
     """Declare a parameter of an effect.
 
     Parameters
@@ -26,8 +26,10 @@ def parameter(unit, scale="linear", low=-np.inf, high=np.inf):
         In which it is fitted: "linear", "logarithm" for one that is positive, or "fixed".
     low, high : float
         Bounds.
+    default : float or tuple, optional
     """
     return dataclasses.field(
+        default=default,
         metadata={"unit": unit, "scale": scale, "low": float(low), "high": float(high)}
     )
 

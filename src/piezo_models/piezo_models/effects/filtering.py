@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Linear filters on sampled displacements, which are straight between samples, not held."""
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
@@ -22,7 +24,14 @@ def filtered(numerator, denominator, signal, sample_period_s, rest=None):
     -------
     (N,) array
     """
+    b, a, settled = _discrete(tuple(numerator), tuple(denominator), sample_period_s)
+    rest = float(signal[0]) if rest is None else rest
+    return lfilter(b, a, signal, zi=settled * rest)[0]
+
+
+@lru_cache(maxsize=2048)
+def _discrete(numerator, denominator, sample_period_s):
+    """Coefficients, and the state in which a level of 1 has settled; a scan asks again."""
     b, a, _ = cont2discrete((numerator, denominator), sample_period_s, method="foh")
     b = np.ravel(b)
-    rest = float(signal[0]) if rest is None else rest
-    return lfilter(b, a, signal, zi=lfilter_zi(b, a) * rest)[0]
+    return b, a, lfilter_zi(b, a)

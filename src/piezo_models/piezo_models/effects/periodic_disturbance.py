@@ -8,12 +8,17 @@ import numpy as np
 
 from piezo_models.effects.effect import Effect, parameter
 
-FEWEST_PERIODS = 3
+FEWEST_PERIODS = 10
+"""In a recording; slower ones are drift."""
+HARMONICS = 2
 
 
 @dataclass(frozen=True)
 class PeriodicDisturbance(Effect):
-    """A tone that is added to the displacement, with its phase at the first sample."""
+    """A tone that is added to the displacement, with its phase at the first sample.
+
+    Its harmonics, the second and on, have sizes of their own.
+    """
 
     name: ClassVar[str] = "periodic_disturbance"
     place: ClassVar[str] = "displacement"
@@ -24,15 +29,23 @@ class PeriodicDisturbance(Effect):
     frequency_hz: float = parameter("Hz", "linear", 1e-9, 1e9)
     cosine_um: float = parameter("um")
     sine_um: float = parameter("um")
+    harmonic_cosines_um: tuple = parameter("um", default=())
+    harmonic_sines_um: tuple = parameter("um", default=())
 
     def _tones(self, samples, sample_period_s):
         phase = 2.0 * np.pi * self.frequency_hz * sample_period_s * np.arange(samples)
-        return np.column_stack([np.cos(phase), np.sin(phase)])
+        multiples = range(1, 2 + len(self.harmonic_cosines_um))
+        return np.column_stack([
+            *(np.cos(multiple * phase) for multiple in multiples),
+            *(np.sin(multiple * phase) for multiple in multiples),
+        ])
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
         tones = self._tones(signal.size, sample_period_s)
-        return signal + tones @ (self.cosine_um, self.sine_um)
+        return signal + tones @ (
+            self.cosine_um, *self.harmonic_cosines_um, self.sine_um, *self.harmonic_sines_um
+        )
 
     @classmethod
     def starts(cls, evidence):
@@ -46,8 +59,16 @@ class PeriodicDisturbance(Effect):
         peak = int(np.argmax(size))
         below, at, above = np.log(size[peak - 1 : peak + 2] + 1e-300)
         offset = np.clip(0.5 * (below - above) / (below - 2.0 * at + above + 1e-300), -0.5, 0.5)
-        shape = cls((peak + offset) / evidence.duration_s, 0.0, 0.0)
-        gains, _ = evidence.reduction(
-            shape._tones(evidence.residual_um.size, evidence.sample_period_s)
-        )
-        return [cls(shape.frequency_hz, *gains)]
+        frequency_hz = (peak + offset) / evidence.duration_s
+        starts = []
+        for count in (0, HARMONICS):
+            if (count + 1) * frequency_hz * evidence.sample_period_s < 0.5:
+                shape = cls(frequency_hz, 0.0, 0.0, (0.0,) * count, (0.0,) * count)
+                gains, _ = evidence.reduction(
+                    shape._tones(evidence.residual_um.size, evidence.sample_period_s)
+                )
+                cosines, sines = np.split(gains, 2)
+                starts.append(
+                    cls(frequency_hz, cosines[0], sines[0], tuple(cosines[1:]), tuple(sines[1:]))
+                )
+        return starts

@@ -7,54 +7,66 @@ from typing import ClassVar
 import numpy as np
 
 from piezo_models.effects.effect import Effect, parameter
+from piezo_models.effects.filtering import filtered
+from piezo_models.linear import simulate_linear, zoh
 
-SCANNED_EXPONENTS = (0.02, 0.3, 0.6)
-SCANNED_SPEEDS = np.geomspace(1e-4, 1.0, 7)
-"""Of the largest."""
+SCANNED_EXPONENTS = (0.02, 0.5)
+SCANNED_ONSETS = np.geomspace(3e-3, 1.0, 5)
+"""Of the typical speed."""
+SCANNED_TIMES_S = (1e-4, 1e-3, 5e-3)
 
 
 @dataclass(frozen=True)
 class RateDependentHysteresis(Effect):
-    """The displacement stays behind by a compressive function of its speed.
+    """The thresholds of the hysteresis move away from the voltage by a function of its speed.
 
-    By widening_um ((1 + speed / onset)^exponent - 1) / exponent: an exponent of 1 would be a lag,
-    one near 0 is a logarithm.
+    By widening_v ((1 + speed / onset)^exponent - 1) / exponent, with the speed averaged over a
+    time: an exponent of 1 would be a lag of the voltage, one near 0 is a logarithm.
     """
 
     name: ClassVar[str] = "rate_dependent_hysteresis"
-    place: ClassVar[str] = "displacement"
+    place: ClassVar[str] = "voltage"
     experiment: ClassVar[str] = "the same loop at frequencies over two decades"
 
-    widening_um: float = parameter("um")
-    onset_um_per_s: float = parameter("um/s", "logarithm", 1e-9, 1e12)
+    widening_v: float = parameter("V")
+    onset_v_per_s: float = parameter("V/s", "logarithm", 1e-9, 1e12)
     rate_exponent: float = parameter("1", "linear", 0.01, 0.8)
+    averaging_time_s: float = parameter("s", "logarithm", 1e-7, 1.0)
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
-        return signal - self._behind(np.gradient(signal, sample_period_s))
+        return signal - self._behind(signal, sample_period_s, rest)
 
-    def _behind(self, speed):
+    def _behind(self, signal, sample_period_s, rest=None):
+        speed = filtered([1.0, 0.0], [self.averaging_time_s, 1.0], signal, sample_period_s, rest)
         p = self.rate_exponent
-        growth = np.expm1(p * np.log1p(np.abs(speed) / self.onset_um_per_s)) / p
-        return self.widening_um * np.sign(speed) * growth
-
-    def compensate(self, wanted, sample_period_s):
-        """To the first order: ahead by what the wanted signal would stay behind."""
-        around = np.concatenate([wanted[-1:], wanted, wanted[:1]])
-        return wanted + self._behind(np.gradient(around, sample_period_s)[1:-1])
+        growth = np.expm1(p * np.log1p(np.abs(speed) / self.onset_v_per_s)) / p
+        return self.widening_v * np.sign(speed) * growth
 
     @classmethod
     def starts(cls, evidence):
-        """The best of a scan."""
-        speed = np.gradient(evidence.displacement_um, evidence.sample_period_s)
-        largest = float(np.abs(speed).max())
-        if largest == 0.0:
+        """The best of a scan, in which the hysteresis is no more than a gain."""
+        period_s, voltage_v = evidence.sample_period_s, evidence.voltage_v
+        span_v = np.ptp(voltage_v)
+        if span_v == 0.0:
             return []
-        found = evidence.best(
-            [cls(1.0, part * largest, exponent) for exponent in SCANNED_EXPONENTS
-             for part in SCANNED_SPEEDS],
-            lambda shape: (shape.apply(evidence.displacement_um, evidence.sample_period_s)
-                           - evidence.displacement_um)[:, None],
-        )
-        return [cls(float(gains[0]), shape.onset_um_per_s, shape.rate_exponent)
-                for shape, gains in found]
+        gain = evidence.travel_um / span_v
+        dynamics = zoh(evidence.dynamics.state_space(), period_s)
+
+        def contribution(shape):
+            return -gain * simulate_linear(dynamics, shape._behind(voltage_v, period_s))[:, None]
+
+        shapes = []
+        for time_s in SCANNED_TIMES_S:
+            if time_s < period_s and time_s != SCANNED_TIMES_S[-1]:
+                continue
+            time_s = max(time_s, period_s)
+            speed = filtered([1.0, 0.0], [time_s, 1.0], voltage_v, period_s)
+            typical = float(np.sqrt(np.mean(speed**2)))
+            shapes += [
+                cls(1.0, part * typical, exponent, time_s)
+                for exponent in SCANNED_EXPONENTS for part in SCANNED_ONSETS
+            ]
+        found = evidence.best(shapes, contribution, count=2)
+        return [cls(float(gains[0]), shape.onset_v_per_s, shape.rate_exponent,
+                    shape.averaging_time_s) for shape, gains in found]

@@ -10,26 +10,37 @@ from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect, parameter
 from piezo_models.effects.filtering import filtered
 
+ROUNDED = 0.25
+
 
 @dataclass(frozen=True)
 class SensorLag(Effect):
-    """The sensor follows the displacement with a time constant; the stage itself does not lag."""
+    """The sensor follows the displacement with a time constant; the stage itself does not lag.
+
+    By 1 / (1 + T s + r (T s)^2): of first order where the roundness r is 0, two equal lags where
+    it is 1/4, nearly a delay where it is 1/2.
+    """
 
     name: ClassVar[str] = "sensor_lag"
     place: ClassVar[str] = "sensor"
     experiment: ClassVar[str] = Delay.experiment
 
     time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e3)
+    roundness: float = parameter("1", "linear", 0.0, 0.5, default=0.0)
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
-        return filtered([1.0], [self.time_constant_s, 1.0], signal, sample_period_s, rest)
+        lag = [self.time_constant_s, 1.0]
+        if self.roundness > 0.0:
+            lag.insert(0, self.roundness * self.time_constant_s**2)
+        return filtered([1.0], lag, signal, sample_period_s, rest)
 
     @classmethod
     def starts(cls, evidence):
         """The best of a scan."""
         shapes = [
-            cls(time_s) for time_s in evidence.sample_period_s * np.geomspace(0.1, 1000.0, 13)
+            cls(time_s, ROUNDED)
+            for time_s in evidence.sample_period_s * np.geomspace(0.1, 1000.0, 13)
         ]
         found = evidence.best(
             shapes,
@@ -37,7 +48,7 @@ class SensorLag(Effect):
                            - evidence.displacement_um)[:, None],
         )
         # A gain below one means a shorter lag.
-        return [cls(shape.time_constant_s * float(np.clip(gains[0], 1e-3, 3.0)))
+        return [cls(shape.time_constant_s * float(np.clip(gains[0], 1e-3, 3.0)), ROUNDED)
                 for shape, gains in found if gains[0] > 0.0]
 
     lacks_excitation = Delay.lacks_excitation

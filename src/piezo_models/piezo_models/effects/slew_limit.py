@@ -9,52 +9,72 @@ from numba import njit
 
 from piezo_models.effects.effect import Effect, parameter
 
+SCANNED_PARTS = (0.98, 0.95, 0.9, 0.82, 0.7, 0.5, 0.3, 0.15, 0.05, 0.01)
+"""Of the fastest change."""
+SCANNED_FALL_RATIOS = (1.0, 4.0, 0.25)
+
 
 @njit(cache=True)
-def _slewed(voltage, largest_step, start):
+def _slewed(voltage, rise, fall, change_per_v, start):
     output = np.empty(voltage.size)
     last = start
     for n in range(voltage.size):
-        last += min(max(voltage[n] - last, -largest_step), largest_step)
-        output[n] = last
+        missing = voltage[n] - last
+        step = (rise if missing > 0.0 else fall) * max(1.0 + change_per_v * last, 0.01)
+        way = min(abs(missing), step)
+        # The mean over the period of a voltage that changes steadily until it is there.
+        reached = last + (way if missing > 0.0 else -way)
+        output[n] = reached - 0.5 * (reached - last) * min(1.0, way / step)
+        last = reached
     return output
 
 
 @dataclass(frozen=True)
 class SlewLimit(Effect):
-    """The voltage changes no faster than a rate."""
+    """The voltage rises no faster than a rate, and falls no faster than `fall_ratio` times it.
+
+    The rates are those at 0 V; with every volt they change by the part `change_per_v`, as the
+    capacitance of the actuator does.
+    """
 
     name: ClassVar[str] = "slew_limit"
     place: ClassVar[str] = "voltage"
     experiment: ClassVar[str] = "dynamics: steps of several sizes"
 
     slew_limit_v_per_s: float = parameter("V/s", "logarithm", 1e-6, 1e12)
+    fall_ratio: float = parameter("1", "logarithm", 0.2, 5.0, default=1.0)
+    change_per_v: float = parameter("1/V", "linear", -0.02, 0.02, default=0.0)
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
         start = float(signal[0] if rest is None else rest)
-        step_v = self.slew_limit_v_per_s * sample_period_s
-        # The output is the mean over each period of a voltage that changes steadily within it.
-        reached = _slewed(np.ascontiguousarray(signal, dtype=float), step_v, start)
-        before = np.append(start, reached[:-1])
-        change = np.abs(reached - before)
-        return reached - 0.5 * (reached - before) * np.minimum(1.0, change / step_v)
+        rise_v = self.slew_limit_v_per_s * sample_period_s
+        return _slewed(np.ascontiguousarray(signal, dtype=float), rise_v, self.fall_ratio * rise_v,
+                       self.change_per_v, start)
 
     def compensate(self, wanted, sample_period_s):
         """Ahead by as much as the change within each sample stays behind."""
-        fastest = np.abs(np.diff(np.append(wanted, wanted[0]))).max() / sample_period_s
-        if fastest > self.slew_limit_v_per_s:
+        changes = np.diff(np.append(wanted, wanted[0])) / sample_period_s
+        limits = self.slew_limit_v_per_s * np.maximum(1.0 + self.change_per_v * wanted, 0.01)
+        limits = np.where(changes > 0.0, limits, self.fall_ratio * limits)
+        worst = int(np.argmax(np.abs(changes) / limits))
+        if abs(changes[worst]) > limits[worst]:
             raise ValueError(
-                f"the voltage would change by {fastest:.6g} V/s, the amplifier gives "
-                f"{self.slew_limit_v_per_s:.6g} V/s: ask for slower motion"
+                f"the voltage would change by {abs(changes[worst]):.6g} V/s, the amplifier gives "
+                f"{limits[worst]:.6g} V/s: ask for slower motion"
             )
         return super().compensate(wanted, sample_period_s)
 
     @classmethod
     def starts(cls, evidence):
-        """Limits below the fastest change, half as large each."""
+        """Limits below the fastest change, of both directions or of one."""
         fastest = np.abs(np.diff(evidence.voltage_v)).max(initial=0.0) / evidence.sample_period_s
-        return [cls(fastest * 0.6**step) for step in range(1, 16)] if fastest > 0.0 else []
+        if fastest == 0.0:
+            return []
+        return [
+            cls(fastest * part * max(1.0, 1.0 / ratio), ratio)
+            for ratio in SCANNED_FALL_RATIOS for part in SCANNED_PARTS
+        ]
 
     @classmethod
     def lacks_excitation(cls, evidence):

@@ -38,7 +38,7 @@ class Stiffening(Effect):
         """What each part of 1 um at the ends would take off, shape (N, 3)."""
         def forces(level):
             x = np.clip((level - self.centre_um) / self.half_range_um, -1.5, 1.5)
-            return np.column_stack([x, x * x, x**3])
+            return np.column_stack([x, x * x, x * x * x])
 
         parts = forces(signal)
         if self.frequency_rad_per_s == 0.0:

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Drift with the temperature of the surroundings, whatever the voltage."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from piezo_models.effects.effect import Effect, parameter
+
+WAVES = 8
+"""Half periods of the fastest wave over the recording."""
 
 VISIBLE = 0.005
 """Part of a steady drift that unknown creep must leave to be seen."""
@@ -14,7 +17,10 @@ VISIBLE = 0.005
 
 @dataclass(frozen=True)
 class ThermalDrift(Effect):
-    """A constant rate, and an approach to a new temperature."""
+    """A constant rate, an approach to a new temperature, and slow waves about both.
+
+    Nothing foretells the waves beyond the recording they were found in: they stay as they end.
+    """
 
     name: ClassVar[str] = "thermal_drift"
     place: ClassVar[str] = "displacement"
@@ -24,23 +30,35 @@ class ThermalDrift(Effect):
     rate_um_per_s: float = parameter("um/s")
     approach_um: float = parameter("um")
     time_constant_s: float = parameter("s", "logarithm", 1e-3, 1e9)
+    waves_um: tuple = parameter("um", default=())
+    duration_s: float = parameter("s", "fixed", 1e-6, 1e9, default=1.0)
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
         time_s = np.arange(signal.size) * sample_period_s
-        return signal + self._drifts(time_s) @ (self.rate_um_per_s, self.approach_um)
+        return signal + self._drifts(time_s) @ (
+            self.rate_um_per_s, self.approach_um, *self.waves_um
+        )
 
     def _drifts(self, time_s):
-        return np.column_stack([time_s, -np.expm1(-time_s / self.time_constant_s)])
+        phase = np.pi * np.minimum(time_s / self.duration_s, 1.0)
+        return np.column_stack([
+            time_s, -np.expm1(-time_s / self.time_constant_s),
+            *(np.cos((wave + 2) * phase) - 1.0 for wave in range(len(self.waves_um))),
+        ])
 
     @classmethod
     def starts(cls, evidence):
         """The best of a few time constants."""
         shapes = [
-            cls(0.0, 0.0, part * evidence.duration_s) for part in (0.1, 0.3, 1.0)
+            cls(0.0, 0.0, part * evidence.duration_s, (0.0,) * waves, evidence.duration_s)
+            for part in (0.1, 0.3, 1.0) for waves in (0, WAVES - 1)
         ]
-        found = evidence.best(shapes, lambda shape: shape._drifts(evidence.time_s), count=2)
-        return [cls(*gains, shape.time_constant_s) for shape, gains in found]
+        found = evidence.best(shapes, lambda shape: shape._drifts(evidence.time_s), count=4)
+        return [
+            replace(shape, rate_um_per_s=gains[0], approach_um=gains[1], waves_um=tuple(gains[2:]))
+            for shape, gains in found
+        ]
 
     @classmethod
     def lacks_excitation(cls, evidence):

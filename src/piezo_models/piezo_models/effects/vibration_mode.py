@@ -10,7 +10,7 @@ import numpy as np
 from piezo_models.effects.effect import Effect, parameter
 from piezo_models.effects.filtering import filtered
 
-SCANNED_DAMPING_RATIOS = (0.01, 0.04, 0.15)
+SCANNED_DAMPING_RATIOS = (0.01, 0.05)
 LOWEST_PERIODS = 20
 """A mode shows in a recording that lasts at least as many of its periods."""
 

@@ -5,15 +5,24 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from scipy.special import ndtr
 
 from piezo_models.effects.effect import Effect, parameter
 
-SCANNED_PARTS = (0.02, 0.05, 0.1, 0.2)
+SCANNED_PARTS = (0.01, 0.03, 0.1, 0.2)
+SCANNED_KNEE = 0.01
+
+
+NEWTON_STEPS = 40
+INVERSION_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
 class VoltageClipping(Effect):
-    """Voltages beyond two limits come out as the limits."""
+    """Voltages beyond two limits come out as the limits.
+
+    The limits may be soft: as if they were spread by a normal distribution of deviation `knee_v`.
+    """
 
     name: ClassVar[str] = "voltage_clipping"
     place: ClassVar[str] = "voltage"
@@ -21,27 +30,53 @@ class VoltageClipping(Effect):
 
     lowest_v: float = parameter("V")
     highest_v: float = parameter("V")
+    knee_v: float = parameter("V", "linear", 0.0, 1e6, default=0.0)
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
-        return np.clip(signal, self.lowest_v, max(self.lowest_v, self.highest_v))
+        highest_v = max(self.lowest_v, self.highest_v)
+        if self.knee_v == 0.0:
+            return np.clip(signal, self.lowest_v, highest_v)
+        over, _ = self._beyond(signal - highest_v)
+        under, _ = self._beyond(self.lowest_v - signal)
+        return signal - over + under
+
+    def _beyond(self, distance_v):
+        """What a limit takes off a voltage that lies so far beyond it, and the slope of that."""
+        x = distance_v / self.knee_v
+        slope = ndtr(x)
+        return self.knee_v * (x * slope + np.exp(-0.5 * x * x) / np.sqrt(2.0 * np.pi)), slope
 
     def compensate(self, wanted, sample_period_s):
-        """The wanted voltage itself, if it lies within the limits."""
+        """The wanted voltage itself within the limits, and more of it where they bend it."""
+        refusal = (
+            f"the voltage would go from {wanted.min():.6g} to {wanted.max():.6g} V, the amplifier "
+            f"gives {self.lowest_v:.6g} to {self.highest_v:.6g} V: ask for less"
+        )
         if wanted.min() < self.lowest_v or wanted.max() > self.highest_v:
-            raise ValueError(
-                f"the voltage would go from {wanted.min():.6g} to {wanted.max():.6g} V, the "
-                f"amplifier gives {self.lowest_v:.6g} to {self.highest_v:.6g} V: ask for less"
-            )
-        return wanted
+            raise ValueError(refusal)
+        if self.knee_v == 0.0:
+            return wanted
+        voltage_v = wanted.copy()
+        for _ in range(NEWTON_STEPS):
+            over, over_slope = self._beyond(voltage_v - self.highest_v)
+            under, under_slope = self._beyond(self.lowest_v - voltage_v)
+            missing = wanted - (voltage_v - over + under)
+            if np.abs(missing).max() < INVERSION_TOLERANCE * self.knee_v:
+                return voltage_v
+            voltage_v = voltage_v + missing / np.maximum(1.0 - over_slope - under_slope, 1e-3)
+        raise ValueError(refusal)
 
     @classmethod
     def starts(cls, evidence):
         """Limits at some parts of the span from its ends."""
         low, high = evidence.voltage_v.min(), evidence.voltage_v.max()
         span = high - low
-        starts = [cls(low, high - part * span) for part in SCANNED_PARTS]
-        return starts + [cls(low + part * span, high) for part in SCANNED_PARTS]
+        knee = SCANNED_KNEE * span
+        # Where nothing is clipped, the limit is out of reach.
+        below, above = low - 2.0 * knee, high + 2.0 * knee
+        starts = [cls(below, high - part * span, knee) for part in SCANNED_PARTS]
+        return starts + [cls(low + part * span, above, knee) for part in SCANNED_PARTS]
 
     @classmethod
     def lacks_excitation(cls, evidence):
