@@ -12,9 +12,10 @@ from piezo_bringup.diagnose_suite.plants import draw_plant, noise_um
 from piezo_identification.diagnosis.contest import Contest
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.identify import identify
+from piezo_identification.response_fit import ResponseOrder
 from piezo_sim.undeclared.draws import DrawError, draw_effect, response_um
 
-CREEP_PAIRS, MODES = 4, 2
+STRUCTURE = ResponseOrder(creep_pairs=4, modes=2, antiresonances=0)
 """The structure that the models have."""
 
 WEAKEST_MULTIPLE = 1e-2
@@ -42,7 +43,7 @@ def identified_model(plant, seed):
             path.touch()
             recording = records.record(plant, experiment, 10 * seed + index)
             recordings[name] = replace(recording, path=str(path))
-        return identify(**recordings, creep_pairs=CREEP_PAIRS, modes=MODES).model
+        return identify(**recordings, order=STRUCTURE).model
 
 
 def clean_model(seed, plant):
