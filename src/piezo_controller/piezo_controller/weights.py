@@ -158,7 +158,7 @@ def _weight(entry, name, source):
         raise WeightsError(f"{where} has more zeros than poles: give as many poles")
     if any(abs(pole) >= 1 for pole in entry["poles"]):
         raise WeightsError(f"{where} has a pole on or outside the unit circle, for which no "
-                           "controller exists: use 0.9997 for integral action")
+                           "controller exists: use 0.9995 for integral action")
     gain = _positive(entry["gain"], f"gain of {name}", source)
     return Weight(gain, *(tuple(float(x) for x in r) for r in roots))
 
