@@ -42,7 +42,8 @@ class PacedRun:
     ticks : int
         Tracked.
     lost_samples, disturbed_ticks : int
-        Missing in the sample index; with another voltage than feedforward and an answer.
+        Missing in the sample index, because this client was more than 2 s late; with another
+        voltage than feedforward and an answer.
     held_ticks, missed_feedback : int
         Flagged as without an answer, and counted by the stage.
     histogram : dict of str to str
@@ -55,7 +56,7 @@ class PacedRun:
         self.histogram = {}
         self.over = False
         self._client = client
-        self._next_sample = self._held_v = None
+        self._next_sample = self._held_v = self._first_sample = self._expected_sample = None
         self._feedback = client.node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
         client.node.create_subscription(SampleBlock, "samples", self._take, PACED_SAMPLES)
         client.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 10)
@@ -87,12 +88,19 @@ class PacedRun:
 
     def _account(self, block):
         held = bool(block.flags & SampleBlock.FLAG_FEEDBACK_HELD)
+        if self._first_sample is None:
+            self._first_sample = block.first_sample
+        at = block.first_sample - self._first_sample
+        if block.first_sample != self._expected_sample:
+            self._held_v = None  # blocks that this client was too late to read told it
         if not held:
-            # The block of tick k was published in tick k + 1 and is answered by that of k - 1.
-            self._held_v = answer_v(block.tick - 2) if self.ticks > 1 else 0.0
-        begin = self.ticks * SAMPLES_PER_TICK % len(PERIOD_V)
-        wanted_v = PERIOD_V[begin:begin + SAMPLES_PER_TICK] + self._held_v
-        self.disturbed_ticks += not np.array_equal(np.frombuffer(block.voltage_v), wanted_v)
+            # In the block of tick k, published in tick k + 1, acts the answer to that of k - 1.
+            self._held_v = answer_v(block.tick - 2) if at > SAMPLES_PER_TICK else 0.0
+        if self._held_v is not None:
+            begin = at % len(PERIOD_V)
+            wanted_v = PERIOD_V[begin:begin + SAMPLES_PER_TICK] + self._held_v
+            self.disturbed_ticks += not np.array_equal(np.frombuffer(block.voltage_v), wanted_v)
+        self._expected_sample = block.first_sample + SAMPLES_PER_TICK
         self.held_ticks += held
         self.missed_feedback = block.missed_feedback
         self.ticks += 1

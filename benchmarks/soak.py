@@ -41,6 +41,7 @@ FAULT_DISTANCE_S, FAULTS_UNTIL_S = 20.0, 2000.0
 FAULT_S = 0.05
 NODES = ("stage", "recorder", "identification", "controller")
 ANSWER_TIMEOUT_S = 120.0
+RESULT_REQUESTS = 6
 REPORT_PERIOD_S = 30.0
 
 
@@ -131,17 +132,18 @@ class Soak:
         name, fields = self._goal(directory)
         self.actions[name] += 1
         try:
-            outcome = self.client.send(name, **fields).get_result_async()
+            goal = self.client.send(name, **fields)
         except GoalFailed as failure:
             self.losses.append(f"{self._number}: {failure}")
             return
+        outcome = goal.get_result_async()
         ended = self.client.spin_until(outcome.done, self.draw.uniform(0.0, 3.0))
         if disturbance and not ended:
             self.disturbed[disturbance] += 1
             DISTURBANCES[disturbance](self, name)
         # The client of a node that was killed waits in vain.
         gone = disturbance == "kill client" and not ended
-        if not gone and not self.client.spin_until(outcome.done, ANSWER_TIMEOUT_S):
+        if not gone and not self._ends(goal, outcome):
             self.losses.append(f"{self._number}: {name} ({disturbance}) never ended")
         self._mend()
         self._account(directory, disturbance)
@@ -189,6 +191,14 @@ class Soak:
         process.send_signal(signal.SIGKILL)
         self.client.spin_until(lambda: process.poll() is not None, ANSWER_TIMEOUT_S)
         self.start(name)
+
+    def _ends(self, goal, outcome):
+        """Wait for a result; ask again where the response may have been lost."""
+        for _ in range(RESULT_REQUESTS):
+            if self.client.spin_until(outcome.done, ANSWER_TIMEOUT_S / RESULT_REQUESTS):
+                return True
+            outcome = goal.get_result_async()
+        return False
 
     # What must hold afterwards
 
@@ -239,8 +249,8 @@ class Soak:
             process = self.processes.process(name)
             with suppress(OSError):
                 text = Path(f"/proc/{process.pid}/status").read_text()
-                rss_mb = next(int(line.split()[1]) / 1024 for line in text.splitlines()
-                              if line.startswith("VmRSS"))
+                rss_mb = next((int(line.split()[1]) / 1024 for line in text.splitlines()
+                               if line.startswith("VmRSS")), 0.0)
                 first, _, largest = self.memory_mb.get(name, (rss_mb, rss_mb, rss_mb))
                 self.memory_mb[name] = (first, rss_mb, max(rss_mb, largest))
 
@@ -285,6 +295,7 @@ def main():
                 reported_s = time.monotonic()
                 print(f"{reported_s - begun_s:.0f} s: {sum(soak.actions.values())} done, "
                       f"{sum(soak.trips.values())} trips, {len(soak.losses)} losses", flush=True)
+    # Of nodes that ended by themselves as well.
     tracebacks = [path.name for path in (OUTPUT / "logs").glob("*.log")
                   if "Traceback" in path.read_text()]
     soak.losses += [f"traceback in {OUTPUT / 'logs' / name}" for name in tracebacks]

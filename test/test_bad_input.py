@@ -216,6 +216,20 @@ def test_file_larger_than_any_sensible_one_is_refused_unread(tmp_path, name):
     assert not assert_read_or_refused(path, read, holds)
 
 
+@pytest.mark.parametrize("write", [write_model, write_controller])
+@pytest.mark.parametrize("name", ["data.csv", "data.mcap", "model.json", "controller.json"])
+def test_output_never_overwrites_what_is_something_else(tmp_path, write, name):
+    path = tmp_path / name
+    KINDS[name][0](path)
+    before = path.read_bytes()
+    if KINDS[name][0] is write:
+        write(path)
+        return
+    with pytest.raises(ValueError, match="is there already and is no .* choose another name"):
+        write(path)
+    assert path.read_bytes() == before
+
+
 def test_nothing_is_parsed_by_pickle_or_eval():
     forbidden = re.compile(r"\b(pickle|marshal|shelve)\b|\b(eval|exec)\(|yaml\.(load|unsafe)|"
                            r"allow_pickle")

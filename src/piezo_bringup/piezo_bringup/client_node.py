@@ -124,9 +124,15 @@ class Client:
         if not self.spin_until(client.server_is_ready, SERVER_TIMEOUT_S):
             raise GoalFailed(name, action_type.Result(
                 message=f"nobody serves {topic}: start its node"))
-        sent = client.send_goal_async(
-            action_type.Goal(**fields),
-            feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None)
+
+        def ask():
+            return client.send_goal_async(
+                action_type.Goal(**fields),
+                feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None)
+
+        sent = ask()
+        if not self.spin_until(sent.done, LOST_RESPONSE_S):
+            sent = ask()  # as in `call`
         return self.wait(sent)
 
     def call(self, service_type, name, /, **fields):

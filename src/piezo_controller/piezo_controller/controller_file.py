@@ -13,7 +13,7 @@ from piezo_controller.feedback_design import (
     UnstableLoop,
     check_stabilises,
 )
-from piezo_models.bounded_file import UnreadableFile, read_bounded_text
+from piezo_models.bounded_file import UnreadableFile, is_something_else, read_bounded_text
 
 FORMAT = "piezo_stage_controller"
 VERSION = 1
@@ -36,13 +36,17 @@ def save_controller(path, controller):
     Raises
     ------
     ControllerFileError
-        The file cannot be written, or the controller holds a value that is not finite.
+        The file cannot be written, is there already and no controller file, or the controller
+        holds a value that is not finite.
     """
     path = Path(path)
     matrices = {name: np.asarray(getattr(controller, name)).tolist() for name in "ABCD"}
     document = {"format": FORMAT, "version": VERSION, "model_sha256": controller.model_sha256,
                 "sample_period_s": controller.sample_period_s, "report": controller.report,
                 "weights": controller.weights, **matrices}
+    if is_something_else(path, FORMAT):
+        raise ControllerFileError(f"{path}: is there already and is no controller file, so it is "
+                                  "not overwritten; choose another name")
     partial = path.with_name(path.name + ".partial")
     try:
         text = json.dumps(document, indent=1, allow_nan=False)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Read a text file that people may have mistaken for a small one."""
+"""Read a file that may be too large, and do not write over one that is something else."""
 
+import json
 from pathlib import Path
 
 LARGEST_BYTES = 10_000_000
@@ -38,3 +39,22 @@ def read_bounded_text(path, largest_bytes=LARGEST_BYTES):
         raise UnreadableFile(f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise UnreadableFile("is not text") from None
+
+
+def is_something_else(path, file_format, largest_bytes=LARGEST_BYTES):
+    """Whether there is a file that is not JSON of a format, such as a recording.
+
+    Parameters
+    ----------
+    path : path-like
+    file_format : str
+        What its entry ``format`` says.
+    largest_bytes : int
+    """
+    if not Path(path).exists():
+        return False
+    try:
+        document = json.loads(read_bounded_text(path, largest_bytes))
+    except (ValueError, RecursionError):
+        return True
+    return not isinstance(document, dict) or document.get("format") != file_format

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from piezo_models.bounded_file import UnreadableFile, read_bounded_text
+from piezo_models.bounded_file import UnreadableFile, is_something_else, read_bounded_text
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
 from piezo_models.hysteretic_creep import HystereticCreep
@@ -73,11 +73,17 @@ def save_model(path, identified):
     Raises
     ------
     ModelFileError
-        If the model does not satisfy what `load_model` asks for, or the file cannot be written.
+        If the model does not satisfy what `load_model` asks for, or the file cannot be written,
+        or there is one that is no model file.
     """
     path = Path(path)
     document = _document(identified)
     _Reader(path).identified_model(document)
+    if is_something_else(path, FORMAT, _LARGEST_FILE_BYTES):
+        raise ModelFileError(
+            f"{path}: is there already and is no model file, so it is not overwritten; "
+            "choose another name"
+        )
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with temporary.open("w", encoding="utf-8") as file:

@@ -268,6 +268,8 @@ class Recorder(LifecycleNode):
         return time.monotonic() - self._client_gone_at > AFTERMATH_S
 
     def _flush(self):
+        if not self._recording:  # ended after this callback was due
+            return
         if self._client_is_gone():
             self._end(f"its client {self._session.client} is gone")
             return
@@ -297,6 +299,8 @@ class Recorder(LifecycleNode):
 
     def _publish_diagnostics(self):
         session = self._session
+        if session is None:  # as above
+            return
         status = DiagnosticStatus(
             name=f"{self.get_fully_qualified_name()}: recording", level=DiagnosticStatus.OK,
             message="closed" if session.closed else "recording")
