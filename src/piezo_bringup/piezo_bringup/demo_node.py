@@ -47,7 +47,6 @@ TRAJECTORIES = ((40.0, 40.0), (100.0, 40.0), (500.0, 21.0), (1000.0, 10.25))
 CENTRE_UM = 50.0
 DURATION_S = 1.0
 MODES = ("open_loop", "feedforward", "composite")
-MODES_AFTER = ("feedforward", "composite")
 # Before each run, one second each: the hysteresis' past is wiped out, then most of the creep dies
 # out, so that every run begins as the feedforward takes it to begin.
 REST_VOLTAGE_V = (-20.0, *[0.0] * 60)
@@ -141,7 +140,7 @@ def run_demo(directory, command, progress):
             diagnosis = _diagnose(client, processes, identified, directory, progress)
             diagnosed_s = time.monotonic()
             tracks_after = _track_all(client, processes, diagnosis.extended_model,
-                                      directory / "after", progress, MODES_AFTER)
+                                      directory / "after", progress)
             tracked_again_s = time.monotonic()
         progress.show("end the nodes", 1.0)
     progress.show("draw the report", 1.0)
@@ -187,10 +186,10 @@ def _recording_of(experiment, identified):
     return next(path for path in map(Path, identified.recordings) if path.name == experiment)
 
 
-def _track_all(client, processes, model, directory, progress, modes=MODES):
+def _track_all(client, processes, model, directory, progress):
     """Track every trajectory in every mode; return the paths of the recordings."""
     begin_s = time.monotonic()
-    runs = [(*trajectory, mode) for trajectory in TRAJECTORIES for mode in modes]
+    runs = [(*trajectory, mode) for trajectory in TRAJECTORIES for mode in MODES]
     tracks = []
     for number, (frequency_hz, amplitude_um, mode) in enumerate(runs):
         def show(run_fraction, number=number, frequency_hz=frequency_hz, mode=mode):

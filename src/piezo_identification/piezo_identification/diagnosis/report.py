@@ -142,13 +142,16 @@ def _tried(selection):
 
 def _outcome(attempt, best, selection):
     """What became of a candidate, in words."""
+    added = {effect.name for effect in selection.end.effects}
+    if attempt.trial is None:
+        among = "added already" if attempt.name in added else "nothing hints at it"
+        return attempt.remark or among
+    if attempt.name in added:
+        return "added" if attempt is best else "added in the end"
+    if attempt.name in selection.twins:
+        return f"cannot be told from {selection.twins[attempt.name]}"
     if attempt.remark:
         return attempt.remark
-    if attempt.trial is None:
-        return "nothing hints at it"
-    added = {effect.name for effect in selection.end.effects}
-    if attempt is best and attempt.name in added:
-        return "added"
     if attempt.reduction_percent <= 0.0:
         return "rejected: no gain"
     if attempt.significance <= SIGNIFICANT:
