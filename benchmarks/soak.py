@@ -295,7 +295,6 @@ def main():
                 reported_s = time.monotonic()
                 print(f"{reported_s - begun_s:.0f} s: {sum(soak.actions.values())} done, "
                       f"{sum(soak.trips.values())} trips, {len(soak.losses)} losses", flush=True)
-    # Of nodes that ended by themselves as well.
     tracebacks = [path.name for path in (OUTPUT / "logs").glob("*.log")
                   if "Traceback" in path.read_text()]
     soak.losses += [f"traceback in {OUTPUT / 'logs' / name}" for name in tracebacks]

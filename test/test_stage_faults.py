@@ -216,6 +216,31 @@ def test_experiment_whose_node_is_killed_ends_at_rest_with_a_whole_recording(pac
     assert read_recording(tmp_path / "creep").voltage_v[-1] == 0.0
 
 
+@pytest.mark.parametrize("gain", [8.0, 9.0])
+def test_loop_that_is_not_stable_is_stopped_before_5_um(suite, gain):
+    watcher = Watcher(suite)
+    feedback_v, settled_um = [0.0], []
+
+    def answer(block):
+        mean_um = np.mean(block.displacement_um)
+        if len(feedback_v) < 200:
+            settled_um[:] = [mean_um]
+        feedback_v.append(feedback_v[-1] + gain * (settled_um[0] - mean_um))
+        return feedback_v[-1] if len(feedback_v) > 200 else 0.0
+
+    suite.answer = answer
+    assert suite.load(np.linspace(0, 50, 4000)).success
+    assert suite.start_tracking(feedback=True, ticks=3000).success
+    message, _ = watcher.stopped()
+    suite.answer = None
+    assert message.startswith("the feedback oscillates ever more")
+    tracked = [block for block in suite.samples().blocks
+               if block.flags & SampleBlock.FLAG_TRACKING]
+    oscillated_um = np.concatenate([block.displacement_um for block in tracked[200:]])
+    assert np.abs(oscillated_um - settled_um[0]).max() < 5.0
+    suite.until(lambda: suite.trigger("reset").success)
+
+
 def test_emergency_stop_acts_in_the_very_next_tick(suite):
     for answered_ticks in (0, 30):
         suite.forget()

@@ -180,8 +180,9 @@ class FeedbackOscillation:
     """The feedback does not oscillate ever more.
 
     A loop that is not stable swings with a half period of a few ticks, each swing larger than
-    all before, up from its noise. What swings as slowly as most references, keeps its size, beats,
-    or is large from its first swing on, is let pass.
+    all before. What swings as slowly as most references, keeps its size, or is large from its first
+    swing on, is let pass; a reference of many fast tones that only feedback follows may be taken
+    for growth.
 
     Parameters
     ----------
@@ -191,7 +192,7 @@ class FeedbackOscillation:
 
     LONGEST_HALF_PERIOD_TICKS = 8
     # From where a growth began to where it is stopped, and what is a new start in one swing.
-    GROWTH, LEAP = 10.0, 20.0
+    GROWTH, LEAP = 6.0, 20.0
     # Swings that grew before the one that is stopped.
     GROWN_SWINGS = 2
     # Of the largest swing: less than this in between is no growth from swing to swing.
