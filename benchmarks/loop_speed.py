@@ -8,7 +8,7 @@ from processes import BenchmarkProcesses
 from rclpy.time import Time
 from stage_model import SAMPLE_RATE_HZ, write_model
 
-from piezo_bringup.client_node import Client
+from piezo_client.client import Client
 
 REFERENCE = {"kind": "harmonic", "frequency_hz": [40.0], "amplitude_um": [40.0],
              "phase_rad": [0.0], "centre_um": 40.0}

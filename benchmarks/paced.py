@@ -14,8 +14,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
 
-from piezo_bringup.client_node import Client
 from piezo_bringup.processes import Processes
+from piezo_client.client import Client
 from piezo_node_tools.quality import FEEDBACK, PACED_SAMPLES
 
 TICKS_PER_S = 1000

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from piezo_interfaces.srv import StartRecording, StopRecording
 
-from piezo_bringup.client_node import Client
 from piezo_bringup.processes import Processes
+from piezo_client.client import Client
 
 SAMPLE_RATE_HZ = 40_000
 PERIOD_V = 50.0 - 50.0 * np.cos(2 * np.pi * np.arange(4000) / 4000)

@@ -26,8 +26,8 @@ from piezo_interfaces.msg import Reference, SampleBlock
 from stage_model import write_model
 from std_srvs.srv import Trigger
 
-from piezo_bringup.client_node import Client, GoalFailed
 from piezo_bringup.processes import Processes, clean_shared_memory
+from piezo_client.client import Client, GoalFailed
 from piezo_node_tools.quality import SAMPLES
 from piezo_recorder.reader import RecordingError, read_recording
 

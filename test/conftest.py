@@ -5,6 +5,7 @@ import array
 import os
 import random
 import socket
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from itertools import count, pairwise
 
@@ -16,8 +17,9 @@ from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartRecording, StartTracking, StopRecording
 from std_srvs.srv import Trigger
 
-from piezo_bringup.client_node import Client, GoalFailed
 from piezo_bringup.processes import Processes, clean_shared_memory
+from piezo_client.client import Client, GoalFailed
+from piezo_client.stage import Stage
 from piezo_node_tools.quality import FEEDBACK, SAMPLES
 
 TIMEOUT_S = 180.0
@@ -130,6 +132,17 @@ class StageClient(Client):
     def wait(self, future):
         self.until(future.done)
         return future.result()
+
+    def beside(self, work, *arguments, **options):
+        """Do work in a thread while this client reads on; return its result.
+
+        A client that does not read holds the stage back.
+        """
+        with ThreadPoolExecutor(1) as thread:
+            future = thread.submit(work, *arguments, **options)
+            while not self.spin_until(future.done, 1.0):
+                pass
+            return future.result()
 
     def logs(self):
         """What the nodes printed, each under its name."""
@@ -286,6 +299,25 @@ def whole_suite(tmp_path_factory, domain):
         yield nodes.start("recorder", "identification", "controller", namespace="/left")
     finally:
         nodes.stop()
+
+
+@pytest.fixture(scope="session")
+def told():
+    """What the identification of the session told on its way: (step, fraction, seconds left)."""
+    return []
+
+
+@pytest.fixture(scope="session")
+def identification(whole_suite, tmp_path_factory, told):
+    """Of the stage /left, through the whole sequence."""
+    with Stage("/left", progress=lambda *progress: told.append(progress)) as stage:
+        return whole_suite.beside(stage.identify, tmp_path_factory.mktemp("identification"))
+
+
+@pytest.fixture(scope="session")
+def model(identification):
+    """Path of the model file of the stage /left."""
+    return identification.path
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 
-from piezo_bringup.client_node import GoalFailed
+from piezo_client.client import GoalFailed
 from piezo_identification.experiments import validation
 from piezo_models.cascade import StageModel
 from piezo_models.effects.vibration_mode import VibrationMode

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 
-from piezo_bringup.client_node import GoalFailed
+from piezo_client.client import GoalFailed
 from piezo_identification.experiments import EXPERIMENTS, named_experiment
 from piezo_identification.relay import relay_oscillation
 from piezo_recorder.reader import read_recording

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from piezo_interfaces.msg import Reference
 
-from piezo_bringup.client_node import GoalFailed
+from piezo_client.client import GoalFailed
 from piezo_controller.controller_file import save_controller
 from piezo_controller.feedback_design import design_feedback
 from piezo_controller.weights import load_weights

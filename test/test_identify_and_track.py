@@ -5,15 +5,13 @@ import json
 import math
 import re
 import signal
-from pathlib import Path
 
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from piezo_interfaces.msg import Reference
 
-from piezo_bringup.client_node import GoalFailed
-from piezo_models.model_file import load_model
+from piezo_client.client import GoalFailed
 from piezo_recorder.reader import read_recording, sha256_of
 
 CENTRE_UM = 57.0
@@ -29,52 +27,36 @@ def goal_fields(model, directory, reference=None, mode="composite", duration_s=0
             "mode": mode, "duration_s": duration_s, "directory": str(directory)}
 
 
-@pytest.fixture(scope="module")
-def identification(whole_suite, tmp_path_factory):
-    """Result of the whole sequence, and the feedback on the way."""
-    directory, told = tmp_path_factory.mktemp("identification"), []
-    result = whole_suite.identify(directory, on_feedback=told.append)
-    return result, told
-
-
-@pytest.fixture(scope="module")
-def model(identification):
-    return Path(identification[0].model)
-
-
 # Identify
 
 def test_identification_leaves_a_model_with_its_errors_and_recordings(identification):
-    result, _ = identification
-    identified = load_model(result.model)
-    assert Path(result.model).parent == Path(result.recordings[0]).parent
-    errors = dict(zip(result.error_names, result.error_values, strict=True))
-    assert errors == pytest.approx(identified.errors)
-    assert errors["e_y_percent"] < 0.2  # on data that were not fitted
+    identified = identification.model()
+    assert identification.path.parent == identification.recordings[0].parent
+    assert identification.errors == pytest.approx(identified.errors)
+    assert identified.errors["e_y_percent"] < 0.2  # on data that were not fitted
     assert {entry["sha256"] for entry in identified.recordings} >= {
-        sha256_of(path) for path in result.recordings[:3]}
+        sha256_of(path) for path in identification.recordings[:3]}
     assert identified.voltage_range_v == pytest.approx((-20.0, 120.0))
 
 
-def test_identification_tells_how_far_it_is(identification):
-    _, told = identification
-    stages = [feedback.stage.split(":")[0] for feedback in told]
+def test_identification_tells_how_far_it_is(identification, told):
+    steps, fractions, seconds_left = zip(*told, strict=True)
+    stages = [step.split(":")[0] for step in steps]
     assert list(dict.fromkeys(stages))[-1] == "estimate"
     assert {"creep", "dynamics", "hysteresis", "validation"} <= set(stages)
-    fractions = [feedback.fraction for feedback in told]
-    assert fractions == sorted(fractions)
+    assert list(fractions) == sorted(fractions)
     assert 0.0 <= fractions[0] < fractions[-1] <= 1.0
-    assert all(feedback.seconds_left >= 0.0 for feedback in told)
+    assert min(seconds_left) >= 0.0
 
 
 def test_identification_from_a_wrong_number_of_recordings_is_refused(suite, identification):
-    recordings = list(identification[0].recordings)
+    recordings = list(map(str, identification.recordings))
     with pytest.raises(GoalFailed, match="2 recordings are named: give those of creep, "):
         suite.goal("identify", recordings=recordings[:2])
 
 
 def test_identification_from_a_recording_that_is_not_there_is_refused(suite, identification):
-    recordings = list(identification[0].recordings)
+    recordings = list(map(str, identification.recordings))
     with pytest.raises(GoalFailed, match="/no/creep does not exist"):
         suite.goal("identify", recordings=["/no/creep", *recordings[1:]])
 

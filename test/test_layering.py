@@ -18,7 +18,10 @@ NUMERICS = {
     "piezo_identification": {"piezo_models", "piezo_recorder"},
     "piezo_controller": {"piezo_models", "piezo_recorder"},
     "piezo_node_tools": set(),
+    "piezo_client": {"piezo_models", "piezo_recorder"},
 }
+# Packages that are of the node layer as a whole.
+NODE_PACKAGES = {"piezo_node_tools", "piezo_client"}
 NODE_LAYER = {"piezo_interfaces", "piezo_node_tools"}
 ROS = re.compile(r"rclpy|rosidl_\w+|\w+_msgs|std_srvs|piezo_interfaces|piezo_node_tools")
 
@@ -41,7 +44,7 @@ def imported_names(path, package):
 
 
 def is_node_layer(package, path):
-    return package == "piezo_node_tools" or path.stem.endswith("_node")
+    return package in NODE_PACKAGES or path.stem.endswith("_node")
 
 
 def objection(package, path, name):
@@ -111,6 +114,8 @@ def write_module(source, package, module, code):
         ("piezo_stage_driver", "engine.py", "from piezo_recorder import reader"),
         ("piezo_sim", "creep.py", "from piezo_identification import creep"),
         ("piezo_node_tools", "goals.py", "from piezo_controller import weights"),
+        ("piezo_client", "stage.py", "from piezo_controller import weights"),
+        ("piezo_controller", "a_node.py", "from piezo_client import stage"),
         ("piezo_bringup", "report.py", "import rclpy"),
     ],
 )
@@ -128,6 +133,7 @@ def test_forbidden_import_is_found(tmp_path, package, module, code):
         ("piezo_identification", "a_node.py", "from piezo_node_tools import spinning"),
         ("piezo_identification", "creep.py", "from piezo_models import linear"),
         ("piezo_node_tools", "spinning.py", "import rclpy"),
+        ("piezo_client", "stage.py", "from piezo_recorder import reader"),
         ("piezo_sim", "stage_sim_node.py", "from piezo_stage_driver import stage_node"),
         ("piezo_bringup", "demo_node.py", "import rclpy, piezo_sim.plant"),
     ],

@@ -16,8 +16,8 @@ from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 
-from piezo_bringup.client_node import Client
 from piezo_bringup.processes import Processes
+from piezo_client.client import Client
 from piezo_node_tools.quality import SAMPLES
 from piezo_recorder.reader import read_recording
 

@@ -16,7 +16,7 @@ from lifecycle_msgs.msg import Transition
 from piezo_interfaces.msg import SampleBlock
 from piezo_interfaces.srv import StartRecording, StopRecording
 
-from piezo_bringup.client_node import GoalFailed
+from piezo_client.client import GoalFailed
 from piezo_recorder.reader import read_recording
 
 RATE_HZ = 40_000
@@ -37,7 +37,7 @@ SWING_V = 70.0 - 30.0 * np.cos(2 * np.pi * np.arange(4000) / 4000)
 CLIENT = """
 import sys
 import numpy as np
-from piezo_bringup.client_node import Client
+from piezo_client.client import Client
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
 namespace, name, work = sys.argv[1:]
 with Client(namespace, name) as client:

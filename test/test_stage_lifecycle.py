@@ -7,7 +7,7 @@ from action_msgs.msg import GoalStatus
 from lifecycle_msgs.msg import Transition
 from piezo_interfaces.msg import SampleBlock
 
-from piezo_bringup.client_node import GoalFailed
+from piezo_client.client import GoalFailed
 
 FLAG_RAMPING = SampleBlock.FLAG_RAMPING
 

@@ -6,7 +6,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from piezo_interfaces.msg import SampleBlock
 
-from piezo_bringup.client_node import GoalFailed
+from piezo_client.client import GoalFailed
 
 FLAG_TRACKING, FLAG_STOPPED = SampleBlock.FLAG_TRACKING, SampleBlock.FLAG_STOPPED
 FLAG_FEEDBACK_HELD = SampleBlock.FLAG_FEEDBACK_HELD

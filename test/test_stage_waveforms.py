@@ -6,7 +6,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from piezo_interfaces.msg import SampleBlock
 
-from piezo_bringup.client_node import GoalFailed
+from piezo_client.client import GoalFailed
 
 FLAG_PLAYING, FLAG_RAMPING = SampleBlock.FLAG_PLAYING, SampleBlock.FLAG_RAMPING
 

@@ -14,10 +14,8 @@ from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 
-from piezo_bringup.client_node import Client, GoalFailed
 from piezo_bringup.picture_style import to_png
 from piezo_bringup.processes import Processes
-from piezo_bringup.progress_line import ProgressLine
 from piezo_bringup.report import render_report
 from piezo_bringup.run_directory import claim_directory
 from piezo_bringup.second_half import SecondHalf
@@ -30,6 +28,8 @@ from piezo_bringup.summary import (
 )
 from piezo_bringup.tracked_run import read_tracked_run
 from piezo_bringup.tracking_pictures import draw_errors
+from piezo_client.client import Client, GoalFailed
+from piezo_client.progress_line import ProgressLine
 from piezo_models.model_file import load_model
 from piezo_recorder.reader import read_recording
 
@@ -75,12 +75,6 @@ class WatchfulClient(Client):
     def __init__(self, processes):
         super().__init__()
         self._processes = processes
-
-    def wait(self, future):
-        """Spin until a future is done; return its result."""
-        while not self.spin_until(future.done, ALIVE_PERIOD_S):
-            self.check()
-        return future.result()
 
     def wait_for_nodes(self):
         """Spin until every node is there."""

@@ -52,7 +52,7 @@ class RecorderCaller:
         """
         self.closed_early = False
         return call_service(self._start, StartRecording.Request(
-            directory=str(Path(directory).absolute()), name=_free_name(directory, name),
+            directory=str(Path(directory).absolute()), name=free_name(directory, name),
             attachment_names=list(attachments),
             attachment_contents=list(attachments.values()), client=self._client)).path
 
@@ -73,7 +73,8 @@ class RecorderCaller:
                 self.closed_early = True
 
 
-def _free_name(directory, name):
+def free_name(directory, name):
+    """Return the name, or the first of name_2, name_3 ... that the directory does not hold yet."""
     taken = {path.name for path in Path(directory).glob(f"{name}*")}
     names = [name, *(f"{name}_{number}" for number in range(2, len(taken) + 2))]
     return next(candidate for candidate in names if candidate not in taken)

@@ -11,7 +11,7 @@ from distributed import Client, LocalCluster, as_completed
 from piezo_bringup.diagnose_suite.cases import draw_cases
 from piezo_bringup.diagnose_suite.outcome import as_text, summary
 from piezo_bringup.diagnose_suite.run_case import clean_model, run_case
-from piezo_bringup.progress_line import ProgressLine
+from piezo_client.progress_line import ProgressLine
 
 CONNECT_S = 10
 

@@ -13,6 +13,8 @@ from piezo_node_tools.discovery import prepare_discovery
 
 SERVER_TIMEOUT_S = 30.0
 LOST_RESPONSE_S = 10.0
+CANCEL_TIMEOUT_S = 10.0
+ALIVE_PERIOD_S = 1.0
 ACTIONS = {
     "play_waveform": (PlayWaveform, "play_waveform"),
     "run_experiment": (RunExperiment, "identification/run_experiment"),
@@ -51,13 +53,23 @@ class Client:
         self._actions = {
             name: ActionClient(self.node, action_type, topic)
             for name, (action_type, topic) in ACTIONS.items()}
+        self._running = None
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
+        self.close()
+
+    def close(self):
+        """Leave ROS."""
         # Without this the executor keeps what it waits on, and the stage a reader that hangs.
+        self._executor.remove_node(self.node)
         self._executor.shutdown()
+        # Left to the end of Python, these would be destroyed after what they stand on.
+        for client in self._actions.values():
+            client.destroy()
+        self._actions.clear()
         self.node.destroy_node()
         self._context.try_shutdown()
 
@@ -104,17 +116,26 @@ class Client:
         Raises
         ------
         GoalFailed
-            If the goal was refused, aborted or cancelled, or nobody serves the action.
+            If the goal was refused, aborted or cancelled, or nobody serves the action any more.
+        KeyboardInterrupt
+            Once the goal has been cancelled and the stage is back at rest.
         """
-        action_type = ACTIONS[name][0]
         handle = self.send(name, on_feedback, **fields)
         result = handle.get_result_async()
-        if cancel_after_s is not None:
-            self.spin_until(result.done, cancel_after_s)
+        self._running = name
+        try:
+            if cancel_after_s is not None:
+                self.spin_until(result.done, cancel_after_s)
+                handle.cancel_goal_async()
+            message = self.wait(result).result
+        except KeyboardInterrupt:
             handle.cancel_goal_async()
-        message = self.wait(result).result
+            self.spin_until(result.done, CANCEL_TIMEOUT_S)
+            raise
+        finally:
+            self._running = None
         if not message.success:
-            raise GoalFailed(name, message or action_type.Result())
+            raise GoalFailed(name, message)
         return message
 
     def send(self, name, on_feedback=None, **fields):
@@ -151,9 +172,16 @@ class Client:
 
     def wait(self, future):
         """Spin until a future is done; return its result."""
-        while not future.done():
-            self._executor.spin_once(timeout_sec=0.2)
+        while not self.spin_until(future.done, ALIVE_PERIOD_S):
+            self.check()
         return future.result()
+
+    def check(self):
+        """Raise GoalFailed if the node that works on the present goal has ended."""
+        if self._running and not self._actions[self._running].server_is_ready():
+            action_type, topic = ACTIONS[self._running]
+            raise GoalFailed(self._running, action_type.Result(
+                message=f"the node that serves {topic} has ended: start it again"))
 
     def spin_until(self, condition, timeout_s):
         """Spin until a condition holds or time is up; return whether it holds."""

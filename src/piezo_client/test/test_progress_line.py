@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import io
 
-from piezo_bringup.progress_line import ProgressLine, progress_text
+from piezo_client.progress_line import ProgressLine, progress_text
 
 
 class Terminal(io.StringIO):

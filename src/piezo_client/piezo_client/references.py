@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""References to track, as the fields of ``piezo_interfaces/Reference``."""
+
+from pathlib import Path
+
+import numpy as np
+
+
+def harmonic(frequency_hz, amplitude_um, centre_um):
+    """A sine.
+
+    Parameters
+    ----------
+    frequency_hz : float
+    amplitude_um : float
+        Peak to peak.
+    centre_um : float
+        Mean displacement.
+
+    Returns
+    -------
+    dict
+    """
+    return _of_components("harmonic", [frequency_hz], [amplitude_um], [], centre_um)
+
+
+def triangle(frequency_hz, amplitude_um, centre_um):
+    """A triangle, rounded to its harmonics up to 2 kHz; parameters as of `harmonic`.
+
+    Parameters
+    ----------
+    frequency_hz, amplitude_um, centre_um : float
+
+    Returns
+    -------
+    dict
+    """
+    return _of_components("triangle", [frequency_hz], [amplitude_um], [], centre_um)
+
+
+def multi_frequency(frequencies_hz, amplitudes_um, centre_um, phases_rad=()):
+    """A sum of sines (4.21).
+
+    Parameters
+    ----------
+    frequencies_hz, amplitudes_um : sequence of float
+        Of each sine; the amplitude is peak to peak.
+    centre_um : float
+        Mean displacement.
+    phases_rad : sequence of float, optional
+        Of each sine; zero by default.
+
+    Returns
+    -------
+    dict
+    """
+    return _of_components("multi_frequency", frequencies_hz, amplitudes_um, phases_rad, centre_um)
+
+
+def sampled(displacement_um, path, sample_rate_hz=40000.0):
+    """Any periodic trajectory, given by the samples of one period.
+
+    Parameters
+    ----------
+    displacement_um : array_like, shape (N,)
+    path : path-like
+        CSV file to write, from which the controller reads the period.
+    sample_rate_hz : float
+        Of the stage's sample clock.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    ValueError
+        If the samples are not one sequence.
+    """
+    displacement_um = np.asarray(displacement_um, dtype=float)
+    if displacement_um.ndim != 1:
+        raise ValueError(f"the trajectory has {displacement_um.ndim} dimensions: "
+                         "give one sequence of displacements")
+    time_s = np.arange(len(displacement_um)) / sample_rate_hz
+    path = Path(path).absolute()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savetxt(path, np.column_stack([time_s, displacement_um]), fmt="%.12g", delimiter=",",
+               header="time_s,displacement_um", comments="")
+    return {"kind": "file", "file": str(path)}
+
+
+def _of_components(kind, frequencies_hz, amplitudes_um, phases_rad, centre_um):
+    return {"kind": kind, "frequency_hz": [float(value) for value in frequencies_hz],
+            "amplitude_um": [float(value) for value in amplitudes_um],
+            "phase_rad": [float(value) for value in phases_rad], "centre_um": float(centre_um)}

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the calls of a stage return; each may stand for the path of what it made."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from piezo_models.model_file import load_model
+from piezo_recorder.reader import read_recording
+
+
+@dataclass(frozen=True)
+class _Run:
+    path: Path
+
+    def __fspath__(self):
+        return str(self.path)
+
+    def recording(self):
+        """Read the samples: a `piezo_recorder.reader.Recording`."""
+        return read_recording(self.path)
+
+
+@dataclass(frozen=True)
+class Played(_Run):
+    """A waveform that was played.
+
+    Attributes
+    ----------
+    path : Path
+        Of the recording.
+    """
+
+
+@dataclass(frozen=True)
+class Experiment(_Run):
+    """An experiment that was run.
+
+    Attributes
+    ----------
+    path : Path
+        Of the recording.
+    summary : str
+        What was played and, of a relay experiment, what was found.
+    """
+
+    summary: str
+
+
+@dataclass(frozen=True)
+class Tracking(_Run):
+    """A reference that was tracked.
+
+    Attributes
+    ----------
+    path : Path
+        Of the recording.
+    e_rms_percent : float
+        RMS error by the sensor, of the reference's peak to peak (2.32).
+    largest_error_um : float
+    missed_feedback : int
+        Answers of the controller that came too late.
+    message : str
+        What the feedforward left alone; empty where it is nothing.
+    """
+
+    e_rms_percent: float
+    largest_error_um: float
+    missed_feedback: int
+    message: str
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A stage that was identified; may be given wherever a model file is asked for.
+
+    Attributes
+    ----------
+    path : Path
+        Of the model file.
+    errors : dict of str to float
+        On data that was not fitted.
+    recordings : tuple of Path
+        Of the experiments.
+    """
+
+    path: Path
+    errors: dict
+    recordings: tuple
+
+    def __fspath__(self):
+        return str(self.path)
+
+    def model(self):
+        """Read the model file: a `piezo_models.model_file.IdentifiedModel`."""
+        return load_model(self.path)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a model lacks; may be given wherever a model file is asked for: the extended one.
+
+    Attributes
+    ----------
+    verdict : str
+        ``none``, ``explained`` or ``unexplained``.
+    sentence : str
+        The verdict in words.
+    effects : tuple of str
+        That the model lacks, the strongest first.
+    path : Path
+        Of the extended model's file.
+    report : Path
+        HTML page.
+    details : dict
+        Content of ``verdict.json``.
+    """
+
+    verdict: str
+    sentence: str
+    effects: tuple
+    path: Path
+    report: Path
+    details: dict
+
+    def __fspath__(self):
+        return str(self.path)
+
+    def model(self):
+        """Read the extended model's file: a `piezo_models.model_file.IdentifiedModel`."""
+        return load_model(self.path)

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A stage to drive from a script or a notebook: each call waits for its end."""
+
+import array
+import itertools
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+from piezo_interfaces.srv import StartRecording, StopRecording
+from std_srvs.srv import Trigger
+
+from piezo_client.client import Client, GoalFailed
+from piezo_client.results import Diagnosis, Experiment, Identification, Played, Tracking
+from piezo_node_tools.recording import free_name
+
+SAMPLE_PERIOD_S = 25e-6
+_numbers = itertools.count(1)
+
+
+class Stage:
+    """The nodes of one stage, driven by blocking calls; a context manager.
+
+    Every call raises `piezo_client.client.GoalFailed` if it is refused or fails, with the text of
+    the node that refused it, and leaves the stage at rest. Ctrl-C does so, too.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the stage's nodes.
+    progress : callable, optional
+        Called as ``progress(step, fraction, seconds_left)`` while something runs, such as
+        ``ProgressLine().show``.
+    """
+
+    def __init__(self, namespace="", progress=None):
+        # A name of its own: the stage stops when the node of this name is gone.
+        self._client = Client(namespace, f"client_{os.getpid()}_{next(_numbers)}")
+        self._name = self._client.node.get_fully_qualified_name()
+        self._progress = progress
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def close(self):
+        """Leave ROS; the nodes stay."""
+        self._client.close()
+
+    def play(self, voltage_v, sample_period_s=SAMPLE_PERIOD_S, repeats=1, directory="runs",
+             name="waveform"):
+        """Play a voltage and record it.
+
+        Parameters
+        ----------
+        voltage_v : array_like, shape (N,)
+        sample_period_s : float
+            A whole multiple of the sample clock's, at most 1 s.
+        repeats : int
+        directory, name : path-like, str
+            Where the recording is made, and its name, to which a number is added where it is taken.
+
+        Returns
+        -------
+        Played
+        """
+        directory = _absolute(directory)
+        recording = self._call("recorder/start_recording", StartRecording,
+                               directory=directory, name=free_name(directory, name),
+                               client=self._name)
+        last_sample = 0
+        try:
+            last_sample = self._play("", voltage_v, sample_period_s, repeats).last_sample
+        finally:
+            self._call("recorder/stop_recording", StopRecording, last_sample=last_sample)
+        return Played(Path(recording.path))
+
+    def settle(self, lowest_voltage_v=-20.0, rest_s=60):
+        """Wipe out the past: go to the lowest voltage, then rest at 0 V while the creep dies out.
+
+        Parameters
+        ----------
+        lowest_voltage_v : float
+        rest_s : int
+            Seconds of the stage's time.
+        """
+        self._play("settle, ", [lowest_voltage_v] + [0.0] * rest_s, 1.0)
+
+    def run_experiment(self, name, directory=""):
+        """Run and record one experiment.
+
+        Parameters
+        ----------
+        name : str
+            creep, dynamics, multisine, relay, hysteresis, validation or diagnostic.
+        directory : path-like
+            Where the recording is made; by default where the node's parameter says.
+
+        Returns
+        -------
+        Experiment
+        """
+        result = self._client.run_experiment(
+            name, _absolute(directory), on_feedback=self._shown(""))
+        return Experiment(Path(result.recording), result.summary)
+
+    def identify(self, directory="", recordings=(), creep_pairs=0, modes=0):
+        """Run all experiments, or take these recordings, and estimate the model.
+
+        Parameters
+        ----------
+        directory : path-like
+            Where recordings and model are made; by default where the node's parameter says.
+        recordings : sequence of path-like
+            Of creep, dynamics, hysteresis and validation, in this order.
+        creep_pairs, modes : int
+            Orders of the model; 0 to choose them from the data.
+
+        Returns
+        -------
+        Identification
+        """
+        result = self._client.identify(
+            _absolute(directory), recordings=[_absolute(path) for path in recordings],
+            creep_pairs=creep_pairs, modes=modes, on_feedback=self._shown(""))
+        return Identification(
+            Path(result.model), dict(zip(result.error_names, result.error_values, strict=True)),
+            tuple(map(Path, result.recordings)))
+
+    def track(self, reference, model, mode="composite", duration_s=1.0, directory=""):
+        """Track a reference and record the run.
+
+        Parameters
+        ----------
+        reference : dict
+            Of `piezo_client.references`.
+        model : path-like
+            Model file, or what `identify` or `diagnose` returned.
+        mode : str
+            Of the action ``controller/track``.
+        duration_s : float
+            Without the way to the beginning and back.
+        directory : path-like
+            Where the recording is made; by default where the node's parameter says.
+
+        Returns
+        -------
+        Tracking
+        """
+        result = self._client.track(
+            reference, _absolute(model), mode, duration_s, _absolute(directory),
+            on_feedback=self._shown(f"track, {mode}"))
+        return Tracking(Path(result.recording), result.e_rms_percent, result.largest_error_um,
+                        result.missed_feedback, result.message)
+
+    def diagnose(self, model, recordings, directory, holdout=""):
+        """Find what a model lacks to explain recordings, and extend it by that.
+
+        Parameters
+        ----------
+        model : path-like
+            Model file, or what `identify` returned.
+        recordings : sequence of path-like
+            Or what the calls that record returned.
+        directory : path-like
+            Gets ``verdict.json``, ``extended_model.json`` and ``report.html``.
+        holdout : path-like
+            A recording on which the errors are measured; by default a part of the others.
+
+        Returns
+        -------
+        Diagnosis
+        """
+        result = self._client.diagnose(
+            _absolute(model), [_absolute(path) for path in recordings], _absolute(directory),
+            _absolute(holdout), on_feedback=self._shown("diagnose: "))
+        return Diagnosis(result.verdict, result.sentence, tuple(result.effects),
+                         Path(result.extended_model), Path(result.report),
+                         json.loads(result.verdict_json))
+
+    def emergency_stop(self):
+        """Ramp to the rest voltage and stay there until `reset`."""
+        self._call("emergency_stop", Trigger)
+
+    def reset(self):
+        """Release a latched stop."""
+        self._call("reset", Trigger)
+
+    def _play(self, step, voltage_v, sample_period_s, repeats=1):
+        return self._client.goal(
+            "play_waveform", self._shown(step), sample_period_s=float(sample_period_s),
+            voltage_v=_doubles(voltage_v), repeats=repeats, client=self._name)
+
+    def _call(self, name, service_type, /, **fields):
+        response = self._client.call(service_type, name, **fields)
+        if not response.success:
+            raise GoalFailed(name, response)
+        return response
+
+    def _shown(self, step):
+        """What passes feedback on to the progress, if that is asked for."""
+        progress = self._progress
+        return progress and (lambda feedback: progress(
+            step + getattr(feedback, "stage", ""), feedback.fraction, feedback.seconds_left))
+
+
+def _absolute(path):
+    """A path as the nodes need it, which run elsewhere; empty for none."""
+    path = os.fspath(path)
+    return path and str(Path(path).absolute())
+
+
+def _doubles(values):
+    return array.array("d", np.asarray(values, dtype=float).tobytes())

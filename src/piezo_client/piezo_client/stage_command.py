@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`stage`: run experiments, identify, track and diagnose from the command line."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from piezo_client.client import GoalFailed
+from piezo_client.progress_line import ProgressLine
+from piezo_client.references import harmonic, triangle
+from piezo_client.stage import Stage
+
+FAILED, INTERRUPTED = 1, 130
+SHAPES = {"harmonic": harmonic, "triangle": triangle}
+
+
+def main(arguments=None):
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        The command line's by default.
+
+    Returns
+    -------
+    int
+        Exit status: 0, 1 if the stage's nodes refuse or fail, 130 after Ctrl-C.
+    """
+    options = _parser().parse_args(arguments)
+    progress = ProgressLine()
+    try:
+        with Stage(options.namespace, progress.show) as stage:
+            lines = options.run(stage, options)
+    except GoalFailed as failure:
+        progress.clear()
+        print(f"stage: {failure}", file=sys.stderr)
+        return FAILED
+    except KeyboardInterrupt:
+        progress.clear()
+        print("stage: interrupted; the goal was cancelled, the stage returns to rest",
+              file=sys.stderr)
+        return INTERRUPTED
+    progress.clear()
+    print("\n".join(lines))
+    return 0
+
+
+def _parser():
+    parser = argparse.ArgumentParser(
+        prog="stage", description="Drive a stage whose nodes run; a line on stderr shows progress.")
+    parser.add_argument("--namespace", default="", help="of the stage's nodes")
+    commands = parser.add_subparsers(title="what to do", required=True, metavar="COMMAND")
+    _add_experiment(commands)
+    _add_identify(commands)
+    _add_track(commands)
+    _add_diagnose(commands)
+    for name, run, text in (
+            ("settle", _settle, "go to the lowest voltage, then rest until the creep is over"),
+            ("stop", _stop, "ramp to rest and stay there until reset"),
+            ("reset", _reset, "release a latched stop")):
+        commands.add_parser(name, help=text, description=text).set_defaults(run=run)
+    return parser
+
+
+def _add(commands, name, run, text):
+    parser = commands.add_parser(name, help=text, description=text)
+    parser.set_defaults(run=run)
+    parser.add_argument("--output", type=Path, metavar="DIR", required=True,
+                        help="directory for what it makes")
+    return parser
+
+
+def _add_experiment(commands):
+    parser = _add(commands, "experiment", _experiment, "run and record one experiment")
+    parser.add_argument("experiment", metavar="NAME", help="creep, dynamics, multisine, relay, "
+                        "hysteresis, validation or diagnostic")
+
+
+def _add_identify(commands):
+    parser = _add(commands, "identify", _identify, "run all experiments and estimate the model")
+    parser.add_argument("--recordings", type=Path, nargs=4, default=(),
+                        metavar=("CREEP", "DYNAMICS", "HYSTERESIS", "VALIDATION"),
+                        help="take these instead of running experiments")
+
+
+def _add_track(commands):
+    parser = _add(commands, "track", _track, "track a periodic reference and record the run")
+    parser.add_argument("--model", type=Path, required=True, help="model file")
+    parser.add_argument("--mode", default="composite",
+                        help="such as open_loop, feedforward or composite (default: %(default)s)")
+    parser.add_argument("--file", type=Path, metavar="CSV",
+                        help="reference: one period, time_s,displacement_um at the sample rate")
+    parser.add_argument("--shape", choices=SHAPES, default="harmonic",
+                        help="reference where no file is given (default: %(default)s)")
+    for option, default, text in (
+            ("--frequency-hz", 100.0, "of the reference"),
+            ("--amplitude-um", 40.0, "of the reference, peak to peak"),
+            ("--centre-um", 50.0, "mean displacement"),
+            ("--duration-s", 1.0, "how long")):
+        parser.add_argument(option, type=float, default=default, metavar="NUMBER",
+                            help=f"{text} (default: %(default)s)")
+
+
+def _add_diagnose(commands):
+    parser = _add(commands, "diagnose", _diagnose, "find what a model lacks, and extend it")
+    parser.add_argument("--model", type=Path, required=True, help="model file")
+    parser.add_argument("--data", type=Path, nargs="+", required=True, metavar="FILE",
+                        help="recordings to explain")
+    parser.add_argument("--holdout", type=Path, default="", metavar="FILE",
+                        help="recording on which the errors are measured")
+
+
+def _experiment(stage, options):
+    experiment = stage.run_experiment(options.experiment, options.output)
+    return [experiment.summary, f"recorded {experiment.path}"]
+
+
+def _identify(stage, options):
+    identification = stage.identify(options.output, options.recordings)
+    return [*(f"{name} {value:.4g}" for name, value in identification.errors.items()),
+            f"written {identification.path}"]
+
+
+def _track(stage, options):
+    reference = (
+        {"kind": "file", "file": str(options.file.absolute())} if options.file else
+        SHAPES[options.shape](options.frequency_hz, options.amplitude_um, options.centre_um))
+    run = stage.track(reference, options.model, options.mode, options.duration_s, options.output)
+    return [f"e_rms_percent {run.e_rms_percent:.4g}",
+            f"largest_error_um {run.largest_error_um:.4g}",
+            *filter(None, [run.message]), f"recorded {run.path}"]
+
+
+def _diagnose(stage, options):
+    diagnosis = stage.diagnose(options.model, options.data, options.output, options.holdout)
+    return [f"{diagnosis.verdict}: {diagnosis.sentence}", f"written {diagnosis.report}"]
+
+
+def _settle(stage, _):
+    stage.settle()
+    return ["the stage has settled"]
+
+
+def _stop(stage, _):
+    stage.emergency_stop()
+    return ["the stage ramps to rest and stays there until reset"]
+
+
+def _reset(stage, _):
+    stage.reset()
+    return ["the stage is released"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: BSD-3-Clause
+from setuptools import find_packages, setup
+
+package = "piezo_client"
+
+setup(
+    name=package,
+    version="0.1.0",
+    packages=find_packages(include=[package, package + ".*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + package]),
+        ("share/" + package, ["package.xml"]),
+    ],
+    zip_safe=False,
+    maintainer="The maintainers",
+    maintainer_email="maintainers@example.org",
+    description="Drive a piezo stage from Python and from the command line.",
+    license="BSD-3-Clause",
+    entry_points={
+        "console_scripts": [
+            "stage = piezo_client.stage_command:main",
+        ],
+    },
+)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The linear part of a model as an object of python-control, and back."""
+
+import control
+import numpy as np
+
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, zoh
+
+# Relative: two eigenvalues that differ by less are taken as real, or as one pair.
+ROUNDING = 1e-9
+# Of the response: how far the parameters found may be from the system that was given.
+RESPONSE_TOLERANCE = 1e-6
+
+
+def to_control(model, sample_period_s=None):
+    """Return what lies behind the hysteresis as a system of python-control.
+
+    Parameters
+    ----------
+    model : StageModel
+    sample_period_s : float, optional
+        Sample it exactly for an input held so long; continuous by default.
+
+    Returns
+    -------
+    control.StateSpace
+        From ``hysteresis_um`` to ``displacement_um``.
+    """
+    system = model.linear() if sample_period_s is None else zoh(model.linear(), sample_period_s)
+    return control.ss(system, inputs=["hysteresis_um"], outputs=["displacement_um"])
+
+
+def from_control(system):
+    """Return the creep, dynamics and gain that a system of python-control is made of.
+
+    Real zeros are those of creep (4.4), each with one of the slowest real poles; the next real pole
+    is the electric lag, complex pairs are modes and antiresonances (4.3). Two real poles too many
+    make an overdamped mode.
+
+    Parameters
+    ----------
+    system : control.StateSpace or control.TransferFunction
+        Continuous, one input and one output, stable, without zeros on the right.
+
+    Returns
+    -------
+    creep : CreepDynamics
+    dynamics : ElectricVibrationDynamics
+    gain : float
+        What remains when creep has unit high-frequency and dynamics unit DC gain: it belongs to
+        the hysteresis.
+
+    Raises
+    ------
+    ValueError
+        If the system has no such parts.
+    """
+    if (system.ninputs, system.noutputs) != (1, 1):
+        raise ValueError(f"the system has {system.ninputs} inputs and {system.noutputs} outputs; "
+                         "give one with a single input and output")
+    if not system.isctime(strict=False):
+        raise ValueError("the system is discrete; give the continuous one")
+    real_poles, modes = _sorted_roots(system.poles(), "pole")
+    real_zeros, antiresonances = _sorted_roots(system.zeros(), "zero")
+    if len(real_zeros) > len(real_poles):
+        raise ValueError(f"the system has {len(real_zeros)} real zeros and {len(real_poles)} real "
+                         "poles; creep has one of each, give a pole for every zero")
+    fast = real_poles[len(real_zeros):]
+    lag, overdamped = (fast[:1], fast[1:]) if len(fast) % 2 else ([], fast)
+    modes += [(np.sqrt(p * q), (p + q) / (2.0 * np.sqrt(p * q)))
+              for p, q in zip(overdamped[::2], overdamped[1::2], strict=True)]
+    creep = CreepDynamics(real_poles[:len(real_zeros)], real_zeros)
+    dynamics = ElectricVibrationDynamics(
+        1.0 / lag[0] if lag else 0.0, *_columns(modes), *_columns(antiresonances))
+    return creep, dynamics, _gain(system, creep, dynamics)
+
+
+def _sorted_roots(roots, kind):
+    """Rates of the real roots, rising, and (frequency, damping ratio) of each complex pair."""
+    real, pairs = [], []
+    for root in sorted(roots, key=abs):
+        if not (np.isfinite(root) and root.real < 0.0):
+            raise ValueError(f"the system has a {kind} at {root:.6g} rad/s; "
+                             "give a stable one with all zeros on the left")
+        if abs(root.imag) <= ROUNDING * abs(root):
+            real.append(float(-root.real))
+        elif root.imag > 0.0:
+            pairs.append((float(abs(root)), float(-root.real / abs(root))))
+    return real, pairs
+
+
+def _columns(pairs):
+    return tuple(zip(*pairs, strict=True)) or ((), ())
+
+
+def _gain(system, creep, dynamics):
+    corners = np.array([*creep.poles_rad_per_s, *dynamics.mode_frequencies_rad_per_s, 1.0])
+    rates = np.geomspace(corners.min() / 10.0, corners.max() * 10.0, 20)
+    frequency_hz = rates / (2.0 * np.pi)
+    found = creep.response(frequency_hz) * dynamics.response(frequency_hz)
+    ratio = system(1j * rates) / found
+    gain = float(np.mean(ratio.real))
+    if not np.all(np.abs(ratio - gain) <= RESPONSE_TOLERANCE * abs(gain)):
+        raise ValueError("the system's poles and zeros cannot be told apart well enough; "
+                         "give a smaller one, such as control.minreal(system)")
+    return gain

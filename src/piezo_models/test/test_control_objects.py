@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Linear parts go to python-control and come back as they were."""
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from piezo_models.cascade import StageModel
+from piezo_models.control_objects import from_control, to_control
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.preisach import PreisachModel
+
+CREEP = CreepDynamics((0.0142, 0.31, 17.6), (0.0145, 0.33, 18.1))
+DYNAMICS = ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.6853, 0.082), (3900.0,), (0.1,))
+
+
+def model(creep=CREEP, dynamics=DYNAMICS):
+    return StageModel(PreisachModel(-20.0, 120.0, np.array([[0.01]]), 0.0), creep, dynamics)
+
+
+def test_creep_and_dynamics_come_back_from_python_control():
+    creep, dynamics, gain = from_control(to_control(model()))
+    assert creep.poles_rad_per_s == pytest.approx(CREEP.poles_rad_per_s, rel=1e-6)
+    assert creep.zeros_rad_per_s == pytest.approx(CREEP.zeros_rad_per_s, rel=1e-6)
+    assert dynamics.time_constant_s == pytest.approx(DYNAMICS.time_constant_s, rel=1e-6)
+    assert dynamics.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=1e-6)
+    assert dynamics.damping_ratios == pytest.approx((0.6853, 0.082), rel=1e-6)
+    assert dynamics.antiresonance_frequencies_rad_per_s == pytest.approx((3900.0,), rel=1e-6)
+    assert dynamics.antiresonance_damping_ratios == pytest.approx((0.1,), rel=1e-6)
+    assert gain == pytest.approx(1.0, rel=1e-6)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(1e-4, 1e-2), st.floats(500.0, 20000.0), st.floats(0.01, 3.0),
+       st.floats(0.1, 10.0))
+def test_any_damping_and_gain_keep_the_response(time_constant_s, frequency, damping, gain):
+    given_part = ElectricVibrationDynamics(time_constant_s, (frequency,), (damping,))
+    creep, dynamics, found = from_control(gain * given_part.state_space())
+    frequency_hz = np.geomspace(1.0, 1e4, 15)
+    response = found * creep.response(frequency_hz) * dynamics.response(frequency_hz)
+    np.testing.assert_allclose(response, gain * given_part.response(frequency_hz), rtol=1e-5)
+
+
+def test_transfer_function_of_the_user_becomes_a_model():
+    s = control.tf("s")
+    creep, dynamics, gain = from_control(3.0 * (s + 2.0) / (s + 1.0) / (0.001 * s + 1.0))
+    assert creep.poles_rad_per_s == pytest.approx([1.0])
+    assert creep.zeros_rad_per_s == pytest.approx([2.0])
+    assert dynamics.time_constant_s == pytest.approx(0.001)
+    assert gain == pytest.approx(3.0)
+
+
+def test_sampled_system_answers_as_the_model_at_the_sample_instants():
+    system = to_control(model(), 25e-6)
+    assert system.dt == 25e-6
+    assert (system.input_labels, system.output_labels) == (["hysteresis_um"], ["displacement_um"])
+    step = control.step_response(to_control(model()), 25e-6 * np.arange(40)).outputs
+    np.testing.assert_allclose(
+        control.step_response(system, 25e-6 * np.arange(40)).outputs, step, atol=1e-9)
+
+
+@pytest.mark.parametrize(("system", "reason"), [
+    (control.tf([1.0], [1.0, -1.0]), "a pole at 1"),
+    (control.tf([1.0, -5.0], [1.0, 3.0, 2.0]), "a zero at 5"),
+    (control.tf([1.0], [1.0, 0.5], 0.1), "is discrete"),
+    (control.tf([1.0, 1.0], [1.0, 2.0, 2.0]), "1 real zeros and 0 real poles"),
+    (control.ss(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2))), "2 inputs"),
+])
+def test_system_that_no_model_holds_is_refused(system, reason):
+    with pytest.raises(ValueError, match=reason):
+        from_control(system)

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The examples run as they stand, on the simulated stage."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+ON_LEFT = ("--ros-args", "-r", "__ns:=/left")
+COVERED = {"identify_and_track", "track_any_trajectory", "play_a_waveform", "analyse_offline"}
+
+
+def run_example(name, *arguments):
+    """Run an example as a user does; return what it printed."""
+    environment = {**os.environ}
+    environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
+    ended = subprocess.run(
+        [sys.executable, EXAMPLES / f"{name}.py", *map(str, arguments)],
+        env=environment, capture_output=True, text=True, timeout=300)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
+def test_every_example_has_its_test():
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == COVERED
+
+
+def test_identify_and_track_takes_recordings_and_tracks_well(suite, identification, tmp_path):
+    printed = suite.beside(
+        run_example, "identify_and_track", tmp_path, *identification.recordings, *ON_LEFT)
+    e_rms_percent = float(printed.split("e_rms ")[1].split(" %")[0])
+    assert e_rms_percent < 0.1
+
+
+def test_any_trajectory_is_tracked_better_with_feedback(suite, model, tmp_path):
+    printed = suite.beside(run_example, "track_any_trajectory", model, tmp_path, *ON_LEFT)
+    feedforward, composite = (float(line.split("e_rms ")[1].split(" %")[0])
+                              for line in printed.splitlines())
+    assert composite < feedforward < 5.0
+
+
+def test_waveform_of_ones_own_is_played_and_read_back(suite, tmp_path):
+    printed = suite.beside(run_example, "play_a_waveform", tmp_path, *ON_LEFT)
+    assert printed.startswith("4000 samples, ")
+    assert (tmp_path / "cosine" / "metadata.yaml").exists()
+
+
+def test_recordings_and_models_are_analysed_without_ros(identification):
+    pytest.importorskip("pandas")
+    dynamics = next(path for path in identification.recordings if path.name == "dynamics")
+    printed = run_example("analyse_offline", dynamics, identification.path)
+    assert "gaps: []" in printed
+    assert "modes at [" in printed

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Two stages on one machine, each in its namespace, track side by side."""
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+
+import pytest
+
+from piezo_client.references import harmonic
+from piezo_client.stage import Stage
+
+
+@pytest.fixture(scope="module")
+def right(nodes):
+    """Client of a second stage, with a noise of its own."""
+    return nodes.start("recorder", "controller", namespace="/right", seed=2)
+
+
+class Side:
+    """A stage that tracks; notes when it has begun and when it ended."""
+
+    def __init__(self, namespace, frequency_hz, duration_s, after=None):
+        self._namespace = namespace
+        self._after = after
+        self._frequency_hz = frequency_hz
+        self._duration_s = duration_s
+        self.moves = Event()
+
+    def track(self, model, directory):
+        def begin(*_):
+            if not self.moves.is_set():
+                self.began_s = time.monotonic()
+                self.moves.set()
+
+        reference = harmonic(self._frequency_hz, 20.0, 50.0)
+        with Stage(self._namespace) as stage:  # the controller keeps its design for the next run
+            stage.track(reference, model, duration_s=0.05, directory=directory)
+        if self._after:
+            assert self._after.moves.wait(120)
+        with Stage(self._namespace, progress=begin) as stage:
+            run = stage.track(
+                reference, model, duration_s=self._duration_s, directory=directory)
+        self.ended_s = time.monotonic()
+        return run
+
+
+def track_side_by_side(sides, model, directory):
+    """Track with all sides; return their runs."""
+    with ThreadPoolExecutor() as threads:
+        runs = [threads.submit(side.track, model, directory / str(number))
+                for number, side in enumerate(sides)]
+        return [run.result() for run in runs]
+
+
+def test_two_stages_track_different_references_at_the_same_time(suite, right, model, tmp_path):
+    long = Side("/right", 200.0, 3.0)
+    sides = long, Side("/left", 100.0, 0.5, after=long)
+    runs = suite.beside(right.beside, track_side_by_side, sides, model, tmp_path)
+    assert max(side.began_s for side in sides) < min(side.ended_s for side in sides)
+    for number, run in enumerate(runs):
+        assert run.path.parent == tmp_path / str(number)
+        assert run.e_rms_percent < 0.5
+        assert run.missed_feedback == 0
+        assert run.recording().gaps == []
