@@ -14,7 +14,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + package]),
         ("share/" + package, ["package.xml"]),
         ("share/" + package + "/launch", glob("launch/*.launch.py")),
-        ("share/" + package + "/config", glob("config/*.yaml")),
+        ("share/" + package + "/config", glob("config/*")),
     ],
     zip_safe=False,
     maintainer="The maintainers",
@@ -25,6 +25,7 @@ setup(
         "console_scripts": [
             "demo = piezo_bringup.demo_node:main",
             "diagnose_suite = piezo_bringup.diagnose_suite.command:main",
+            "suite = piezo_bringup.suite_command:main",
         ],
     },
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The simulated stage and the recorder."""
+"""A stage and the recorder; the simulated stage unless another is named."""
 
 from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
@@ -25,8 +25,13 @@ def generate_launch_description():
         DeclareLaunchArgument(
             "discovery_range", default_value="LOCALHOST",
             description="LOCALHOST, or SUBNET to let other machines command the stage."),
+        DeclareLaunchArgument("stage_package", default_value="piezo_sim",
+                              description="Package of the stage's node."),
+        DeclareLaunchArgument("stage_executable", default_value="stage_sim",
+                              description="Executable of the stage's node."),
         SetEnvironmentVariable(
             "ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery_range")),
-        Node(package="piezo_sim", executable="stage_sim", **settings),
+        Node(package=LaunchConfiguration("stage_package"),
+             executable=LaunchConfiguration("stage_executable"), **settings),
         Node(package="piezo_recorder", executable="recorder", **settings),
     ])

@@ -44,7 +44,7 @@ class Processes:
     def __exit__(self, *_):
         self.stop()
 
-    def start(self, name, parameters=None, namespace=None):
+    def start(self, name, parameters=None, namespace=None, parameter_file=None):
         """Start one of `EXECUTABLES`.
 
         Parameters
@@ -53,6 +53,8 @@ class Processes:
         parameters : dict, optional
             ROS parameters.
         namespace : str, optional
+        parameter_file : path-like, optional
+            YAML file of ROS parameters.
         """
         package, executable = EXECUTABLES[name]
         command = [str(Path(get_package_prefix(package), "lib", package, executable)),
@@ -62,6 +64,8 @@ class Processes:
             command += ["-p", f"{key}:={text}"]
         if namespace:
             command += ["-r", f"__ns:={namespace}"]
+        if parameter_file:
+            command += ["--params-file", str(parameter_file)]
         with open(self.log(name), "a", encoding="utf-8") as log:
             # A group of its own: Ctrl-C then reaches this process alone, which ends them in order.
             self._running[name] = subprocess.Popen(

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`suite`: start the nodes of a stage in one terminal, as closed_loop.launch.py does."""
+
+import argparse
+import signal
+import sys
+import time
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+
+from piezo_bringup.processes import EXECUTABLES, Processes
+
+POLL_S = 0.2
+FAILED, BAD_INPUT = 1, 2
+
+
+def main(arguments=None):
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        The command line's by default.
+
+    Returns
+    -------
+    int
+        Exit status: 0 after Ctrl-C or SIGTERM, 1 if a node ended by itself, 2 for bad input.
+    """
+    options = _parser().parse_args(arguments)
+    if not options.parameters.is_file():
+        print(f"suite: {options.parameters} is no file: give a parameter file (YAML)",
+              file=sys.stderr)
+        return BAD_INPUT
+    ending = []
+    for number in signal.SIGINT, signal.SIGTERM:
+        signal.signal(number, lambda *_: ending.append(True))
+    with Processes(options.logs) as processes:
+        for name in options.nodes:
+            processes.start(name, namespace=options.namespace, parameter_file=options.parameters)
+        print(f"{', '.join(options.nodes)} started; logs in {options.logs}; end them with Ctrl-C",
+              flush=True)
+        while not ending:
+            for name in options.nodes:
+                if processes.process(name).poll() is not None:
+                    print(f"suite: {name} ended by itself; see {processes.log(name)}",
+                          file=sys.stderr)
+                    return FAILED
+            time.sleep(POLL_S)
+    return 0
+
+
+def _parser():
+    default = Path(get_package_share_directory("piezo_bringup"), "config", "simulated_stage.yaml")
+    parser = argparse.ArgumentParser(
+        prog="suite", description="Start the nodes of a simulated stage, and end them in order.")
+    parser.add_argument("--nodes", nargs="+", choices=EXECUTABLES, default=list(EXECUTABLES),
+                        metavar="NODE", help=f"some of {', '.join(EXECUTABLES)}; all by default")
+    parser.add_argument("--namespace", default="", metavar="/NAME", help="of all nodes")
+    parser.add_argument("--parameters", type=Path, default=default, metavar="FILE",
+                        help="parameter file (YAML); that of the simulated stage by default")
+    parser.add_argument("--logs", type=Path, default=Path("runs/logs"), metavar="DIR",
+                        help="gets what the nodes print (default: %(default)s)")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
