@@ -10,6 +10,7 @@ STYLE = """
 body { font: 1rem/1.5 system-ui, sans-serif; color: #111; background: #fff;
        max-width: 70rem; margin: 0 auto; padding: 1rem; }
 h1 { font-size: 1.6rem; line-height: 1.2; }
+h1, h2 { overflow-wrap: anywhere; }
 h2 { font-size: 1.25rem; margin-top: 2.5rem; border-top: 1px solid #ccc; padding-top: 1rem; }
 p { max-width: 45rem; overflow-wrap: anywhere; }
 code { font-size: .9em; background: #f2f2f2; padding: 0 .2em; }

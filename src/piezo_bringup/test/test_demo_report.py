@@ -111,6 +111,16 @@ def test_the_report_refers_to_nothing_outside_itself(report):
     assert not re.search(r"https?:|url\(|@import", report)
 
 
+@pytest.mark.parametrize("device", ["phone", "desk"])
+def test_the_report_fits_its_device_and_shows_all_pictures(report, page_faults, device):
+    assert page_faults(report, device) == []
+
+
+def test_a_page_that_does_not_fit_and_lacks_a_picture_is_found_out(page_faults):
+    page = '<div style="width: 900px">wide</div><img src="data:image/png;base64,AA" alt="loops">'
+    assert page_faults(page, "phone") == ["is 908 px wide", "lacks the picture loops"]
+
+
 def test_every_picture_is_in_the_report_and_can_be_decoded(report):
     pictures = {attributes["alt"]: attributes["src"] for tag, attributes in Page(report).tags
                 if tag == "img"}

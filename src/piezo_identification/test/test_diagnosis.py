@@ -10,6 +10,7 @@ from piezo_identification.diagnose_command import main
 from piezo_identification.diagnosis.contest import Contest
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.prepared import PreparedRecording, retuned
+from piezo_identification.diagnosis.report import render_report
 from piezo_identification.prediction import predict
 from piezo_identification.waveforms import played
 from piezo_models.effects.delay import Delay
@@ -142,6 +143,11 @@ def test_the_command_writes_verdict_model_and_report(plant, record, tmp_path, ca
     page = (output / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 4
     assert "http" not in page.replace("http-equiv", "")
+
+
+@pytest.mark.parametrize("device", ["phone", "desk"])
+def test_the_report_fits_its_device_and_shows_all_pictures(of_mode, page_faults, device):
+    assert page_faults(render_report(of_mode), device) == []
 
 
 def test_the_command_refuses_bad_input_in_one_line(tmp_path, capsys):
