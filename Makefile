@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test long soak bench reproduce measured diagnose-suite clean
+.PHONY: help setup demo test long soak bench reproduce measured diagnose-suite docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -17,7 +17,8 @@ demo: ## identify and control the simulated stage; report in runs/demo
 	@./run piezo_bringup demo --output runs/demo
 
 test: setup ## check the style, then run the unit and the integration tests
-	@$(in_environment) .venv/bin/ruff check . && .venv/bin/python -m pytest src test
+	@$(in_environment) .venv/bin/ruff check . && .venv/bin/python -m mypy && \
+		.venv/bin/python -m pytest src test
 
 long: setup ## run the tests of bad files and killed recorders with their full numbers
 	@$(in_environment) LONG_TESTS=1 .venv/bin/python -m pytest test/test_bad_input.py src/piezo_recorder/test/test_recording_killed.py
@@ -41,6 +42,9 @@ reproduce: setup ## run the studies of the thesis' chapters 2 to 5; writes docs/
 CASES ?= 260
 diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite
 	@./run piezo_bringup diagnose_suite --cases $(CASES) --seed $(SEED) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
+
+docs: setup ## write docs/errors.md from the sources
+	@.venv/bin/python tools/error_table.py
 
 clean: ## remove the environment and everything built
 	rm -rf .venv .venv-peers build install log

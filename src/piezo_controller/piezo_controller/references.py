@@ -66,7 +66,8 @@ def sample_reference(reference, sample_rate_hz=40000.0):
         raise InvalidReference(f"unknown kind of reference {reference.kind!r}: "
                                f'use one of {", ".join(KINDS)}')
     if not math.isfinite(reference.centre_um):
-        raise InvalidReference("centre_um of the reference is not a finite number")
+        raise InvalidReference("centre_um of the reference is not a finite number: "
+                               "give the mean displacement")
     if reference.kind == "file":
         return reference.centre_um + _read_period(reference.file, sample_rate_hz)
 
@@ -100,11 +101,13 @@ def _components(reference, sample_rate_hz):
     for frequency_hz, amplitude_um, phase in zip(frequencies, amplitudes, phases, strict=True):
         if not 0 < frequency_hz < sample_rate_hz / 2:
             raise InvalidReference(f"frequency_hz {frequency_hz:g} is not between 0 and half the "
-                                   f"sample rate of {sample_rate_hz:g} Hz")
+                                   f"sample rate of {sample_rate_hz:g} Hz: choose one that is")
         if not 0 < amplitude_um < math.inf:
-            raise InvalidReference(f"amplitude_um {amplitude_um:g} is not a positive number")
+            raise InvalidReference(f"amplitude_um {amplitude_um:g} is not a positive number: "
+                                   "give it from peak to peak")
         if not math.isfinite(phase):
-            raise InvalidReference("phase_rad of the reference is not a finite number")
+            raise InvalidReference("phase_rad of the reference is not a finite number: "
+                                   "give one of each per component, or none")
     return frequencies, amplitudes, phases
 
 
@@ -148,8 +151,8 @@ def _read_period(path, sample_rate_hz):
         reason = getattr(error, "strerror", None) or error
         raise InvalidReference(f"the reference file {path!r} cannot be read: {reason}") from None
     if not rows or [name.strip() for name in rows[0]] != ["time_s", "displacement_um"]:
-        raise InvalidReference(f"the reference file {path!r} does not begin with the header "
-                               "time_s,displacement_um")
+        raise InvalidReference(f"the reference file {path!r} does not begin with its header: "
+                               "make the first line time_s,displacement_um")
     samples = [row for row in rows[1:] if row]
     if not 2 <= len(samples) <= LONGEST_PERIOD_S * sample_rate_hz:
         raise InvalidReference(f"the reference file {path!r} has {len(samples)} samples: give one "

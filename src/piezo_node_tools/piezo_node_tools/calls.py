@@ -90,7 +90,7 @@ class ActionCaller:
             goal, feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None))
         handle = _result(sent, CALL_TIMEOUT_S, self._name)
         if not handle.accepted:
-            raise CallFailed(f"{self._name} rejected the goal")
+            raise CallFailed(f"{self._name} rejected the goal: send it again")
         result = self._wait(handle, cancelled).result
         if not result.success and not cancelled():
             raise CallFailed(result.message)
@@ -102,7 +102,7 @@ class ActionCaller:
         asked = False
         while not finished.wait(POLL_S):
             if not self._client.server_is_ready() and not finished.wait(LAST_ANSWER_S):
-                raise CallFailed(f"the node that serves {self._name} has ended")
+                raise CallFailed(f"the node that serves {self._name} has ended: start it again")
             if cancelled() and not asked:
                 self._in_executor(handle.cancel_goal_async)
                 asked = True
@@ -122,5 +122,6 @@ def _result(future, timeout_s, name):
     finished = threading.Event()
     future.add_done_callback(lambda _: finished.set())
     if not finished.wait(timeout_s):
-        raise CallFailed(f"{name} did not answer within {timeout_s:g} s")
+        raise CallFailed(f"{name} did not answer within {timeout_s:g} s: "
+                         "look at its node's log")
     return future.result()

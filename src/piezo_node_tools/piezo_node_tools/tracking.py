@@ -89,7 +89,8 @@ class StageTracker:
                     call_service(self._stop, Trigger.Request())
             silent_s = silent_s + REPORT_PERIOD_S if self._blocks == blocks_before else 0.0
             if silent_s > SILENCE_TIMEOUT_S:
-                raise CallFailed(f"the stage sent no samples for {SILENCE_TIMEOUT_S:g} s")
+                raise CallFailed(f"the stage sent no samples for {SILENCE_TIMEOUT_S:g} s: "
+                                 "look whether its node runs")
             blocks_before = self._blocks
             report()
 

@@ -39,6 +39,7 @@ class RecordingSession:
 
     @property
     def path(self):
+        """Of the recording."""
         return str(self.writer.path)
 
     @property
@@ -74,5 +75,6 @@ class RecordingSession:
         return max(count.missing_until(last_sample) for count in started)
 
     def close(self):
+        """Close the recording; nothing more is written."""
         self.closed = True
         self.writer.close()

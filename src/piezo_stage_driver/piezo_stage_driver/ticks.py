@@ -34,12 +34,12 @@ class Ticks:
                 and sample_period_s <= LONGEST_SAMPLE_PERIOD_S):
             raise StageRefusal(
                 f"the sample period {sample_period_s:g} s is not within "
-                f"[{self.sample_period_s:g}, {LONGEST_SAMPLE_PERIOD_S:g}] s")
+                f"[{self.sample_period_s:g}, {LONGEST_SAMPLE_PERIOD_S:g}] s: choose one that is")
         ratio = sample_period_s / self.sample_period_s
         if abs(ratio - round(ratio)) > 1e-6 * ratio:
             raise StageRefusal(
                 f"the sample period {sample_period_s:g} s is no whole multiple of the "
-                f"clock period {self.sample_period_s:g} s")
+                f"clock period {self.sample_period_s:g} s: choose one that is")
         return round(ratio)
 
     def aligned(self, samples, decimation):

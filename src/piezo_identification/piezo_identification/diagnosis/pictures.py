@@ -68,7 +68,16 @@ def _closest_look(part, before_um, after_um):
 
 
 def draw_spectra(part, before_um, after_um, noise_um):
-    """Spectra of both residuals, of the model's displacement, and of white noise; PNG bytes."""
+    """Spectra of both residuals, of the model's displacement, and of white noise; PNG bytes.
+
+    Parameters
+    ----------
+    part : PreparedRecording
+    before_um, after_um : ndarray, shape (N,)
+        Residuals.
+    noise_um : float
+        RMS of the sensor's noise.
+    """
     figure, axes = _figure(1)
     signals = (
         (part.simulate(), {"color": "black", "linewidth": 0.8, "label": "model"}),

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""docs/errors.md tells every refusal and trip with what to do, from the sources."""
+
+import ast
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def error_table():
+    specification = importlib.util.spec_from_file_location(
+        "error_table", ROOT / "tools" / "error_table.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def page(error_table):
+    return error_table.page()
+
+
+def refused(error_table, code):
+    return [error_table.refusal(node) for node in error_table.statements(ast.parse(code))
+            if error_table.refusal(node)]
+
+
+@pytest.mark.parametrize(("code", "text"), [
+    ("raise ValueError(f'{path}: too short: record longer')", "<path>: too short: record longer"),
+    ("raise GoalFailed(name, Result(message='nobody serves it: start its node'))",
+     "nobody serves it: start its node"),
+    ("self.refuse('format', 'is old', 'identify again')", "format is old; identify again"),
+    ("response.message = 'Nothing runs: start it.'", "Nothing runs: start it."),
+])
+def test_refusal_is_found_with_its_text(error_table, code, text):
+    assert refused(error_table, code) == [text]
+
+
+@pytest.mark.parametrize(("text", "problem", "cure"), [
+    ("<path>: too short: record longer", "<path>: too short", "record longer"),
+    ("a is <b: c>; give another.", "a is <b: c>", "give another"),
+    ("cancelled", "cancelled", ""),
+])
+def test_text_is_parted_into_problem_and_cure(error_table, text, problem, cure):
+    assert error_table.parted(text) == (problem, cure)
+
+
+def test_trips_of_the_guards_and_of_the_feedback_are_told(page):
+    trips = page.split("## piezo_")[0]
+    assert "the sensor is stuck" in trips
+    assert trips.count("| `guards` |") >= 4
+
+
+def test_page_has_a_row_for_most_of_what_is_raised(error_table, page):
+    # A text that is put together elsewhere has no row of its own: those are the exceptions.
+    for package in sorted((ROOT / "src").glob("*/setup.py")):
+        raised = [node for path in error_table.modules(package.parent.name)
+                  for node in ast.walk(ast.parse(path.read_text()))
+                  if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call)]
+        if len(raised) > 5:
+            section = page.split(f"## {package.parent.name}\n")[1].split("\n## ")[0]
+            assert section.count("\n| ") > 0.7 * len(raised)
+
+
+def test_nearly_every_text_says_what_to_do(page):
+    rows = [line for line in page.splitlines()
+            if line.startswith("| ") and line.endswith("` |")]
+    without = [row for row in rows if "|  |" in row]
+    assert len(without) < 0.15 * len(rows)
+
+
+def test_page_in_the_docs_has_the_shape_that_make_docs_gives_it(page):
+    """Its rows may lag behind the sources until `make docs` is run; its sections may not."""
+    written = (ROOT / "docs" / "errors.md").read_text()
+    assert [line for line in written.splitlines() if line.startswith("#")] == [
+        line for line in page.splitlines() if line.startswith("#")]
