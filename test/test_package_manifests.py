@@ -9,6 +9,9 @@ from xml.etree import ElementTree
 import pytest
 
 PACKAGES = sorted(path.parent for path in Path(__file__).parents[1].glob("src/*/setup.py"))
+# What rosdep knows, by its key; what comes from PyPI is named in a comment.
+ROSDEP = {name: f"python3-{name}" for name in ("matplotlib", "numba", "numpy", "scipy", "yaml")}
+PYPI = {"control", "dask", "distributed", "mcap", "nidaqmx", "pandas", "rosbags", "slycot"}
 ROS = re.compile(r"rclpy|ament_index_python|launch(_ros)?|\w+_(msgs|interfaces)|std_srvs|piezo_\w+")
 
 
@@ -27,6 +30,17 @@ def test_imported_packages_are_named_in_the_manifest(package):
     manifest = ElementTree.parse(package / "package.xml").getroot()
     named = {entry.text for tag in ("depend", "exec_depend") for entry in manifest.iter(tag)}
     assert {name for name in imported if ROS.fullmatch(name)} <= named | {package.name}
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_libraries_are_named_in_the_manifest(package):
+    imported = {name for module in package.glob(f"{package.name}/**/*.py")
+                for name in imported_packages(module)}
+    manifest = (package / "package.xml").read_text()
+    keys = {f"<exec_depend>{ROSDEP[name]}</exec_depend>" for name in imported & ROSDEP.keys()}
+    assert {key for key in keys if key not in manifest} == set()
+    comments = " ".join(re.findall("<!--(.*?)-->", manifest, re.S))
+    assert {name for name in imported & PYPI if name not in comments} == set()
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
