@@ -2,6 +2,7 @@
 """`stage`: run experiments, identify, track and diagnose from the command line."""
 
 import argparse
+import signal
 import sys
 from pathlib import Path
 
@@ -28,6 +29,8 @@ def main(arguments=None):
         Exit status: 0, 1 if the stage's nodes refuse or fail, 130 after Ctrl-C.
     """
     options = _parser().parse_args(arguments)
+    for number in signal.SIGINT, signal.SIGTERM:
+        signal.signal(number, signal.default_int_handler)
     progress = ProgressLine()
     try:
         with Stage(options.namespace, progress.show) as stage:
