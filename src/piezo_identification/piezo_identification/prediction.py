@@ -13,6 +13,12 @@ from piezo_identification.waveforms import played, samples_per_mean, turning_poi
 from piezo_models.linear import equilibrium_state, simulate_linear, zoh
 from piezo_models.measures import e_y_percent
 
+CLEARLY_LESS = 0.9
+"""Part of the error below which another past has to bring it."""
+
+SEARCHED_SAMPLES = 200_000
+"""At the start of a recording, in which its past shows."""
+
 PASTS, PAST_SEARCHES = 6, 3
 """Highest and lowest voltages of a past that are tried, in grids each around the best before."""
 
@@ -29,8 +35,7 @@ class Prediction:
     time_s, voltage_v, measured_um, simulated_um : ndarray, shape (N,)
         From when the start has settled.
     past_v : (float, float) or ()
-        Highest and then lowest voltage that the stage was taken to have had before; empty where it
-        begins saturated.
+        Of `starting_past_v`.
     """
 
     time_s: np.ndarray
@@ -53,9 +58,7 @@ def predict(model, recording):
     """Simulate a model under the voltage of a recording.
 
     The state of the creep at the first sample, and the offset, are fitted: nothing tells what the
-    stage did before. So is the history of the hysteresis, unless the recording begins with all of
-    it switched off or on: the highest and then the lowest voltage before the first sample, in which
-    the first turning points of any history show.
+    stage did before. The past of the hysteresis is that of `starting_past_v`.
 
     Parameters
     ----------
@@ -72,12 +75,38 @@ def predict(model, recording):
         If the recording has gaps, or is too short to settle.
     """
     run = _Run(model, recording)
-    past_v = () if run.starts_saturated else run.fitted_past_v()
+    past_v = starting_past_v(model, recording)
     part, settled = run.part, run.settled
     return Prediction(
         part.time_s[settled], part.voltage_v[settled], part.displacement_um[settled],
         run.simulated_um(past_v), past_v,
     )
+
+
+def starting_past_v(model, recording):
+    """Voltages that the stage had before a recording, as far as that tells.
+
+    A recording that does not begin with the hysteresis switched off or on all over depends on what
+    came before. The highest and then the lowest voltage of the past are fitted, in which the first
+    turning points of any past show; they count where they explain more than a past without them,
+    which comes from negative saturation.
+
+    Parameters
+    ----------
+    model : StageModel
+    recording : Recording
+
+    Returns
+    -------
+    (float, float) or ()
+        The highest and the lowest voltage.
+    """
+    early = np.cumsum(recording.playing | recording.tracking) <= SEARCHED_SAMPLES
+    run = _Run(model, recording.select(early))
+    if run.starts_saturated:
+        return ()
+    past_v = run.fitted_past_v()
+    return past_v if run.error_um(past_v) < CLEARLY_LESS * run.error_um(()) else ()
 
 
 class _Run:

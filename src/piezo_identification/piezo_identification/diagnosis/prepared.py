@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from piezo_identification.prediction import mean_zoh
+from piezo_identification.prediction import mean_zoh, starting_past_v
 from piezo_identification.sensitivities import factor_surfaces, sensitivity_systems
 from piezo_identification.settling import settling_time_s
 from piezo_identification.waveforms import played, samples_per_mean
@@ -57,6 +57,7 @@ class PreparedRecording:
                 f"{self.path} has {self.time_s.size} samples, fewer than {FEWEST_SAMPLES} after "
                 "the start has settled: record longer"
             )
+        self._past_v = starting_past_v(model, recording)
         self._answers = {}
         hysteresis_um, rest_hysteresis_um = self._input_of_linear(self.voltage_v)
         self._hysteresis_um = hysteresis_um
@@ -66,6 +67,7 @@ class PreparedRecording:
     def _hysteresis(self, hysteresis, voltage_v):
         """Output while the waveform plays, and at the first sample of the recording."""
         memory = hysteresis.memory()
+        hysteresis.simulate(self._past_v, memory)
         before_um = hysteresis.simulate(self._before_v, memory)
         return hysteresis.simulate(voltage_v, memory), before_um[0]
 
@@ -76,7 +78,7 @@ class PreparedRecording:
         output_um, rest_um = self._hysteresis(model.hysteresis, voltage_v)
         if model.hysteretic_creep is not None:
             past = model.hysteresis.memory()
-            model.hysteresis.simulate(self._before_v, past)
+            model.hysteresis.simulate([*self._past_v, *self._before_v], past)
             memory = model.memory(hysteresis=past).hysteretic_creep
             output_um += model.hysteretic_creep.simulate(voltage_v, self.sample_period_s, memory)
         return output_um, rest_um

@@ -25,7 +25,7 @@ class SensorLag(Effect):
     place: ClassVar[str] = "sensor"
     experiment: ClassVar[str] = Delay.experiment
 
-    time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e3)
+    time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e6)
     roundness: float = parameter("1", "linear", 0.0, 0.5, default=0.0)
 
     def apply(self, signal, sample_period_s, rest=None):
