@@ -7,6 +7,8 @@ from pathlib import Path
 
 from piezo_identification.diagnosis.report import verdict_sentence
 from piezo_identification.diagnosis.results import diagnose_files
+from piezo_identification.frequency_response import is_frequency_response
+from piezo_identification.response_results import diagnose_response_file, response_sentence
 
 
 def main(arguments=None):
@@ -29,7 +31,8 @@ def main(arguments=None):
     )
     parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
     parser.add_argument("--data", metavar="FILE", type=Path, required=True, nargs="+",
-                        help="recordings or CSV files (time_s,voltage_v,displacement_um)")
+                        help="recordings or CSV files (time_s,voltage_v,displacement_um), or one "
+                        "measured frequency response (frequency_hz,gain_re,gain_im)")
     parser.add_argument("--holdout", metavar="FILE", type=Path,
                         help="another recording, on which the errors are measured")
     parser.add_argument("--output", metavar="DIR", type=Path, required=True,
@@ -44,9 +47,16 @@ def main(arguments=None):
 
 
 def _diagnose(options):
+    if is_frequency_response(options.data[0]):
+        if len(options.data) > 1 or options.holdout:
+            raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
+        diagnosis = diagnose_response_file(options.model, options.data[0], options.output)
+        _print_table(diagnosis, response_sentence(diagnosis))
+        print(f"written to {options.output}")
+        return
     results = diagnose_files(
         options.model, options.data, options.holdout, options.output, _print_progress)
-    _print_table(results.diagnosis)
+    _print_table(results.diagnosis, verdict_sentence(results.diagnosis))
     print(f"written to {options.output}")
 
 
@@ -54,8 +64,8 @@ def _print_progress(stage, fraction):
     print(f"{100.0 * fraction:3.0f} %  {stage}", flush=True)
 
 
-def _print_table(diagnosis):
-    print(f"verdict: {diagnosis.verdict}. {verdict_sentence(diagnosis)}")
+def _print_table(diagnosis, sentence):
+    print(f"verdict: {diagnosis.verdict}. {sentence}")
     print(f"{'':28}{'before':>12}{'after':>12}")
     for name in ("rms_um", "e_y_percent"):
         print(f"{name:28}{diagnosis.before[name]:12.4g}{diagnosis.after[name]:12.4g}")

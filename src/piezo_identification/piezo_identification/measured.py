@@ -163,7 +163,7 @@ def cantilever(directory):
     """
     recording = read_recording(Path(directory) / CANTILEVER)
     ringing_figure, ringing = _ringing(jump_response(recording, RINGING_SHOWN_S))
-    jump, period = _cycles(recording.voltage_v)
+    jump, period = first_cycle(recording.voltage_v)
     sample = np.arange(recording.voltage_v.size)
     begin = jump + FITTED_CYCLES * period
     end = begin + TESTED_CYCLES * period
@@ -256,7 +256,7 @@ def _ringing(response):
     return figure, Ringing(response, modelled_um, dynamics, deviations)
 
 
-def _cycles(voltage_v):
+def first_cycle(voltage_v):
     """Sample of the largest jump, and the period of the sine that follows it, in samples."""
     jump = int(np.argmax(np.abs(np.diff(voltage_v)))) + 1
     after_v = voltage_v[jump:]

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from piezo_identification import measured, measured_pictures
+from piezo_identification.measured_diagnosis import findings
 
 
 def main(arguments=None):
@@ -46,10 +47,16 @@ def _measured(data, output):
     for name, run in SETS.items():
         print(f"fitting {name}", flush=True)
         figures += run(data, output)
+    print("diagnosing poor models", flush=True)
+    found = list(findings(data))
     rows = [asdict(figure) | {"reached": figure.is_reached} for figure in figures]
-    (output / "table.json").write_text(json.dumps({"rows": rows}, indent=1) + "\n")
+    (output / "table.json").write_text(json.dumps(
+        {"rows": rows, "findings": [asdict(finding) for finding in found]}, indent=1) + "\n")
     print()
     print(table(figures))
+    print()
+    for finding in found:
+        print(finding.text())
     print(f"\ntable and pictures in {output}")
 
 

@@ -87,6 +87,18 @@ def test_every_set_is_predicted_where_it_was_not_fitted(output):
     assert frequency_hz == pytest.approx(6030.0 / (2.0 * np.pi), abs=1.0)
 
 
+def test_every_poor_model_is_found_wanting_and_mended_on_data_held_out(output):
+    findings = json.loads((output / "table.json").read_text())["findings"]
+    assert [finding["data"].split(",")[0] for finding in findings] == [
+        "cantilever", "nanopositioner", "scanner", "scanner"]
+    assert findings[0]["effects"][0] == "vibration_mode"
+    assert findings[1]["effects"][0] == "creep"
+    for finding in findings[:2]:
+        assert finding["after_percent"] < 0.7 * finding["before_percent"]
+    for finding in findings[2:]:
+        assert finding["refitted_percent"] < 0.5 * finding["before_percent"]
+
+
 def test_there_is_a_picture_of_every_prediction(output):
     assert {path.name for path in output.glob("*.png")} == {
         "scanner_major_loops.png", "scanner_nested_loops.png", "cantilever_cycles.png",
