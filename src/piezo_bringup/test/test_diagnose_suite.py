@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The cases of the suite, their outcomes and the summary."""
+
+from collections import Counter
+
+import pytest
+
+from piezo_bringup.diagnose_suite.cases import draw_cases
+from piezo_bringup.diagnose_suite.command import main
+from piezo_bringup.diagnose_suite.outcome import as_text, outcome, summary
+
+
+def result(causes=(), effects=(), verdict="explained", not_decidable=(), later=True):
+    return {
+        "model": "identified before" if later else "identified with the effects",
+        "contributions": [
+            {"cause": cause, "over_noise": size, "beyond_model_over_noise": beyond}
+            for cause, size, beyond in causes
+        ],
+        "effects": list(effects), "verdict": verdict, "not_decidable": list(not_decidable),
+        "after_um": 1.1, "perfect_um": 1.0,
+    }
+
+
+def test_the_suite_has_the_cases_it_must_have_and_the_same_for_the_same_seed():
+    cases = draw_cases(260, 1)
+    kinds = Counter(
+        "clean" if not case.causes else "outside" if case.outside else len(case.causes)
+        for case in cases
+    )
+    assert kinds == {"clean": 40, "outside": 20, 1: 148, 2: 52}
+    assert len({(case.kind, case.slow) for case in cases}) == 8
+    assert cases == draw_cases(260, 1) != draw_cases(260, 2)
+
+
+@pytest.mark.parametrize(("case", "expected"), [
+    (result(verdict="none"), ("clean", "right")),
+    (result(verdict="unexplained"), ("clean", "false alarm")),
+    (result([("self_heating", 9.0, 2.0)], verdict="unexplained"), ("outside", "right")),
+    (result([("self_heating", 9.0, 2.0)], ["creep"]), ("outside", "explained")),
+    (result([("delay", 9.0, 2.0)], ["delay"]), ("clear", "right")),
+    (result([("delay", 9.0, 2.0)], ["delay"], later=False), ("weak", "right")),
+    (result([("delay", 9.0, 2.0)], ["creep"]), ("clear", "wrong")),
+    (result([("delay", 9.0, 2.0)], ["sensor_lag"], not_decidable=["delay"]),
+     ("clear", "not decidable")),
+    (result([("delay", 9.0, 2.0)], verdict="none"), ("clear", "no name")),
+    (result([("delay", 9.0, 2.0), ("creep", 5.0, 2.0)], ["creep", "delay"]), ("clear", "right")),
+    (result([("delay", 9.0, 2.0), ("creep", 4.0, 2.0)], ["creep", "delay"]), ("clear", "wrong")),
+])
+def test_outcome_of_a_case(case, expected):
+    assert outcome(case) == expected
+
+
+def test_the_summary_counts_what_is_not_decidable_apart():
+    document = summary([
+        result([("delay", 9.0, 2.0)], ["delay"]),
+        result([("delay", 9.0, 2.0)], ["sensor_lag"], not_decidable=["delay"]),
+        result([("delay", 2.0, 2.0)], ["creep"]),
+    ])
+    assert document["figures"]["named_first_percent"] == 100.0
+    assert document["figures"]["named_first_of_all_percent"] == 50.0
+    assert document["confusion"] == {"delay": {"delay": 1, "sensor_lag": 1}}
+    assert document["figures"]["error_within_1.2_percent"] == 100.0
+    assert "delay 1, sensor_lag 1" in as_text(document)
+
+
+def test_a_scheduler_that_is_not_there_is_told_in_one_line(capsys, monkeypatch):
+    monkeypatch.setattr("piezo_bringup.diagnose_suite.command.CONNECT_S", 1)
+    assert main(["--scheduler", "tcp://127.0.0.1:9"]) == 2
+    assert "no scheduler at tcp://127.0.0.1:9" in capsys.readouterr().err
