@@ -6,6 +6,8 @@ import signal
 import sys
 from pathlib import Path
 
+from rclpy.utilities import remove_ros_args
+
 from piezo_client.client import GoalFailed
 from piezo_client.progress_line import ProgressLine
 from piezo_client.references import harmonic, triangle
@@ -28,7 +30,8 @@ def main(arguments=None):
     int
         Exit status: 0, 1 if the stage's nodes refuse or fail, 130 after Ctrl-C.
     """
-    options = _parser().parse_args(arguments)
+    given = sys.argv if arguments is None else [sys.argv[0], *arguments]
+    options = _parser().parse_args(remove_ros_args(given)[1:])  # which a launch file adds
     for number in signal.SIGINT, signal.SIGTERM:
         signal.signal(number, signal.default_int_handler)
     progress = ProgressLine()
