@@ -2,11 +2,13 @@
 """Every parameter is described; a bad one keeps its node from starting, in one line."""
 
 import os
+import re
 import subprocess
 from pathlib import Path
 
 import pytest
 from ament_index_python.packages import get_package_prefix
+from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 
 from piezo_bringup.processes import EXECUTABLES
@@ -16,15 +18,23 @@ CALIBRATION = (Path(__file__).parents[1]
 # Of rclpy itself.
 NOT_OURS = {"use_sim_time", "start_type_description_service"}
 
+# As descriptions bear it: "Rate of the sample clock (Hz)."
+UNIT = re.compile(r"\((V|V/s|Hz|s|um)( RMS)?\)")
+
 
 @pytest.mark.parametrize("node", EXECUTABLES)
-def test_every_parameter_is_described(suite, node):
+def test_every_parameter_has_a_description_a_range_and_a_unit(suite, node):
     names = suite.call(ListParameters, f"{node}/list_parameters").result.names
     assert "autostart" in names
     descriptors = suite.call(
         DescribeParameters, f"{node}/describe_parameters", names=names).descriptors
     undescribed = {d.name for d in descriptors if not d.description.endswith(".")}
     assert undescribed <= NOT_OURS
+    assert [d.name for d in descriptors
+            if d.type == ParameterType.PARAMETER_DOUBLE and not (
+                d.floating_point_range and UNIT.search(d.description))] == []
+    assert [d.name for d in descriptors
+            if d.type == ParameterType.PARAMETER_INTEGER and not d.integer_range] == []
 
 
 @pytest.mark.parametrize(("node", "arguments", "line"), [
