@@ -89,11 +89,11 @@ class Client:
             "diagnose", model=str(model), recordings=[str(path) for path in recordings],
             holdout=str(holdout), directory=str(directory), **options)
 
-    def track(self, reference, model, mode, duration_s, directory, on_feedback=None):
+    def track(self, reference, model, mode, duration_s, directory, on_feedback=None, **options):
         """Track a reference given as a dict of the fields of ``Reference``; see `goal`."""
         return self.goal(
             "track", on_feedback=on_feedback, reference=Reference(**reference), model=str(model),
-            mode=mode, duration_s=float(duration_s), directory=str(directory))
+            mode=mode, duration_s=float(duration_s), directory=str(directory), **options)
 
     def goal(self, name, on_feedback=None, cancel_after_s=None, **fields):
         """Send a goal and wait for its end.

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Track references with the stage: the action ``controller/track``."""
 
+import dataclasses
+import functools
 import hashlib
 import json
 import math
@@ -14,13 +16,13 @@ from piezo_controller.controller_file import load_stabilising_controller
 from piezo_controller.feedback_before_inverse import FeedbackBeforeInverse
 from piezo_controller.feedback_design import design_feedback
 from piezo_controller.feedback_loop import MultirateFeedback
+from piezo_controller.learned_file import Learned, learned_path, load_correction, save_learned
+from piezo_controller.learning_feedforward import LearningFeedforward
+from piezo_controller.mean_keeper import design_mean_keeper
 from piezo_controller.references import Reference
-from piezo_controller.tracking_modes import (
-    FEEDBACK_METHODS,
-    StageClock,
-    feedback_room_v,
-    plan_mode,
-)
+from piezo_controller.run_plan import plan_learning, plan_references
+from piezo_controller.streamed_feedforward import StreamPlan
+from piezo_controller.tracking_modes import FEEDBACK_METHODS, StageClock, feedback_room_v
 from piezo_controller.tracking_run import TrackingRun
 from piezo_controller.weights import DEFAULT, load_weights
 from piezo_models.model_file import load_model
@@ -33,6 +35,7 @@ from piezo_node_tools.tracking import REPORT_PERIOD_S, StageTracker
 
 PLACES = ("behind_inverse", "before_inverse")
 LONGEST_DURATION_S = 3600.0
+LEARNING_ITERATIONS = 10
 
 
 class ControllerNode(LifecycleNode):
@@ -87,9 +90,9 @@ class ControllerNode(LifecycleNode):
 
     def _track(self, goal, result, progress):
         model_text = _read_text(goal.model)
-        run, plan, feedback = self._plan(goal, model_text)
-        progress.check()
         directory = goal.directory or self._directory
+        run, plan, feedback, save = self._plan(goal, model_text, directory)
+        progress.check()
         result.recording = self._recorder.start(directory, f"track_{goal.mode}", {
             "model.json": model_text, "parameters.json": _parameters(goal)})
         try:
@@ -97,28 +100,63 @@ class ControllerNode(LifecycleNode):
         finally:
             self._recorder.stop(self._tracker.last_sample)
             result.missed_feedback = self._tracker.missed_feedback
-            if run.samples > len(plan.once_voltage_v):
+            if run.begun:
                 result.e_rms_percent = run.e_rms_percent()
                 result.largest_error_um = run.largest_error_um
+                result.settled_after_s = run.settled_after_sample * self._stage.sample_period_s
         progress.check()
         if not run.complete:
             raise CallFailed("the stage stopped before the end: its diagnostics tell why")
-        left_alone = plan.left_alone and ("the feedforward leaves alone what comes from outside: "
+        learned = save and save(result)
+        left_alone = plan.left_alone and ("the feedforward leaves alone: "
                                           f'{", ".join(plan.left_alone)}')
-        result.message = "; ".join(filter(None, (left_alone, run.lateness)))
+        result.message = "; ".join(filter(None, (learned, left_alone, run.lateness)))
 
-    def _plan(self, goal, model_text):
+    def _plan(self, goal, model_text, directory):
         if not 0.0 < goal.duration_s <= LONGEST_DURATION_S:
             raise ValueError(f"duration_s is {goal.duration_s:g}: "
                              f"give more than 0 and at most {LONGEST_DURATION_S:g} s")
+        if not 0.0 <= goal.tolerance_um < math.inf:
+            raise ValueError(f"tolerance_um is {goal.tolerance_um:g}: give a positive number, or 0")
         model = load_model(goal.model).model
-        plan = plan_mode(goal.mode, _reference(goal.reference), model, self._stage,
-                         goal.duration_s)
-        feedback = None
+        durations_s = [goal.duration_s, *goal.then_duration_s]
+        feedback = save = None
+        if goal.mode == "learning":
+            plan, feedback, save = self._plan_learning(goal, model, model_text, directory)
+        else:
+            plan = plan_references(
+                goal.mode, [_reference(message) for message in (goal.reference, *goal.then)],
+                durations_s, model, self._stage, goal.inversion)
         if goal.mode in FEEDBACK_METHODS:
             feedback = self._feedback(goal.mode, model, model_text, plan)
-        run = TrackingRun(plan, self._whole_ticks(goal.duration_s), feedback, self._stage.tick_s)
-        return run, plan, feedback
+        run = TrackingRun(plan, self._whole_ticks(sum(durations_s)), feedback, self._stage.tick_s,
+                          goal.tolerance_um, round(REPORT_PERIOD_S * self._stage.sample_rate_hz))
+        return run, plan, feedback, save
+
+    def _plan_learning(self, goal, model, model_text, directory):
+        """Plan, feedback, and what to call at the end: it keeps what was learned, and tells."""
+        if goal.then or goal.inversion:
+            raise ValueError("learning repeats one reference by its exact inverse: "
+                             "leave then and inversion empty")
+        reference, key = _reference(goal.reference), _sha256(model_text)
+        path = Path(goal.learned) if goal.learned else learned_path(directory, reference, key)
+        correction_um = None
+        if goal.learned or path.exists():
+            correction_um = load_correction(path, reference, key, self._stage.sample_rate_hz)
+        controller = design_mean_keeper(
+            model, self._stage.tick_s, self._stage.sample_period_s, key)
+        samples = self._whole_ticks(goal.duration_s)
+        plan, learner = plan_learning(reference, samples, model, controller, self._stage,
+                                      goal.iterations or LEARNING_ITERATIONS, correction_um)
+
+        def save(result):
+            save_learned(path, Learned(
+                reference, key, self._stage.sample_rate_hz, learner.best_um, learner.best_rms_um,
+                learner.iterations))
+            result.learned, result.iterations = str(path), learner.iterations
+            return f"learning ended after {learner.iterations} iterations: {learner.finished}"
+
+        return plan, MultirateFeedback(controller, self._max_feedback_v), save
 
     def _whole_ticks(self, duration_s):
         ticks = math.ceil(duration_s / self._stage.tick_s - 1e-9)
@@ -137,6 +175,9 @@ class ControllerNode(LifecycleNode):
                 controller, feedback_room_v(plan, self._stage.voltage_range_v))
         if self._feedback_place == "behind_inverse":
             return MultirateFeedback(controller, self._max_feedback_v)
+        if self._feedback_place == "before_inverse" and isinstance(plan, StreamPlan):
+            raise ValueError("a streamed reference takes its feedback behind the inverse: set "
+                             "feedback_place to behind_inverse")
         if self._feedback_place == "before_inverse":
             return FeedbackBeforeInverse(
                 controller, model, plan, self._stage.samples_per_tick, self._max_feedback_v,
@@ -145,7 +186,7 @@ class ControllerNode(LifecycleNode):
                          f"{', '.join(PLACES)}")
 
     def _design_feedback(self, method, model, model_text):
-        digest = hashlib.sha256(model_text.encode()).hexdigest()
+        digest = _sha256(model_text)
         if (digest, method) not in self._feedback_designs:
             weights = load_weights(self._weights_file or DEFAULT).at_tick(self._stage.tick_s)
             self._feedback_designs[digest, method] = design_feedback(
@@ -153,19 +194,43 @@ class ControllerNode(LifecycleNode):
         return self._feedback_designs[digest, method]
 
     def _play(self, run, plan, answering, progress):
-        self._tracker.run(
-            plan.once_voltage_v, plan.period_voltage_v,
-            math.ceil(run.total_samples / self._stage.samples_per_tick),
-            lambda block: run.take(np.frombuffer(block.displacement_um)), answering,
-            lambda: progress.cancelled or self._recorder.closed_early,
-            lambda: progress.report(run.fraction, e_rms_percent=run.e_rms_percent(
-                round(REPORT_PERIOD_S * self._stage.sample_rate_hz))))
+        ticks, more = math.ceil(run.total_samples / self._stage.samples_per_tick), None
+        period_v = getattr(plan, "period_voltage_v", np.empty(0))
+        learning = isinstance(plan, LearningFeedforward)
+        if isinstance(plan, StreamPlan):
+            more = functools.partial(next, plan.chunks(), np.empty(0))
+        elif learning:
+            ticks, more = 0, plan.next_voltage_v  # how long is not known yet
+
+        def take(block):
+            displacement_um = np.frombuffer(block.displacement_um)
+            if learning:
+                plan.take(displacement_um)
+            return run.take(displacement_um)
+
+        def shall_end():
+            return (progress.cancelled or self._recorder.closed_early
+                    or (learning and run.complete))
+
+        def report():
+            progress.report(
+                run.fraction, e_rms_percent=run.e_rms_percent(running=True),
+                on_target=run.on_target, tolerance_um=run.tolerance_um,
+                iteration=plan.iteration if learning else 0)
+
+        self._tracker.run(plan.once_voltage_v, period_v, ticks, take, answering, shall_end,
+                          report, more)
+
+
+def _sha256(text):
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _reference(message):
     return Reference(
         message.kind, tuple(message.frequency_hz), tuple(message.amplitude_um),
-        tuple(message.phase_rad), message.centre_um, message.file)
+        tuple(message.phase_rad), message.centre_um, message.file, message.once, message.axis,
+        message.lines, message.seed)
 
 
 def _read_text(path):
@@ -178,12 +243,12 @@ def _read_text(path):
 
 
 def _parameters(goal):
-    reference = goal.reference
+    references = [dataclasses.asdict(_reference(message))
+                  for message in (goal.reference, *goal.then)]
     return json.dumps({
-        "mode": goal.mode, "duration_s": goal.duration_s, "reference": {
-            "kind": reference.kind, "frequency_hz": list(reference.frequency_hz),
-            "amplitude_um": list(reference.amplitude_um), "phase_rad": list(reference.phase_rad),
-            "centre_um": reference.centre_um, "file": reference.file}}, indent=1)
+        "mode": goal.mode, "duration_s": goal.duration_s, "reference": references[0],
+        "then": references[1:], "then_duration_s": list(goal.then_duration_s),
+        "inversion": goal.inversion}, indent=1)
 
 
 def main(args=None):

@@ -6,6 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezo_controller.reach import (
+    STATIC_DISPLACEMENT,
+    VOLTAGE,
+    OutOfReach,
+    check_range,
+    check_slew,
+    unreachable,
+)
+from piezo_controller.smooth_rise import minimum_jerk
 from piezo_models.inversion import invert_linear_periodic
 from piezo_models.linear import simulate_linear, zoh
 
@@ -21,24 +30,6 @@ BANDWIDTH_HZ = 2500.0
 COMPENSATION_BANDWIDTHS_HZ = BANDWIDTH_HZ, 1200.0, 600.0, 300.0
 NEGLIGIBLE_CONTENT = 1e-3
 CORRECTIONS = 2
-BISECTIONS = 14
-VOLTAGE = "voltages", "V"
-STATIC_DISPLACEMENT = "voltages that at rest would displace", "um"
-
-
-class UnreachableReference(ValueError):
-    """A reference that the amplifier cannot follow; says which amplitude it can.
-
-    Attributes
-    ----------
-    reachable_um : float
-        Peak-to-peak amplitude within reach of the same reference scaled about its mean; zero if
-        its mean is out of reach already.
-    """
-
-    def __init__(self, message, reachable_um):
-        super().__init__(message)
-        self.reachable_um = reachable_um
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +55,11 @@ class FeedforwardPlan:
     reference_period_um: np.ndarray
     feedback_start_sample: int
     left_alone: tuple = ()
+
+    @property
+    def begin_sample(self):
+        """Where the reference begins: what is played once has ended."""
+        return len(self.once_voltage_v)
 
     def voltage_v(self, first_sample, count):
         """Voltages of `count` samples from `first_sample` on (V)."""
@@ -109,40 +105,31 @@ def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v
         The model's range does not fit the amplifier's, or `mode` is unknown.
     """
     reference_um = np.asarray(reference_um, dtype=float)
-    hysteresis = model.hysteresis
-    lowest_v, highest_v = voltage_range_v
-    if mode not in MODES:
-        raise ValueError(f'unknown mode {mode!r} of the feedforward: use one of {", ".join(MODES)}')
-    if not lowest_v <= hysteresis.voltage_min_v <= start_voltage_v <= highest_v:
-        raise ValueError(
-            f"the model begins at {hysteresis.voltage_min_v:g} V, the amplifier at {lowest_v:g} V, "
-            f"the run at {start_voltage_v:g} V: identify the model over the amplifier's range")
-    planner = _Planner(model, len(reference_um), mode, highest_v,
-                       slew_limit_v_per_s, sample_period_s, start_voltage_v, duration_s)
+    planner = FeedforwardPlanner(
+        len(reference_um), model, mode, voltage_range_v=voltage_range_v,
+        slew_limit_v_per_s=slew_limit_v_per_s, sample_period_s=sample_period_s,
+        start_voltage_v=start_voltage_v, duration_s=duration_s)
     try:
         return planner.plan(reference_um)
-    except _OutOfReach as reason:
-        raise _unreachable(planner, reference_um, reason) from None
+    except OutOfReach as reason:
+        raise unreachable(planner, reference_um, reason) from None
 
 
-def minimum_jerk(count):
-    """Smooth rise from 0 towards 1, which the sample after the last would reach.
+class FeedforwardPlanner:
+    """Plans references of one period length (samples) for one model; see `plan_feedforward`."""
 
-    The quintic has neither speed nor acceleration at its ends, and so excites no vibration.
-    """
-    t = np.arange(count) / count
-    return t**3 * (10 - 15 * t + 6 * t**2)
-
-
-class _OutOfReach(Exception):
-    """Why the amplifier cannot follow."""
-
-
-class _Planner:
-    """Plans references of one period length for one model; see `plan_feedforward`."""
-
-    def __init__(self, model, period, mode, highest_v, slew_limit_v_per_s, sample_period_s,
-                 start_voltage_v, duration_s):
+    def __init__(self, period, model, mode="feedforward", *, voltage_range_v=(-20.0, 120.0),
+                 slew_limit_v_per_s=2e6, sample_period_s=25e-6, start_voltage_v=0.0,
+                 duration_s=1.0):
+        lowest_v, highest_v = voltage_range_v
+        if mode not in MODES:
+            raise ValueError(
+                f'unknown mode {mode!r} of the feedforward: use one of {", ".join(MODES)}')
+        if not lowest_v <= model.hysteresis.voltage_min_v <= start_voltage_v <= highest_v:
+            raise ValueError(
+                f"the model begins at {model.hysteresis.voltage_min_v:g} V, the amplifier at "
+                f"{lowest_v:g} V, the run at {start_voltage_v:g} V: identify the model over the "
+                "amplifier's range")
         self.model = replace(model, effects=tuple(
             effect for effect in model.effects if effect.follows_voltage))
         self.left_alone = tuple(
@@ -187,12 +174,15 @@ class _Planner:
         in_window[self.once:] = 1 / window
         return simulate_linear(self.sampled, in_window[::-1])[::-1]
 
-    def plan(self, reference_um):
-        """The plan for one reference; raises `_OutOfReach`."""
+    def plan(self, reference_um, correction_um=0.0):
+        """The plan for one reference; raises `OutOfReach`.
+
+        A correction is played on top of the reference, but not expected.
+        """
         for target_um in self._behind_linear(reference_um):
             try:
-                return self._plan_target(target_um, reference_um)
-            except _OutOfReach as error:
+                return self._plan_target(target_um + correction_um, reference_um)
+            except OutOfReach as error:
                 reason = error
         raise reason
 
@@ -209,7 +199,8 @@ class _Planner:
             _, hysteresis_um = self._play(level, wave)
             level += (mean_um - self._mean_displacement_um(hysteresis_um)) / level_gain
         voltage_v, hysteresis_um = self._play(level, wave)
-        self._check_slew(voltage_v)
+        check_slew(np.append(voltage_v, voltage_v[self.once]), self.sample_period_s,
+                   self.slew_limit_v_per_s)
         return FeedforwardPlan(voltage_v[:self.once], voltage_v[self.once:],
                                self._expected_once_um(hysteresis_um, reference_um),
                                reference_um.copy(), self.fade_start, self.left_alone)
@@ -239,7 +230,7 @@ class _Planner:
             try:
                 wanted = effect.compensate(wanted, self.sample_period_s)
             except ValueError as error:
-                raise _OutOfReach(str(error)) from None
+                raise OutOfReach(str(error)) from None
         return wanted
 
     def _wave(self, alternating_um):
@@ -257,10 +248,10 @@ class _Planner:
         lowest_v = self.hysteresis.voltage_min_v
         target = level + self.fade * wave[self.fade_phase]
         if self.mode == "open_loop":
-            self._check_range(target, lowest_v, self.highest_v, VOLTAGE)
+            check_range(target, lowest_v, self.highest_v, VOLTAGE)
             centre_v = level
         else:
-            self._check_range(target, *self.hysteresis.output_range_um, STATIC_DISPLACEMENT)
+            check_range(target, *self.hysteresis.output_range_um, STATIC_DISPLACEMENT)
             centre_v = self.hysteresis.invert([level])[0]
         voltage_v = np.r_[self.start_voltage_v + (lowest_v - self.start_voltage_v) * self.ramp,
                           lowest_v + (centre_v - lowest_v) * self.ramp]
@@ -274,7 +265,7 @@ class _Planner:
             period_v = played_v[-self.period:]
             ahead_v = self._compensated(period_v, ("voltage",)) - period_v
             played_v = played_v + self.fade * ahead_v[self.fade_phase]
-        self._check_range(played_v, lowest_v, self.highest_v, VOLTAGE)
+        check_range(played_v, lowest_v, self.highest_v, VOLTAGE)
         return np.r_[voltage_v, played_v], np.r_[hysteresis_um, played_um]
 
     def _mean_displacement_um(self, hysteresis_um):
@@ -294,56 +285,6 @@ class _Planner:
         lead = self.fade[:self.once - self.fade_start]
         expected_um[self.fade_start:] += lead * creep_um
         return expected_um
-
-    def _check_range(self, values, lowest, highest, quantity):
-        if values.min() < lowest or values.max() > highest:
-            name, unit = quantity
-            raise _OutOfReach(f"it takes {name} from {values.min():.4g} to {values.max():.4g} "
-                              f"{unit}, available are {lowest:.4g} to {highest:.4g} {unit}")
-
-    def _check_slew(self, voltage_v):
-        steps_v = np.abs(np.diff(np.r_[voltage_v, voltage_v[self.once]]))
-        slew_v_per_s = steps_v.max() / self.sample_period_s
-        if slew_v_per_s > self.slew_limit_v_per_s:
-            raise _OutOfReach(f"it takes {slew_v_per_s:.3g} V/s, more than the slew limit of "
-                              f"{self.slew_limit_v_per_s:.3g} V/s")
-
-
-def _unreachable(planner, reference_um, reason):
-    """The refusal that names the largest amplitude within reach, found by bisection."""
-    mean_um, travel_um = reference_um.mean(), np.ptp(reference_um)
-
-    def within_reach(scale):
-        try:
-            planner.plan(mean_um + scale * (reference_um - mean_um))
-        except _OutOfReach:
-            return False
-        return True
-
-    if not within_reach(0.0):
-        low_um, high_um = planner.hysteresis.output_range_um
-        return UnreachableReference(
-            f"the amplifier cannot hold the reference's mean of {mean_um:.4g} um: "
-            f"the stage reaches about {low_um:.4g} to {high_um:.4g} um", 0.0)
-    reachable, beyond = 0.0, 1.0
-    for _ in range(BISECTIONS):
-        middle = (reachable + beyond) / 2
-        if within_reach(middle):
-            reachable = middle
-        else:
-            beyond = middle
-    reachable_um = _rounded_down(reachable * travel_um)
-    return UnreachableReference(
-        f"the amplifier cannot follow {travel_um:.4g} um peak to peak about {mean_um:.4g} um: "
-        f"{reason}; {reachable_um:g} um peak to peak is within reach", reachable_um)
-
-
-def _rounded_down(value):
-    """To three significant digits."""
-    if value <= 0:
-        return 0.0
-    digits = 2 - math.floor(math.log10(value))
-    return math.floor(value * 10**digits) / 10**digits
 
 
 def _play(once, period, first, count):

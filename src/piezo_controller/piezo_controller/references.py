@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Periodic reference trajectories of the displacement, as one period of samples."""
+"""Reference trajectories of the displacement: one period of samples, or any stretch of them."""
 
-import csv
 import math
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
+from piezo_controller.raster import fast_axis, flyback_lines, slow_axis
+from piezo_controller.reference_file import read_samples
+
 LONGEST_PERIOD_S = 20.0
+LONGEST_DURATION_S = 3600.0
+LOWEST_FREQUENCY_HZ = 0.001
 TRIANGLE_BANDWIDTH_HZ = 2000.0
-KINDS = ("harmonic", "multi_frequency", "triangle", "file")
+KINDS = ("harmonic", "multi_frequency", "triangle", "raster", "random", "file")
+AXES = ("fast", "slow")
 
 
 class InvalidReference(ValueError):
@@ -19,19 +24,31 @@ class InvalidReference(ValueError):
 
 @dataclass(frozen=True)
 class Reference:
-    """A periodic trajectory, field by field as in ``piezo_interfaces/Reference``.
+    """A trajectory, field by field as in ``piezo_interfaces/Reference``.
 
     Attributes
     ----------
     kind : str
-        ``harmonic``, ``multi_frequency`` (sum of sines, (4.21)), ``triangle`` or ``file``.
+        ``harmonic``, ``multi_frequency`` (sum of sines, (4.21)), ``triangle``, ``raster``,
+        ``random`` or ``file``.
     frequency_hz, amplitude_um, phase_rad : tuple of float
         Of each sine ``amplitude_um / 2 * sin(2 pi frequency_hz t + phase_rad)``; the amplitude is
-        peak to peak. No phase means zero. Empty for ``file``.
+        peak to peak. No phase means zero. Of a raster the rate of the lines, and the range of the
+        axis; of a random reference the edges of its band, the lower one 0 if there is only one.
+        Empty for ``file``.
     centre_um : float
         Mean displacement (um); for ``file`` it is added to the file's displacement.
     file : str
         CSV with the columns ``time_s,displacement_um``: one period at the sample rate.
+    once : bool
+        A file that is not one period but the whole way; its last value is then held.
+    axis : str
+        Of a raster: ``fast``, whose lines are straight over the range and turn beyond it, or
+        ``slow``, which steps from line to line and flies back after the last.
+    lines : int
+        Of a raster's frame.
+    seed : int
+        Of a random reference.
     """
 
     kind: str
@@ -40,6 +57,32 @@ class Reference:
     phase_rad: tuple = ()
     centre_um: float = 0.0
     file: str = ""
+    once: bool = False
+    axis: str = "fast"
+    lines: int = 512
+    seed: int = 0
+
+
+def is_periodic(reference, sample_rate_hz=40000.0):
+    """Whether `sample_reference` has a period for it; False for one that has only a way.
+
+    Raises
+    ------
+    InvalidReference
+        If it has no meaning.
+    """
+    _check_kind(reference)
+    if reference.kind == "random":
+        return False
+    if reference.kind == "file":
+        return not reference.once
+    if reference.kind == "raster":
+        return _frame_samples(reference, sample_rate_hz) <= LONGEST_PERIOD_S * sample_rate_hz
+    try:
+        _common_period(_components(reference, sample_rate_hz)[0], sample_rate_hz)
+    except NoPeriod:
+        return False
+    return True
 
 
 def sample_reference(reference, sample_rate_hz=40000.0):
@@ -62,30 +105,148 @@ def sample_reference(reference, sample_rate_hz=40000.0):
     InvalidReference
         Says what is wrong; for a frequency without a whole period, names the nearest that has one.
     """
+    _check_kind(reference)
+    if reference.kind == "random" or (reference.kind == "file" and reference.once):
+        raise InvalidReference(f"a {reference.kind} reference that is not repeated has no period: "
+                               "use a mode that streams it")
+    if reference.kind == "file":
+        return reference.centre_um + _read(reference, sample_rate_hz, LONGEST_PERIOD_S)
+    if reference.kind == "raster":
+        return _raster(reference, sample_rate_hz)
+
+    frequencies, amplitudes, phases = _components(reference, sample_rate_hz)
+    cycles, length = _common_period(frequencies, sample_rate_hz)
+    displacement_um = np.full(length, float(reference.centre_um))
+    for cycle, frequency_hz, amplitude_um, phase in zip(cycles, frequencies, amplitudes, phases,
+                                                        strict=True):
+        turns = (cycle.numerator * (length // cycle.denominator) * np.arange(length)) % length
+        angle_rad = 2 * np.pi * turns / length + phase
+        displacement_um += amplitude_um / 2 * _SHAPES[reference.kind](angle_rad, frequency_hz)
+    return displacement_um
+
+
+def sample_trajectory(reference, samples, lead_in=0, sample_rate_hz=40000.0):
+    """Sample a reference from its start on, whether it has a period or not.
+
+    Parameters
+    ----------
+    reference : Reference
+    samples : int
+    lead_in : int
+        Samples before the start: what the reference would have been there; of a file that is
+        not repeated its first value.
+    sample_rate_hz : float
+
+    Returns
+    -------
+    displacement_um : ndarray, shape (lead_in + samples,)
+
+    Raises
+    ------
+    InvalidReference
+    """
+    _check_kind(reference)
+    at = np.arange(-lead_in, samples)
+    if reference.kind == "random":
+        return reference.centre_um + _random(reference, lead_in, samples, sample_rate_hz)
+    if reference.kind == "file":
+        way_um = reference.centre_um + _read(
+            reference, sample_rate_hz, LONGEST_DURATION_S if reference.once else LONGEST_PERIOD_S)
+        return way_um[np.clip(at, 0, way_um.size - 1) if reference.once else at % way_um.size]
+    if reference.kind == "raster":
+        frame_um = _raster(reference, sample_rate_hz)
+        return frame_um[at % frame_um.size]
+    displacement_um = np.full(at.size, float(reference.centre_um))
+    for frequency_hz, amplitude_um, phase in zip(*_components(reference, sample_rate_hz),
+                                                 strict=True):
+        angle_rad = 2 * np.pi * (at * (frequency_hz / sample_rate_hz) % 1.0) + phase
+        displacement_um += amplitude_um / 2 * _SHAPES[reference.kind](angle_rad, frequency_hz)
+    return displacement_um
+
+
+class NoPeriod(InvalidReference):
+    """A reference without a period of whole samples that is short enough to be repeated."""
+
+
+def _check_kind(reference):
     if reference.kind not in KINDS:
         raise InvalidReference(f"unknown kind of reference {reference.kind!r}: "
                                f'use one of {", ".join(KINDS)}')
     if not math.isfinite(reference.centre_um):
         raise InvalidReference("centre_um of the reference is not a finite number: "
                                "give the mean displacement")
-    if reference.kind == "file":
-        return reference.centre_um + _read_period(reference.file, sample_rate_hz)
 
-    frequencies, amplitudes, phases = _components(reference, sample_rate_hz)
-    cycles = [_cycles_per_sample(f, sample_rate_hz) for f in frequencies]
+
+def _common_period(frequencies_hz, sample_rate_hz):
+    """Each frequency in cycles per sample, and the samples of the common period."""
+    cycles = [_cycles_per_sample(f, sample_rate_hz) for f in frequencies_hz]
     length = math.lcm(*(c.denominator for c in cycles))
     if length > LONGEST_PERIOD_S * sample_rate_hz:
-        raise InvalidReference(
+        raise NoPeriod(
             f"the common period of the frequencies is {length / sample_rate_hz:g} s, longer than "
             f"{LONGEST_PERIOD_S:g} s: use multiples of {1 / LONGEST_PERIOD_S:g} Hz")
-    shape = _triangle if reference.kind == "triangle" else _sine
-    displacement_um = np.full(length, float(reference.centre_um))
-    for cycle, frequency_hz, amplitude_um, phase in zip(cycles, frequencies, amplitudes, phases,
-                                                        strict=True):
-        turns = (cycle.numerator * (length // cycle.denominator) * np.arange(length)) % length
-        angle_rad = 2 * np.pi * turns / length + phase
-        displacement_um += amplitude_um / 2 * shape(angle_rad, frequency_hz)
-    return displacement_um
+    return cycles, length
+
+
+def _read(reference, sample_rate_hz, longest_s):
+    try:
+        return read_samples(reference.file, sample_rate_hz, longest_s)
+    except ValueError as error:
+        raise InvalidReference(str(error)) from None
+
+
+def _line_samples(reference, sample_rate_hz):
+    (line_rate_hz,), _, _ = _components(reference, sample_rate_hz)
+    samples = round(sample_rate_hz / line_rate_hz)
+    if abs(samples * line_rate_hz / sample_rate_hz - 1) > 1e-9:
+        raise InvalidReference(
+            f"a line at {line_rate_hz:.12g} Hz has no whole number of samples: the nearest that "
+            f"has is {sample_rate_hz / samples:.12g} Hz")
+    if reference.axis not in AXES:
+        raise InvalidReference(f"unknown axis {reference.axis!r} of the raster: "
+                               f'use one of {", ".join(AXES)}')
+    if reference.axis == "slow" and reference.lines < 2:
+        raise InvalidReference(f"the raster has {reference.lines} lines: give at least 2")
+    return samples
+
+
+def _frame_samples(reference, sample_rate_hz):
+    samples = _line_samples(reference, sample_rate_hz)
+    lines = 1 if reference.axis == "fast" else reference.lines + flyback_lines(reference.lines)
+    return samples * lines
+
+
+def _raster(reference, sample_rate_hz):
+    samples = _line_samples(reference, sample_rate_hz)
+    shape = (fast_axis(samples) if reference.axis == "fast"
+             else slow_axis(samples, reference.lines))
+    return reference.centre_um + reference.amplitude_um[0] * shape
+
+
+def _random(reference, lead_in, samples, sample_rate_hz):
+    """White noise cut to the band, scaled to its amplitude from the start on."""
+    edges_hz, amplitude_um = tuple(reference.frequency_hz), tuple(reference.amplitude_um)
+    if len(edges_hz) not in (1, 2) or len(amplitude_um) != 1:
+        raise InvalidReference("a random reference has one or two frequencies, the edges of its "
+                               f"band, and one amplitude, not {len(edges_hz)} and "
+                               f"{len(amplitude_um)}: give those")
+    low_hz, high_hz = (0.0, *edges_hz)[-2:]
+    if not 0 <= low_hz < high_hz < sample_rate_hz / 2:
+        raise InvalidReference(f"the band from {low_hz:g} to {high_hz:g} Hz is not between 0 and "
+                               f"half the sample rate of {sample_rate_hz:g} Hz: choose one that is")
+    if not 0 < amplitude_um[0] < math.inf:
+        raise InvalidReference(f"amplitude_um {amplitude_um[0]:g} is not a positive number: "
+                               "give it from peak to peak")
+    count = lead_in + samples
+    content = np.fft.rfft(np.random.default_rng(reference.seed).standard_normal(count))
+    frequency_hz = np.fft.rfftfreq(count, 1 / sample_rate_hz)
+    content[(frequency_hz < low_hz) | (frequency_hz > high_hz) | (frequency_hz == 0)] = 0
+    noise = np.fft.irfft(content, count)
+    low, high = noise[lead_in:].min(), noise[lead_in:].max()
+    if not low < high:
+        raise InvalidReference(f"{samples / sample_rate_hz:g} s is too short for a band from "
+                               f"{low_hz:g} to {high_hz:g} Hz: take longer")
+    return amplitude_um[0] * ((noise - low) / (high - low) - 0.5)
 
 
 def _components(reference, sample_rate_hz):
@@ -99,8 +260,9 @@ def _components(reference, sample_rate_hz):
         raise InvalidReference(f"a {reference.kind} reference has one frequency, not "
                                f"{len(frequencies)}: use multi_frequency")
     for frequency_hz, amplitude_um, phase in zip(frequencies, amplitudes, phases, strict=True):
-        if not 0 < frequency_hz < sample_rate_hz / 2:
-            raise InvalidReference(f"frequency_hz {frequency_hz:g} is not between 0 and half the "
+        if not LOWEST_FREQUENCY_HZ <= frequency_hz < sample_rate_hz / 2:
+            raise InvalidReference(f"frequency_hz {frequency_hz:g} is not between "
+                                   f"{LOWEST_FREQUENCY_HZ:g} Hz and half the "
                                    f"sample rate of {sample_rate_hz:g} Hz: choose one that is")
         if not 0 < amplitude_um < math.inf:
             raise InvalidReference(f"amplitude_um {amplitude_um:g} is not a positive number: "
@@ -124,7 +286,7 @@ def _cycles_per_sample(frequency_hz, sample_rate_hz):
     possible = [max(round(frequency_hz / step_hz), 1) * step_hz,
                 sample_rate_hz / min(round(sample_rate_hz / frequency_hz), longest)]
     nearest_hz = min(possible, key=lambda hz: abs(hz - frequency_hz))
-    raise InvalidReference(
+    raise NoPeriod(
         f"{frequency_hz:.12g} Hz has no period of whole samples within {LONGEST_PERIOD_S:g} s at "
         f"{sample_rate_hz:g} samples a second: the nearest that has is {nearest_hz:.12g} Hz")
 
@@ -143,30 +305,4 @@ def _triangle(angle_rad, frequency_hz):
     return wave / np.sum(1 / orders**2)
 
 
-def _read_period(path, sample_rate_hz):
-    try:
-        with open(path, newline="", encoding="utf-8") as stream:
-            rows = list(csv.reader(stream))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InvalidReference(f"the reference file {path!r} cannot be read: {reason}") from None
-    if not rows or [name.strip() for name in rows[0]] != ["time_s", "displacement_um"]:
-        raise InvalidReference(f"the reference file {path!r} does not begin with its header: "
-                               "make the first line time_s,displacement_um")
-    samples = [row for row in rows[1:] if row]
-    if not 2 <= len(samples) <= LONGEST_PERIOD_S * sample_rate_hz:
-        raise InvalidReference(f"the reference file {path!r} has {len(samples)} samples: give one "
-                               f"period of 2 samples to {LONGEST_PERIOD_S:g} s")
-    try:
-        time_s, displacement_um = np.array(samples, dtype=float).T
-    except ValueError:
-        raise InvalidReference(f"the reference file {path!r} has a row that is not two numbers: "
-                               "give time_s,displacement_um in every row") from None
-    if not np.isfinite(displacement_um).all() or not np.isfinite(time_s).all():
-        raise InvalidReference(f"the reference file {path!r} holds a value that is not finite: "
-                               "remove or replace it")
-    expected_s = time_s[0] + np.arange(len(time_s)) / sample_rate_hz
-    if np.abs(time_s - expected_s).max() > 0.01 / sample_rate_hz:
-        raise InvalidReference(f"the reference file {path!r} is not sampled at "
-                               f"{sample_rate_hz:g} Hz: resample it to that rate")
-    return displacement_um
+_SHAPES = {"harmonic": _sine, "multi_frequency": _sine, "triangle": _triangle}

@@ -5,10 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezo_controller.feedforward import FADE_S, minimum_jerk, plan_feedforward
+from piezo_controller.feedforward import FADE_S, plan_feedforward
 from piezo_controller.references import sample_reference
+from piezo_controller.smooth_rise import minimum_jerk
 
-MODES = ("open_loop", "pid", "pi", "feedforward", "composite", "composite_single_rate")
+MODES = ("open_loop", "pid", "pi", "feedforward", "composite", "composite_single_rate",
+         "learning")
 FEEDBACK_METHODS = {"pid": "pid", "pi": "pi", "composite": "h_infinity",
                     "composite_single_rate": "h_infinity"}
 """Method of `design_feedback` for each mode that has feedback."""
@@ -52,7 +54,7 @@ def plan_mode(mode, reference, model, stage, duration_s):
     mode : str
         One of `MODES`. ``pid`` and ``pi`` hold the voltage of the reference's mean and leave all
         else to the feedback. ``composite_single_rate`` updates the feedforward once a tick, as
-        often as the feedback.
+        often as the feedback. ``learning`` begins with the feedforward.
     reference : Reference
     model : piezo_models.cascade.StageModel
     stage : StageClock

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """One run of the loop: answers every block, and keeps the account of the error."""
 
+import math
 import time
+from collections import deque
 
 import numpy as np
+
+ON_TARGET_SAMPLES = 400
+TOLERANCE_OF_TRAVEL, LEAST_TOLERANCE_UM = 0.01, 0.03
 
 
 class TrackingRun:
@@ -11,37 +16,70 @@ class TrackingRun:
 
     Parameters
     ----------
-    plan : FeedforwardPlan
+    plan : FeedforwardPlan, StreamPlan or LearningFeedforward
         What the stage plays from the run's first sample on.
     run_samples : int
-        Length of the periodic part; the error is that of this part.
+        How long the reference is to be followed after the lead-in; the error is that of this part.
     feedback : MultirateFeedback, optional
         Answers the blocks; None where only the feedforward acts.
     tick_s : float
         Period of the feedback (s).
+    tolerance_um : float
+        On target is a displacement whose rms error over 10 ms at 40 kHz is at most this; 0 for
+        1 % of the travel, but at least 0.03 um.
+    window_samples : int
+        Of the running error.
     """
 
-    def __init__(self, plan, run_samples, feedback=None, tick_s=1e-3):
-        self._feedback = feedback
+    def __init__(self, plan, run_samples, feedback=None, tick_s=1e-3, tolerance_um=0.0,
+                 window_samples=4000):
+        self._plan = plan
         self._tick_s = tick_s
         self._answer_times_s = []
-        self._feedback_start_sample = plan.feedback_start_sample
-        self._once_samples = len(plan.once_voltage_v)
+        self._feedback = feedback
+        self._run_samples = run_samples
+        self._travel_um = np.ptp(plan.expected_um(plan.begin_sample, run_samples))
+        self.tolerance_um = tolerance_um or max(
+            TOLERANCE_OF_TRAVEL * self._travel_um, LEAST_TOLERANCE_UM)
         self.samples = 0
-        self.total_samples = self._once_samples + run_samples
-        self._expected_um = plan.expected_um(0, self.total_samples)
-        self._displacement_um = np.full(self.total_samples, np.nan)
-        self._travel_um = np.ptp(self._expected_um[self._once_samples:])
+        self._squares = self._counted = 0
+        self.largest_error_um = math.nan
+        self._window = RunningSquares(window_samples)
+        self._target = RunningSquares(ON_TARGET_SAMPLES)
+        self._on_target_since = None
+
+    @property
+    def total_samples(self):
+        """Samples of the lead-in and of the part that counts."""
+        return self._plan.begin_sample + self._run_samples
 
     @property
     def complete(self):
-        """Whether every sample of the periodic part has been taken."""
+        """Whether every sample that counts has been taken."""
         return self.samples >= self.total_samples
+
+    @property
+    def begun(self):
+        """Whether a sample that counts has been taken."""
+        return self._counted > 0
 
     @property
     def fraction(self):
         """Done of the whole, 0 to 1."""
         return min(1.0, self.samples / self.total_samples)
+
+    @property
+    def on_target(self):
+        """Whether the error is within the tolerance now."""
+        return self._on_target_since is not None
+
+    @property
+    def settled_after_sample(self):
+        """Sample of the part that counts from which on the error was within the tolerance.
+
+        NaN if it is not.
+        """
+        return math.nan if self._on_target_since is None else self._on_target_since
 
     def take(self, displacement_um):
         """Take the next block of samples.
@@ -56,12 +94,14 @@ class TrackingRun:
         feedback_v : float
             The answer to the block (V); zero where there is no feedback or not yet.
         """
-        first = self.samples
+        first, total = self.samples, self.total_samples
         self.samples += len(displacement_um)
-        expected_um = self._expected_um[first:self.samples]
-        displacement_um = displacement_um[:len(expected_um)]
-        self._displacement_um[first:self.samples] = displacement_um
-        if self._feedback is None or not self._feedback_start_sample <= first < self.total_samples:
+        displacement_um = displacement_um[:max(total - first, 0)]
+        if not len(displacement_um):
+            return 0.0
+        expected_um = self._plan.expected_um(first, len(displacement_um))
+        self._account(first, expected_um - displacement_um)
+        if self._feedback is None or first < self._plan.feedback_start_sample:
             return 0.0
         begin_s = time.perf_counter()
         voltage_v = self._feedback.step(expected_um, displacement_um)
@@ -81,25 +121,66 @@ class TrackingRun:
                 f"compute than the tick of {1e6 * self._tick_s:.0f} us: at the wall clock they "
                 f"would be late (99 % took {1e6 * usual_s:.0f} us or less)")
 
-    def e_rms_percent(self, last_samples=None):
-        """Error of the periodic part so far, (2.32); of its last samples if so asked.
+    def _account(self, first, error_um):
+        before = max(self._plan.begin_sample - first, 0)
+        error_um = error_um[before:]
+        if not error_um.size:
+            return
+        squares = float(error_um @ error_um)
+        self._squares += squares
+        self._counted += error_um.size
+        self.largest_error_um = float(np.fmax(self.largest_error_um, np.abs(error_um).max()))
+        self._window.add(squares, error_um.size)
+        self._target.add(squares, error_um.size)
+        if self._target.rms > self.tolerance_um:
+            self._on_target_since = None
+        elif self._on_target_since is None and self._target.full:
+            self._on_target_since = self._counted - self._target.samples
+
+    def e_rms_percent(self, running=False):
+        """Error so far of the part that counts, (2.32); of its last samples if so asked.
 
         Returns
         -------
         float
-            NaN before the periodic part begins.
+            NaN before that part begins.
         """
-        end = min(self.samples, self.total_samples)
-        begin = self._once_samples
-        if last_samples is not None:
-            begin = max(begin, end - last_samples)
-        if begin >= end:
-            return float("nan")
-        error_um = self._expected_um[begin:end] - self._displacement_um[begin:end]
-        return float(100.0 * np.sqrt(np.mean(error_um**2)) / self._travel_um)
+        if running:
+            return 100.0 * self._window.rms / self._travel_um
+        if not self._counted:
+            return math.nan
+        return 100.0 * math.sqrt(self._squares / self._counted) / self._travel_um
+
+
+class RunningSquares:
+    """Root mean square of the last samples, block by block.
+
+    Parameters
+    ----------
+    samples : int
+        At least so many are kept, if there are, and less than a block more.
+    """
+
+    def __init__(self, samples):
+        self._wanted = samples
+        self._blocks = deque()
+        self.samples = 0
+
+    def add(self, squares, samples):
+        """Take the sum of squares of a block."""
+        self._blocks.append((squares, samples))
+        self.samples += samples
+        while self.samples - self._blocks[0][1] >= self._wanted:
+            self.samples -= self._blocks.popleft()[1]
 
     @property
-    def largest_error_um(self):
-        """Largest error of the periodic part (um)."""
-        error_um = (self._expected_um - self._displacement_um)[self._once_samples:]
-        return float(np.nanmax(np.abs(error_um)))
+    def full(self):
+        """Whether there are as many samples as wanted."""
+        return self.samples >= self._wanted
+
+    @property
+    def rms(self):
+        """NaN before the first block."""
+        if not self.samples:
+            return math.nan
+        return math.sqrt(sum(squares for squares, _ in self._blocks) / self.samples)

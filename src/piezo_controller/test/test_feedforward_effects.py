@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from piezo_controller.feedback_design import design_feedback
-from piezo_controller.feedforward import UnreachableReference, plan_feedforward
+from piezo_controller.feedforward import plan_feedforward
+from piezo_controller.reach import UnreachableReference
 from piezo_controller.references import Reference, sample_reference
 from piezo_controller.weights import load_weights
 from piezo_models.effects import EFFECTS

@@ -2,8 +2,10 @@
 import numpy as np
 import pytest
 
-from piezo_controller.feedforward import UnreachableReference, minimum_jerk, plan_feedforward
+from piezo_controller.feedforward import plan_feedforward
+from piezo_controller.reach import UnreachableReference
 from piezo_controller.references import Reference, sample_reference
+from piezo_controller.smooth_rise import minimum_jerk
 from piezo_models.cascade import StageModel
 from piezo_models.linear import CreepDynamics
 

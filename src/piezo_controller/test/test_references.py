@@ -1,10 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piezo_controller.references import InvalidReference, Reference, sample_reference
+from piezo_controller.references import (
+    InvalidReference,
+    Reference,
+    is_periodic,
+    sample_reference,
+    sample_trajectory,
+)
 
 
 @given(st.integers(1, 19999), st.floats(0.1, 50), st.floats(-4, 4))
@@ -61,8 +69,8 @@ def test_frequency_without_whole_period_is_refused_and_the_nearest_named_is_acce
     (Reference("harmonic", (100.0,), (0.0,)), "not a positive number"),
     (Reference("harmonic", (100.0,), (-1.0,)), "not a positive number"),
     (Reference("harmonic", (100.0,), (float("nan"),)), "not a positive number"),
-    (Reference("harmonic", (float("nan"),), (1.0,)), "not between 0 and half"),
-    (Reference("harmonic", (20000.0,), (1.0,)), "not between 0 and half"),
+    (Reference("harmonic", (float("nan"),), (1.0,)), "not between 0.001 Hz and half"),
+    (Reference("harmonic", (20000.0,), (1.0,)), "not between 0.001 Hz and half"),
     (Reference("harmonic", (100.0,), (1.0,), (float("inf"),)), "phase_rad"),
     (Reference("harmonic", (100.0,), (1.0,), (), float("nan")), "centre_um"),
     (Reference("harmonic", (), ()), "0 frequencies"),
@@ -92,3 +100,89 @@ def test_unusable_reference_file_is_refused_in_one_sentence(tmp_path, text, mess
     path.write_text(text)
     with pytest.raises(InvalidReference, match=message):
         sample_reference(Reference("file", file=str(path)))
+
+
+@pytest.mark.parametrize("reference", [
+    Reference("harmonic", (1500.0,), (1.0,), (0.3,), 50.0),
+    Reference("multi_frequency", (100.0, 300.0), (2.0, 1.0), (0.0, 1.0)),
+    Reference("triangle", (10.0,), (40.0,), (), 50.0),
+    Reference("raster", (100.0,), (20.0,), (), 50.0),
+    Reference("raster", (1000.0,), (20.0,), (), 50.0, axis="slow", lines=16),
+])
+def test_trajectory_of_a_periodic_reference_is_its_period_repeated_before_the_start_too(reference):
+    period_um = sample_reference(reference)
+    assert is_periodic(reference)
+    np.testing.assert_allclose(sample_trajectory(reference, 6000, 500),
+                               period_um[np.arange(-500, 6000) % period_um.size], atol=1e-9)
+
+
+def test_slow_harmonic_has_no_period_to_upload_but_a_trajectory():
+    reference = Reference("harmonic", (0.01,), (40.0,), (), 50.0)
+    assert not is_periodic(reference)
+    trajectory_um = sample_trajectory(reference, 1_000_001)
+    assert trajectory_um[-1] == pytest.approx(70.0)
+    assert trajectory_um[0] == 50.0
+
+
+def test_random_reference_keeps_its_band_and_its_amplitude():
+    reference = Reference("random", (50.0, 800.0), (30.0,), (), 50.0, seed=5)
+    assert not is_periodic(reference)
+    trajectory_um = sample_trajectory(reference, 40_000, 4000)
+    assert np.ptp(trajectory_um[4000:]) == pytest.approx(30.0)
+    assert (trajectory_um[4000:].max() + trajectory_um[4000:].min()) / 2 == pytest.approx(50.0)
+    power = np.abs(np.fft.rfft(trajectory_um - trajectory_um.mean())) ** 2
+    frequency_hz = np.fft.rfftfreq(trajectory_um.size, 25e-6)
+    inside = (frequency_hz >= 50.0) & (frequency_hz <= 800.0)
+    assert power[~inside].sum() < 1e-15 * power.sum()
+    other = sample_trajectory(dataclasses.replace(reference, seed=6), 40_000, 4000)
+    assert np.corrcoef(other, trajectory_um)[0, 1] < 0.5
+
+
+def test_raster_line_is_straight_over_the_range_and_smooth_where_it_turns():
+    line_um = sample_reference(Reference("raster", (100.0,), (20.0,), (), 50.0))
+    assert line_um.size == 400
+    forward = np.diff(line_um[:81])  # from the middle to a fifth of the line's period further
+    np.testing.assert_allclose(forward, 20.0 / (400 * 0.4), rtol=1e-9)
+    assert line_um[80] == pytest.approx(60.0)  # the end of the range
+    assert np.ptp(line_um) > 20.0
+    assert np.abs(np.diff(line_um, 2)).max() < 0.1 * forward[0]
+
+
+def test_slow_axis_rests_on_each_line_while_the_fast_axis_goes_forward():
+    fast_um = sample_reference(Reference("raster", (100.0,), (20.0,)))
+    frame_um = sample_reference(Reference("raster", (100.0,), (30.0,), axis="slow", lines=512))
+    assert frame_um.size == 400 * (512 + 26)
+    assert (frame_um.min(), frame_um.max()) == (-15.0, 15.0)
+    forward = np.r_[fast_um[1:], fast_um[0]] > fast_um
+    drawn = 400 * 511 + 100  # the end of the last line: a frame begins in the middle of one
+    lines_um = np.unique(np.round(frame_um[:drawn][np.resize(forward, drawn)], 9))
+    np.testing.assert_allclose(lines_um, np.linspace(-15.0, 15.0, 512), atol=1e-9)
+    assert np.abs(np.diff(np.r_[frame_um, frame_um[0]])).max() < 0.01
+
+
+def test_file_played_once_holds_its_ends(tmp_path):
+    path = tmp_path / "way.csv"
+    rows = [f"{n / 40000!r},{n / 100!r}" for n in range(100)]
+    path.write_text("\n".join(["time_s,displacement_um", *rows]) + "\n")
+    reference = Reference("file", centre_um=50.0, file=str(path), once=True)
+    assert not is_periodic(reference)
+    trajectory_um = sample_trajectory(reference, 150, 10)
+    np.testing.assert_allclose(
+        trajectory_um, 50.0 + np.clip(np.arange(-10, 150), 0, 99) / 100)
+    with pytest.raises(InvalidReference, match="has no period"):
+        sample_reference(reference)
+
+
+@pytest.mark.parametrize("reference, message", [
+    (Reference("raster", (33.3,), (1.0,)), "the nearest that has is 33.305"),
+    (Reference("raster", (100.0,), (1.0,), axis="x"), "unknown axis 'x'"),
+    (Reference("raster", (100.0,), (1.0,), axis="slow", lines=1), "1 lines: give at least 2"),
+    (Reference("random", (), (1.0,)), "one or two frequencies"),
+    (Reference("random", (300.0, 200.0), (1.0,)), "the band from 300 to 200 Hz"),
+    (Reference("random", (10.0, 11.0), (1.0,)), "is too short for a band"),
+    (Reference("random", (300.0,), (0.0,)), "not a positive number"),
+])
+def test_trajectory_without_meaning_is_refused_in_one_sentence(reference, message):
+    with pytest.raises(InvalidReference, match=message) as refusal:
+        sample_trajectory(reference, 100)
+    assert "\n" not in str(refusal.value)

@@ -61,11 +61,40 @@ def test_error_is_that_of_the_periodic_part_alone():
 def test_running_error_is_that_of_the_last_samples():
     displacement_um = EXPECTED_UM[:ONCE + RUN].copy()
     displacement_um[-BLOCK:] += 0.02
-    run = TrackingRun(PLAN, RUN)
-    play(run, displacement_um)
     percent = 100 * 0.02 / np.ptp(PERIOD_UM)
-    assert run.e_rms_percent(BLOCK) == pytest.approx(percent)
-    assert run.e_rms_percent(2 * BLOCK) == pytest.approx(percent / np.sqrt(2))
+    for blocks in (1, 2):
+        run = TrackingRun(PLAN, RUN, window_samples=blocks * BLOCK)
+        play(run, displacement_um)
+        assert run.e_rms_percent(running=True) == pytest.approx(percent / np.sqrt(blocks))
+
+
+def test_on_target_is_told_once_the_error_stays_within_the_tolerance():
+    samples, bad = 2000, 600
+    displacement_um = np.r_[ONCE_UM, np.resize(PERIOD_UM, samples)]
+    displacement_um[ONCE:ONCE + bad] += 0.05
+    run = TrackingRun(PLAN, samples, tolerance_um=0.02)
+    told = []
+    for block in displacement_um.reshape(-1, BLOCK):
+        run.take(block)
+        told.append(run.on_target)
+    assert told == sorted(told)
+    assert told[-1] and not told[(ONCE + bad) // BLOCK]
+    # The rms over the window may keep 16 % of its samples 0.05 um away.
+    assert bad - 0.16 * 400 - BLOCK <= run.settled_after_sample <= bad
+
+    run.take(np.full(BLOCK, 60.0))
+    assert run.complete
+    late = TrackingRun(PLAN, samples, tolerance_um=0.02)
+    displacement_um[-BLOCK:] += 1.0
+    play(late, displacement_um)
+    assert not late.on_target
+    assert np.isnan(late.settled_after_sample)
+
+
+def test_tolerance_is_a_part_of_the_travel_but_not_below_the_noise():
+    assert TrackingRun(PLAN, RUN).tolerance_um == pytest.approx(0.03)
+    wide = FeedforwardPlan(np.zeros(ONCE), np.zeros(PERIOD), ONCE_UM, 20 * PERIOD_UM, 80)
+    assert TrackingRun(wide, RUN).tolerance_um == pytest.approx(0.2 * np.ptp(PERIOD_UM))
 
 
 class Slow:

@@ -3,6 +3,7 @@
 
 import array
 import threading
+import time
 from contextlib import suppress
 
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
@@ -12,6 +13,7 @@ from std_srvs.srv import Trigger
 
 from piezo_node_tools.calls import CallFailed, call_service
 from piezo_node_tools.quality import FEEDBACK, SAMPLES
+from piezo_node_tools.streaming import Stream
 
 REPORT_PERIOD_S = 0.1
 SILENCE_TIMEOUT_S = 10.0
@@ -33,9 +35,9 @@ class StageTracker:
     """
 
     def __init__(self, node):
-        self._take = None
+        self._take = self._stream = None
         self._client = node.get_fully_qualified_name()
-        self._at_rest = threading.Event()
+        self._at_rest, self._awake = threading.Event(), threading.Event()
         self.last_sample = self.missed_feedback = 0
         self._feedback = node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
         # Raw, as nobody looks at the blocks between two runs.
@@ -44,7 +46,8 @@ class StageTracker:
         self._start = node.create_client(StartTracking, "start_tracking")
         self._stop = node.create_client(Trigger, "stop_tracking")
 
-    def run(self, once_voltage_v, period_voltage_v, ticks, take, answering, cancelled, report):
+    def run(self, once_voltage_v, period_voltage_v, ticks, take, answering, cancelled, report,
+            more=None):
         """Play a feedforward for some ticks and wait until the stage is at rest.
 
         Parameters
@@ -52,6 +55,7 @@ class StageTracker:
         once_voltage_v, period_voltage_v : ndarray
             See `LoadFeedforward`.
         ticks : int
+            How long; 0 until it is cancelled.
         take : callable
             Takes each `SampleBlock` of the run and returns the answer to it, a voltage.
         answering : bool
@@ -60,6 +64,9 @@ class StageTracker:
             Asked now and then; true stops the run.
         report : callable
             Called now and then.
+        more : callable, optional
+            Where the feedforward is streamed behind ``once_voltage_v``, see `Stream`; the blocks
+            are then answered in any case.
 
         Raises
         ------
@@ -67,32 +74,58 @@ class StageTracker:
             If the stage refuses, or falls silent.
         """
         self._at_rest.clear()
+        self._awake.clear()
         self._blocks = self.last_sample = self.missed_feedback = 0
-        call_service(self._load, LoadFeedforward.Request(
-            once_voltage_v=array.array("d", once_voltage_v.tobytes()),
-            period_voltage_v=array.array("d", period_voltage_v.tobytes())))
-        self._answering = answering
+        self._load_voltages(once_voltage_v, period_voltage_v)
+        self._stream = more and Stream(more, len(once_voltage_v), self._append, self._publish)
+        self._answering = answering or more is not None
         self._take = take
         try:
+            if self._stream:
+                self._stream.feed()
             call_service(self._start, StartTracking.Request(
-                feedback=answering, ticks=ticks, client=self._client))
+                feedback=self._answering, ticks=ticks, client=self._client))
             self._wait(cancelled, report)
         finally:
-            self._take = None
+            self._take = self._stream = None
+
+    def _load_voltages(self, once_voltage_v, period_voltage_v=b"", append=False):
+        call_service(self._load, LoadFeedforward.Request(
+            once_voltage_v=array.array("d", bytes(once_voltage_v)),
+            period_voltage_v=array.array("d", bytes(period_voltage_v)), append=append))
+
+    def _append(self, voltage_v):
+        self._load_voltages(voltage_v, append=True)
+
+    def _publish(self, tick, voltage_v):
+        self._feedback.publish(FeedbackVoltage(tick=tick, voltage_v=voltage_v))
 
     def _wait(self, cancelled, report):
-        blocks_before, silent_s, stopping = 0, 0.0, False
-        while not self._at_rest.wait(REPORT_PERIOD_S):
-            if cancelled() and not stopping:
+        blocks_before, heard_s, reported_s = 0, time.monotonic(), 0.0
+        stopping, failure = False, None
+        while not self._at_rest.is_set():
+            self._awake.wait(REPORT_PERIOD_S)
+            self._awake.clear()
+            if self._stream and not stopping:
+                try:
+                    self._stream.feed()
+                except ValueError as error:
+                    failure = error
+            if (failure or cancelled()) and not stopping:
                 stopping = True
                 with suppress(CallFailed):  # the stage may just have stopped by itself
                     call_service(self._stop, Trigger.Request())
-            silent_s = silent_s + REPORT_PERIOD_S if self._blocks == blocks_before else 0.0
-            if silent_s > SILENCE_TIMEOUT_S:
+            now_s = time.monotonic()
+            if self._blocks != blocks_before:
+                blocks_before, heard_s = self._blocks, now_s
+            elif now_s - heard_s > SILENCE_TIMEOUT_S:
                 raise CallFailed(f"the stage sent no samples for {SILENCE_TIMEOUT_S:g} s: "
                                  "look whether its node runs")
-            blocks_before = self._blocks
-            report()
+            if now_s - reported_s >= REPORT_PERIOD_S:
+                reported_s = now_s
+                report()
+        if failure:
+            raise failure
 
     def _on_samples(self, raw):
         take = self._take
@@ -102,9 +135,14 @@ class StageTracker:
         if block.flags & SampleBlock.FLAG_TRACKING:
             self._blocks += 1
             self.missed_feedback = block.missed_feedback
-            voltage_v = take(block)
-            if self._answering:
-                self._feedback.publish(FeedbackVoltage(tick=block.tick, voltage_v=voltage_v))
+            voltage_v, stream = take(block), self._stream
+            if stream:
+                stream.answer(block.tick, voltage_v, len(block.displacement_um))
+                if stream.wants_more:
+                    self._awake.set()
+            elif self._answering:
+                self._publish(block.tick, voltage_v)
         elif self._blocks and not block.flags & SampleBlock.FLAG_RAMPING:
             self.last_sample = block.first_sample + len(block.displacement_um) - 1
             self._at_rest.set()
+            self._awake.set()

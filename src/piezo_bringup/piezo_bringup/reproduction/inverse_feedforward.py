@@ -1,43 +1,77 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fig. 4.14: sines under the inverse of the identified model, and under a gain alone."""
+"""Table 4.1 and fig. 4.14: under the inverse of the identified model, and under a gain alone."""
 
 import numpy as np
 
 from piezo_bringup.picture_style import MODE_STYLES, REFERENCE, label, new_figure
 from piezo_bringup.reproduction.identified_stage import identified_stage
 from piezo_bringup.reproduction.laboratory import CLOCK_HZ, record_stage
-from piezo_bringup.reproduction.table import Study
+from piezo_bringup.reproduction.table import Row, Study
 from piezo_controller.feedforward import plan_feedforward
 from piezo_controller.references import Reference, sample_reference
+from piezo_models.measures import e_r_percent
 
+SECTION = "4.7.2, Table 4.1"
 SLOW_CLOCK_HZ = 1000.0
 CENTRE_UM = 45.0
-SINES = ((0.05, 40.0, SLOW_CLOCK_HZ), (4.0, 40.0, CLOCK_HZ), (250.0, 40.0, CLOCK_HZ),
-         (600.0, 20.0, CLOCK_HZ))
-"""Frequency (Hz), peak-to-peak amplitude (um) and clock (Hz)."""
+SINES = ((0.05, 40.0, SLOW_CLOCK_HZ, 0.77, 7.52), (4.0, 40.0, CLOCK_HZ, 1.34, 9.12),
+         (250.0, 40.0, CLOCK_HZ, 2.41, 74.88), (600.0, 20.0, CLOCK_HZ, 4.32, 107.12))
+"""Frequency (Hz), peak-to-peak amplitude (um), clock (Hz), the thesis' e_r with and without (%)."""
+
+MULTI_FREQUENCY = Reference("multi_frequency", (100.0, 300.0, 400.0, 500.0),
+                            (24.0, 12.0, 12.0, 12.0), centre_um=CENTRE_UM)
+FALLING_AMPLITUDES_UM = 40.0, 27.0, 13.0
+FALLING_BANDWIDTH_HZ = 1000.0
 
 
 def study():
-    """Displacement under both, drawn; the errors of Table 4.1 are not part of this study.
+    """Errors and displacement with the inverse and without.
 
     Returns
     -------
     Study
     """
-    figure = new_figure(3.8)
+    rows, figure = [], new_figure(3.8)
     axes = figure.subplots(2, 2)
-    for place, (frequency_hz, amplitude_um, clock_hz) in zip(axes.flat, SINES, strict=True):
+    for place, (frequency_hz, amplitude_um, clock_hz, *thesis) in zip(
+            axes.flat, SINES, strict=True):
         reference_um = sample_reference(
             Reference("harmonic", (frequency_hz,), (amplitude_um,), centre_um=CENTRE_UM), clock_hz
         )
+        played_um = _compare(rows, f"{frequency_hz:g} Hz", reference_um, clock_hz, thesis)
         time_s = np.arange(reference_um.size) / clock_hz
         time, unit = (time_s, "s") if frequency_hz < 1.0 else (1e3 * time_s, "ms")
         place.plot(time, reference_um, **REFERENCE)
-        for mode in ("open_loop", "feedforward"):
-            place.plot(time, last_period_um(reference_um, mode, clock_hz), **MODE_STYLES[mode])
+        for mode, displacement_um in played_um.items():
+            place.plot(time, displacement_um, **MODE_STYLES[mode])
         label(place, f"time ({unit})", "displacement (um)", f"{frequency_hz:g} Hz")
     axes[0, 0].legend(fontsize="x-small")
-    return Study([], {"4.14": figure})
+    _compare(rows, "multi-frequency", sample_reference(MULTI_FREQUENCY), CLOCK_HZ, (2.18, 56.95))
+    _compare(rows, "multi-amplitude", falling_triangle_um(), CLOCK_HZ, (3.01, 39.03))
+    return Study(rows, {"4.14": figure})
+
+
+def falling_triangle_um():
+    """One period of three triangles at 100 Hz, each smaller than the one before, without corners.
+
+    The thesis does not tell their amplitudes.
+    """
+    triangle = sample_reference(Reference("triangle", (100.0,), (1.0,)))
+    period_um = np.concatenate([amplitude * triangle for amplitude in FALLING_AMPLITUDES_UM])
+    content = np.fft.rfft(period_um)
+    content[np.fft.rfftfreq(period_um.size, 1.0 / CLOCK_HZ) > FALLING_BANDWIDTH_HZ] = 0.0
+    return CENTRE_UM + np.fft.irfft(content, period_um.size)
+
+
+def _compare(rows, name, reference_um, clock_hz, thesis):
+    """Play a reference in both ways, add the rows, and return the displacements by mode."""
+    played_um = {mode: last_period_um(reference_um, mode, clock_hz)
+                 for mode in ("open_loop", "feedforward")}
+    for mode, quantity, theirs in (("feedforward", "inversion", thesis[0]),
+                                   ("open_loop", "open loop", thesis[1])):
+        rows.append(Row(SECTION, f"e_r, {name}, {quantity}", theirs,
+                        e_r_percent(reference_um, played_um[mode]), "%"))
+    return played_um
 
 
 def last_period_um(reference_um, mode, clock_hz):

@@ -11,6 +11,7 @@ from piezo_bringup.reproduction import (
     inverse_feedforward,
     known_density,
     known_dynamics,
+    learned_tracking,
     multirate_tracking,
     multisine_dynamics,
     one_sine,
@@ -36,6 +37,7 @@ STUDIES = (
     ("inverse feedforward", inverse_feedforward.study),
     ("feedback design", feedback_figures.study),
     ("multirate and single-rate tracking", multirate_tracking.study),
+    ("learned tracking", learned_tracking.study),
     ("excitation of the designed input", excitation.study),
 )
 

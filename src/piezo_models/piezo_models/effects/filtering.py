@@ -35,3 +35,23 @@ def _discrete(numerator, denominator, sample_period_s):
     b, a, _ = cont2discrete((numerator, denominator), sample_period_s, method="foh")
     b = np.ravel(b)
     return b, a, lfilter_zi(b, a)
+
+
+def unfiltered_period(numerator, denominator, period, sample_period_s):
+    """One period in front of a continuous transfer function of a periodic signal behind it.
+
+    Parameters
+    ----------
+    numerator, denominator : sequence of float
+        As in `filtered`.
+    period : (N,) array
+    sample_period_s : float
+
+    Returns
+    -------
+    (N,) array
+    """
+    b, a, _ = _discrete(tuple(numerator), tuple(denominator), sample_period_s)
+    turns = np.exp(-2j * np.pi * np.fft.rfftfreq(period.size))
+    response = np.polyval(b[::-1], turns) / np.polyval(a[::-1], turns)
+    return np.fft.irfft(np.fft.rfft(period) / response, period.size)

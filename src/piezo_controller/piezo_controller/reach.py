@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a planner says of a reference that the amplifier cannot follow."""
+
+import math
+
+import numpy as np
+
+BISECTIONS = 14
+VOLTAGE = "voltages", "V"
+STATIC_DISPLACEMENT = "voltages that at rest would displace", "um"
+
+
+class UnreachableReference(ValueError):
+    """A reference that the amplifier cannot follow; says which amplitude it can.
+
+    Attributes
+    ----------
+    reachable_um : float
+        Peak-to-peak amplitude within reach of the same reference scaled about its mean; zero if
+        its mean is out of reach already.
+    """
+
+    def __init__(self, message, reachable_um):
+        super().__init__(message)
+        self.reachable_um = reachable_um
+
+
+class OutOfReach(Exception):
+    """Why the amplifier cannot follow."""
+
+
+def check_range(values, lowest, highest, quantity):
+    """Raise `OutOfReach` if a value lies beyond the limits."""
+    if values.min() < lowest or values.max() > highest:
+        name, unit = quantity
+        raise OutOfReach(f"it takes {name} from {values.min():.4g} to {values.max():.4g} "
+                         f"{unit}, available are {lowest:.4g} to {highest:.4g} {unit}")
+
+
+def check_slew(voltage_v, sample_period_s, slew_limit_v_per_s):
+    """Raise `OutOfReach` if a voltage changes too fast."""
+    slew_v_per_s = np.abs(np.diff(voltage_v)).max(initial=0.0) / sample_period_s
+    if slew_v_per_s > slew_limit_v_per_s:
+        raise OutOfReach(f"it takes {slew_v_per_s:.3g} V/s, more than the slew limit of "
+                         f"{slew_limit_v_per_s:.3g} V/s")
+
+
+def unreachable(planner, reference_um, reason):
+    """The refusal that names the largest amplitude within reach, found by bisection.
+
+    Parameters
+    ----------
+    planner
+        Its ``plan(reference_um)`` raises `OutOfReach`; its ``hysteresis`` is a `PreisachModel`.
+    reference_um : ndarray
+    reason : OutOfReach
+
+    Returns
+    -------
+    UnreachableReference
+    """
+    mean_um, travel_um = reference_um.mean(), np.ptp(reference_um)
+
+    def within_reach(scale):
+        try:
+            planner.plan(mean_um + scale * (reference_um - mean_um))
+        except OutOfReach:
+            return False
+        return True
+
+    if not within_reach(0.0):
+        low_um, high_um = planner.hysteresis.output_range_um
+        return UnreachableReference(
+            f"the amplifier cannot hold the reference's mean of {mean_um:.4g} um: "
+            f"the stage reaches about {low_um:.4g} to {high_um:.4g} um", 0.0)
+    reachable, beyond = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = (reachable + beyond) / 2
+        if within_reach(middle):
+            reachable = middle
+        else:
+            beyond = middle
+    reachable_um = _rounded_down(reachable * travel_um)
+    return UnreachableReference(
+        f"the amplifier cannot follow {travel_um:.4g} um peak to peak about {mean_um:.4g} um: "
+        f"{reason}; {reachable_um:g} um peak to peak is within reach", reachable_um)
+
+
+def _rounded_down(value):
+    """To three significant digits."""
+    if value <= 0:
+        return 0.0
+    digits = 2 - math.floor(math.log10(value))
+    return math.floor(value * 10**digits) / 10**digits

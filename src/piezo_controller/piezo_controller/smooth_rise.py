@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The smooth rise that all transitions take: the reference's and the voltage's."""
+
+import numpy as np
+
+
+def minimum_jerk(count):
+    """Smooth rise from 0 towards 1, which the sample after the last would reach.
+
+    The quintic has neither speed nor acceleration at its ends, and so excites no vibration.
+    """
+    return smooth_rise(np.arange(count) / count)
+
+
+def smooth_rise(share):
+    """The quintic of `minimum_jerk` at any time: 0 before 0, 1 after 1.
+
+    Parameters
+    ----------
+    share : array_like
+        Of the rise's duration.
+    """
+    t = np.clip(share, 0.0, 1.0)
+    return t**3 * (10 - 15 * t + 6 * t**2)

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Keep a stage supplied with a feedforward that is computed while it plays."""
+
+import threading
+
+AHEAD_SAMPLES = 12000
+LEAST_AHEAD_SAMPLES = 160
+
+
+class Stream:
+    """What has been loaded and played, and the answers held back until more is loaded.
+
+    Without an answer a stage in lockstep waits: what it plays does not depend on how long the
+    next chunk takes. A paced one would miss the answers, and counts them.
+
+    Parameters
+    ----------
+    more : callable
+        Returns the next voltages, shape (n,): empty at the end; None while they cannot be told yet.
+    loaded_samples : int
+        Loaded before the first chunk.
+    append : callable
+        Loads a chunk behind what is loaded.
+    answer : callable
+        Gives the stage an answer: ``answer(tick, voltage_v)``.
+    """
+
+    def __init__(self, more, loaded_samples, append, answer):
+        self._more, self._append, self._answer = more, append, answer
+        self._loaded_samples = loaded_samples
+        self._played_samples = 0
+        self._ended = False
+        self._held_back = None
+        self._lock = threading.Lock()
+
+    @property
+    def wants_more(self):
+        """Whether less is loaded than is to be."""
+        return not self._ended and self._loaded_samples - self._played_samples < AHEAD_SAMPLES
+
+    def feed(self):
+        """Load chunks until enough is loaded, or the next cannot be told yet."""
+        while self.wants_more:
+            chunk_v = self._more()
+            if chunk_v is None:
+                return
+            if len(chunk_v):
+                self._append(chunk_v)
+            with self._lock:
+                self._loaded_samples += len(chunk_v)
+                self._ended = not len(chunk_v)
+                if self._held_back and not self._scarce:
+                    self._answer(*self._held_back)
+                    self._held_back = None
+
+    def answer(self, tick, voltage_v, played_samples):
+        """Give an answer, at once or when enough is loaded for the stage to go on."""
+        with self._lock:
+            self._played_samples += played_samples
+            if self._scarce:
+                self._held_back = tick, voltage_v
+            else:
+                self._answer(tick, voltage_v)
+
+    @property
+    def _scarce(self):
+        ahead = self._loaded_samples - self._played_samples
+        return not self._ended and ahead < LEAST_AHEAD_SAMPLES
