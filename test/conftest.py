@@ -335,16 +335,3 @@ def suite(whole_suite):
         whole_suite.until(lambda: whole_suite.call(Trigger, "reset").success)
         raise
     assert whole_suite.samples(last_sample).voltage_v[-1] == 0.0
-
-
-@pytest.fixture(scope="session")
-def identification(whole_suite, tmp_path_factory):
-    """Result of the whole sequence, and the feedback on the way."""
-    directory, told = tmp_path_factory.mktemp("identification"), []
-    result = whole_suite.identify(directory, on_feedback=told.append)
-    return result, told
-
-
-@pytest.fixture(scope="session")
-def model(identification):
-    return Path(identification[0].model)
