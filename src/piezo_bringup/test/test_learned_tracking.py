@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from piezo_bringup.reproduction.learned_tracking import learn
+from piezo_bringup.reproduction.stepwise_inversion import STEP_V, invert_by_steps
 from piezo_bringup.reproduction.wrong_model import wrong_model
+from piezo_sim.hysteresis import everett_um
 from piezo_sim.plant_file import read_plant
 
 SEEDS = range(3)
@@ -33,10 +35,17 @@ def test_every_parameter_of_the_wrong_model_is_wrong_by_its_part():
 
 
 def test_right_model_has_the_hysteresis_of_the_plant():
-    from piezo_sim.hysteresis import everett_um
-
     plant = read_plant(None).stage[0]
     voltage_v = np.linspace(-20.0, 120.0, 51)
     model = wrong_model(0.0, 0).hysteresis
     expected = [everett_um(v, -20.0, *plant.shape) for v in voltage_v]
     np.testing.assert_allclose(model.everett_um(voltage_v, -20.0), expected, atol=0.02)
+
+
+def test_inversion_by_steps_comes_within_a_step_of_the_exact_one():
+    hysteresis = wrong_model(0.0, 0).hysteresis
+    wanted_um = 30.0 + 20.0 * np.sin(2 * np.pi * np.arange(400) / 200)
+    voltage_v = invert_by_steps(hysteresis, wanted_um)
+    error_um = np.abs(hysteresis.simulate(voltage_v) - wanted_um)
+    # The slope of a branch is at most 1.3 um/V.
+    assert 0.01 < error_um.max() < 1.3 * STEP_V

@@ -18,6 +18,7 @@ from piezo_bringup.reproduction import (
     scanning,
     slow_hysteresis,
     slow_tracking,
+    stepwise_inversion,
     validation,
 )
 
@@ -28,6 +29,7 @@ STUDIES = (
     ("slow tracking by PID and composite", slow_tracking.study),
     ("hysteresis from designed samples", designed_hysteresis.study),
     ("dynamics from six sines", multisine_dynamics.study),
+    ("inversion by steps", stepwise_inversion.study),
     ("scanning by PI and composite", scanning.study),
     ("creep and dynamics of a known plant", known_dynamics.study),
     ("density of a known plant", known_density.study),
