@@ -69,6 +69,13 @@ def save_learned(path, learned):
 def load_correction(path, reference, model_sha256, sample_rate_hz):
     """Read the correction of a file, which must have been learned for the same.
 
+    Parameters
+    ----------
+    path : path-like
+    reference : Reference
+    model_sha256 : str
+    sample_rate_hz : float
+
     Returns
     -------
     (P,) array

@@ -30,7 +30,19 @@ class OutOfReach(Exception):
 
 
 def check_range(values, lowest, highest, quantity):
-    """Raise `OutOfReach` if a value lies beyond the limits."""
+    """Refuse values beyond the limits.
+
+    Parameters
+    ----------
+    values : ndarray
+    lowest, highest : float
+    quantity : tuple of str
+        Name and unit, such as `VOLTAGE`.
+
+    Raises
+    ------
+    OutOfReach
+    """
     if values.min() < lowest or values.max() > highest:
         name, unit = quantity
         raise OutOfReach(f"it takes {name} from {values.min():.4g} to {values.max():.4g} "
