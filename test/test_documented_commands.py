@@ -26,7 +26,9 @@ COVERED = {
     "make bench": "src/piezo_identification/test/test_simulation_study.py",
     "make reproduce": "src/piezo_bringup/test/test_reproduction.py",
     "make measured": "src/piezo_identification/test/test_measured_command.py",
+    "make diagnose-suite": "src/piezo_bringup/test/test_diagnose_suite.py",
     "make docs": "test/test_error_table.py",
+    "make long": "test/test_bad_input.py",
 }
 # Of programs that are not ours, or that need a device.
 NOT_OURS = ("source ", "pip install", "ros2 bag", "ros2 lifecycle", "ros2 param", "ros2 service",
@@ -117,7 +119,8 @@ def test_command_can_be_typed(command, monkeypatch):
     words = shlex.split(command)
     if command.startswith("make"):
         assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(), re.M)
-        assert (ROOT / COVERED[" ".join(words[:2])]).is_file()
+        covered = COVERED.get(" ".join(words[:2]))
+        assert covered and (ROOT / covered).is_file(), "name its test in COVERED"
     elif words[0] == "./run" or words[:2] == ["ros2", "run"]:
         package, executable, *arguments = words[1:] if words[0] == "./run" else words[2:]
         main = entry_point(package, executable)

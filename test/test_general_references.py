@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from piezo_bringup.client_node import GoalFailed
+from piezo_client.client import GoalFailed
 from piezo_interfaces.msg import Reference
 
 from piezo_recorder.reader import read_recording
