@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from piezo_client.client import GoalFailed
 from piezo_interfaces.msg import Reference
 
+from piezo_client.client import GoalFailed
 from piezo_recorder.reader import read_recording
 
 CENTRE_UM = 57.0
