@@ -38,4 +38,4 @@ def test_the_simulated_stage_loads_neither_model_nor_ros():
         check=True,
     ).stdout.split()
     assert "piezo_sim" in loaded
-    assert (FOREIGN | {"rclpy", "piezo_stage_driver"}).isdisjoint(loaded)
+    assert (FOREIGN | {"rclpy"}).isdisjoint(loaded)
