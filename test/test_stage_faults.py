@@ -217,7 +217,8 @@ def test_experiment_whose_node_is_killed_ends_at_rest_with_a_whole_recording(pac
 
 
 @pytest.mark.parametrize("gain", [8.0, 9.0])
-def test_loop_that_is_not_stable_is_stopped_before_5_um(suite, gain):
+def test_loop_that_is_not_stable_is_stopped_before_5_um(nodes, gain):
+    suite = nodes.start(namespace=f"/unstable_{gain:.0f}")
     watcher = Watcher(suite)
     feedback_v, settled_um = [0.0], []
 
