@@ -16,7 +16,7 @@ from piezo_identification.response_fit import ResponseOrder
 from piezo_sim.undeclared.draws import DrawError, draw_effect, response_um
 
 STRUCTURE = ResponseOrder(creep_pairs=4, modes=2, antiresonances=0)
-"""The structure that the models have."""
+"""The structure that the models have, if the recordings show as much of it."""
 
 WEAKEST_MULTIPLE = 1e-2
 """Of the noise, below which a recording does not show an effect at all."""
@@ -43,7 +43,17 @@ def identified_model(plant, seed):
             path.touch()
             recording = records.record(plant, experiment, 10 * seed + index)
             recordings[name] = replace(recording, path=str(path))
-        return identify(**recordings, order=STRUCTURE).model
+        return _identified(recordings, STRUCTURE)
+
+
+def _identified(recordings, order):
+    """The model of an order, with fewer pairs where the creep does not show that many."""
+    try:
+        return identify(**recordings, order=order).model
+    except ValueError as error:
+        if order.creep_pairs == 0 or "pairs of creep" not in str(error):
+            raise
+        return _identified(recordings, replace(order, creep_pairs=order.creep_pairs - 1))
 
 
 def clean_model(seed, plant):
