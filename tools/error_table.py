@@ -19,7 +19,7 @@ PAGE = ROOT / "docs" / "errors.md"
 REFUSERS = {"refuse", "_refuse"}
 TRIPS = {"stop"}
 # Of a Python caller who broke a rule of the language; no user reads them.
-OF_PYTHON = {"NotImplementedError", "StopIteration", "AttributeError", "SystemExit"}
+OF_PYTHON = {"StopIteration", "AttributeError", "SystemExit"}
 
 HEAD = """\
 # Errors

@@ -20,6 +20,7 @@ from piezo_controller.loop_rules import choose_rates
 from piezo_controller.robustness import check_robustness
 from piezo_controller.weights import DEFAULT, DISTURBANCE_HZ, load_weights
 from piezo_controller.ziegler_nichols import ultimate_point_by_relay
+from piezo_models.command_line import run_command
 from piezo_models.model_file import load_model
 
 CLOCK_PERIOD_S = 25e-6
@@ -77,13 +78,7 @@ def main(arguments=None):
                         help="feedback period in samples; by the rules (5.10) by default")
     parser.add_argument("--output", type=Path, required=True,
                         help="controller file to write; the pictures are put beside it")
-    options = parser.parse_args(arguments)
-    try:
-        _design(options)
-    except (ValueError, OSError) as error:
-        print(f"design: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command(parser, _design, arguments)
 
 
 def _design(options):

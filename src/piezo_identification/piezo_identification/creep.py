@@ -26,6 +26,10 @@ BINS_PER_DECADE = 60
 """Averaging after a step: creep needs no finer view of logarithmic time."""
 
 
+class CreepNotShown(ValueError):
+    """A recording does not show as many pairs as are asked for."""
+
+
 def estimate_creep(recording, dynamics=None, pair_count=None):
     """Estimate the creep dynamics (4.4) from a square wave of long period.
 
@@ -66,7 +70,7 @@ def estimate_creep(recording, dynamics=None, pair_count=None):
             break
         best = rates
     if pair_count is not None and trials[-1].refusal:
-        raise ValueError(
+        raise CreepNotShown(
             f"{recording.path} does not show {pair_count} pairs of creep poles and zeros "
             f"({trials[-1].refusal}): ask for fewer, or record longer"
         )

@@ -9,6 +9,7 @@ from piezo_identification.diagnosis.report import verdict_sentence
 from piezo_identification.diagnosis.results import diagnose_files
 from piezo_identification.frequency_response import is_frequency_response
 from piezo_identification.response_results import diagnose_response_file, response_sentence
+from piezo_models.command_line import run_command
 
 
 def main(arguments=None):
@@ -37,13 +38,7 @@ def main(arguments=None):
                         help="another recording, on which the errors are measured")
     parser.add_argument("--output", metavar="DIR", type=Path, required=True,
                         help="directory for the results; made if it is missing")
-    options = parser.parse_args(arguments)
-    try:
-        _diagnose(options)
-    except (ValueError, OSError) as error:
-        print(f"diagnose: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command(parser, _diagnose, arguments)
 
 
 def _diagnose(options):

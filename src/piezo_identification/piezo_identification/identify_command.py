@@ -14,6 +14,7 @@ from piezo_identification.identify import identify
 from piezo_identification.linear_dynamics import METHODS
 from piezo_identification.response_fit import ResponseOrder
 from piezo_identification.sensor_sign import displacement_falls
+from piezo_models.command_line import run_command
 from piezo_models.model_file import save_model
 from piezo_recorder.reader import read_recording
 
@@ -62,16 +63,11 @@ def main(arguments=None):
                             help=f"number of {what}; by default chosen from the data")
     parser.add_argument("--band", metavar=("LOW_HZ", "HIGH_HZ"), type=float, nargs=2,
                         help="part of a frequency response to fit; by default all of it")
-    options = parser.parse_args(arguments)
-    try:
-        _identify({name: getattr(options, name) for name in EXPERIMENTS}, options)
-    except (ValueError, OSError) as error:
-        print(f"identify: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command(parser, _identify, arguments)
 
 
-def _identify(paths, options):
+def _identify(options):
+    paths = {name: getattr(options, name) for name in EXPERIMENTS}
     output = options.output
     # Before the work, not after it.
     if output.is_dir() or not output.absolute().parent.is_dir():

@@ -107,6 +107,11 @@ def nrmse_percent(prediction):
     return e_rms_percent(prediction.measured_um, prediction.simulated_um, remove_offset=True)
 
 
+def _without_offset(time_s, voltage_v, measured_um, simulated_um):
+    return Prediction(
+        time_s, voltage_v, measured_um, simulated_um + np.mean(measured_um - simulated_um))
+
+
 def scanner(directory):
     """Fit each recording of the scanner and test it on the other one.
 
@@ -134,10 +139,8 @@ def scanner(directory):
             smoothing_weight=SMOOTHING_WEIGHT, translation_weight=TRANSLATION_WEIGHT,
         )
         simulated_um = estimate.model().simulate(tested.voltage_v)
-        prediction = Prediction(
-            tested.time_s, tested.voltage_v, tested.displacement_um,
-            simulated_um + np.mean(tested.displacement_um - simulated_um),
-        )
+        prediction = _without_offset(
+            tested.time_s, tested.voltage_v, tested.displacement_um, simulated_um)
         figures.append(Figure(
             "scanner", "NRMSE", *names, "%", note, bound, nrmse_percent(prediction),
             f"{100.0 * estimate.visited_fraction:.0f} % of the Preisach plane visited",
@@ -174,11 +177,9 @@ def cantilever(directory):
     played = recording.select((sample >= settled) & (sample < end))
     simulated_um = model.simulate(played.voltage_v, played.sample_period_s)
     tested = slice(fitted.voltage_v.size, None)
-    measured_um, simulated_um = played.displacement_um[tested], simulated_um[tested]
-    prediction = Prediction(
-        played.time_s[tested], played.voltage_v[tested], measured_um,
-        simulated_um + np.mean(measured_um - simulated_um),
-    )
+    prediction = _without_offset(
+        played.time_s[tested], played.voltage_v[tested], played.displacement_um[tested],
+        simulated_um[tested])
     figure = Figure(
         "cantilever", "NRMSE", f"cycles 1 to {FITTED_CYCLES}",
         f"cycles {FITTED_CYCLES + 1} to {FITTED_CYCLES + TESTED_CYCLES}", "%", 0.233, 0.233,

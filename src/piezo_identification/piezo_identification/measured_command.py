@@ -9,6 +9,7 @@ from pathlib import Path
 
 from piezo_identification import measured, measured_pictures
 from piezo_identification.measured_diagnosis import findings
+from piezo_models.command_line import run_command
 
 
 def main(arguments=None):
@@ -32,16 +33,11 @@ def main(arguments=None):
                         help="directory of the measured sets")
     parser.add_argument("--output", metavar="DIR", type=Path, default=Path("runs/measured"),
                         help="directory for table.json and pictures (default: %(default)s)")
-    options = parser.parse_args(arguments)
-    try:
-        _measured(options.data, options.output)
-    except (ValueError, OSError) as error:
-        print(f"measured: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command(parser, _measured, arguments)
 
 
-def _measured(data, output):
+def _measured(options):
+    data, output = options.data, options.output
     output.mkdir(parents=True, exist_ok=True)
     figures = []
     for name, run in SETS.items():

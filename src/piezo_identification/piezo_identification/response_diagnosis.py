@@ -7,6 +7,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from piezo_identification.cancellation import check_cancelled
+from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.estimate import dynamics_of_vector, dynamics_vector
 from piezo_models.effects import fitted_values, with_fitted_values
 from piezo_models.effects.creep import Creep
@@ -41,56 +42,24 @@ MOST_EVALUATIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
-class ResponseDiagnosis:
-    """A verdict on a frequency response, with its evidence.
+class ResponseDiagnosis(Verdict):
+    """A verdict on a frequency response, with its evidence; the effects in the order found.
+
+    Errors are those of the gain: `rms_um` and noise per V, `e_y_percent` the relative norm.
 
     Attributes
     ----------
-    verdict : str
-        "none", "explained" or "unexplained".
-    effects : list of dict
-        Name, parameters and error reduction on held-out frequencies, in the order found.
-    model : StageModel
-        Extended by the effects; the given one without any.
-    before, after : dict
-        `rms_um` per V and `e_y_percent`, the relative norm of the error, on held-out frequencies.
-    noise_floor_um : float
-        Per V.
     tried : list of list of (str, float)
         Each round's candidates, and by how many percent they changed the error held out.
-    not_decidable : dict of str to str
-    left : str
-        Where something is left; empty unless unexplained.
     measured : FrequencyResponse
     before_gain, after_gain : ndarray of complex
         Of the model and of the extended one at the measured frequencies.
-    held_out : int
-        Frequencies that were not fitted.
     """
 
-    verdict: str
-    effects: list
-    model: object
-    before: dict
-    after: dict
-    noise_floor_um: float
     tried: list
-    not_decidable: dict
-    left: str
     measured: object
     before_gain: np.ndarray
     after_gain: np.ndarray
-    held_out: int
-
-    def document(self):
-        """The content of verdict.json."""
-        return {
-            "verdict": self.verdict, "effects": self.effects, "before": self.before,
-            "after": self.after, "noise_floor_um": self.noise_floor_um,
-            "holdout": {"source": "frequencies that were not fitted", "samples": self.held_out},
-            "not_decidable": list(self.not_decidable),
-            "not_decidable_because": self.not_decidable, "left": self.left,
-        }
 
 
 def diagnose_response(model, measured):
@@ -149,9 +118,9 @@ def diagnose_response(model, measured):
     return ResponseDiagnosis(
         verdict, effects, contest.extended(current) if effects else model,
         contest.errors(given), contest.errors(current if effects else given), contest.noise,
-        tried, not_decidable, contest.description(current) if verdict == "unexplained" else "",
-        measured, contest.gain(given), contest.gain(current if effects else given),
-        int(np.count_nonzero(~contest.fit)),
+        {"source": "frequencies that were not fitted", "samples": int(np.sum(~contest.fit))},
+        not_decidable, contest.description(current) if verdict == "unexplained" else "",
+        tried, measured, contest.gain(given), contest.gain(current if effects else given),
     )
 
 

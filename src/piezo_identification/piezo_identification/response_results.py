@@ -2,17 +2,15 @@
 """A diagnosis of a frequency response from files to files."""
 
 import html
-import json
-from dataclasses import replace
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_identification.frequency_response import read_frequency_response
 from piezo_identification.response_diagnosis import diagnose_response
-from piezo_models.model_file import load_model, save_model
-from piezo_recorder.reader import sha256_of
+from piezo_models.model_file import load_model
 
 PICTURE = "response.png"
 
@@ -39,16 +37,8 @@ def diagnose_response_file(model, response, directory):
     measured = read_frequency_response(response)
     directory.mkdir(parents=True, exist_ok=True)
     diagnosis = diagnose_response(identified.model, measured)
-    (directory / "verdict.json").write_text(
-        json.dumps(diagnosis.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    if diagnosis.effects:
-        identified = replace(
-            identified, model=diagnosis.model, uncertainties={},
-            errors={**identified.errors, "before_diagnosis": diagnosis.before,
-                    "after_diagnosis": diagnosis.after},
-            recordings=[*identified.recordings,
-                        {"path": str(response), "sha256": sha256_of(response)}])
-    save_model(directory / "extended_model.json", identified)
+    write_verdict(directory / "verdict.json", diagnosis)
+    save_extended_model(directory / "extended_model.json", identified, diagnosis, [response])
     draw_response(directory / PICTURE, diagnosis)
     (directory / "report.html").write_text(_report(diagnosis), encoding="utf-8")
     return diagnosis

@@ -8,6 +8,7 @@ from pathlib import Path
 from piezo_identification.prediction import predict
 from piezo_identification.prediction_pictures import draw_displacement, draw_loops
 from piezo_identification.sensor_sign import reversed_displacement
+from piezo_models.command_line import run_command
 from piezo_models.model_file import load_model
 from piezo_recorder.reader import read_recording
 
@@ -35,16 +36,11 @@ def main(arguments=None):
                         help="recording or CSV (time_s,voltage_v,displacement_um)")
     parser.add_argument("--output", metavar="DIR", type=Path,
                         help="directory for the pictures; none are drawn without it")
-    options = parser.parse_args(arguments)
-    try:
-        _simulate(options.model, options.data, options.output)
-    except (ValueError, OSError) as error:
-        print(f"simulate: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return run_command(parser, _simulate, arguments)
 
 
-def _simulate(model_path, data_path, directory):
+def _simulate(options):
+    model_path, data_path, directory = options.model, options.data, options.output
     model = load_model(model_path).model
     recording = read_recording(data_path)
     prediction = predict(model, recording)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The density by smoothed non-negative least squares, on any recording and on large grids."""
 
+from functools import cached_property
+
 import numpy as np
 from scipy.sparse import coo_array, csr_array, eye_array, hstack, vstack
 
@@ -235,24 +237,35 @@ class _Equations:
 
     def solve(self, weight, multiplier=None):
         """Unknowns, coefficients of the other columns, and forces of the bounds."""
-        density = density_operator(self.size)
-        curvature = curvature_operator(self.size) @ density
-        bend = reversible_differences(self.size, 2)
-        # Differences to derivatives, and sum to integral, of a density over the squared range.
-        roughness = weight * (
-            self.size**6 * (curvature.T @ curvature) + self.size**5 * (bend.T @ bend)
-        )
+        roughness = weight * self._bending
         if self.translation_weight:
-            translation = translation_operator(self.size) @ density
-            slope = reversible_differences(self.size, 1)
-            roughness += self.translation_weight * (
-                self.size**4 * (translation.T @ translation) + self.size**3 * (slope.T @ slope)
-            )
+            roughness = roughness + self.translation_weight * self._sliding
         return nonnegative_minimum(
             self.quadratic / self.count + roughness,
-            self.linear / self.count, bounded_operator(self.size), self.border / self.count,
+            self.linear / self.count, self._bounded, self.border / self.count,
             self.corner / self.count, self.border_linear / self.count, multiplier,
         )
+
+    @cached_property
+    def _bounded(self):
+        return bounded_operator(self.size)
+
+    @cached_property
+    def _bending(self):
+        """Integral of the squares of the second derivatives; of a density over the squared range.
+
+        The powers of the size turn differences into derivatives and the sum into the integral.
+        """
+        curvature = curvature_operator(self.size) @ self._bounded[: -self.size]
+        bend = reversible_differences(self.size, 2)
+        return self.size**6 * (curvature.T @ curvature) + self.size**5 * (bend.T @ bend)
+
+    @cached_property
+    def _sliding(self):
+        """The same of the first derivatives along the diagonal."""
+        translation = translation_operator(self.size) @ self._bounded[: -self.size]
+        slope = reversible_differences(self.size, 1)
+        return self.size**4 * (translation.T @ translation) + self.size**3 * (slope.T @ slope)
 
     def misfit(self, unknowns, beside):
         """Sum of the squares of what the regression leaves."""

@@ -221,6 +221,10 @@ class Leak(Effect):
     def apply(self, signal, sample_period_s, rest=None):
         return signal * (1.0 - self.share)
 
+    @classmethod
+    def starts(cls, evidence):
+        return [cls(0.0)]
+
 
 class EntryPoint:
     def __init__(self, kind):

@@ -9,6 +9,7 @@ import numpy as np
 
 from piezo_bringup.diagnose_suite import records
 from piezo_bringup.diagnose_suite.plants import draw_plant, noise_um
+from piezo_identification.creep import CreepNotShown
 from piezo_identification.diagnosis.contest import Contest
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.identify import identify
@@ -50,9 +51,7 @@ def _identified(recordings, order):
     """The model of an order, with fewer pairs where the creep does not show that many."""
     try:
         return identify(**recordings, order=order).model
-    except ValueError as error:
-        if order.creep_pairs == 0 or "pairs of creep" not in str(error):
-            raise
+    except CreepNotShown:
         return _identified(recordings, replace(order, creep_pairs=order.creep_pairs - 1))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from piezo_identification.diagnosis.contest import Contest
 from piezo_identification.diagnosis.residual import dependences, spectrum, whiteness
 from piezo_identification.diagnosis.selection import select
+from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.prediction import predict
 from piezo_models.effects.outliers import FEWEST as FEWEST_OUTLIERS
 from piezo_models.effects.outliers import Outliers
@@ -24,55 +25,17 @@ GUESS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """A verdict with its evidence.
+class Diagnosis(Verdict):
+    """A verdict with its evidence; the effects come with standard deviations, strongest first.
 
     Attributes
     ----------
-    verdict : str
-        "none", "explained" or "unexplained".
-    effects : list of dict
-        Name, parameters, standard deviations and error reduction, the strongest first.
-    model : StageModel
-        Extended by the effects; the given one without any.
-    before, after : dict
-        `rms_um` and `e_y_percent` on held-out data.
-    noise_floor_um : float
-    holdout : dict
-        Where the held-out data is from, and how many samples.
-    not_decidable : dict of str to str
-        Effects that the data cannot tell, and why.
-    left : str
-        What is left, where and when, if it is more than noise; empty otherwise.
     contest, selection :
         For the report.
     """
 
-    verdict: str
-    effects: list
-    model: object
-    before: dict
-    after: dict
-    noise_floor_um: float
-    holdout: dict
-    not_decidable: dict
-    left: str
     contest: object
     selection: object
-
-    def document(self):
-        """The content of verdict.json."""
-        return {
-            "verdict": self.verdict,
-            "effects": self.effects,
-            "before": self.before,
-            "after": self.after,
-            "noise_floor_um": self.noise_floor_um,
-            "holdout": self.holdout,
-            "not_decidable": list(self.not_decidable),
-            "not_decidable_because": self.not_decidable,
-            "left": self.left,
-        }
 
 
 def diagnose(model, recordings, holdout=None, progress=None):

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A diagnosis from files to files."""
 
-import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
 from piezo_identification.diagnosis.report import render_report
-from piezo_models.model_file import load_model, save_model
+from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
+from piezo_models.model_file import load_model
 from piezo_recorder.reader import read_recording, sha256_of
 
 READ_FRACTION, REPORT_FRACTION = 0.05, 0.9
@@ -69,23 +69,11 @@ def diagnose_files(model, recordings, holdout, directory, progress):
     progress("write the report", REPORT_FRACTION)
     results = DiagnosisResults(diagnosis, directory / "verdict.json",
                                directory / "extended_model.json", directory / "report.html")
-    results.verdict.write_text(
-        json.dumps(diagnosis.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    save_model(results.extended_model, _extended(identified, diagnosis, recordings))
+    write_verdict(results.verdict, diagnosis)
+    save_extended_model(results.extended_model, identified, diagnosis, recordings)
     origin = [("diagnosed", datetime.now().astimezone().isoformat(" ", "seconds")),
               ("model", f"{model}, of {identified.created}"),
               *(("recording", f"{path}, SHA-256 {sha256_of(path)[:16]}") for path in recordings),
               ("extended model", str(results.extended_model))]
     results.report.write_text(render_report(diagnosis, origin), encoding="utf-8")
     return results
-
-
-def _extended(identified, diagnosis, recordings):
-    if diagnosis.model is identified.model:
-        return identified
-    return replace(
-        identified, model=diagnosis.model, uncertainties={},
-        errors={**identified.errors, "before_diagnosis": diagnosis.before,
-                "after_diagnosis": diagnosis.after},
-        recordings=[*identified.recordings, *(
-            {"path": str(path), "sha256": sha256_of(path)} for path in recordings)])

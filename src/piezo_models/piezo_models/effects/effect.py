@@ -2,6 +2,7 @@
 """What every effect that may extend the cascade has in common."""
 
 import dataclasses
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -105,7 +106,7 @@ class Evidence:
         return [(candidate, gains) for candidate, gains, _ in tried[:count]]
 
 
-class Effect:
+class Effect(ABC):
     """An effect with its parameters: a frozen dataclass whose fields are made by `parameter`.
 
     Attributes
@@ -127,6 +128,7 @@ class Effect:
     follows_voltage: ClassVar[bool] = True
     experiment: ClassVar[str]
 
+    @abstractmethod
     def apply(self, signal, sample_period_s, rest=None):
         """The signal behind the effect.
 
@@ -142,7 +144,6 @@ class Effect:
         -------
         (N,) array
         """
-        raise NotImplementedError
 
     def compensate(self, wanted, sample_period_s):
         """The periodic signal in front of the effect that gives the wanted one behind it.
@@ -174,6 +175,7 @@ class Effect:
         raise ValueError(f"no signal gives the wanted one through {self.name}: ask for less")
 
     @classmethod
+    @abstractmethod
     def starts(cls, evidence):
         """Effects to begin a fit from, guessed from a recording; none if nothing hints at one.
 
@@ -185,7 +187,6 @@ class Effect:
         -------
         list of Effect
         """
-        raise NotImplementedError
 
     @classmethod
     def lacks_excitation(cls, evidence):

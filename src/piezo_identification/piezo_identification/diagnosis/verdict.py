@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What every diagnosis ends with, and the files that keep it."""
+
+import json
+from dataclasses import dataclass, replace
+
+from piezo_models.model_file import save_model
+from piezo_recorder.reader import sha256_of
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What a model lacks, and how much better it gets.
+
+    Attributes
+    ----------
+    verdict : str
+        "none", "explained" or "unexplained".
+    effects : list of dict
+        Name, parameters and error reduction of each.
+    model : StageModel
+        Extended by the effects; the given one without any.
+    before, after : dict
+        `rms_um` and `e_y_percent` on held-out data.
+    noise_floor_um : float
+    holdout : dict
+        Where the held-out data is from, and how many samples.
+    not_decidable : dict of str to str
+        Effects that the data cannot tell, and why.
+    left : str
+        What is left if it is more than noise; empty otherwise.
+    """
+
+    verdict: str
+    effects: list
+    model: object
+    before: dict
+    after: dict
+    noise_floor_um: float
+    holdout: dict
+    not_decidable: dict
+    left: str
+
+    def document(self):
+        """The content of verdict.json."""
+        return {
+            "verdict": self.verdict,
+            "effects": self.effects,
+            "before": self.before,
+            "after": self.after,
+            "noise_floor_um": self.noise_floor_um,
+            "holdout": self.holdout,
+            "not_decidable": list(self.not_decidable),
+            "not_decidable_because": self.not_decidable,
+            "left": self.left,
+        }
+
+
+def write_verdict(path, verdict):
+    """Write verdict.json.
+
+    Parameters
+    ----------
+    path : Path
+    verdict : Verdict
+    """
+    path.write_text(
+        json.dumps(verdict.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def save_extended_model(path, identified, verdict, data):
+    """Save the model that a verdict leads to, with what it was found in.
+
+    Parameters
+    ----------
+    path : Path
+    identified : IdentifiedModel
+        Kept as it is if nothing was added.
+    verdict : Verdict
+    data : sequence of path-like
+        What was diagnosed.
+    """
+    if verdict.model is not identified.model:
+        identified = replace(
+            identified, model=verdict.model, uncertainties={},
+            errors={**identified.errors, "before_diagnosis": verdict.before,
+                    "after_diagnosis": verdict.after},
+            recordings=[*identified.recordings, *(
+                {"path": str(path), "sha256": sha256_of(path)} for path in data)])
+    save_model(path, identified)
