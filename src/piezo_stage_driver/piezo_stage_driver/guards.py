@@ -180,9 +180,9 @@ class FeedbackOscillation:
     """The feedback does not oscillate ever more.
 
     A loop that is not stable swings with a half period of a few ticks, each swing larger than
-    all before. What swings as slowly as most references, keeps its size, or is large from its first
-    swing on, is let pass; a reference of many fast tones that only feedback follows may be taken
-    for growth.
+    all before: by little, or several times as large twice in a row. What swings as slowly as most
+    references, keeps its size, or is large from its first swing on, is let pass; a reference of
+    many fast tones that only feedback follows may be taken for growth.
 
     Parameters
     ----------
@@ -197,6 +197,8 @@ class FeedbackOscillation:
     GROWN_SWINGS = 2
     # Of the largest swing: less than this in between is no growth from swing to swing.
     LULL = 0.5
+    # From swing to swing, twice in a row. A reference that begins gives once any, then 2.
+    STEEP_GROWTH = 4.0
     # Of a swing: what leads back by less is no turn but noise.
     TURN = 0.1
 
@@ -206,8 +208,9 @@ class FeedbackOscillation:
 
     def begin(self):
         """Start anew."""
-        self._turn_v = self._extreme_v = 0.0
+        self._turn_v = self._extreme_v = self._last_swing_v = 0.0
         self._ticks = 0
+        self._steep = False
         self._rises = True
         self._restart(0.0)
 
@@ -220,18 +223,31 @@ class FeedbackOscillation:
         elif abs(change_v) > self.TURN * abs(self._extreme_v - self._turn_v):
             self._turn(voltage_v)
         swing_v = abs(voltage_v - self._turn_v)
-        fast = self._ticks <= self.LONGEST_HALF_PERIOD_TICKS
-        grown = self.GROWTH * self._begun_v <= swing_v <= self.LEAP * self._largest_v
-        if not (fast and grown and self._grown_swings >= self.GROWN_SWINGS
-                and swing_v > max(self._limit_v, self._largest_v)):
+        if not self._fast or swing_v <= self._limit_v:
+            return ""
+        if not (self._outgrows_all(swing_v) or self._steep and self._is_steep(swing_v)):
             return ""
         return f"the feedback oscillates ever more, {swing_v:.2g} V from peak to peak"
+
+    @property
+    def _fast(self):
+        return self._ticks <= self.LONGEST_HALF_PERIOD_TICKS
+
+    def _outgrows_all(self, swing_v):
+        """True of a swing that goes on a growth of several."""
+        return (self._grown_swings >= self.GROWN_SWINGS and swing_v > self._largest_v
+                and self.GROWTH * self._begun_v <= swing_v <= self.LEAP * self._largest_v)
+
+    def _is_steep(self, swing_v):
+        """True of a swing that is several times as large as the one before."""
+        return 0.0 < self.STEEP_GROWTH * self._last_swing_v <= swing_v
 
     def _turn(self, voltage_v):
         """Take in the swing that has ended with the last extreme, and begin another."""
         swing_v = abs(self._extreme_v - self._turn_v)
-        fast = self._ticks <= self.LONGEST_HALF_PERIOD_TICKS
-        if not fast or swing_v < self.LULL * self._largest_v:
+        self._steep = self._fast and self._is_steep(swing_v)
+        self._last_swing_v = swing_v
+        if not self._fast or swing_v < self.LULL * self._largest_v:
             self._restart(max(swing_v, self._largest_v))
         elif swing_v > self.LEAP * self._largest_v:
             self._restart(swing_v)
