@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test long soak bench reproduce measured diagnose-suite docs clean
+.PHONY: help setup demo test long soak bench reproduce measured diagnose-suite docs api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -29,7 +29,7 @@ soak: setup ## run everything at random, with faults, for SECONDS_OF_SOAK from S
 	@$(in_environment) .venv/bin/python benchmarks/soak.py --seconds $(SECONDS_OF_SOAK) --seed $(SEED)
 
 bench: setup ## measure speed and accuracy beside peers
-	@tools/peers
+	-@tools/apart peers  # what could not be installed is named in the table
 	@$(in_environment) .venv/bin/python benchmarks/run.py
 
 DATA ?= ../shared/data
@@ -46,5 +46,11 @@ diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/
 docs: setup ## write docs/errors.md from the sources
 	@.venv/bin/python tools/error_table.py
 
+api: setup ## make the API pages of the docstrings; start at build/api/index.html
+	@tools/apart api
+	@$(in_environment) PYTHONPATH=$$(echo .venv-api/lib/python*/site-packages):$$PYTHONPATH \
+		.venv/bin/python -m sphinx --quiet --fail-on-warning --keep-going docs/api build/api
+	@echo "written: build/api/index.html"
+
 clean: ## remove the environment and everything built
-	rm -rf .venv .venv-peers build install log
+	rm -rf .venv .venv-* build docs/api/generated install log

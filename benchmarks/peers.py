@@ -122,7 +122,7 @@ def _fit_ours(wave, outputs_um):
 def _run_peer(method, records):
     """Result of a method of `peer_dynamics`; RuntimeError tells why there is none."""
     if not PEERS_PYTHON.exists():
-        raise RuntimeError("not measured: tools/peers could not install it")
+        raise RuntimeError("not measured: tools/apart could not install it")
     result = OUTPUT / "result.json"
     result.unlink(missing_ok=True)
     command = [PEERS_PYTHON, Path(__file__).with_name("peer_dynamics.py"), method, records, result]

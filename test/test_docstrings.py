@@ -87,6 +87,12 @@ def test_fault_of_a_docstring_is_found(tmp_path, code, objection):
     assert list(objections(path)) == [objection]
 
 
+def test_api_pages_begin_with_every_package():
+    pages = (SOURCE.parent / "docs" / "api" / "index.rst").read_text()
+    assert set(re.findall(r"^   (\w+)$", pages, re.M)) == {
+        path.parent.name for path in SOURCE.glob("*/setup.py")}
+
+
 def test_every_file_names_its_licence_first():
     files = [path for folder in ("src", "test", "benchmarks", "examples", "tools")
              for path in (SOURCE.parent / folder).rglob("*.py")]

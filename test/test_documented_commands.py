@@ -28,6 +28,7 @@ COVERED = {
     "make measured": "src/piezo_identification/test/test_measured_command.py",
     "make diagnose-suite": "src/piezo_bringup/test/test_diagnose_suite.py",
     "make docs": "test/test_error_table.py",
+    "make api": "test/test_docstrings.py",
     "make long": "test/test_bad_input.py",
 }
 # Of programs that are not ours, or that need a device.

@@ -24,7 +24,7 @@ class Processes:
 
     Parameters
     ----------
-    log_directory : path
+    log_directory : path-like
         Gets one log file per process.
     environment : dict of str to str, optional
         Added to the environment, such as ``ROS_DOMAIN_ID``.

@@ -101,7 +101,7 @@ class Stage:
 
         Returns
         -------
-        Experiment
+        piezo_client.results.Experiment
         """
         result = self._client.run_experiment(
             name, _absolute(directory), on_feedback=self._shown(""))
@@ -172,7 +172,7 @@ class Stage:
 
         Returns
         -------
-        Diagnosis
+        piezo_client.results.Diagnosis
         """
         result = self._client.diagnose(
             _absolute(model), [_absolute(path) for path in recordings], _absolute(directory),

@@ -86,8 +86,9 @@ def plan_stream(reference_um, model, method="least_squares", *, voltage_range_v=
 
     Parameters
     ----------
-    reference_um : ndarray, shape (lead_in_samples() + n + stream_margin(model),)
-        Displacement; it is faded in over the first part of the lead-in.
+    reference_um : ndarray, shape (M,)
+        Displacement: `lead_in_samples`, the samples of the run, `stream_margin` samples. It is
+        faded in over the first part of the lead-in.
     model : piezo_models.cascade.StageModel
     method : str
         Of `preview_inverse`.

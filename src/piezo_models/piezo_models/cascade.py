@@ -48,7 +48,7 @@ class StageModel:
     hysteretic_creep : HystereticCreep, optional
         Added to the output of the hysteresis. Simulations have it; inversions leave its slow
         motion to the feedback.
-    effects : tuple of Effect
+    effects : tuple of piezo_models.effects.effect.Effect
         What else the stage does; those of one place act in this order.
     """
 

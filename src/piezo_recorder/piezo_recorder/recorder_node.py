@@ -342,6 +342,7 @@ def _sentence(error):
 
 
 def main():
+    """Run the node ``recorder``."""
     run_node(Recorder)
 
 

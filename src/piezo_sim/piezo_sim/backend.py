@@ -19,7 +19,7 @@ class SimulatedStage:
 
     Parameters
     ----------
-    plant : path or PlantConfig, optional
+    plant : path-like or PlantConfig, optional
         Plant file, or what was read from one; by default the stage of thesis chapter 4.
     seed : int
         Seed of everything random, not negative.

@@ -75,11 +75,11 @@ class PlantConfig:
 
     Attributes
     ----------
-    amplifier : tuple of Effect
+    amplifier : tuple of piezo_sim.effect.Effect
         From the commanded voltage to the applied voltage, V.
-    stage : tuple of Effect
+    stage : tuple of piezo_sim.effect.Effect
         From the applied voltage, V, to the true displacement, um.
-    sensor : tuple of Effect
+    sensor : tuple of piezo_sim.effect.Effect
         From the true displacement to the measured displacement, um.
     """
 
@@ -93,7 +93,7 @@ def read_plant(path: str | Path | None = None) -> PlantConfig:
 
     Parameters
     ----------
-    path : path, optional
+    path : path-like, optional
         YAML file; by default the plant of thesis chapter 4 that comes with this package.
 
     Raises

@@ -113,7 +113,7 @@ def record(plant, experiment, seed):
     Parameters
     ----------
     plant : PlantConfig
-    experiment : Experiment
+    experiment : piezo_identification.experiments.Experiment
     seed : int
         Of everything random in the plant.
 

@@ -41,7 +41,7 @@ class Trial:
 
     Attributes
     ----------
-    effects : tuple of Effect
+    effects : tuple of piezo_models.effects.effect.Effect
     residual : (n,) array
         What the free and the tuning columns leave of `difference`.
     difference : (n,) array
@@ -216,9 +216,9 @@ class Contest:
 
         Parameters
         ----------
-        effects : sequence of Effect
+        effects : sequence of piezo_models.effects.effect.Effect
             To begin from.
-        fixed : sequence of Effect
+        fixed : sequence of piezo_models.effects.effect.Effect
             Kept as they are, before the others.
         quick : bool
             See `PreparedRecording.simulate`.
@@ -291,7 +291,7 @@ class Contest:
         ----------
         kind : type
             Of the effect.
-        effects : tuple of Effect
+        effects : tuple of piezo_models.effects.effect.Effect
             Those found.
         evidences : list of Evidence
             One for each recording, beside those found.

@@ -94,8 +94,8 @@ class PreparedRecording:
 
         Parameters
         ----------
-        effects : sequence of Effect
-        quick : sequence of Effect
+        effects : sequence of piezo_models.effects.effect.Effect
+        quick : sequence of piezo_models.effects.effect.Effect
             Those among them that may act on the sampled displacement where they are linear. That
             is a little less exact than a system in series with the others, and much faster.
         """

@@ -43,7 +43,7 @@ def render_report(diagnosis, origin=()):
 
     Parameters
     ----------
-    diagnosis : Diagnosis
+    diagnosis : piezo_identification.diagnosis.diagnose.Diagnosis
     origin : sequence of (str, str)
         What the page is to tell of when, and from which files: name and text.
     """

@@ -26,7 +26,6 @@ class CorrelationTest:
     lags : (n,) array of int
     correlation : (n,) array
     band : float
-    share_outside : float
     """
 
     lags: np.ndarray

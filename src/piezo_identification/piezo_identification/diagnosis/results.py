@@ -21,7 +21,7 @@ class DiagnosisResults:
 
     Attributes
     ----------
-    diagnosis : Diagnosis
+    diagnosis : piezo_identification.diagnosis.diagnose.Diagnosis
     verdict, extended_model, report : Path
     """
 

@@ -11,7 +11,7 @@ class FaultWindow:
 
     Parameters
     ----------
-    effect : Effect
+    effect : piezo_sim.effect.Effect
         Has the two times.
     surroundings : Surroundings
     """

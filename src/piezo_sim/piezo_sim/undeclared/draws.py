@@ -50,7 +50,7 @@ class DrawnEffect:
     ----------
     cause : str
         What is drawn, a key of `CAUSES` or of `CAUSES_OUTSIDE`.
-    effect : Effect
+    effect : piezo_sim.effect.Effect
         The effect with its parameters.
     contribution_rms_um : float
         RMS of what it adds to the measured displacement, mean removed.
@@ -251,7 +251,7 @@ def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
     ----------
     plant : PlantConfig
         A plant that holds the effects of the default plant at least.
-    effect : Effect
+    effect : piezo_sim.effect.Effect
         Any effect of this package.
     """
     stage = list(plant.stage)
