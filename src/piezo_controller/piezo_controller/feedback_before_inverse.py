@@ -31,10 +31,18 @@ class FeedbackBeforeInverse:
         Largest voltage given, of either sign (V).
     rest_voltage_v : float
         Where the run begins (V).
+
+    Raises
+    ------
+    ValueError
+        The controller does not tell the gain that it was designed for.
     """
 
     def __init__(self, controller, model, plan, samples_per_tick, max_feedback_v=20.0,
                  rest_voltage_v=0.0):
+        if "hysteresis_gain_um_per_v" not in controller.report:
+            raise ValueError("the controller's report lacks hysteresis_gain_um_per_v: make it by "
+                             "feedback_from_control, or set feedback_place to behind_inverse")
         self._gain_um_per_v = controller.report["hysteresis_gain_um_per_v"]
         self._feedback = MultirateFeedback(controller, max_feedback_v)
         self._max_v = float(max_feedback_v)

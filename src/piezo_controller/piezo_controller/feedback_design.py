@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Design of the feedback at the tick's rate: H-infinity (thesis 5.2.4), PID and PI."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import control
 import numpy as np
@@ -126,18 +126,60 @@ def design_feedback(model, weights, clock_period_s=25e-6, model_sha256="", metho
         controller, found = _h_infinity(plant, gain_um_per_v, weights, scaling, reduce)
     else:
         controller, found = _ziegler_nichols(method, model, plant, tick_s, clock_period_s)
-    spread = hysteresis_gain_range(model)[1] / gain_um_per_v - 1
-    report = {
-        "method": method, "at_once": at_once, **found, "order": controller.nstates,
-        "hysteresis_gain_um_per_v": gain_um_per_v, "hysteresis_gain_spread": spread,
-        **measure_loop(gain_um_per_v * plant, controller, spread),
-    }
+    report = {"method": method, "at_once": at_once, **found,
+              **_measures(controller, model, plant, gain_um_per_v)}
     if not report["stable_within_gain_spread"]:
         raise UnstableLoop(f"{method} gives a loop that is not stable for every gain of the "
                            "hysteresis: use h_infinity, or another tick")
     return FeedbackController(controller.A, controller.B, controller.C, controller.D, tick_s,
                               report, weights.as_dict() if method == "h_infinity" else {},
                               model_sha256)
+
+
+def feedback_from_control(system, model, clock_period_s=25e-6, model_sha256="", method="own"):
+    """Take a feedback of any origin, and measure the loop that it closes.
+
+    Parameters
+    ----------
+    system : control.StateSpace or control.TransferFunction
+        Discrete, its period that of the tick: from the mean tracking error of the last tick (um)
+        to the voltage of the next (V).
+    model : piezo_models.cascade.StageModel
+    clock_period_s : float
+        Period of the sample clock (s).
+    model_sha256 : str
+        Hash of the model's file, kept with the controller.
+    method : str
+        What the report is to call it.
+
+    Returns
+    -------
+    FeedbackController
+        Its report holds ``method``, ``order``, ``hysteresis_gain_um_per_v``,
+        ``hysteresis_gain_spread`` and the measures of `measure_loop` at that spread.
+
+    Raises
+    ------
+    UnstableLoop
+        See `check_stabilises`.
+    ValueError
+        The system has no period, a period that is no multiple of the sample clock's, no state, or
+        more than one input or output.
+    """
+    system = control.ss(system)
+    if (system.ninputs, system.noutputs) != (1, 1):
+        raise ValueError(f"the feedback has {system.ninputs} inputs and {system.noutputs} outputs: "
+                         "give one from an error to a voltage")
+    if not system.isdtime(strict=True) or system.dt is True:
+        raise ValueError("the feedback has no sample period: give a discrete system with that of "
+                         "the tick, as by control.sample_system(system, 1e-3)")
+    if not system.nstates:
+        raise ValueError("the feedback has no state, so an error stays: add an integration")
+    controller = FeedbackController(
+        system.A, system.B, system.C, system.D, float(system.dt), {}, {}, model_sha256)
+    check_stabilises(controller, model, clock_period_s)
+    measures = _measures(system, model, *design_plant(model, system.dt, clock_period_s))
+    return replace(controller, report={"method": method, **measures})
 
 
 def check_stabilises(controller, model, clock_period_s=25e-6):
@@ -182,6 +224,14 @@ def structured_singular_value(problem, controller):
     responses = sampled_response(close(problem, controller),
                                  np.exp(2j * np.pi * frequency_hz * problem.dt))
     return frequency_hz, structured_singular_values(responses, UNCERTAINTIES)[0]
+
+
+def _measures(controller, model, plant, gain_um_per_v):
+    """The part of a report that every controller has."""
+    spread = hysteresis_gain_range(model)[1] / gain_um_per_v - 1
+    return {"order": controller.nstates, "hysteresis_gain_um_per_v": gain_um_per_v,
+            "hysteresis_gain_spread": spread,
+            **measure_loop(gain_um_per_v * plant, controller, spread)}
 
 
 def _h_infinity(plant, gain_um_per_v, weights, scaling, reduce):
