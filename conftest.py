@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the tests of several packages share: pages looked at in a browser."""
+"""What the tests of several packages share: pages in a browser, pictures in grey."""
 
 import html
 import re
 import shutil
 import subprocess
+from itertools import chain, combinations
 
+import numpy as np
 import pytest
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.figure import Figure
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 WIDTHS_PX = {"phone": 390, "desk": 1280}
@@ -26,6 +30,13 @@ addEventListener("load", () => {{
 }});
 </script>
 """
+
+# Okabe and Ito's, which the colour-blind tell apart.
+PALETTE = {"#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7"}
+LEAST_LIGHTNESS_DIFFERENCE = 20.0
+"""Of L*, 0 to 100, between lines of the same dashes and marker."""
+COUNTS = re.compile("number|direction|correlation|with the voltage")
+"""How labels of plain numbers begin; all others give a unit in brackets."""
 
 
 @pytest.fixture(scope="session")
@@ -52,5 +63,71 @@ def page_faults(tmp_path_factory):
         assert told, shown.stderr
         console = re.findall(r"CONSOLE.*", shown.stderr)
         return [*filter(None, html.unescape(told[1]).splitlines()), *console]
+
+    return faults
+
+
+def lightness(color):
+    """L* of CIELAB, what is left of a colour in grey."""
+    channels = np.asarray(to_rgb(color))
+    linear = np.where(channels > 0.04045, ((channels + 0.055) / 1.055) ** 2.4, channels / 12.92)
+    luminance = linear @ (0.2126, 0.7152, 0.0722)
+    return 116.0 * np.cbrt(luminance) - 16.0 if luminance > 0.008856 else 903.3 * luminance
+
+
+def dashes_and_marker(line):
+    """What tells a line from others without its colour."""
+    marker = None if line.get_marker() in ("None", "none", "", None) else line.get_marker()
+    return line.get_linestyle(), getattr(line, "_unscaled_dash_pattern", None), marker
+
+
+def line_faults(axes):
+    """Lines of axes that cannot be told apart in grey, or are of no safe colour."""
+    lines = [line for line in axes.get_lines() if line.get_xdata(orig=False).size > 2
+             or not line.get_label().startswith("_")]
+    for line in lines:
+        red, green, blue = to_rgb(line.get_color())
+        if not red == green == blue and to_hex(line.get_color()) not in PALETTE:
+            yield f"{line.get_label()} is {line.get_color()}, which is not in the palette"
+    for one, other in combinations(lines, 2):
+        if dashes_and_marker(one) == dashes_and_marker(other) and abs(
+                lightness(one.get_color()) - lightness(other.get_color())
+        ) < LEAST_LIGHTNESS_DIFFERENCE:
+            yield f"{one.get_label()} and {other.get_label()} are alike in grey"
+
+
+def label_faults(figure):
+    """Axes of a figure without a label, or with one that has no unit."""
+    for direction in "x", "y":
+        general = getattr(figure, f"_sup{direction}label")
+        for axes in figure.axes:
+            shared = getattr(axes, f"get_shared_{direction}_axes")().get_siblings(axes)
+            labels = [text for one in shared if (text := getattr(one, f"get_{direction}label")())]
+            if general is not None:
+                labels.append(general.get_text())
+            if axes.get_label() == "<colorbar>" and direction == "x":
+                continue
+            if not labels:
+                yield f"an axis {direction} has no label"
+            yield from (f"{text} has no unit" for text in labels
+                        if not COUNTS.match(text) and not re.search(r"\(.+\)", text))
+
+
+@pytest.fixture(scope="session")
+def picture_faults():
+    """Draw, and return what is wrong with the pictures that are saved meanwhile."""
+    def faults(draw, *arguments):
+        figures, save = [], Figure.savefig
+
+        def keep(figure, *given, **options):
+            figures.append(figure)
+            save(figure, *given, **options)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Figure, "savefig", keep)
+            draw(*arguments)
+        assert figures, "no picture was drawn"
+        return sorted({*chain.from_iterable(map(label_faults, figures)), *chain.from_iterable(
+            line_faults(axes) for figure in figures for axes in figure.axes)})
 
     return faults

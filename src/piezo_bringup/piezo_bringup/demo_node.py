@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 
-from piezo_bringup.picture_style import to_png
 from piezo_bringup.processes import Processes
 from piezo_bringup.report import render_report
 from piezo_bringup.run_directory import claim_directory
@@ -31,6 +30,7 @@ from piezo_bringup.tracking_pictures import draw_errors
 from piezo_client.client import Client, GoalFailed
 from piezo_client.progress_line import ProgressLine
 from piezo_models.model_file import load_model
+from piezo_models.picture_style import to_png
 from piezo_recorder.reader import read_recording
 
 NODES = {

@@ -4,8 +4,8 @@
 import numpy as np
 from scipy.signal import welch
 
-from piezo_bringup.picture_style import AFTER, BEFORE, GREY, label, new_figure, plain_numbers
 from piezo_models.linear import zoh_response
+from piezo_models.picture_style import AFTER, BEFORE, LIMIT, label, new_figure, plain_numbers
 
 RESPONSE_HZ = np.geomspace(50.0, 4000.0, 1500)
 SEGMENT = 8192
@@ -34,7 +34,7 @@ def draw_model_errors(before, after, sample_period_s):
             nperseg=min(SEGMENT, prediction.measured_um.size))
         axes.loglog(frequency_hz[1:-1], np.sqrt(power[1:-1]), **style)
     noise = np.sqrt(np.median(power[frequency_hz > QUIET_HZ]))
-    axes.axhline(noise, color=GREY, linestyle=":", label="noise")
+    axes.axhline(noise, label="noise", **LIMIT)
     axes.legend()
     label(axes, "frequency (Hz)", "model error (nm per root Hz)")
     return figure
@@ -59,7 +59,7 @@ def draw_responses(before, after, sample_period_s):
         axes.loglog(RESPONSE_HZ, np.abs(response), **style)
     axes.legend()
     plain_numbers(axes.xaxis)
-    label(axes, "frequency (Hz)", "magnitude")
+    label(axes, "frequency (Hz)", "magnitude (um/um)")
     return figure
 
 
@@ -75,7 +75,7 @@ def draw_tracking_errors(before, after):
     -------
     matplotlib.figure.Figure
     """
-    figure = new_figure(1.2 + 1.3 * len(after))
+    figure = new_figure(1.2 + 1.5 * len(after))
     rows = figure.subplots(len(after), 1, squeeze=False)[:, 0]
     for axes, frequency_hz in zip(rows, sorted(after), strict=True):
         for runs, style in ((before, BEFORE), (after, AFTER)):
@@ -83,9 +83,8 @@ def draw_tracking_errors(before, after):
             count = round(SHOWN_PERIODS * run.sample_rate_hz / frequency_hz)
             time_ms = 1e3 * np.arange(count) / run.sample_rate_hz
             axes.plot(time_ms, 1e3 * run.error_um[-count:], **style)
-        label(axes, y="error (nm)",
+        label(axes, "time (ms)", "error (nm)",
               title=f"{frequency_hz:g} Hz, {run.amplitude_um:g} um peak to peak")
-    rows[-1].set_xlabel("time (ms)")
     figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=2,
                   frameon=False)
     figure.align_ylabels()

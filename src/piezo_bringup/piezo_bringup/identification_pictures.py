@@ -3,7 +3,8 @@
 
 import numpy as np
 
-from piezo_bringup.picture_style import (
+from piezo_models.linear import zoh_response
+from piezo_models.picture_style import (
     BLACK,
     DIFFERENCE,
     MEASURED,
@@ -12,7 +13,6 @@ from piezo_bringup.picture_style import (
     new_figure,
     plain_numbers,
 )
-from piezo_models.linear import zoh_response
 
 NANOMETRES = 1e3
 CREEP_START_S = 0.03

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 from piezo_bringup import extension_pictures
 from piezo_bringup.page import Picture, Section
-from piezo_bringup.picture_style import to_png
 from piezo_bringup.summary import model_error_rows, tracking_error_rows
 from piezo_identification.prediction import predict
 from piezo_models.effects import known_effects
+from piezo_models.picture_style import to_png
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,13 +3,13 @@
 
 import numpy as np
 
-from piezo_bringup.picture_style import (
+from piezo_models.picture_style import (
     BLACK,
-    BLUE,
+    FEEDBACK,
+    FEEDFORWARD,
     GREEN,
     MODE_STYLES,
     REFERENCE,
-    VERMILION,
     label,
     new_figure,
     plain_numbers,
@@ -117,9 +117,9 @@ def draw_voltages(feedforward_v, feedback_v, run):
     shown, time_ms = _last_periods(run)
     figure = new_figure(4.4)
     above, below = figure.subplots(2, 1)
-    above.plot(time_ms, feedforward_v[shown], color=BLUE)
+    above.plot(time_ms, feedforward_v[shown], **FEEDFORWARD)
     label(above, "time (ms), the last periods", "feedforward (V)")
-    below.plot(run.time_s, feedback_v, color=VERMILION, linewidth=0.9)
+    below.plot(run.time_s, feedback_v, **FEEDBACK)
     label(below, "time (s), the whole run", "feedback (V)")
     figure.align_ylabels()
     return figure
@@ -139,12 +139,9 @@ def draw_spectra(feedforward_v, feedback_v, sample_rate_hz):
     """
     figure = new_figure(3.6)
     axes = figure.subplots()
-    lines = (("feedforward", feedforward_v, {"color": BLUE, "linewidth": 1.6}),
-             ("feedback", feedback_v, {"color": VERMILION, "linewidth": 0.7}))
-    for name, voltage_v, style in lines:
+    for voltage_v, style in ((feedforward_v, FEEDFORWARD), (feedback_v, FEEDBACK)):
         frequency_hz, amplitude_v = amplitude_spectrum(voltage_v, sample_rate_hz)
-        axes.loglog(frequency_hz, np.maximum(amplitude_v, SMALLEST_AMPLITUDE_V), label=name,
-                    **style)
+        axes.loglog(frequency_hz, np.maximum(amplitude_v, SMALLEST_AMPLITUDE_V), **style)
     axes.set(xlim=SPECTRUM_HZ, ylim=(SMALLEST_AMPLITUDE_V, 200.0))
     axes.legend()
     plain_numbers(axes.xaxis)

@@ -63,7 +63,8 @@ def recordings(model):
 
 
 @pytest.fixture(scope="module")
-def report(model, recordings, tracking_recordings, tmp_path_factory):
+def drawn(model, recordings, tracking_recordings, tmp_path_factory, picture_faults):
+    """The report, and what is wrong with its pictures."""
     directory = tmp_path_factory.mktemp("runs")
     runs = [read_tracked_run(tracking_recordings.write(
         directory / f"{mode}_{frequency_hz:g}", mode, frequency_hz, error_um=0.1))
@@ -83,8 +84,15 @@ def report(model, recordings, tracking_recordings, tmp_path_factory):
         "tracking_after": [summarise_run(run, directory) for run in runs_after]}
     second_half = SecondHalf("The model lacks a mode.", verdict,
                              replace(model, effects=(MODE,)), runs_after)
-    return render_report(summary, runs, model, recordings, second_half, "demo --output <here>",
-                         directory)
+    pages = []
+    faults = picture_faults(lambda: pages.append(render_report(
+        summary, runs, model, recordings, second_half, "demo --output <here>", directory)))
+    return pages[0], faults
+
+
+@pytest.fixture(scope="module")
+def report(drawn):
+    return drawn[0]
 
 
 class Page(HTMLParser):
@@ -133,6 +141,10 @@ def test_every_picture_is_in_the_report_and_can_be_decoded(report):
     for source in pictures.values():
         pixels = imread(io.BytesIO(base64.b64decode(source.partition(",")[2])), format="png")
         assert np.ptp(pixels[..., :3]) > 0.5
+
+
+def test_the_pictures_can_be_read_in_grey_and_have_units(drawn):
+    assert drawn[1] == []
 
 
 def test_the_report_tells_the_numbers_and_the_command_literally(report):

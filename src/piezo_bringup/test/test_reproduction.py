@@ -9,6 +9,7 @@ import pytest
 
 from piezo_bringup.reproduction import chirp_response, excitation, known_density
 from piezo_bringup.reproduction.page import page
+from piezo_bringup.reproduction.pictures import small_png
 from piezo_bringup.reproduction.studies import CAPTIONS
 from piezo_bringup.reproduction.table import Row, as_json, as_text
 
@@ -36,8 +37,15 @@ def test_the_designed_input_tells_ten_densities_apart_and_the_usual_ones_seven()
     assert [row.ours for row in excitation.study().rows] == [10, 7, 7]
 
 
-def test_few_noisy_samples_give_no_density_by_least_squares_and_a_good_one_when_smoothed():
-    study = known_density.study()
+def fault_free(study, picture_faults):
+    """A study, whose pictures can be read in grey and have units."""
+    assert picture_faults(lambda: list(map(small_png, study.pictures.values()))) == []
+    return study
+
+
+def test_few_noisy_samples_give_no_density_by_least_squares_and_a_good_one_when_smoothed(
+        picture_faults):
+    study = fault_free(known_density.study(), picture_faults)
     rows = by_quantity(study)
     assert rows["sampled points"].ours == 66
     assert rows["rank of A^T A"].ours == 55
@@ -46,8 +54,9 @@ def test_few_noisy_samples_give_no_density_by_least_squares_and_a_good_one_when_
     assert all(math.isfinite(row.ours) and row.unit for row in study.rows)
 
 
-def test_hysteresis_that_is_ignored_pulls_the_mode_down_and_known_hysteresis_does_not():
-    rows = by_quantity(chirp_response.study())
+def test_hysteresis_that_is_ignored_pulls_the_mode_down_and_known_hysteresis_does_not(
+        picture_faults):
+    rows = by_quantity(fault_free(chirp_response.study(), picture_faults))
     assert rows["Fig. 4.10: shift of the mode, hysteresis ignored"].ours < -1.0
     assert abs(rows["Fig. 4.10: shift of the mode, hysteresis known"].ours) < 0.05
 

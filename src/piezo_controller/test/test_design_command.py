@@ -23,9 +23,10 @@ def default_weights():
 
 
 def test_command_writes_the_controller_and_pictures_and_prints_the_report(model_path, tmp_path,
-                                                                          capsys):
+                                                                          capsys,
+                                                                          picture_faults):
     output = tmp_path / "controller.json"
-    assert main(["--model", str(model_path), "--output", str(output)]) == 0
+    assert picture_faults(main, ["--model", str(model_path), "--output", str(output)]) == []
     controller = load_controller(output)
     assert controller.model_sha256 == sha256(model_path.read_bytes()).hexdigest()
     for name in "bode", "nyquist", "weights", "mu":

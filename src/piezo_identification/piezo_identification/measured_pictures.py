@@ -3,7 +3,21 @@
 
 import numpy as np
 
-from piezo_identification.prediction_pictures import new_figure
+from piezo_identification.prediction_pictures import DOTS_PER_INCH
+from piezo_models.picture_style import (
+    BLACK,
+    DIFFERENCE,
+    GREEN,
+    LIMIT,
+    MEASURED,
+    MODELLED,
+    VERMILION,
+    WIDE_IN,
+    label,
+    new_figure,
+)
+
+POINTS = MEASURED | {"linestyle": "none", "marker": "o", "markersize": 4}
 
 
 def draw_loops_and_difference(path, title, prediction):
@@ -16,17 +30,17 @@ def draw_loops_and_difference(path, title, prediction):
     title : str
     prediction : Prediction
     """
-    figure = new_figure(8.0, 4.0)
+    figure = new_figure(4.0, WIDE_IN)
     left, right = figure.subplots(1, 2)
-    left.plot(prediction.voltage_v, prediction.measured_um, label="measured")
-    left.plot(prediction.voltage_v, prediction.simulated_um, "--", linewidth=0.8, label="simulated")
-    left.set(xlabel="voltage / V", ylabel="displacement / um")
+    left.plot(prediction.voltage_v, prediction.measured_um, **MEASURED)
+    left.plot(prediction.voltage_v, prediction.simulated_um, **MODELLED)
     left.legend(loc="upper left")
+    label(left, "voltage (V)", "displacement (um)")
     difference_um = prediction.measured_um - prediction.simulated_um
-    right.plot(prediction.time_s, difference_um, color="tab:red", linewidth=0.5)
-    right.set(xlabel="time / s", ylabel="measured - simulated / um")
+    right.plot(prediction.time_s, difference_um, **DIFFERENCE)
+    label(right, "time (s)", "measured - modelled (um)")
     figure.suptitle(title)
-    figure.savefig(path)
+    figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
 def draw_ringing(path, title, ringing, fitted_s):
@@ -43,21 +57,19 @@ def draw_ringing(path, title, ringing, fitted_s):
     """
     response = ringing.response
     time_ms = 1e3 * response.time_s
-    figure = new_figure(8.0, 5.0)
+    figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    above.plot(time_ms, response.displacement_um, ".", markersize=4, label="measured")
-    above.plot(time_ms, ringing.modelled_um, linewidth=0.9, label="modelled")
-    above.set_ylabel("displacement / um")
+    above.plot(time_ms, response.displacement_um, **POINTS)
+    above.plot(time_ms, ringing.modelled_um, **MODELLED)
     above.legend(loc="upper right")
-    above.set_title(title)
-    below.plot(time_ms, response.displacement_um - ringing.modelled_um, color="tab:red",
-               linewidth=0.7)
-    below.set(xlabel="time after the jump / ms", ylabel="difference / um")
+    label(above, y="displacement (um)", title=title)
+    below.plot(time_ms, response.displacement_um - ringing.modelled_um, **DIFFERENCE)
+    label(below, "time after the jump (ms)", "difference (um)")
     for axes in above, below:
-        axes.axvline(1e3 * fitted_s, color="0.6", linewidth=0.8)
+        axes.axvline(1e3 * fitted_s, **LIMIT)
     above.text(1e3 * fitted_s, above.get_ylim()[0], " not fitted from here on", va="bottom",
-               color="0.4", size="small")
-    figure.savefig(path)
+               color=BLACK, size="small")
+    figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
 def draw_frequency_response(path, title, frequency_hz, measured, modelled, predicted):
@@ -73,19 +85,17 @@ def draw_frequency_response(path, title, frequency_hz, measured, modelled, predi
     modelled, predicted : ndarray of complex, shape (N,)
         By the model fitted to all frequencies, and each by one that was not fitted to it.
     """
-    figure = new_figure(8.0, 5.5)
+    figure = new_figure(5.5, WIDE_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    above.loglog(frequency_hz, np.abs(measured), ".", markersize=4, label="measured")
-    above.loglog(frequency_hz, np.abs(modelled), linewidth=0.9, label="modelled")
-    above.loglog(frequency_hz, np.abs(measured - modelled), color="tab:red", linewidth=0.7,
-                 label="difference")
-    above.loglog(frequency_hz, np.abs(measured - predicted), ".", color="tab:red", markersize=2,
-                 label="difference where not fitted")
-    above.set_ylabel("gain")
+    above.loglog(frequency_hz, np.abs(measured), **POINTS)
+    above.loglog(frequency_hz, np.abs(modelled), **MODELLED)
+    above.loglog(frequency_hz, np.abs(measured - modelled), color=GREEN, linestyle="--",
+                 linewidth=0.9, label="difference")
+    above.loglog(frequency_hz, np.abs(measured - predicted), color=VERMILION, linestyle="none",
+                 marker="x", markersize=3, label="difference where not fitted")
     above.legend(loc="center left", ncols=2, fontsize="small")
-    above.set_title(title)
-    for response, style in ((measured, "."), (modelled, "-")):
-        below.semilogx(frequency_hz, np.degrees(np.unwrap(np.angle(response))), style,
-                       markersize=4, linewidth=0.9)
-    below.set(xlabel="frequency / Hz", ylabel="phase / degrees")
-    figure.savefig(path)
+    label(above, y="gain (unit of the data)", title=title)
+    for response, style in ((measured, POINTS), (modelled, MODELLED)):
+        below.semilogx(frequency_hz, np.degrees(np.unwrap(np.angle(response))), **style)
+    label(below, "frequency (Hz)", "phase (degrees)")
+    figure.savefig(path, dpi=DOTS_PER_INCH)

@@ -1,8 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of measured and simulated displacement."""
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from piezo_models.picture_style import (
+    DIFFERENCE,
+    MEASURED,
+    MODELLED,
+    WIDE_IN,
+    label,
+    new_figure,
+)
+
+DOTS_PER_INCH = 120
 
 
 def draw_displacement(path, prediction):
@@ -14,17 +22,16 @@ def draw_displacement(path, prediction):
         Picture to write.
     prediction : Prediction
     """
-    figure = new_figure()
+    figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    above.plot(prediction.time_s, prediction.measured_um, label="measured")
-    above.plot(prediction.time_s, prediction.simulated_um, "--", label="simulated")
-    above.set_ylabel("displacement / um")
+    above.plot(prediction.time_s, prediction.measured_um, **MEASURED)
+    above.plot(prediction.time_s, prediction.simulated_um, **MODELLED)
     above.legend(loc="upper right")
-    above.set_title(f"e_y = {prediction.e_y_percent():.3g} %")
+    label(above, y="displacement (um)", title=f"e_y = {prediction.e_y_percent():.3g} %")
     error_nm = 1e3 * (prediction.measured_um - prediction.simulated_um)
-    below.plot(prediction.time_s, error_nm, color="tab:red", linewidth=0.6)
-    below.set(xlabel="time / s", ylabel="difference / nm")
-    figure.savefig(path)
+    below.plot(prediction.time_s, error_nm, **DIFFERENCE)
+    label(below, "time (s)", "difference (nm)")
+    figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
 def draw_loops(path, prediction):
@@ -36,17 +43,10 @@ def draw_loops(path, prediction):
         Picture to write.
     prediction : Prediction
     """
-    figure = new_figure()
+    figure = new_figure(5.0, WIDE_IN)
     axes = figure.subplots()
-    axes.plot(prediction.voltage_v, prediction.measured_um, label="measured")
-    axes.plot(prediction.voltage_v, prediction.simulated_um, "--", label="simulated")
-    axes.set(xlabel="voltage / V", ylabel="displacement / um")
+    axes.plot(prediction.voltage_v, prediction.measured_um, **MEASURED)
+    axes.plot(prediction.voltage_v, prediction.simulated_um, **MODELLED)
     axes.legend(loc="upper left")
-    figure.savefig(path)
-
-
-def new_figure(width_in=8.0, height_in=5.0):
-    """A figure of its own, apart from pyplot's global state and any display."""
-    figure = Figure(figsize=(width_in, height_in), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    label(axes, "voltage (V)", "displacement (um)")
+    figure.savefig(path, dpi=DOTS_PER_INCH)

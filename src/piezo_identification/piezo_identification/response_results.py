@@ -4,15 +4,14 @@
 import html
 from pathlib import Path
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_identification.frequency_response import read_frequency_response
 from piezo_identification.response_diagnosis import diagnose_response
 from piezo_models.model_file import load_model
+from piezo_models.picture_style import AFTER, BEFORE, BLACK, WIDE_IN, label, new_figure
 
 PICTURE = "response.png"
+DOTS_PER_INCH = 120
 
 
 def diagnose_response_file(model, response, directory):
@@ -55,20 +54,19 @@ def response_sentence(diagnosis):
 
 def draw_response(path, diagnosis):
     """Measured gain beside that of the model and of the extended one, and the two errors."""
-    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(6.0, WIDE_IN)
     gains, errors = figure.subplots(2, 1, sharex=True)
     frequency_hz, measured = diagnosis.measured.frequency_hz, diagnosis.measured.gain
-    gains.loglog(frequency_hz, abs(measured), "k.", markersize=3, label="measured")
-    for gain, label in ((diagnosis.before_gain, "model"), (diagnosis.after_gain, "extended")):
-        gains.loglog(frequency_hz, abs(gain), label=label)
-        errors.semilogx(frequency_hz, 100.0 * abs(gain / measured - 1.0), label=label)
-    gains.set_ylabel("gain")
+    gains.loglog(frequency_hz, abs(measured), color=BLACK, linestyle="none", marker=".",
+                 markersize=3, label="measured")
+    for gain, style in ((diagnosis.before_gain, BEFORE | {"label": "model"}),
+                        (diagnosis.after_gain, AFTER | {"label": "extended"})):
+        gains.loglog(frequency_hz, abs(gain), **style)
+        errors.loglog(frequency_hz, 100.0 * abs(gain / measured - 1.0), **style)
     gains.legend()
-    errors.set_ylabel("error, % of the gain")
-    errors.set_yscale("log")
-    errors.set_xlabel("frequency, Hz")
-    figure.savefig(path, dpi=100)
+    label(gains, y="gain (unit of the data)")
+    label(errors, "frequency (Hz)", "error (% of the gain)")
+    figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
 def _report(diagnosis):

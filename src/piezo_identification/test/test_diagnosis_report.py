@@ -81,6 +81,10 @@ def test_the_page_is_self_contained_and_its_pictures_can_be_decoded(page):
     assert not re.search(r"https?:|url\(|@import|<script", page)
 
 
+def test_the_pictures_can_be_read_in_grey_and_have_units(diagnosis, picture_faults):
+    assert picture_faults(render_report, diagnosis) == []
+
+
 def test_the_close_look_is_where_the_scatter_of_the_residual_fell_most(diagnosis):
     part = diagnosis.contest.prepared[0]
     before_um, after_um = np.zeros(part.time_s.size), np.zeros(part.time_s.size)

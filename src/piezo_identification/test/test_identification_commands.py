@@ -165,10 +165,11 @@ def test_identify_refuses_a_bad_response(text, more, said, files, tmp_path, caps
     assert said in refusal(identify_main, arguments, capsys)
 
 
-def test_simulate_prints_the_error_and_draws_pictures(files, model_file, tmp_path, capsys):
+def test_simulate_prints_the_error_and_draws_pictures(
+        files, model_file, tmp_path, capsys, picture_faults):
     output = tmp_path / "pictures"
     arguments = ["--model", str(model_file), "--data", str(files["validation"])]
-    assert simulate_main([*arguments, "--output", str(output)]) == 0
+    assert picture_faults(simulate_main, [*arguments, "--output", str(output)]) == []
     name, value = capsys.readouterr().out.splitlines()[0].split()
     assert name == "e_y_percent"
     assert float(value) == pytest.approx(load_model(model_file).errors["e_y_percent"], rel=1e-3)

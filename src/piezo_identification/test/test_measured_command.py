@@ -67,9 +67,9 @@ def data(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def output(data, tmp_path_factory):
+def output(data, tmp_path_factory, picture_faults):
     directory = tmp_path_factory.mktemp("output")
-    assert main(["--data", str(data), "--output", str(directory / "new")]) == 0
+    assert picture_faults(main, ["--data", str(data), "--output", str(directory / "new")]) == []
     return directory / "new"
 
 

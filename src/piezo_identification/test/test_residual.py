@@ -53,8 +53,8 @@ def test_the_spectrum_integrates_to_the_power(noise):
 
 
 @pytest.mark.parametrize("quantity", [
-    "displacement / um", "speed / (um/s)", "direction", "time / s",
-    "voltage span of the branch / V", "voltage of the last reversal / V",
+    "displacement (um)", "speed (um/s)", "direction", "time (s)",
+    "voltage span of the branch (V)", "voltage of the last reversal (V)",
 ])
 def test_the_dependence_that_is_there_is_the_strongest(quantity, noise):
     time_s = np.arange(noise.size) * 1e-3
@@ -66,10 +66,10 @@ def test_the_dependence_that_is_there_is_the_strongest(quantity, noise):
     displacement_um = lfilter([0.02], [1.0, -0.98], voltage_v)
     span, start = subject._branches(voltage_v)
     driver = {
-        "displacement / um": displacement_um, "time / s": time_s,
-        "speed / (um/s)": np.gradient(displacement_um, time_s),
+        "displacement (um)": displacement_um, "time (s)": time_s,
+        "speed (um/s)": np.gradient(displacement_um, time_s),
         "direction": np.sign(np.gradient(voltage_v)),
-        "voltage span of the branch / V": span, "voltage of the last reversal / V": start,
+        "voltage span of the branch (V)": span, "voltage of the last reversal (V)": start,
     }[quantity]
     residual = 0.3 * noise + (driver - driver.mean()) / driver.std()
     found = subject.dependences(residual, displacement_um, voltage_v, time_s)
@@ -79,6 +79,6 @@ def test_the_dependence_that_is_there_is_the_strongest(quantity, noise):
 
 
 def test_noise_depends_on_nothing(noise):
-    dependence = subject.dependence(noise, np.arange(noise.size), "time / s")
+    dependence = subject.dependence(noise, np.arange(noise.size), "time (s)")
     assert dependence.share < 0.01
     assert np.mean(np.abs(dependence.mean_um) > dependence.band_um) < 0.1

@@ -61,14 +61,14 @@ def test_what_no_candidate_explains_is_described_and_not_named():
     assert "times the tolerance" in diagnosis.left
 
 
-def test_the_command_writes_verdict_model_and_report(tmp_path, capsys):
+def test_the_command_writes_verdict_model_and_report(tmp_path, capsys, picture_faults):
     save_model(tmp_path / "model.json", IdentifiedModel(MODEL, (-10.0, 10.0)))
     response = measured(np.exp(-2j * np.pi * FREQUENCY_HZ * 4e-4))
     data = tmp_path / "response.csv"
     np.savetxt(data, np.column_stack([FREQUENCY_HZ, response.gain.real, response.gain.imag]),
                delimiter=",", header="frequency_hz,gain_re,gain_im", comments="")
     arguments = ["--model", tmp_path / "model.json", "--data", data, "--output", tmp_path / "out"]
-    assert main([str(argument) for argument in arguments]) == 0
+    assert picture_faults(main, [str(argument) for argument in arguments]) == []
     assert "The model lacks delay" in capsys.readouterr().out
     verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
     assert verdict["effects"][0]["parameters"]["delay_s"] == pytest.approx(4e-4, rel=0.02)

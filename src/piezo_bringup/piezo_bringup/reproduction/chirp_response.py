@@ -8,11 +8,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import chirp, csd, welch
 
-from piezo_bringup.picture_style import MEASURED, MODELLED, ORANGE, label, new_figure, plain_numbers
 from piezo_bringup.reproduction.known_plant import HIGHEST_V, NOISE_UM, known_plant
 from piezo_bringup.reproduction.laboratory import record_model
 from piezo_bringup.reproduction.table import Row, Study
 from piezo_models.linear import ElectricVibrationDynamics
+from piezo_models.picture_style import MEASURED, MODELLED, ORANGE, label, new_figure, plain_numbers
 
 CLOCK_HZ = 20_000.0
 DURATION_S = 10.0
@@ -119,7 +119,7 @@ def _draw(plant, frequency_hz, measured, fitted):
         above.semilogy(frequency_hz, np.abs(response), **style)
         below.plot(frequency_hz, np.degrees(np.unwrap(np.angle(response))), **style)
     above.legend()
-    label(above, y="gain")
+    label(above, y="gain (um/um)")
     label(below, "frequency (Hz)", "phase (degrees)")
     plain_numbers(above.yaxis)
     return figure

@@ -3,7 +3,6 @@
 
 import numpy as np
 
-from piezo_bringup.picture_style import BLUE, GREY, VERMILION, label, new_figure
 from piezo_bringup.reproduction.laboratory import record_stage
 from piezo_bringup.reproduction.pictures import draw_plane, draw_singular_values
 from piezo_bringup.reproduction.slow_hysteresis import (
@@ -21,6 +20,7 @@ from piezo_identification.input_designs import (
 )
 from piezo_identification.relay_regression import accumulate
 from piezo_identification.svd_estimate import density_by_svd, truncated_svd
+from piezo_models.picture_style import BLUE, GREY, VERMILION, label, new_figure
 
 HARMONIC_PERIOD_S = 100.0 / 60.0
 LEAST_SINGULAR_VALUE = 1.2

@@ -3,7 +3,6 @@
 
 import numpy as np
 
-from piezo_bringup.picture_style import BLUE, GREY, ORANGE, VERMILION, label, new_figure
 from piezo_bringup.reproduction.identified_stage import identified_stage
 from piezo_bringup.reproduction.table import Row, Study
 from piezo_controller.feedback_design import design_feedback
@@ -13,17 +12,18 @@ from piezo_controller.loop_rules import choose_rates
 from piezo_controller.robustness import check_robustness
 from piezo_controller.weights import load_weights
 from piezo_controller.ziegler_nichols import ultimate_point_by_relay
+from piezo_models.picture_style import CURVES, label, new_figure
 
 SECTION = "5.3.1"
 CLOCK_PERIOD_S = 25e-6
 GAIN_SPREAD = 0.12
 DESIGNS = (
-    ("without delay and mean", "thesis", True, "constant", GREY),
-    ("without delay and mean, dynamic D", "thesis", True, "dynamic", ORANGE),
-    ("with both", "thesis", False, "constant", VERMILION),
-    ("with both, our weights", "default", False, "constant", BLUE),
+    ("without delay and mean", "thesis", True, "constant"),
+    ("without delay and mean, dynamic D", "thesis", True, "dynamic"),
+    ("with both", "thesis", False, "constant"),
+    ("with both, our weights", "default", False, "constant"),
 )
-"""Name, weights, whether the loop answers at once, D, colour."""
+"""Name, weights, whether the loop answers at once, D."""
 
 MEASURES = (("mu", "structured singular value", 0.81, "1"), ("gamma", "gamma", None, "1"),
             ("order_before_reduction", "order", 15, "1"),
@@ -56,7 +56,7 @@ def study():
     frequency_hz = np.geomspace(1.0, 500.0, 500)
     figure = new_figure(3.4)
     axes = figure.subplots()
-    for name, weights_name, at_once, scaling, color in DESIGNS:
+    for (name, weights_name, at_once, scaling), style in zip(DESIGNS, CURVES, strict=False):
         weights = load_weights(weights_name)
         found = design_feedback(model, weights, CLOCK_PERIOD_S, scaling=scaling, at_once=at_once)
         for key, quantity, thesis, unit in MEASURES:
@@ -71,7 +71,7 @@ def study():
                         f"{robust.unstable_samples} are unstable"))
         plant, gain_um_per_v = design_plant(model, weights.sample_period_s, CLOCK_PERIOD_S, at_once)
         _, sensitivity = loop_responses(gain_um_per_v * plant, found.state_space(), frequency_hz)
-        axes.loglog(frequency_hz, np.abs(sensitivity), color=color, label=name)
+        axes.loglog(frequency_hz, np.abs(sensitivity), label=name, **style)
     axes.legend(fontsize="x-small")
-    label(axes, "frequency (Hz)", "sensitivity")
+    label(axes, "frequency (Hz)", "sensitivity (um/um)")
     return Study(rows, {"5.4": figure})

@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 
-from piezo_bringup.picture_style import new_figure
 from piezo_bringup.reproduction.laboratory import record_experiment
 from piezo_bringup.reproduction.pictures import draw_plane
 from piezo_bringup.reproduction.table import Row, Study
@@ -14,6 +13,7 @@ from piezo_identification.creep import estimate_creep
 from piezo_identification.dynamics import estimate_dynamics
 from piezo_identification.hysteresis import estimate_hysteresis
 from piezo_models.cascade import StageModel
+from piezo_models.picture_style import new_figure
 
 SECTION = "4.7.1"
 CREEP_POLES_RAD_PER_S = (0.01419, 0.1684, 0.2402, 1.053, 17.57)

@@ -3,13 +3,13 @@
 
 import numpy as np
 
-from piezo_bringup.picture_style import MODE_STYLES, REFERENCE, label, new_figure
 from piezo_bringup.reproduction.identified_stage import identified_stage
 from piezo_bringup.reproduction.laboratory import CLOCK_HZ, record_stage
 from piezo_bringup.reproduction.table import Row, Study
 from piezo_controller.feedforward import plan_feedforward
 from piezo_controller.references import Reference, sample_reference
 from piezo_models.measures import e_r_percent
+from piezo_models.picture_style import MODE_STYLES, REFERENCE, label, new_figure
 
 SECTION = "4.7.2, Table 4.1"
 SLOW_CLOCK_HZ = 1000.0

@@ -3,7 +3,6 @@
 
 import numpy as np
 
-from piezo_bringup.picture_style import GREY, MODELLED, label, new_figure
 from piezo_bringup.reproduction.known_plant import (
     HIGHEST_V,
     NOISE_UM,
@@ -19,6 +18,7 @@ from piezo_identification.relay_regression import accumulate, excitation_rank
 from piezo_identification.smoothed_density import smoothed_density
 from piezo_identification.svd_estimate import density_by_svd, truncated_svd
 from piezo_identification.waveforms import sample_by_voltage
+from piezo_models.picture_style import GREY, MODELLED, label, new_figure
 
 LEVELS = 10
 HARMONIC_PERIOD_S = 1.0

@@ -4,11 +4,11 @@
 import numpy as np
 from scipy.signal import periodogram
 
-from piezo_bringup.picture_style import BLUE, GREY, MODE_STYLES, VERMILION, label, new_figure
 from piezo_bringup.reproduction.table import Row, Study
 from piezo_bringup.reproduction.tracked_stage import FAST, OFFSET_UM, controller, track
 from piezo_controller.computing_time import answer_times_s
 from piezo_controller.feedback_loop import MultirateFeedback
+from piezo_models.picture_style import FEEDBACK, FEEDFORWARD, LIMIT, MODE_STYLES, label, new_figure
 
 CLOCK_HZ = 40_000.0
 SINES = ((500.0, 21.0, 2.3), (1000.0, 10.25, 2.2))
@@ -87,19 +87,17 @@ def draw_spectra(axes, tracked, title):
     """Spectra of feedforward and feedback; returns the feedback's power below 200 Hz (%)."""
     count = tracked.error_um.size
     feedback_v = tracked.played.feedback_v[-count:]
-    powers = {}
-    for name, voltage_v, color in (
-            ("feedforward", tracked.played.voltage_v[-count:] - feedback_v, VERMILION),
-            ("feedback", feedback_v, BLUE)):
-        frequency_hz, powers[name] = periodogram(voltage_v, CLOCK_HZ, "hann")
+    for voltage_v, style in (
+            (tracked.played.voltage_v[-count:] - feedback_v, FEEDFORWARD), (feedback_v, FEEDBACK)):
+        frequency_hz, power = periodogram(voltage_v, CLOCK_HZ, "hann")
         shown = (frequency_hz > 0) & (frequency_hz < 2500.0)
-        axes.semilogy(frequency_hz[shown], powers[name][shown], color=color, label=name)
-    axes.axvline(HIGHEST_FEEDBACK_HZ, color=GREY, linestyle=":")
+        axes.semilogy(frequency_hz[shown], power[shown], **style)
+    axes.axvline(HIGHEST_FEEDBACK_HZ, **LIMIT)
     axes.set_ylim(1e-12, None)
     axes.legend(fontsize="x-small")
     label(axes, "frequency (Hz)", "power (V²/Hz)", title)
     below = frequency_hz < HIGHEST_FEEDBACK_HZ
-    return 100.0 * powers["feedback"][below].sum() / powers["feedback"].sum()
+    return 100.0 * power[below].sum() / power.sum()
 
 
 def _computing_rows():

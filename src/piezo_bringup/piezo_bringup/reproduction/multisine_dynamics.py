@@ -6,7 +6,6 @@ The simulated stage has the parameters of chapter 4, which are not quite those o
 
 import numpy as np
 
-from piezo_bringup.picture_style import DIFFERENCE, MEASURED, MODELLED, label, new_figure
 from piezo_bringup.reproduction.identified_stage import DYNAMICS, identified_stage
 from piezo_bringup.reproduction.laboratory import CLOCK_HZ, record_stage
 from piezo_bringup.reproduction.table import Row, Study
@@ -14,6 +13,7 @@ from piezo_identification.dynamics_armax import estimate_dynamics_armax
 from piezo_identification.multisine import estimate_dynamics_multisine
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
+from piezo_models.picture_style import DIFFERENCE, MEASURED, MODELLED, label, new_figure
 
 OFFSET_V = 24.0
 AMPLITUDES_V = (3.0, 6.0, 3.0, 3.0, 3.0, 3.0)

@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 
-from piezo_bringup.picture_style import BLUE, label, new_figure
 from piezo_bringup.reproduction.pictures import draw_plane
 from piezo_bringup.reproduction.table import Row, Study
 from piezo_identification.projection import projection
 from piezo_identification.relay_regression import NormalEquations, relay_rows
 from piezo_identification.svd_estimate import truncated_svd
+from piezo_models.picture_style import BLUE, label, new_figure
 
 LEVELS = 50
 HIGHEST_V = 10.0
@@ -173,5 +173,5 @@ def _draw_updating(fixed_um, growing_um):
     axes.plot(growing_um, color=BLUE, label="99 directions and more")
     axes.set_ylim(bottom=0.0)
     axes.legend()
-    label(axes, "new points", "output error on unseen input (um)")
+    label(axes, "number of new points", "output error on unseen input (um)")
     return figure

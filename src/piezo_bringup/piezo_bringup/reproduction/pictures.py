@@ -5,7 +5,7 @@ import io
 
 import numpy as np
 
-from piezo_bringup.picture_style import BLUE, VERMILION, label
+from piezo_models.picture_style import BLUE, LIMIT, label
 
 DOTS_PER_INCH = 85
 
@@ -36,9 +36,9 @@ def draw_singular_values(axes, values, threshold):
     """Draw singular values from the largest down, and the one below which they are dropped."""
     shown = values[values > 1e-9 * values[0]]
     axes.semilogy(np.arange(1, shown.size + 1), shown, color=BLUE)
-    axes.axhline(threshold, color=VERMILION, linestyle="--", linewidth=1.0, label="truncated below")
+    axes.axhline(threshold, label="truncated below", **LIMIT)
     axes.legend()
-    label(axes, "number", "singular value")
+    label(axes, "number", "singular value (1)")
 
 
 def small_png(figure):

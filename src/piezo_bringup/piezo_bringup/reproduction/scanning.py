@@ -6,9 +6,9 @@ Where feedback makes an error worse than feedforward alone, near the peak of its
 rows show that.
 """
 
-from piezo_bringup.picture_style import MODE_STYLES, REFERENCE, label, new_figure
 from piezo_bringup.reproduction.table import Row, Study
 from piezo_bringup.reproduction.tracked_stage import FAST, PRINTED_PI, controller, track
+from piezo_models.picture_style import MODE_STYLES, REFERENCE, label, new_figure
 
 SECTION = "3.4.4"
 SINES = ((40.0, 40.0), (100.0, 40.0), (600.0, 20.0))

@@ -8,13 +8,6 @@ from functools import cache
 
 import numpy as np
 
-from piezo_bringup.picture_style import (
-    DIFFERENCE,
-    MEASURED,
-    MODELLED,
-    label,
-    new_figure,
-)
 from piezo_bringup.reproduction.laboratory import record_stage
 from piezo_bringup.reproduction.pictures import draw_plane, draw_singular_values
 from piezo_bringup.reproduction.table import Row, Study
@@ -25,6 +18,13 @@ from piezo_identification.smoothed_density import smoothed_density
 from piezo_identification.svd_estimate import density_by_svd, truncated_svd
 from piezo_identification.waveforms import sample_by_voltage
 from piezo_models.measures import e_rms_percent, e_y_percent
+from piezo_models.picture_style import (
+    DIFFERENCE,
+    MEASURED,
+    MODELLED,
+    label,
+    new_figure,
+)
 from piezo_models.preisach import PreisachModel
 
 LEVELS = 60

@@ -7,9 +7,9 @@ H-infinity feedback of the multirate scheme.
 
 import numpy as np
 
-from piezo_bringup.picture_style import MODE_STYLES, PID, label, new_figure
 from piezo_bringup.reproduction.table import Row, Study
 from piezo_bringup.reproduction.tracked_stage import FAST, PRINTED_PID, controller, track
+from piezo_models.picture_style import MODE_STYLES, PID, label, new_figure
 
 AMPLITUDE_UM = 40.0
 SECTIONS = ((1.0, "2.4.2", 1.0), (25.0, "2.4.3", 0.4))

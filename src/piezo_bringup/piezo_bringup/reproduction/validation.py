@@ -3,11 +3,11 @@
 
 import numpy as np
 
-from piezo_bringup.picture_style import MEASURED, MODELLED, label, new_figure
 from piezo_bringup.reproduction.identified_stage import identified_stage
 from piezo_bringup.reproduction.laboratory import CLOCK_HZ, STAGE_NOISE_UM, record_stage
 from piezo_bringup.reproduction.table import Row, Study
 from piezo_identification.prediction import predict
+from piezo_models.picture_style import MEASURED, MODELLED, label, new_figure
 
 HIGHEST_V = 50.0
 SLOW_CLOCK_HZ = 1000.0

@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of a diagnosis: before and after on the same axes."""
 
-import io
-
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from piezo_identification.diagnosis.residual import (
     dependences,
@@ -13,11 +9,19 @@ from piezo_identification.diagnosis.residual import (
     spectrum,
     whiteness,
 )
+from piezo_models.picture_style import (
+    AFTER,
+    BEFORE,
+    BLACK,
+    LIMIT,
+    WIDE_IN,
+    label,
+    new_figure,
+    to_png,
+)
 
-# Of Okabe and Ito's palette; each goes with a line style of its own.
-BEFORE = {"color": "#d55e00", "linewidth": 0.9, "label": "before"}
-AFTER = {"color": "#0072b2", "linewidth": 0.9, "label": "after"}
-NOISE = {"color": "#8c8c8c", "linestyle": ":", "label": "noise"}
+MODEL = {"color": BLACK, "linewidth": 0.8}
+DOTS_PER_INCH = 110
 MOST_POINTS = 20_000
 CLOSE_SAMPLES = 800
 LOWEST_SHOWN = 0.1
@@ -37,22 +41,21 @@ def draw_residuals(part, before_um, after_um):
     bytes
         Of a PNG file.
     """
-    figure = Figure(figsize=(8.0, 5.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(5.5, WIDE_IN)
     whole = slice(part.begin, None, max(1, part.time_s.size // MOST_POINTS))
     columns = zip(
         figure.subplots(2, 2, height_ratios=(1, 2), width_ratios=(2, 1), sharex="col").T,
         (whole, _closest_look(part, before_um, after_um)), strict=True,
     )
     for (above, below), shown in columns:
-        above.plot(part.time_s[shown], part.voltage_v[shown], color="black", linewidth=0.8)
+        above.plot(part.time_s[shown], part.voltage_v[shown], **MODEL)
         below.plot(part.time_s[shown], 1e3 * before_um[shown], **BEFORE)
         below.plot(part.time_s[shown], 1e3 * after_um[shown], **AFTER)
-        _label(above, None, "voltage / V")
-        _label(below, "time / s", "residual / nm")
+        label(above, y="voltage (V)")
+        label(below, "time (s)", "residual (nm)")
     below.locator_params(axis="x", nbins=3)
     figure.legend(*below.get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    return _png(figure)
+    return to_png(figure, DOTS_PER_INCH)
 
 
 def _closest_look(part, before_um, after_um):
@@ -78,25 +81,27 @@ def draw_spectra(part, before_um, after_um, noise_um):
     noise_um : float
         RMS of the sensor's noise.
     """
-    figure, axes = _figure(1)
+    figure = new_figure(4.5, WIDE_IN)
+    axes = figure.subplots()
     signals = (
-        (part.simulate(), {"color": "black", "linewidth": 0.8, "label": "model"}),
+        (part.simulate(), MODEL | {"label": "model"}),
         (before_um, BEFORE), (after_um, AFTER),
     )
     for signal, style in signals:
         frequency_hz, density = spectrum(signal[part.begin :], part.sample_period_s)
         axes.loglog(frequency_hz[1:-1], np.sqrt(density[1:-1]) * 1e3, **style)
     noise = 1e3 * noise_um * np.sqrt(2.0 * part.sample_period_s)
-    axes.axhline(noise, **NOISE)
+    axes.axhline(noise, label="noise", **LIMIT)
     axes.set_ylim(bottom=LOWEST_SHOWN * noise)
-    _label(axes, "frequency / Hz", "density / (nm/sqrt(Hz))")
+    label(axes, "frequency (Hz)", "density (nm per root Hz)")
     axes.legend(loc="lower left")
-    return _png(figure)
+    return to_png(figure, DOTS_PER_INCH)
 
 
 def draw_tests(part, before_um, after_um):
     """Whiteness and correlation with the input, with the band of 99 %; PNG bytes."""
-    figure, (above, below) = _figure(2)
+    figure = new_figure(5.0, WIDE_IN)
+    above, below = figure.subplots(2)
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
         residual_um = residual_um[part.begin :]
         white = whiteness(residual_um)
@@ -105,16 +110,15 @@ def draw_tests(part, before_um, after_um):
         below.plot(with_input.lags, with_input.correlation, **style)
     for axes, test in ((above, white), (below, with_input)):
         axes.axhspan(-test.band, test.band, color="0.85")
-    _label(above, None, "with itself")
-    _label(below, "lag / samples", "with the voltage")
+    label(above, "lag (samples)", "correlation with itself")
+    label(below, "lag (samples)", "with the voltage")
     above.legend(loc="upper right")
-    return _png(figure)
+    return to_png(figure, DOTS_PER_INCH)
 
 
 def draw_dependences(part, before_um, after_um):
     """Mean residual over each quantity that an effect may go with; PNG bytes."""
-    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(6.0, WIDE_IN)
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
         found = dependences(
             residual_um[part.begin :], part.simulate()[part.begin :],
@@ -125,25 +129,5 @@ def draw_dependences(part, before_um, after_um):
             one.plot(dependence.centre, 1e3 * dependence.mean_um, marker=".", **style)
             one.fill_between(dependence.centre, -1e3 * dependence.band_um,
                              1e3 * dependence.band_um, color=style["color"], alpha=0.15)
-            _label(one, dependence.quantity, "mean residual / nm")
-    return _png(figure)
-
-
-def _figure(rows, **options):
-    figure = Figure(figsize=(8.0, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    if "height_ratios" in options:
-        return figure, figure.subplots(rows, 1, **options)
-    return figure, figure.subplots(rows, 1)
-
-
-def _label(axes, x, y):
-    axes.set(xlabel=x or "", ylabel=y)
-    axes.grid(True, color="0.88", linewidth=0.6)
-    axes.set_axisbelow(True)
-
-
-def _png(figure):
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=110)
-    return stream.getvalue()
+            label(one, dependence.quantity, "mean residual (nm)")
+    return to_png(figure, DOTS_PER_INCH)

@@ -264,12 +264,12 @@ def dependences(residual_um, displacement_um, voltage_v, time_s):
     return [
         dependence(residual_um, values, quantity)
         for quantity, values in (
-            ("displacement / um", displacement_um),
-            ("speed / (um/s)", speed),
-            ("voltage span of the branch / V", amplitude),
+            ("displacement (um)", displacement_um),
+            ("speed (um/s)", speed),
+            ("voltage span of the branch (V)", amplitude),
             ("direction", direction),
-            ("voltage of the last reversal / V", history),
-            ("time / s", time_s),
+            ("voltage of the last reversal (V)", history),
+            ("time (s)", time_s),
         )
     ]
 

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What all pictures share: size, labels, PNG, and lines that are told apart without colour.
+
+The colours are of Okabe and Ito's palette. Two lines of one picture differ in their dashes or
+marker, or in lightness so far that they do in grey as well; where a signal is too dense for dashes,
+it is the lightness.
+"""
+
+import io
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+WIDTH_IN, WIDE_IN = 5.6, 8.0
+DOTS_PER_INCH = 180
+
+# From dark to light, with the lightness L* of CIELAB; grey is of no palette.
+BLACK, BLUE, VERMILION, GREEN = "#000000", "#0072b2", "#d55e00", "#009e73"  # 0, 46, 55, 58
+PURPLE, ORANGE, GREY = "#cc79a7", "#e69f00", "#b3b3b3"  # 61, 71, 73
+
+BEFORE = {"color": ORANGE, "linestyle": "-", "linewidth": 1.6, "label": "before"}
+AFTER = {"color": BLUE, "linestyle": "-", "linewidth": 0.9, "label": "after"}
+MEASURED = {"color": GREY, "linewidth": 3.0, "label": "measured"}
+MODELLED = {"color": BLUE, "linewidth": 1.2, "label": "modelled"}
+DIFFERENCE = {"color": VERMILION, "linestyle": "none", "marker": ".", "markersize": 1.5}
+REFERENCE = {"color": GREY, "linewidth": 4.0, "label": "reference"}
+FEEDFORWARD = {"color": ORANGE, "linewidth": 1.6, "label": "feedforward"}
+FEEDBACK = {"color": BLUE, "linewidth": 0.8, "label": "feedback"}
+LIMIT = {"color": BLACK, "linestyle": ":", "linewidth": 1.0}
+MODE_STYLES = {
+    "open_loop": {"color": ORANGE, "linestyle": ":", "linewidth": 2.2, "label": "open loop"},
+    "feedforward": {"color": VERMILION, "linestyle": "--", "linewidth": 1.6,
+                    "label": "feedforward"},
+    "composite": {"color": BLUE, "linestyle": "-", "linewidth": 1.3, "label": "composite"},
+}
+PID = {"color": GREEN, "linestyle": "-.", "linewidth": 1.4, "label": "PID"}
+CURVES = tuple(
+    {"color": color, "linestyle": linestyle, "linewidth": 1.5} for color, linestyle in (
+        (BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (VERMILION, ":"), (PURPLE, (0, (6, 1.5))),
+        (BLACK, (0, (6, 1.5, 1, 1.5, 1, 1.5)))))
+"""For smooth curves of equal rank."""
+
+
+def new_figure(height_in=3.8, width_in=WIDTH_IN):
+    """A figure of its own, apart from pyplot's global state and any display."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def label(axes, x=None, y=None, title=None):
+    """Label axes, with a light grid behind the lines."""
+    axes.set(**{key: text for key, text in (("xlabel", x), ("ylabel", y), ("title", title))
+                if text})
+    axes.title.set_size("medium")
+    axes.grid(True, color="0.88", linewidth=0.6)
+    axes.set_axisbelow(True)
+    for side in "top", "right":
+        axes.spines[side].set_visible(False)
+
+
+def plain_numbers(axis):
+    """Write the numbers of a logarithmic axis as 0.1, 1, 10."""
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def to_png(figure, dots_per_inch=DOTS_PER_INCH):
+    """Return a figure as the bytes of a small PNG file."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=dots_per_inch, pil_kwargs={"optimize": True})
+    return stream.getvalue()
