@@ -48,6 +48,7 @@ docs: setup ## write docs/errors.md from the sources
 
 api: setup ## make the API pages of the docstrings; start at build/api/index.html
 	@tools/apart api
+	@rm -rf docs/api/generated build/api  # nothing stays of modules that are gone
 	@$(in_environment) PYTHONPATH=$$(echo .venv-api/lib/python*/site-packages):$$PYTHONPATH \
 		.venv/bin/python -m sphinx --quiet --fail-on-warning --keep-going docs/api build/api
 	@echo "written: build/api/index.html"

@@ -3,11 +3,11 @@
 
 from piezo_bringup import identification_pictures, tracking_pictures
 from piezo_bringup.frequency_response import square_wave_response
-from piezo_bringup.page import Picture, Section, render_page
 from piezo_bringup.second_half import second_half_sections
 from piezo_bringup.summary import table_rows
 from piezo_identification.prediction import predict
 from piezo_models.picture_style import to_png
+from piezo_models.report_page import Picture, Section, render_page
 
 TITLE = "A piezo stage, identified and controlled"
 

@@ -4,11 +4,11 @@
 from dataclasses import dataclass
 
 from piezo_bringup import extension_pictures
-from piezo_bringup.page import Picture, Section
 from piezo_bringup.summary import model_error_rows, tracking_error_rows
 from piezo_identification.prediction import predict
 from piezo_models.effects import known_effects
 from piezo_models.picture_style import to_png
+from piezo_models.report_page import Picture, Section
 
 
 @dataclass(frozen=True, eq=False)

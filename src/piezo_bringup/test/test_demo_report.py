@@ -10,7 +10,6 @@ import pytest
 from matplotlib.image import imread
 
 from piezo_bringup.frequency_response import CLEARANCE, square_wave_response
-from piezo_bringup.page import Picture, Section, render_page
 from piezo_bringup.report import render_report
 from piezo_bringup.second_half import SecondHalf
 from piezo_bringup.summary import summarise, summarise_run
@@ -20,6 +19,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, zoh_response
 from piezo_models.preisach import PreisachModel
+from piezo_models.report_page import Picture, Section, render_page
 from piezo_recorder.reader import Recording
 from piezo_recorder.sample_block import Flag
 
@@ -117,6 +117,11 @@ def test_the_report_refers_to_nothing_outside_itself(report):
     assert references and all(value.startswith("data:image/png;base64,") for value in references)
     assert not {tag for tag, _ in page.tags} & {"script", "link", "iframe", "object", "embed"}
     assert not re.search(r"https?:|url\(|@import", report)
+
+
+def test_paper_takes_no_picture_and_no_row_apart(report):
+    print_rules = report.partition("@media print")[2].partition("</style>")[0]
+    assert re.search(r"figure, tr \{ break-inside: avoid; \}", print_rules)
 
 
 @pytest.mark.parametrize("device", ["phone", "desk"])

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A diagnosis of a frequency response from files to files."""
 
-import html
 from pathlib import Path
 
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
@@ -9,6 +8,7 @@ from piezo_identification.frequency_response import read_frequency_response
 from piezo_identification.response_diagnosis import diagnose_response
 from piezo_models.model_file import load_model
 from piezo_models.picture_style import AFTER, BEFORE, BLACK, WIDE_IN, label, new_figure
+from piezo_models.report_page import Picture, Section, render_page
 
 PICTURE = "response.png"
 DOTS_PER_INCH = 120
@@ -39,7 +39,8 @@ def diagnose_response_file(model, response, directory):
     write_verdict(directory / "verdict.json", diagnosis)
     save_extended_model(directory / "extended_model.json", identified, diagnosis, [response])
     draw_response(directory / PICTURE, diagnosis)
-    (directory / "report.html").write_text(_report(diagnosis), encoding="utf-8")
+    page = _report(diagnosis, (directory / PICTURE).read_bytes())
+    (directory / "report.html").write_text(page, encoding="utf-8")
     return diagnosis
 
 
@@ -69,22 +70,19 @@ def draw_response(path, diagnosis):
     figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
-def _report(diagnosis):
-    rows = "".join(
-        f"<tr><td>{name}</td><td>{diagnosis.before[name]:.4g}</td>"
-        f"<td>{diagnosis.after[name]:.4g}</td></tr>" for name in diagnosis.before)
-    effects = "".join(
-        f"<li>{html.escape(entry['name'])}: {html.escape(str(entry['parameters']))}, "
-        f"{entry['error_reduction_percent']:.1f} % off the error</li>"
-        for entry in diagnosis.effects)
-    tried = "".join(
-        "<li>" + ", ".join(f"{name} {reduction:.1f} %" for name, reduction in round_) + "</li>"
-        for round_ in diagnosis.tried)
-    return f"""<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>Diagnosis of a frequency response</title></head>
-<body><h1>{diagnosis.verdict}</h1><p>{html.escape(response_sentence(diagnosis))}</p>
-<table><tr><th>on frequencies held out</th><th>before</th><th>after</th></tr>{rows}</table>
-<ul>{effects}</ul><img src="{PICTURE}" alt="measured and modelled response">
-<p>Tried in each round, and how much of the error held out it took off:</p><ol>{tried}</ol>
-</body></html>
-"""
+def _report(diagnosis, picture):
+    rows = [("on frequencies held out", "before", "after"),
+            *((name, f"{diagnosis.before[name]:.4g}", f"{diagnosis.after[name]:.4g}")
+              for name in diagnosis.before)]
+    sections = [Section("What was found", table=rows, pictures=(Picture(
+        "Response", "The gain, measured and modelled, and the errors.", picture, wide=True),))]
+    if diagnosis.effects:
+        sections.append(Section("What was added", table=[
+            ("effect", "parameters", "error reduction (%)"),
+            *((entry["name"], str(entry["parameters"]), f"{entry['error_reduction_percent']:.1f}")
+              for entry in diagnosis.effects)]))
+    sections.append(Section("What was tried", [
+        f"Round {number}, and what each took off the error held out: "
+        + ", ".join(f"{name} {reduction:.1f} %" for name, reduction in attempts)
+        for number, attempts in enumerate(diagnosis.tried, 1)]))
+    return render_page(f"{diagnosis.verdict}: {response_sentence(diagnosis)}", (), sections)

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The report of a diagnosis: one self-contained page for the logbook."""
 
-import base64
 from dataclasses import fields
-from html import escape
 
 import numpy as np
 
@@ -11,17 +9,7 @@ from piezo_identification.diagnosis import pictures
 from piezo_identification.diagnosis.residual import input_correlation, whiteness
 from piezo_identification.diagnosis.selection import SIGNIFICANT
 from piezo_models.effects import known_effects
-
-STYLE = """
-body { font: 1rem/1.5 system-ui, sans-serif; color: #111; background: #fff; max-width: 60rem;
-       margin: 0 auto; padding: 1rem; }
-h1, h2, p { overflow-wrap: anywhere; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; border-top: 1px solid #ccc; padding-top: 1rem; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .2rem .7rem; text-align: left; border-bottom: 1px solid #ddd; }
-.wide { overflow-x: auto; } figure { margin: 1rem 0; break-inside: avoid; }
-figure img { width: 100%; height: auto; } figcaption { font-size: .9rem; }
-"""
+from piezo_models.report_page import Picture, Section, render_page
 
 
 def verdict_sentence(diagnosis):
@@ -48,66 +36,62 @@ def render_report(diagnosis, origin=()):
         What the page is to tell of when, and from which files: name and text.
     """
     contest = diagnosis.contest
-    sections = [_section("What was found", _effects_table(diagnosis))]
-    if origin:
-        sections.insert(0, _table(origin))
-    if diagnosis.left:
-        sections.append(_section("What is left", _paragraph(diagnosis.left)))
-    for index, part in enumerate(contest.prepared):
-        before_um = contest.residual_um(index)
-        after_um = contest.residual_of_um(index, diagnosis.model)
-        sections.append(_section(
-            str(part.path),
-            _tests_table(part, before_um, after_um)
-            + _figure("Residuals", "Measured minus simulated displacement over time; right, close "
-                      "where the extension gains most.",
-                      pictures.draw_residuals(part, before_um, after_um))
-            + _figure("Spectra", "Spectra of the residuals, of the model and of the noise.",
-                      pictures.draw_spectra(part, before_um, after_um, contest.noise_um[index]))
-            + _figure("Correlations", "Correlation of the residuals; the band holds 99 % of it "
-                      "where there is none.", pictures.draw_tests(part, before_um, after_um))
-            + _figure("Dependences", "Mean of the residuals where a quantity has some value; the "
-                      "bands hold 99 % of the means where nothing depends on it.",
-                      pictures.draw_dependences(part, before_um, after_um)),
-        ))
-    if diagnosis.model is not contest.model:
-        sections.append(_section("What was tuned beside", _tuned(contest.model, diagnosis.model)))
-    sections.append(_section("What was tried", _tried(diagnosis.selection)))
-    sections.append(_section("What the data could not decide", _undecided(diagnosis)))
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>Diagnosis</title><style>{STYLE}</style></head><body>\n"
-        f"<h1>{escape(verdict_sentence(diagnosis))}</h1>\n" + "\n".join(sections)
-        + "\n</body></html>\n"
-    )
-
-
-def _effects_table(diagnosis):
-    before, after = diagnosis.before, diagnosis.after
-    rows = [
-        ("error on held-out data", "before", "after"),
-        ("RMS / nm", *(f"{1e3 * errors['rms_um']:.4g}" for errors in (before, after))),
-        ("e_y / %", *(f"{errors['e_y_percent']:.4g}" for errors in (before, after))),
-        ("noise of the sensor / nm", f"{1e3 * diagnosis.noise_floor_um:.4g}", ""),
-    ]
-    tables = _table(rows)
-    where = "{samples} samples of {source}".format(**diagnosis.holdout)
-    tables += _paragraph(f"Held out: {where}.")
+    sections = [_found(diagnosis)]
     if diagnosis.effects:
-        rows = [("effect", "parameter", "value", "standard deviation", "error reduction / %")]
-        for entry in diagnosis.effects:
-            first = True
-            for name, value in entry["parameters"].items():
-                deviation = entry.get("standard_deviations", {}).get(name)
-                rows.append((
-                    entry["name"] if first else "", name, _number(value),
-                    "" if deviation is None else _number(deviation, 2),
-                    f"{entry['error_reduction_percent']:.1f}" if first else "",
-                ))
-                first = False
-        tables += _table(rows)
-    return tables
+        sections.append(Section("What was added", table=_effects(diagnosis.effects)))
+    if diagnosis.left:
+        sections.append(Section("What is left", (diagnosis.left,)))
+    sections += [
+        _recording(part, contest.residual_um(index),
+                   contest.residual_of_um(index, diagnosis.model), contest.noise_um[index])
+        for index, part in enumerate(contest.prepared)]
+    if diagnosis.model is not contest.model:
+        sections.append(_tuned(contest.model, diagnosis.model))
+    sections += [*_tried(diagnosis.selection), _undecided(diagnosis)]
+    return render_page(verdict_sentence(diagnosis),
+                       [f"{name}: {text}" for name, text in origin], sections)
+
+
+def _found(diagnosis):
+    before, after = diagnosis.before, diagnosis.after
+    where = "{samples} samples of {source}".format(**diagnosis.holdout)
+    return Section("What was found", (f"Held out: {where}.",), [
+        ("error on held-out data", "before", "after"),
+        ("RMS (nm)", *(f"{1e3 * errors['rms_um']:.4g}" for errors in (before, after))),
+        ("e_y (%)", *(f"{errors['e_y_percent']:.4g}" for errors in (before, after))),
+        ("noise of the sensor (nm)", f"{1e3 * diagnosis.noise_floor_um:.4g}", ""),
+    ])
+
+
+def _effects(effects):
+    rows = [("effect", "parameter", "value", "standard deviation", "error reduction (%)")]
+    for entry in effects:
+        first = True
+        for name, value in entry["parameters"].items():
+            deviation = entry.get("standard_deviations", {}).get(name)
+            rows.append((
+                entry["name"] if first else "", name, _number(value),
+                "" if deviation is None else _number(deviation, 2),
+                f"{entry['error_reduction_percent']:.1f}" if first else "",
+            ))
+            first = False
+    return rows
+
+
+def _recording(part, before_um, after_um, noise_um):
+    def picture(name, caption, png):
+        return Picture(name, caption, png, wide=True)
+
+    return Section(str(part.path), table=_tests_table(part, before_um, after_um), pictures=(
+        picture("Residuals", "Measured minus simulated displacement over time; right, close where "
+                "the extension gains most.", pictures.draw_residuals(part, before_um, after_um)),
+        picture("Spectra", "Spectra of the residuals, of the model and of the noise.",
+                pictures.draw_spectra(part, before_um, after_um, noise_um)),
+        picture("Correlations", "Correlation of the residuals; the band holds 99 % of it where "
+                "there is none.", pictures.draw_tests(part, before_um, after_um)),
+        picture("Dependences", "Mean of the residuals where a quantity has some value; the bands "
+                "hold 99 % of the means where nothing depends on it.",
+                pictures.draw_dependences(part, before_um, after_um))))
 
 
 def _tests_table(part, before_um, after_um):
@@ -120,13 +104,15 @@ def _tests_table(part, before_um, after_um):
          [input_correlation(residual, voltage_v) for residual in (before_um, after_um)]),
     ):
         rows.append((name, *(f"{100.0 * test.share_outside:.0f} %" for test in tests)))
-    return _table(rows)
+    return rows
 
 
 def _tried(selection):
-    text = ""
+    yield Section("What was tried", (
+        f"Significance is in standard deviations of a gain by chance; more than {SIGNIFICANT:g} "
+        "are asked for. The tolerance is the noise and what a good model may be wrong by.",))
     for number, attempts in enumerate(selection.rounds, 1):
-        rows = [("candidate", "error reduction / %", "significance", "size / tolerance",
+        rows = [("candidate", "error reduction (%)", "significance", "size / tolerance",
                  "outcome")]
         rows += [
             (attempt.name, *(
@@ -134,11 +120,7 @@ def _tried(selection):
                  f"{attempt.size:.2f}") if attempt.trial is not None else ("-", "-", "-")),
              _outcome(attempt, attempts[0], selection)) for attempt in attempts
         ]
-        text += _paragraph(f"Round {number}, on held-out data; the best first:") + _table(rows)
-    return text + _paragraph(
-        f"Significance is in standard deviations of a gain by chance; more than {SIGNIFICANT:g} "
-        "are asked for. The tolerance is the noise and what a good model may be wrong by."
-    )
+        yield Section(f"Round {number}, on held-out data; the best first", table=rows)
 
 
 def _outcome(attempt, best, selection):
@@ -161,19 +143,20 @@ def _outcome(attempt, best, selection):
 
 
 def _undecided(diagnosis):
+    title = "What the data could not decide"
     if not diagnosis.not_decidable:
-        return _paragraph("Nothing.")
+        return Section(title, ("Nothing.",))
     kinds = known_effects()
     rows = [("effect", "why", "experiment that would")]
     rows += [
         (name, reason, kinds[name].experiment) for name, reason in diagnosis.not_decidable.items()
     ]
-    return _table(rows)
+    return Section(title, table=rows)
 
 
 def _tuned(before, after):
     """The model's own parameters before and after; what they gained alone is no effect's."""
-    rows = [("parameter", "before", "after", "change / %")]
+    rows = [("parameter", "before", "after", "change (%)")]
     for old, new in ((before.dynamics, after.dynamics), (before.creep, after.creep)):
         for field in fields(old):
             pairs = zip(np.atleast_1d(getattr(old, field.name)),
@@ -183,36 +166,12 @@ def _tuned(before, after):
     density = [model.hysteresis.density_um_per_v2.sum() for model in (before, after)]
     rows.append(("density of the hysteresis, sum", *map(_number, density),
                  f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
-    return _paragraph(
+    return Section("What was tuned beside", (
         "Without the effects the model's own parameters had been fitted to make up for them. "
-        "Beside the effects they were free to move as far as they are uncertain."
-    ) + _table(rows)
+        "Beside the effects they were free to move as far as they are uncertain.",), rows)
 
 
 def _number(value, digits=5):
     if isinstance(value, (list, tuple)):
         return ", ".join(f"{number:.{min(digits, 4)}g}" for number in value)
     return f"{value:.{digits}g}"
-
-
-def _section(title, content):
-    return f"<section><h2>{escape(title)}</h2>{content}</section>"
-
-
-def _paragraph(text):
-    return f"<p>{escape(text)}</p>"
-
-
-def _table(rows):
-    def line(cell, texts):
-        return "<tr>" + "".join(f"<{cell}>{escape(text)}</{cell}>" for text in texts) + "</tr>"
-
-    body = "".join(line("td", row) for row in rows[1:])
-    return (f'<div class="wide"><table><thead>{line("th", rows[0])}</thead>'
-            f"<tbody>{body}</tbody></table></div>")
-
-
-def _figure(name, caption, png):
-    data = base64.b64encode(png).decode()
-    return (f'<figure><img alt="{escape(name)}" src="data:image/png;base64,{data}">'
-            f"<figcaption>{escape(caption)}</figcaption></figure>")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One self-contained HTML page of sections with text, tables and pictures."""
+"""One self-contained HTML page of sections with text, tables and pictures: screen, phone, print."""
 
 import base64
 from dataclasses import dataclass
@@ -21,14 +21,18 @@ th { border-bottom: 2px solid #111; white-space: nowrap; }
 td.text, th.text { text-align: left; }
 .pictures { display: grid; gap: 1.5rem;
             grid-template-columns: repeat(auto-fit, minmax(min(100%, 26rem), 1fr)); }
-figure { margin: 0; break-inside: avoid; }
+figure { margin: 0; }
 .tall { grid-row: span 2; }
+.wide { grid-column: 1 / -1; }
 figure img { width: 100%; max-width: 38rem; height: auto; }
-figcaption { font-size: .9rem; max-width: 38rem; }
+.wide img { max-width: 54rem; }
+figcaption { font-size: .9em; max-width: 38rem; }
 @media (max-width: 40rem) { body { padding: .6rem; } th, td { padding: .2rem .35rem; }
                             table { font-size: .8rem; } }
-@media print { body { max-width: none; font-size: 10pt; }
-               .pictures { grid-template-columns: 1fr 1fr; } h2 { break-after: avoid; } }
+@media print { body { max-width: none; font-size: 10pt; padding: 0; }
+               .pictures { grid-template-columns: 1fr 1fr; } .table { overflow: visible; }
+               figure, tr { break-inside: avoid; } figcaption { break-before: avoid; }
+               h1, h2, thead { break-after: avoid; } p { orphans: 3; widows: 3; } }
 """
 
 
@@ -42,14 +46,15 @@ class Picture:
         Told to those who cannot see it.
     caption : str
     png : bytes
-    tall : bool
-        Two others fit beside it.
+    tall, wide : bool
+        Two others fit beside it; none does.
     """
 
     name: str
     caption: str
     png: bytes
     tall: bool = False
+    wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -142,6 +147,7 @@ def _is_number(text):
 
 def _figure(picture):
     data = base64.b64encode(picture.png).decode()
-    kind = ' class="tall"' if picture.tall else ""
-    return (f'<figure{kind}><img alt="{escape(picture.name)}" src="data:image/png;base64,{data}">'
+    kind = "tall" if picture.tall else "wide" if picture.wide else "usual"
+    return (f'<figure class="{kind}"><img alt="{escape(picture.name)}" '
+            f'src="data:image/png;base64,{data}">'
             f"<figcaption>{_inline(picture.caption)}</figcaption></figure>")
