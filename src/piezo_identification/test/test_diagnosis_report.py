@@ -74,7 +74,7 @@ def test_what_could_not_be_decided_names_the_experiment_that_would(page, diagnos
 
 def test_the_page_is_self_contained_and_its_pictures_can_be_decoded(page):
     sources = re.findall(r'src="(.*?)"', page)
-    assert len(sources) == 4
+    assert len(sources) == 5
     for source in sources:
         pixels = imread(io.BytesIO(base64.b64decode(source.partition(",")[2])), format="png")
         assert np.ptp(pixels[..., :3]) > 0.5

@@ -30,26 +30,22 @@ def test_what_follows_the_input_is_found_at_its_lag(noise):
     assert subject.input_correlation(noise, driven).passed
 
 
-def test_the_noise_floor_is_not_raised_by_slow_structure_or_a_tone(noise):
-    time_s = np.arange(noise.size) * 25e-6
-    signal = 0.009 * noise + np.sin(30.0 * time_s) + 0.2 * np.sin(2.0 * np.pi * 15e3 * time_s)
-    assert subject.noise_floor_um(signal, 25e-6) == pytest.approx(0.009, rel=0.05)
-
-
-def test_the_noise_is_seen_at_rest_and_between_repeats(noise):
-    voltage_v = np.repeat([0.0, 50.0, 20.0, 70.0], 10_000)
-    assert subject.noise_from_rest_um(0.009 * noise + voltage_v, voltage_v) == pytest.approx(
-        0.009, rel=0.03)
-    assert subject.noise_from_rest_um(noise, np.arange(noise.size) * 1.0) is None
-    repeated = np.tile(np.sin(np.arange(4000.0)), 10) + 0.009 * noise
-    repeated += np.linspace(0.0, 1.0, repeated.size)
-    assert subject.noise_from_repeats_um(repeated, 4000) == pytest.approx(0.009, rel=0.03)
-    assert subject.noise_from_repeats_um(repeated, 30_000) is None
-
-
 def test_the_spectrum_integrates_to_the_power(noise):
     frequency_hz, density = subject.spectrum(noise, 1e-3)
     assert np.trapezoid(density, frequency_hz) == pytest.approx(1.0, rel=0.05)
+
+
+def test_the_error_response_is_that_of_the_filter_between_the_signals(noise):
+    displacement_um = lfilter([0.1], [1.0, -0.9], np.random.default_rng(4).normal(size=noise.size))
+    residual_um = 0.05 * np.diff(displacement_um, prepend=0.0) + 1e-3 * noise
+    found = subject.error_response(residual_um, displacement_um, 1e-3)
+    expected = 0.05 * (1.0 - np.exp(-2j * np.pi * found.frequency_hz * 1e-3))
+    clear = found.frequency_hz > 20.0
+    assert np.abs(found.gain / expected - 1.0)[clear].max() < 0.25
+    assert np.median(np.abs(found.gain / expected - 1.0)[clear]) < 0.05
+    assert found.coherence[clear].min() > found.limit
+    apart = subject.error_response(noise, displacement_um, 1e-3)
+    assert np.mean(apart.coherence > apart.limit) < 0.03
 
 
 @pytest.mark.parametrize("quantity", [

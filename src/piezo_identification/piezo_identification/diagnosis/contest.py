@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from piezo_identification.diagnosis.noise import sensor_noise_um
 from piezo_identification.diagnosis.prepared import PreparedRecording, retuned
-from piezo_identification.diagnosis.residual import noise_floor_um, noise_from_rest_um
 from piezo_models.effects import Evidence, fitted_values, with_fitted_values
 from piezo_models.effects.outliers import Outliers
 
@@ -154,11 +154,10 @@ class Contest:
         self.noise_um, self.wrong = [], []
         for part, residual in zip(self.prepared, residuals, strict=True):
             suspect = Outliers.find(residual, 0.0)
-            noise = noise_floor_um(
-                np.where(suspect, 0.0, residual)[part.begin :], part.sample_period_s
-            )
-            rest = noise_from_rest_um(part.measured_um[part.begin :], part.voltage_v[part.begin :])
-            self.noise_um.append(min(noise, rest) if rest else noise)
+            self.noise_um.append(sensor_noise_um(
+                part.measured_um[part.begin :], part.voltage_v[part.begin :],
+                np.where(suspect, 0.0, residual)[part.begin :], part.sample_period_s,
+            ))
             wrong = Outliers.find(residual, self.noise_um[-1])
             self.wrong.append(wrong & ~_just_after_a_jump(part.voltage_v))
         self._weigh(effects)

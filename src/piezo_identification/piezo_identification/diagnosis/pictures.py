@@ -5,6 +5,7 @@ import numpy as np
 
 from piezo_identification.diagnosis.residual import (
     dependences,
+    error_response,
     input_correlation,
     spectrum,
     whiteness,
@@ -113,6 +114,20 @@ def draw_tests(part, before_um, after_um):
     label(above, "lag (samples)", "correlation with itself")
     label(below, "lag (samples)", "with the voltage")
     above.legend(loc="upper right")
+    return to_png(figure, DOTS_PER_INCH)
+
+
+def draw_error_response(part, before_um, after_um):
+    """Residual over the model's displacement at each frequency at which they go together; PNG."""
+    figure = new_figure(4.5, WIDE_IN)
+    axes = figure.subplots()
+    simulated_um = part.simulate()[part.begin :]
+    for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
+        found = error_response(residual_um[part.begin :], simulated_um, part.sample_period_s)
+        percent = np.where(found.coherence > found.limit, 100.0 * np.abs(found.gain), np.nan)
+        axes.loglog(found.frequency_hz, percent, **style)
+    label(axes, "frequency (Hz)", "part of the displacement (%)")
+    axes.legend(loc="upper left")
     return to_png(figure, DOTS_PER_INCH)
 
 

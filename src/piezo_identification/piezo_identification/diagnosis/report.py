@@ -87,6 +87,9 @@ def _recording(part, before_um, after_um, noise_um):
                 "the extension gains most.", pictures.draw_residuals(part, before_um, after_um)),
         picture("Spectra", "Spectra of the residuals, of the model and of the noise.",
                 pictures.draw_spectra(part, before_um, after_um, noise_um)),
+        picture("Error over frequency", "Part of the displacement by which the model is wrong, at "
+                "the frequencies at which the residual follows it.",
+                pictures.draw_error_response(part, before_um, after_um)),
         picture("Correlations", "Correlation of the residuals; the band holds 99 % of it where "
                 "there is none.", pictures.draw_tests(part, before_um, after_um)),
         picture("Dependences", "Mean of the residuals where a quantity has some value; the bands "

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import detrend, welch
+from scipy.signal import csd, welch
 
 from piezo_identification.waveforms import turning_points
 
@@ -13,8 +13,8 @@ BAND_99 = 2.576
 
 MOST_LAGS = 100
 BINS = 24
-HIGH_BANDS = 4
-"""Parts of the upper half of the spectrum; the quietest tells the noise."""
+SEGMENTS = 8
+"""Of a recording, whose spectra are averaged."""
 
 
 @dataclass(frozen=True)
@@ -115,82 +115,55 @@ def spectrum(signal_um, sample_period_s):
     -------
     frequency_hz, density_um2_per_hz : arrays
     """
-    segment = int(min(signal_um.size, max(256, signal_um.size // 8)))
+    segment = int(min(signal_um.size, max(256, signal_um.size // SEGMENTS)))
     return welch(signal_um, 1.0 / sample_period_s, nperseg=segment, detrend="linear")
 
 
-def noise_floor_um(residual_um, sample_period_s):
-    """Standard deviation of white noise as large as the residual's high frequencies.
+@dataclass(frozen=True)
+class ErrorResponse:
+    """The part of the model's displacement that the model gets wrong, over frequency.
 
-    The stage follows nothing at the highest frequencies of a fast recording; what is there is the
-    sensor's. The quietest part of the upper half is taken, and the median in it, so that a tone
-    does not count.
+    Attributes
+    ----------
+    frequency_hz : (n,) array
+    gain : (n,) array of complex
+        From the model's displacement to the residual; 0.1 where the stage moves by 10 % more.
+    coherence : (n,) array
+    limit : float
+        Coherence that 99 % of independent signals stay below.
+    """
+
+    frequency_hz: np.ndarray
+    gain: np.ndarray
+    coherence: np.ndarray
+    limit: float
+
+
+def error_response(residual_um, displacement_um, sample_period_s):
+    """How the residual follows the model's displacement at each frequency.
 
     Parameters
     ----------
-    residual_um : (N,) array
+    residual_um, displacement_um : (N,) array
+        Measured minus simulated, and simulated.
     sample_period_s : float
 
     Returns
     -------
-    float
+    ErrorResponse
     """
-    segment = int(min(256, residual_um.size))
-    frequency_hz, density = welch(residual_um, 1.0 / sample_period_s, nperseg=segment,
-                                  average="median")
-    upper = np.flatnonzero(frequency_hz > 0.5 * frequency_hz[-1])[:-1]
-    quietest = min(np.median(density[part]) for part in np.array_split(upper, HIGH_BANDS))
-    return float(np.sqrt(quietest * 0.5 / sample_period_s))
-
-
-def noise_from_rest_um(displacement_um, voltage_v, fewest=200):
-    """Standard deviation of the noise where the voltage rests; None if it never does for long.
-
-    Parameters
-    ----------
-    displacement_um, voltage_v : (N,) array
-    fewest : int
-        Samples of a rest that counts.
-
-    Returns
-    -------
-    float or None
-    """
-    edges = np.flatnonzero(np.diff(voltage_v, prepend=np.nan, append=np.nan) != 0.0)
-    spreads = []
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
-        # The first half may still move.
-        start = start + (end - start) // 2
-        if end - start >= fewest:
-            spreads.append(np.std(detrend(displacement_um[start:end])))
-    return float(np.median(spreads)) if spreads else None
-
-
-def noise_from_repeats_um(displacement_um, period, creep_order=2):
-    """Standard deviation of the noise from repeats of one waveform.
-
-    Parameters
-    ----------
-    displacement_um : (N,) array
-    period : int
-        Samples of the waveform.
-    creep_order : int
-        Degree of the polynomial that the repeats may drift by, one from the other.
-
-    Returns
-    -------
-    float or None
-        None with fewer than two repeats.
-    """
-    repeats = displacement_um.size // period
-    if repeats < 2:
-        return None
-    played = displacement_um[: repeats * period].reshape(repeats, period)
-    difference = np.diff(played, axis=0)
-    x = np.linspace(-1.0, 1.0, period)
-    basis = np.polynomial.legendre.legvander(x, creep_order)
-    left = difference.T - basis @ np.linalg.lstsq(basis, difference.T, rcond=None)[0]
-    return float(np.sqrt(np.mean(left**2) / 2.0))
+    segment = int(min(displacement_um.size, max(256, displacement_um.size // SEGMENTS)))
+    options = {"fs": 1.0 / sample_period_s, "nperseg": segment, "detrend": "linear"}
+    frequency_hz, cross = csd(displacement_um, residual_um, **options)
+    _, of_model = welch(displacement_um, **options)
+    _, of_residual = welch(residual_um, **options)
+    independent = max(2, displacement_um.size // segment)
+    kept = slice(1, -1)
+    power = np.maximum(of_model[kept], np.finfo(float).tiny)
+    coherence = np.abs(cross[kept]) ** 2 / np.maximum(
+        power * of_residual[kept], np.finfo(float).tiny)
+    return ErrorResponse(frequency_hz[kept], cross[kept] / power, coherence,
+                         1.0 - 0.01 ** (1.0 / (independent - 1)))
 
 
 @dataclass(frozen=True)

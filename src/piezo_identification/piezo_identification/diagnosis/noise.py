@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How large the sensor's noise is: between repeats, at rest, or in its own band."""
+
+import numpy as np
+from scipy.signal import correlate, detrend, welch
+
+HIGH_BANDS = 4
+"""Parts of the upper half of the spectrum; the quietest tells the noise."""
+
+ROUNDING, SAME = 1e-6, 1e-6
+"""Parts of the voltage's energy and span by which repeats may differ."""
+
+
+def sensor_noise_um(displacement_um, voltage_v, residual_um, sample_period_s):
+    """Standard deviation of the sensor's noise, by that way of the three which finds least.
+
+    What a model lacks can only add to it.
+
+    Parameters
+    ----------
+    displacement_um, voltage_v, residual_um : (N,) array
+    sample_period_s : float
+
+    Returns
+    -------
+    float
+    """
+    period = repeated_period(voltage_v)
+    found = [
+        noise_floor_um(residual_um, sample_period_s),
+        noise_from_rest_um(displacement_um, voltage_v),
+        noise_from_repeats_um(displacement_um, period) if period else None,
+    ]
+    return min(noise for noise in found if noise)
+
+
+def repeated_period(voltage_v):
+    """Samples after which the voltage repeats itself to the end; None if it does not.
+
+    Parameters
+    ----------
+    voltage_v : (N,) array
+
+    Returns
+    -------
+    int or None
+    """
+    varying_v = voltage_v - voltage_v.mean()
+    if not np.any(varying_v):
+        return None
+    # Sum of the squares of the differences between the voltage and itself, some samples later.
+    energy = np.cumsum(varying_v**2)
+    lags = np.arange(1, voltage_v.size // 2 + 1)
+    products = correlate(varying_v, varying_v, method="fft")[voltage_v.size :][: lags.size]
+    squares = energy[-1] - energy[lags - 1] + energy[-1 - lags] - 2.0 * products
+    for lag in lags[squares < ROUNDING * energy[-1]]:
+        if np.allclose(voltage_v[lag:], voltage_v[:-lag], rtol=0.0, atol=SAME * np.ptp(voltage_v)):
+            return int(lag)
+    return None
+
+
+def noise_floor_um(residual_um, sample_period_s):
+    """Standard deviation of white noise as large as the residual's high frequencies.
+
+    The stage follows nothing at the highest frequencies of a fast recording; what is there is the
+    sensor's. The quietest part of the upper half is taken, and the median in it, so that a tone
+    does not count.
+
+    Parameters
+    ----------
+    residual_um : (N,) array
+    sample_period_s : float
+
+    Returns
+    -------
+    float
+    """
+    segment = int(min(256, residual_um.size))
+    frequency_hz, density = welch(residual_um, 1.0 / sample_period_s, nperseg=segment,
+                                  average="median")
+    upper = np.flatnonzero(frequency_hz > 0.5 * frequency_hz[-1])[:-1]
+    quietest = min(np.median(density[part]) for part in np.array_split(upper, HIGH_BANDS))
+    return float(np.sqrt(quietest * 0.5 / sample_period_s))
+
+
+def noise_from_rest_um(displacement_um, voltage_v, fewest=200):
+    """Standard deviation of the noise where the voltage rests; None if it never does for long.
+
+    Parameters
+    ----------
+    displacement_um, voltage_v : (N,) array
+    fewest : int
+        Samples of a rest that counts.
+
+    Returns
+    -------
+    float or None
+    """
+    edges = np.flatnonzero(np.diff(voltage_v, prepend=np.nan, append=np.nan) != 0.0)
+    spreads = []
+    for start, end in zip(edges[:-1], edges[1:], strict=True):
+        # The first half may still move.
+        start = start + (end - start) // 2
+        if end - start >= fewest:
+            spreads.append(np.std(detrend(displacement_um[start:end])))
+    return float(np.median(spreads)) if spreads else None
+
+
+def noise_from_repeats_um(displacement_um, period, creep_order=2):
+    """Standard deviation of the noise from repeats of one waveform.
+
+    Parameters
+    ----------
+    displacement_um : (N,) array
+    period : int
+        Samples of the waveform; `repeated_period` finds it.
+    creep_order : int
+        Degree of the polynomial that the repeats may drift by, one from the other.
+
+    Returns
+    -------
+    float or None
+        None with fewer than two repeats.
+    """
+    repeats = displacement_um.size // period
+    if repeats < 2:
+        return None
+    played = displacement_um[: repeats * period].reshape(repeats, period)
+    difference = np.diff(played, axis=0)
+    x = np.linspace(-1.0, 1.0, period)
+    basis = np.polynomial.legendre.legvander(x, creep_order)
+    left = difference.T - basis @ np.linalg.lstsq(basis, difference.T, rcond=None)[0]
+    return float(np.sqrt(np.mean(left**2) / 2.0))
