@@ -245,7 +245,7 @@ class FeedbackOscillation:
     def _turn(self, voltage_v):
         """Take in the swing that has ended with the last extreme, and begin another."""
         swing_v = abs(self._extreme_v - self._turn_v)
-        self._steep = self._fast and self._is_steep(swing_v)
+        self._steep = self._is_steep(swing_v)
         self._last_swing_v = swing_v
         if not self._fast or swing_v < self.LULL * self._largest_v:
             self._restart(max(swing_v, self._largest_v))

@@ -134,7 +134,7 @@ def test_growing_oscillation_is_told_before_it_acts_with_more_than_the_limit(
 
 
 @settings(deadline=None)
-@given(amplitude_v=st.floats(0.1, 50.0), frequency_hz=st.floats(0.5, 400.0),
+@given(amplitude_v=st.floats(0.1, 50.0), frequency_hz=st.floats(0.5, 333.0),
        phase=st.floats(0.0, 1.5), seed=st.integers(0, 1000))
 def test_steady_oscillation_is_let_pass_whatever_its_size(amplitude_v, frequency_hz, phase, seed):
     feedback_v = amplitude_v * np.sin(2e-3 * np.pi * frequency_hz * np.arange(2000) + phase)
