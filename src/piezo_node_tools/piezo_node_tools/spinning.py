@@ -14,6 +14,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from piezo_node_tools.discovery import prepare_discovery
 from piezo_node_tools.parameters import declare
+from piezo_node_tools.responses import answer_patiently
 
 RCLError = rclpy_implementation.RCLError
 SPIN_TIMEOUT_S = 0.2
@@ -85,6 +86,7 @@ def run_node(create_node, args=None):
 
 def _start(create_node, args):
     prepare_discovery()
+    answer_patiently()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Responses of services that reach clients whom the middleware has only just met."""
+
+import functools
+import warnings
+
+from rclpy.service import Service
+
+NOT_SENT = "failed to send response"
+ATTEMPTS = 20
+"""Each waits up to 0.1 s in the middleware for the client's end to be known."""
+
+
+def sent_again(send):
+    """Return what sends a response again while the middleware does not know the client.
+
+    rclpy sends once and warns that the client will not receive it; the client waits for ever.
+
+    Parameters
+    ----------
+    send : callable
+        As `rclpy.service.Service.send_response`.
+
+    Returns
+    -------
+    callable
+        To be used in its place.
+    """
+    @functools.wraps(send)
+    def patient(service, response, header):
+        for _ in range(ATTEMPTS):
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always")
+                send(service, response, header)
+            if not any(NOT_SENT in str(warning.message) for warning in told):
+                break
+        for warning in told:
+            warnings.warn(warning.message, stacklevel=2)
+
+    return patient
+
+
+def answer_patiently():
+    """Make every service of this process send a response until it is received."""
+    if not hasattr(Service.send_response, "__wrapped__"):
+        Service.send_response = sent_again(Service.send_response)
