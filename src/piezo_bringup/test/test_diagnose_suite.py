@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The cases of the suite, their outcomes and the summary."""
+"""The cases of the suite, their outcomes, and that the table does not depend on where it ran."""
 
+import subprocess
+import sys
+import time
 from collections import Counter
 
 import pytest
+from distributed import Client
 
 from piezo_bringup.diagnose_suite.cases import draw_cases
-from piezo_bringup.diagnose_suite.command import main
+from piezo_bringup.diagnose_suite.command import main, run_suite
 from piezo_bringup.diagnose_suite.outcome import as_text, outcome, summary
+
+COUNT, SEED = 2, 3
 
 
 def result(causes=(), effects=(), verdict="explained", not_decidable=(), later=True):
@@ -62,6 +68,44 @@ def test_the_summary_counts_what_is_not_decidable_apart():
     assert document["confusion"] == {"delay": {"delay": 1, "sensor_lag": 1}}
     assert document["figures"]["error_within_1.2_percent"] == 100.0
     assert "delay 1, sensor_lag 1" in as_text(document)
+
+
+@pytest.fixture
+def scheduler(tmp_path):
+    """Address of a scheduler with two workers, each a process of its own."""
+    file = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "dask"]
+    options = ["--scheduler-file", str(file), "--no-dashboard"]
+    processes = [subprocess.Popen(
+        [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", *options],
+        stderr=subprocess.DEVNULL,
+    )]
+    processes += [subprocess.Popen(
+        [*dask, "worker", "--nthreads", "1", "--local-directory", str(tmp_path), *options],
+        stderr=subprocess.DEVNULL,
+    ) for _ in range(2)]
+    try:
+        while not file.exists() or not file.stat().st_size:
+            assert processes[0].poll() is None
+            time.sleep(0.05)
+        with Client(scheduler_file=str(file)) as client:
+            client.wait_for_workers(2, timeout=60)
+            yield client.scheduler.address
+    finally:
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.wait(timeout=20)
+
+
+def test_the_table_is_the_same_in_this_process_and_on_a_cluster(scheduler, tmp_path):
+    with Client(processes=False, n_workers=1, threads_per_worker=1,
+                dashboard_address=None) as client:
+        here = run_suite(client, COUNT, SEED)
+    with Client(scheduler) as client:
+        there = run_suite(client, COUNT, SEED)
+    assert there == here
+    assert [entry["number"] for entry in here["results"]] == list(range(COUNT))
 
 
 def test_a_scheduler_that_is_not_there_is_told_in_one_line(capsys, monkeypatch):
