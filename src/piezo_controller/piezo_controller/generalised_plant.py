@@ -27,7 +27,7 @@ def design_plant(model, tick_s, clock_period_s, at_once=False):
     -------
     plant : control.StateSpace
         From the hysteresis' output decided in a tick to the displacement known in it (um per um),
-        with the hold.
+        with the hold, and behind what delays the sensor.
     hysteresis_gain_um_per_v : float
         Nominal gain k_h: the middle of `hysteresis_gain_range`.
     """
@@ -36,6 +36,8 @@ def design_plant(model, tick_s, clock_period_s, at_once=False):
         raise ValueError(f"the tick of {tick_s:g} s is no multiple of the sample clock's period "
                          f"of {clock_period_s:g} s")
     linear = model.linear()
+    for effect in (*model.effects_at("displacement"), *model.effects_at("sensor")):
+        linear = (effect.lag() or 1.0) * linear
     plant = zoh(linear, tick_s) if at_once else lift(zoh(linear, clock_period_s), samples_per_tick)
     return plant, float(np.mean(hysteresis_gain_range(model)))
 

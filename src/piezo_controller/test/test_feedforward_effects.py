@@ -6,6 +6,7 @@ import pytest
 
 from piezo_controller.feedback_design import design_feedback
 from piezo_controller.feedforward import plan_feedforward
+from piezo_controller.generalised_plant import design_plant
 from piezo_controller.reach import UnreachableReference
 from piezo_controller.references import Reference, sample_reference
 from piezo_controller.weights import load_weights
@@ -137,3 +138,19 @@ def test_the_feedback_is_designed_for_the_extended_linear_part(stage_model):
     # Two relaxations and a mode; the feedback is stable with them.
     assert orders[1] == orders[0] + 4
     assert design_feedback(extended, load_weights()).report["stable_within_gain_spread"]
+
+
+@pytest.mark.parametrize(("effect", "phase_rad"), [
+    (Delay(3e-4), lambda omega: -3e-4 * omega),
+    (SensorLag(3e-4), lambda omega: -np.arctan(3e-4 * omega)),
+])
+@pytest.mark.parametrize("at_once", [False, True])
+def test_the_feedback_is_designed_for_what_delays_the_sensor(
+        stage_model, effect, phase_rad, at_once):
+    frequency_hz = np.array([5.0, 50.0])
+    before, after = (
+        design_plant(model, 1e-3, 25e-6, at_once)[0](np.exp(2j * np.pi * frequency_hz * 1e-3))
+        for model in (stage_model, replace(stage_model, effects=(effect,)))
+    )
+    assert np.angle(after / before) == pytest.approx(
+        phase_rad(2.0 * np.pi * frequency_hz), rel=0.1)

@@ -174,6 +174,16 @@ class Effect(ABC):
                 return signal
         raise ValueError(f"no signal gives the wanted one through {self.name}: ask for less")
 
+    def lag(self):
+        """What a feedback loop meets of an effect behind the linear part; None if it lags nothing.
+
+        Returns
+        -------
+        control.StateSpace or None
+            Continuous.
+        """
+        return None
+
     @classmethod
     @abstractmethod
     def starts(cls, evidence):

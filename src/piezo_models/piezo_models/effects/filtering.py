@@ -3,6 +3,7 @@
 
 from functools import lru_cache
 
+import control
 import numpy as np
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
@@ -55,3 +56,23 @@ def unfiltered_period(numerator, denominator, period, sample_period_s):
     turns = np.exp(-2j * np.pi * np.fft.rfftfreq(period.size))
     response = np.polyval(b[::-1], turns) / np.polyval(a[::-1], turns)
     return np.fft.irfft(np.fft.rfft(period) / response, period.size)
+
+
+def slowed(numerator, denominator, factor):
+    """A transfer function of s, in time that runs slower by a factor.
+
+    Its numbers stay well scaled however short the time.
+
+    Parameters
+    ----------
+    numerator, denominator : sequence of float
+        As in `filtered`.
+    factor : float
+
+    Returns
+    -------
+    control.StateSpace
+        Continuous.
+    """
+    system = control.tf2ss(numerator, denominator)
+    return control.ss(system.A / factor, system.B / factor, system.C, system.D)

@@ -8,7 +8,7 @@ import numpy as np
 
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect, parameter
-from piezo_models.effects.filtering import filtered, unfiltered_period
+from piezo_models.effects.filtering import filtered, slowed, unfiltered_period
 
 ROUNDED = 0.25
 
@@ -30,13 +30,18 @@ class SensorLag(Effect):
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
-        return filtered([1.0], self._lag(), signal, sample_period_s, rest)
+        return filtered([1.0], self._denominator(), signal, sample_period_s, rest)
 
     def compensate(self, wanted, sample_period_s):
         """The period divided by the lag, harmonic by harmonic."""
-        return unfiltered_period([1.0], self._lag(), wanted, sample_period_s)
+        return unfiltered_period([1.0], self._denominator(), wanted, sample_period_s)
 
-    def _lag(self):
+    def lag(self):
+        """See `Effect.lag`."""
+        shape = [self.roundness, 1.0, 1.0] if self.roundness > 0.0 else [1.0, 1.0]
+        return slowed([1.0], shape, self.time_constant_s)
+
+    def _denominator(self):
         lag = [self.time_constant_s, 1.0]
         return [self.roundness * self.time_constant_s**2, *lag] if self.roundness > 0.0 else lag
 
