@@ -11,6 +11,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 
 from piezo_client.client import GoalFailed
+from piezo_client.stage import Stage
 from piezo_identification.experiments import validation
 from piezo_models.cascade import StageModel
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -71,12 +72,15 @@ def test_the_missing_effect_is_named_and_the_model_extended(suite, files, tmp_pa
     assert {"read the recordings", "effect 1: delay"} <= {feedback.stage for feedback in told}
 
 
-def test_a_model_that_lacks_nothing_stays_as_it_is(suite, files, tmp_path):
+def test_a_script_finds_that_the_extended_model_lacks_nothing(suite, files, tmp_path):
     own = suite.diagnose(files["model"], [files["data"]], tmp_path / "first").extended_model
-    result = suite.diagnose(own, [files["data"]], tmp_path / "second", files["holdout"])
-    assert (result.verdict, result.effects) == ("none", [])
-    assert result.before_rms_um == result.after_rms_um
-    assert load_model(result.extended_model).model.effects == load_model(own).model.effects
+    with Stage("/left") as stage:
+        found = suite.beside(
+            stage.diagnose, own, [files["data"]], tmp_path / "second", files["holdout"])
+    assert (found.verdict, found.effects) == ("none", ())
+    assert found.details["before"] == found.details["after"]
+    assert found.report == tmp_path / "second" / "report.html"
+    assert load_model(found.path).model.effects == load_model(own).model.effects
 
 
 @pytest.mark.parametrize(("change", "sentence"), [
