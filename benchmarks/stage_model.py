@@ -4,13 +4,14 @@
 import numpy as np
 
 from piezo_models.cascade import StageModel
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import (
     CreepDynamics,
     ElectricVibrationDynamics,
     continue_linear,
     zoh,
 )
-from piezo_models.model_file import IdentifiedModel, save_model
+from piezo_models.model_file import save_model
 from piezo_models.preisach import PreisachModel
 
 VOLTAGE_RANGE_V = (-20.0, 120.0)

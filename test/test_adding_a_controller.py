@@ -25,8 +25,9 @@ from piezo_controller.tracking_modes import StageClock, plan_mode
 from piezo_controller.tracking_run import TrackingRun
 from piezo_controller.weights import load_weights
 from piezo_models.cascade import StageModel
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.model_file import IdentifiedModel, save_model
+from piezo_models.model_file import save_model
 from piezo_models.preisach import PreisachModel
 
 ROOT = Path(__file__).parents[1]

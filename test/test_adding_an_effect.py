@@ -13,8 +13,10 @@ import pytest
 
 from piezo_identification.experiments import validation
 from piezo_models.cascade import StageModel
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.model_file import IdentifiedModel, ModelFileError, load_model, save_model
+from piezo_models.model_document import ModelFileError
+from piezo_models.model_file import load_model, save_model
 from piezo_models.preisach import PreisachModel
 
 PAGE = Path(__file__).parents[1] / "docs" / "adding_an_effect.md"

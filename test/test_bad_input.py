@@ -17,8 +17,9 @@ from piezo_controller.controller_file import load_controller, save_controller
 from piezo_controller.feedback_design import FeedbackController
 from piezo_controller.weights import BUILT_IN, load_weights
 from piezo_models.cascade import StageModel
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.model_file import IdentifiedModel, load_model, save_model
+from piezo_models.model_file import load_model, save_model
 from piezo_models.preisach import PreisachModel
 from piezo_recorder.message_definition import installed_definition
 from piezo_recorder.reader import read_recording

@@ -15,8 +15,9 @@ from piezo_client.stage import Stage
 from piezo_identification.experiments import validation
 from piezo_models.cascade import StageModel
 from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.model_file import IdentifiedModel, load_model, save_model
+from piezo_models.model_file import load_model, save_model
 from piezo_models.preisach import PreisachModel
 
 MODE = VibrationMode(8796.0, 0.02, 0.05)

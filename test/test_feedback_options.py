@@ -12,8 +12,9 @@ from piezo_controller.controller_file import save_controller
 from piezo_controller.feedback_design import design_feedback
 from piezo_controller.weights import load_weights
 from piezo_models.cascade import StageModel
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.model_file import IdentifiedModel, save_model
+from piezo_models.model_file import save_model
 from piezo_models.preisach import PreisachModel
 
 CELLS = 50

@@ -20,7 +20,7 @@ from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, zoh_response
 from piezo_models.preisach import PreisachModel
 from piezo_models.report_page import Picture, Section, render_page
-from piezo_recorder.reader import Recording
+from piezo_recorder.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 RATE_HZ = 40_000.0

@@ -16,7 +16,7 @@ class _Run:
         return str(self.path)
 
     def recording(self):
-        """Read the samples: a `piezo_recorder.reader.Recording`."""
+        """Read the samples: a `piezo_recorder.recording.Recording`."""
         return read_recording(self.path)
 
 
@@ -91,7 +91,7 @@ class Identification:
         return str(self.path)
 
     def model(self):
-        """Read the model file: a `piezo_models.model_file.IdentifiedModel`."""
+        """Read the model file: a `piezo_models.identified_model.IdentifiedModel`."""
         return load_model(self.path)
 
 
@@ -126,5 +126,5 @@ class Diagnosis:
         return str(self.path)
 
     def model(self):
-        """Read the extended model's file: a `piezo_models.model_file.IdentifiedModel`."""
+        """Read the extended model's file: a `piezo_models.identified_model.IdentifiedModel`."""
         return load_model(self.path)

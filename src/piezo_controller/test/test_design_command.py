@@ -8,7 +8,8 @@ import yaml
 from piezo_controller.controller_file import load_controller
 from piezo_controller.design_command import main
 from piezo_controller.weights import WeightsError, load_weights
-from piezo_models.model_file import IdentifiedModel, save_model
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_file import save_model
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from scipy.sparse import coo_array, csr_array
 
-from piezo_models.preisach import branch_start, with_room
+from piezo_models.preisach_kernels import branch_start, with_room
 
 NEAR_THE_END = 1e-3
 """Of the voltage range: this near to its ends the hysteresis counts as saturated."""

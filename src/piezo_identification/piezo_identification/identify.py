@@ -13,7 +13,7 @@ from piezo_identification.response_fit import ANY_ORDER
 from piezo_identification.sensor_sign import displacement_falls, reversed_displacement
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
-from piezo_models.model_file import IdentifiedModel
+from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reader import sha256_of
 
 

@@ -17,7 +17,8 @@ from piezo_models.effects.delay import Delay
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
-from piezo_models.model_file import IdentifiedModel, load_model, save_model
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_file import load_model, save_model
 
 MODE = VibrationMode(2.0 * np.pi * 1400.0, 0.03, 0.5)
 

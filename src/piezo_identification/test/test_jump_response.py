@@ -8,7 +8,7 @@ from piezo_identification.jump_response import estimate_jump_dynamics, jump_resp
 from piezo_models.cascade import StageModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.preisach import PreisachModel
-from piezo_recorder.reader import Recording
+from piezo_recorder.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 PERIOD_S = 2e-4

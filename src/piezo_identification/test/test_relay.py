@@ -19,7 +19,7 @@ from piezo_models.linear import (
     zoh,
 )
 from piezo_models.preisach import PreisachModel
-from piezo_recorder.reader import Recording
+from piezo_recorder.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 SAMPLE_PERIOD_S = 25e-6

@@ -12,8 +12,9 @@ from piezo_identification.response_diagnosis import diagnose_response, full_resp
 from piezo_models.cascade import StageModel
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.model_file import IdentifiedModel, load_model, save_model
+from piezo_models.model_file import load_model, save_model
 from piezo_models.preisach import PreisachModel
 
 LINE = PreisachModel(-10.0, 10.0, np.zeros((4, 4)), 0.0, np.full(4, 0.5))

@@ -9,7 +9,7 @@ from piezo_identification.dynamics import estimate_dynamics
 from piezo_models.cascade import StageModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.preisach import PreisachModel
-from piezo_recorder.reader import Recording
+from piezo_recorder.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 NOISE_UM = 0.07

@@ -7,7 +7,7 @@ Cells are counted row by row, i-major with j <= i, the order of `numpy.tril_indi
 import numpy as np
 from numba import njit
 
-from piezo_models.preisach import branch_start, with_room
+from piezo_models.preisach_kernels import branch_start, with_room
 
 
 def activation_matrix(voltage_v, levels_v, samples=None):

@@ -24,8 +24,10 @@ from piezo_models.effects.stiffening import Stiffening
 from piezo_models.effects.thermal_drift import ThermalDrift
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.model_file import IdentifiedModel, ModelFileError, load_model, save_model
+from piezo_models.model_document import ModelFileError
+from piezo_models.model_file import load_model, save_model
 from piezo_models.preisach import PreisachModel
 
 PERIOD_S = 25e-6

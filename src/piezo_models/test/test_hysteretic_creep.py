@@ -7,8 +7,10 @@ import pytest
 
 from piezo_models.cascade import StageModel
 from piezo_models.hysteretic_creep import HystereticCreep
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.model_file import IdentifiedModel, ModelFileError, load_model, save_model
+from piezo_models.model_document import ModelFileError
+from piezo_models.model_file import load_model, save_model
 from piezo_models.preisach import PreisachModel
 
 CREEP = HystereticCreep((0.0, 15.0, 40.0), (0.5, 2.0, 2.0), (0.01, 0.02, -0.005))

@@ -7,8 +7,10 @@ import pytest
 
 from piezo_models import model_file
 from piezo_models.cascade import StageModel
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import ElectricVibrationDynamics
-from piezo_models.model_file import IdentifiedModel, ModelFileError, load_model, save_model
+from piezo_models.model_document import ModelFileError
+from piezo_models.model_file import load_model, save_model
 from piezo_models.preisach import PreisachModel
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Recordings as pandas frames, where pandas is installed."""
 
-from piezo_recorder.reader import RecordingError, read_recording
+from piezo_recorder.reader import read_recording
+from piezo_recorder.recording import RecordingError
 
 
 def to_frame(recording):

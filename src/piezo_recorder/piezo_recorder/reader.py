@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Reader of recordings: rosbag2 directories, MCAP files and CSV files."""
 
-import csv
 import hashlib
-import math
-import warnings
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mcap.records
@@ -15,116 +11,14 @@ from mcap.stream_reader import StreamReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from piezo_recorder import sample_block
-from piezo_recorder.sample_block import Flag
+from piezo_recorder.csv_reader import read_csv
+from piezo_recorder.recording import Recording, RecordingError
 from piezo_recorder.writer import STAGE_METADATA
 
 GROUND_TRUTH = "ground_truth"
-CSV_COLUMNS = ("time_s", "voltage_v", "displacement_um")
-# Of a period: what rounding of the times in a CSV file may come to.
-CSV_TIME_TOLERANCE = 0.1
 # An hour at 40 kHz takes about 5 GB.
 LARGEST_BYTES = 16_000_000_000
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-
-
-class RecordingError(ValueError):
-    """A recording cannot be read; the message tells where and what to do."""
-
-
-@dataclass(frozen=True)
-class Recording:
-    """Samples of a stage in the order of the sample clock.
-
-    Attributes
-    ----------
-    path : str
-        Where it was read.
-    sample_rate_hz : float
-        Rate of the sample clock.
-    sample_index : ndarray, shape (N,), int64
-        Index of each sample on the sample clock.
-    sample_periods_s : ndarray, shape (N,)
-        Distance to the next sample; longer than the clock's where a slow waveform plays.
-    voltage_v : ndarray, shape (N,)
-        Applied from the sample on.
-    displacement_um : ndarray, shape (N,)
-        Measured before the voltage acts.
-    flags : ndarray, shape (N,), uint32
-        `Flag` bits. A CSV file counts as a waveform that plays throughout.
-    gaps : list of (int, int)
-        First missing index of the sample clock, and how many are missing.
-    attachments : dict of str to bytes
-        Files kept in the recording.
-    columns : dict of str to ndarray, shape (N,)
-        Further columns of a CSV file.
-    complete : bool
-        False where the recorder was killed before it closed the file.
-    """
-
-    path: str
-    sample_rate_hz: float
-    sample_index: np.ndarray
-    sample_periods_s: np.ndarray
-    voltage_v: np.ndarray
-    displacement_um: np.ndarray
-    flags: np.ndarray
-    gaps: list = field(default_factory=list)
-    attachments: dict = field(default_factory=dict)
-    columns: dict = field(default_factory=dict)
-    complete: bool = True
-
-    @property
-    def time_s(self):
-        """Time since the first sample, shape (N,)."""
-        return (self.sample_index - self.sample_index[0]) / self.sample_rate_hz
-
-    @property
-    def sample_period_s(self):
-        """The one sample period; RecordingError where parts differ."""
-        periods_s = np.unique(self.sample_periods_s)
-        if len(periods_s) > 1:
-            raise RecordingError(
-                f"{self.path} has parts with sample periods from {periods_s[0]:g} s to "
-                f"{periods_s[-1]:g} s: select one part, such as select(playing).")
-        return float(periods_s[0])
-
-    @property
-    def playing(self):
-        """Mask of the samples of waveforms proper, without ramps, shape (N,)."""
-        return self.has(Flag.PLAYING) & ~self.has(Flag.RAMPING)
-
-    @property
-    def tracking(self):
-        """Mask of the samples while the feedforward plays, shape (N,)."""
-        return self.has(Flag.TRACKING) & ~self.has(Flag.RAMPING)
-
-    def has(self, flag):
-        """Return the mask of the samples that have all bits of ``flag``, shape (N,)."""
-        return self.flags & np.uint32(flag) == flag
-
-    def select(self, mask):
-        """Return the recording reduced to some of its samples.
-
-        Parameters
-        ----------
-        mask : ndarray of bool, shape (N,)
-
-        Raises
-        ------
-        RecordingError
-            If no sample is left.
-        """
-        if not np.any(mask):
-            raise RecordingError(
-                f"{self.path} has no sample in the part asked for: "
-                "record while the waveform or the tracking runs.")
-        sample_index = self.sample_index[mask]
-        return replace(
-            self, sample_index=sample_index,
-            sample_periods_s=self.sample_periods_s[mask], voltage_v=self.voltage_v[mask],
-            displacement_um=self.displacement_um[mask], flags=self.flags[mask],
-            columns={name: values[mask] for name, values in self.columns.items()},
-            gaps=[gap for gap in self.gaps if sample_index[0] < gap[0] < sample_index[-1]])
 
 
 def read_recording(path, topic=None, sample_rate_hz=None):
@@ -151,7 +45,7 @@ def read_recording(path, topic=None, sample_rate_hz=None):
     """
     path = Path(path)
     if path.suffix.lower() == ".csv":
-        return _read_csv(path)
+        return read_csv(*data_files(path))
     return _read_mcap(path, topic, sample_rate_hz)
 
 
@@ -197,8 +91,6 @@ def _bounded(file):
                              "read at once: cut it into parts.")
     return file
 
-
-# --- MCAP ---------------------------------------------------------------------------------------
 
 class _Contents:
     """Sample blocks and side files of one or more MCAP files, undecoded."""
@@ -356,100 +248,3 @@ def _gaps(path, topic, first, ends):
             "from one activation on, or give the stage's sample_rate_hz=.")
     missing = first[1:] - ends[:-1]
     return [(int(ends[block]), int(missing[block])) for block in np.flatnonzero(missing)]
-
-
-# --- CSV ----------------------------------------------------------------------------------------
-
-def _read_csv(path):
-    try:
-        return _read_table(*data_files(path))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(
-            f"{path} is not plain text ({error}): save it as comma-separated text.") from None
-
-
-def _read_table(path):
-    header = _csv_header(path)
-    values = _csv_values(path, len(header))
-    if values is None:
-        raise RecordingError(_first_fault(path, header))
-    if len(values) < 2:
-        raise RecordingError(f"{path} has fewer than two rows of samples: give more of them.")
-    columns = dict(zip(header, np.ascontiguousarray(values.T), strict=True))
-    period_s = _uniform_period_s(path, columns.pop("time_s"))
-    samples = len(values)
-    return Recording(
-        path=str(path),
-        sample_rate_hz=1 / period_s,
-        sample_index=np.arange(samples),
-        sample_periods_s=np.full(samples, period_s),
-        voltage_v=columns.pop("voltage_v"),
-        displacement_um=columns.pop("displacement_um"),
-        flags=np.full(samples, Flag.PLAYING, dtype=np.uint32),
-        columns=columns)
-
-
-def _csv_header(path):
-    with open(path, newline="", encoding="utf-8-sig") as stream:
-        header = [name.strip() for name in next(csv.reader(stream), [])]
-    for name in CSV_COLUMNS:
-        if name not in header:
-            raise RecordingError(
-                f"{path}, row 1: the column {name} is missing: "
-                f"begin the file with the header {','.join(CSV_COLUMNS)}.")
-    for name in header:
-        if header.count(name) > 1:
-            raise RecordingError(
-                f"{path}, row 1: the column '{name}' is there twice: rename one of them.")
-    return header
-
-
-def _csv_values(path, columns):
-    """Read the table below the header; None unless all its cells are finite numbers."""
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "loadtxt: input contained no data")
-            values = np.loadtxt(
-                path, delimiter=",", skiprows=1, ndmin=2, comments=None, quotechar='"',
-                encoding="utf-8-sig")
-    except ValueError:
-        return None
-    if values.size == 0:
-        return values.reshape(0, columns)
-    return values if values.shape[1] == columns and np.all(np.isfinite(values)) else None
-
-
-def _first_fault(path, header):
-    """Say which row keeps the file from being a table of finite numbers."""
-    with open(path, newline="", encoding="utf-8-sig") as stream:
-        rows = csv.reader(stream)
-        next(rows)
-        for row in rows:
-            if row and len(row) != len(header):
-                return (f"{path}, row {rows.line_num}: {len(row)} values where the header names "
-                        f"{len(header)} columns: complete the row or remove it.")
-            for name, cell in zip(header, row, strict=False):
-                if not _is_finite(cell):
-                    return (f"{path}, row {rows.line_num}: {name} is '{cell}', no finite number: "
-                            "mend the value or cut the file there.")
-    return f"{path} is no table of numbers: save it as plain comma-separated text."
-
-
-def _is_finite(cell):
-    try:
-        return math.isfinite(float(cell))
-    except ValueError:
-        return False
-
-
-def _uniform_period_s(path, time_s):
-    period_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    deviation_s = time_s - time_s[0] - period_s * np.arange(len(time_s))
-    if period_s > 0 and np.all(np.abs(deviation_s) <= CSV_TIME_TOLERANCE * period_s):
-        return period_s
-    steps_s = np.diff(time_s)
-    usual_s = np.median(steps_s)
-    worst = int(np.argmax(np.abs(steps_s - usual_s)))
-    raise RecordingError(
-        f"{path}, row {worst + 3}: time_s steps by {steps_s[worst]:g} s where {usual_s:g} s is "
-        "usual: resample the data to one sample period.")

@@ -9,7 +9,8 @@ import mcap.records
 from mcap.stream_reader import StreamReader
 
 from piezo_recorder.message_definition import MessageDefinition
-from piezo_recorder.reader import RecordingError, data_files, was_cut_short
+from piezo_recorder.reader import data_files, was_cut_short
+from piezo_recorder.recording import RecordingError
 from piezo_recorder.writer import STAGE_METADATA, RecordingWriter
 
 

@@ -3,7 +3,8 @@ import hashlib
 
 import pytest
 
-from piezo_recorder.reader import RecordingError, read_recording, sha256_of
+from piezo_recorder.reader import read_recording, sha256_of
+from piezo_recorder.recording import RecordingError
 
 HEADER = "time_s,voltage_v,displacement_um"
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezo_recorder.frames import read_frame
-from piezo_recorder.reader import RecordingError
+from piezo_recorder.recording import RecordingError
 
 CSV = "time_s,voltage_v,displacement_um,temperature_c\n0,1,10,20\n0.5,2,11,21\n1,3,12,22\n"
 

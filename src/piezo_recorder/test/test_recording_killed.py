@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from piezo_recorder.reader import RecordingError, read_recording
+from piezo_recorder.reader import read_recording
+from piezo_recorder.recording import RecordingError
 from piezo_recorder.repair import main as repair_command
 from piezo_recorder.report import main as report_command
 from piezo_recorder.writer import RecordingWriter

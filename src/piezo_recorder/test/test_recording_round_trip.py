@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
-from piezo_recorder.reader import RecordingError, read_recording, sha256_of
+from piezo_recorder.reader import read_recording, sha256_of
+from piezo_recorder.recording import RecordingError
 from piezo_recorder.sample_block import TYPE_NAME, Flag
 from piezo_recorder.writer import RecordingWriter
 

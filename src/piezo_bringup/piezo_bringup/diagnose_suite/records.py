@@ -7,7 +7,7 @@ import numpy as np
 
 from piezo_identification import experiments
 from piezo_identification.experiments import Experiment, StageLimits
-from piezo_recorder.reader import Recording
+from piezo_recorder.recording import Recording
 from piezo_recorder.sample_block import Flag
 from piezo_sim.effect import Surroundings
 from piezo_sim.plant import Plant

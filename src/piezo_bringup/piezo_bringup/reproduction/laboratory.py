@@ -4,7 +4,7 @@
 import numpy as np
 
 from piezo_models.linear import continue_linear, zoh
-from piezo_recorder.reader import Recording
+from piezo_recorder.recording import Recording
 from piezo_recorder.sample_block import Flag
 from piezo_sim.backend import SimulatedStage
 

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A stage model together with what is known of its identification."""
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+import numpy as np
+
+from piezo_models.cascade import StageModel
+
+
+@dataclass
+class IdentifiedModel:
+    """A stage model with what is known of its identification.
+
+    Parameters
+    ----------
+    model : StageModel
+    voltage_range_v : (float, float)
+        Voltages that the identification covered.
+    sample_periods_s : dict of str to float
+        Sample period of each experiment, by its name.
+    errors : dict of str to float, or to such a dict
+        Errors on data that was not fitted, units in the names.
+    recordings : list of {"path": str, "sha256": str}
+        Where the model came from.
+    created : str
+        Time of creation, ISO 8601; now by default.
+    uncertainties : dict of str to dict
+        Standard deviations under "creep" and "dynamics", in names and shapes those of the model.
+    visited : ndarray of bool, shape (L, L), optional
+        Cells of the density that the recordings determine; lower triangular. In the others it is a
+        continuation. None where that is not known.
+    """
+
+    model: StageModel
+    voltage_range_v: tuple
+    sample_periods_s: dict = field(default_factory=dict)
+    errors: dict = field(default_factory=dict)
+    recordings: list = field(default_factory=list)
+    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    uncertainties: dict = field(default_factory=dict)
+    visited: np.ndarray | None = None

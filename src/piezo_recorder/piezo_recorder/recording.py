@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A recording: samples of a stage in the order of the sample clock."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from piezo_recorder.sample_block import Flag
+
+
+class RecordingError(ValueError):
+    """A recording cannot be read; the message tells where and what to do."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Samples of a stage in the order of the sample clock.
+
+    Attributes
+    ----------
+    path : str
+        Where it was read.
+    sample_rate_hz : float
+        Rate of the sample clock.
+    sample_index : ndarray, shape (N,), int64
+        Index of each sample on the sample clock.
+    sample_periods_s : ndarray, shape (N,)
+        Distance to the next sample; longer than the clock's where a slow waveform plays.
+    voltage_v : ndarray, shape (N,)
+        Applied from the sample on.
+    displacement_um : ndarray, shape (N,)
+        Measured before the voltage acts.
+    flags : ndarray, shape (N,), uint32
+        `Flag` bits. A CSV file counts as a waveform that plays throughout.
+    gaps : list of (int, int)
+        First missing index of the sample clock, and how many are missing.
+    attachments : dict of str to bytes
+        Files kept in the recording.
+    columns : dict of str to ndarray, shape (N,)
+        Further columns of a CSV file.
+    complete : bool
+        False where the recorder was killed before it closed the file.
+    """
+
+    path: str
+    sample_rate_hz: float
+    sample_index: np.ndarray
+    sample_periods_s: np.ndarray
+    voltage_v: np.ndarray
+    displacement_um: np.ndarray
+    flags: np.ndarray
+    gaps: list = field(default_factory=list)
+    attachments: dict = field(default_factory=dict)
+    columns: dict = field(default_factory=dict)
+    complete: bool = True
+
+    @property
+    def time_s(self):
+        """Time since the first sample, shape (N,)."""
+        return (self.sample_index - self.sample_index[0]) / self.sample_rate_hz
+
+    @property
+    def sample_period_s(self):
+        """The one sample period; RecordingError where parts differ."""
+        periods_s = np.unique(self.sample_periods_s)
+        if len(periods_s) > 1:
+            raise RecordingError(
+                f"{self.path} has parts with sample periods from {periods_s[0]:g} s to "
+                f"{periods_s[-1]:g} s: select one part, such as select(playing).")
+        return float(periods_s[0])
+
+    @property
+    def playing(self):
+        """Mask of the samples of waveforms proper, without ramps, shape (N,)."""
+        return self.has(Flag.PLAYING) & ~self.has(Flag.RAMPING)
+
+    @property
+    def tracking(self):
+        """Mask of the samples while the feedforward plays, shape (N,)."""
+        return self.has(Flag.TRACKING) & ~self.has(Flag.RAMPING)
+
+    def has(self, flag):
+        """Return the mask of the samples that have all bits of ``flag``, shape (N,)."""
+        return self.flags & np.uint32(flag) == flag
+
+    def select(self, mask):
+        """Return the recording reduced to some of its samples.
+
+        Parameters
+        ----------
+        mask : ndarray of bool, shape (N,)
+
+        Raises
+        ------
+        RecordingError
+            If no sample is left.
+        """
+        if not np.any(mask):
+            raise RecordingError(
+                f"{self.path} has no sample in the part asked for: "
+                "record while the waveform or the tracking runs.")
+        sample_index = self.sample_index[mask]
+        return replace(
+            self, sample_index=sample_index,
+            sample_periods_s=self.sample_periods_s[mask], voltage_v=self.voltage_v[mask],
+            displacement_um=self.displacement_um[mask], flags=self.flags[mask],
+            columns={name: values[mask] for name, values in self.columns.items()},
+            gaps=[gap for gap in self.gaps if sample_index[0] < gap[0] < sample_index[-1]])
