@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the tests of several packages share: pages in a browser, pictures in grey."""
+"""What the tests of several packages share: CSV files, pages in a browser, pictures in grey."""
 
 import html
 import re
@@ -37,6 +37,17 @@ LEAST_LIGHTNESS_DIFFERENCE = 20.0
 """Of L*, 0 to 100, between lines of the same dashes and marker."""
 COUNTS = re.compile("number|direction|correlation|with the voltage")
 """How labels of plain numbers begin; all others give a unit in brackets."""
+
+
+@pytest.fixture(scope="session")
+def save_csv():
+    """Write samples as a CSV file of ours: a path, then times, voltages and displacements."""
+    def save(path, time_s, voltage_v, displacement_um):
+        np.savetxt(path, np.column_stack([time_s, voltage_v, displacement_um]), fmt="%.6f",
+                   delimiter=",", comments="", header="time_s,voltage_v,displacement_um")
+        return path
+
+    return save
 
 
 @pytest.fixture(scope="session")

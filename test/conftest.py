@@ -20,6 +20,9 @@ from std_srvs.srv import Trigger
 from piezo_bringup.processes import Processes, clean_shared_memory
 from piezo_client.client import Client, GoalFailed
 from piezo_client.stage import Stage
+from piezo_models.cascade import StageModel
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.preisach import PreisachModel
 from piezo_node_tools.quality import FEEDBACK, SAMPLES
 
 TIMEOUT_S = 180.0
@@ -280,6 +283,14 @@ def _is_free(domain):
         except OSError:
             return False
     return True
+
+
+@pytest.fixture(scope="session")
+def plain_model():
+    """Small model of a stage, without identification."""
+    return StageModel(
+        PreisachModel(-20.0, 120.0, np.tril(np.full((20, 20), 0.008)), -9.0),
+        CreepDynamics((0.17,), (0.18,)), ElectricVibrationDynamics(5e-4, (2846.0,), (0.7,)))
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,6 @@ from piezo_controller.tracking_run import TrackingRun
 from piezo_controller.weights import load_weights
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_file import save_model
 from piezo_models.preisach import PreisachModel
 
@@ -43,18 +42,11 @@ def block(language):
 
 
 @pytest.fixture(scope="module")
-def model():
-    return StageModel(
-        PreisachModel(-20.0, 120.0, np.tril(np.full((20, 20), 0.008)), -9.0),
-        CreepDynamics((0.17,), (0.18,)), ElectricVibrationDynamics(5e-4, (2846.0,), (0.7,)))
-
-
-@pytest.fixture(scope="module")
-def made(model, tmp_path_factory):
+def made(plain_model, tmp_path_factory):
     """The controller file that the page's code writes, in a directory with an identified model."""
     directory = tmp_path_factory.mktemp("lab")
     (directory / "runs" / "first").mkdir(parents=True)
-    save_model(directory / "runs/first/model.json", IdentifiedModel(model, (-20.0, 120.0)))
+    save_model(directory / "runs/first/model.json", IdentifiedModel(plain_model, (-20.0, 120.0)))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(directory)
         exec(compile(block("python"), "hum_controller.py", "exec"), {})
@@ -82,18 +74,20 @@ def hum_left_um(model, controller):
     return 2.0 * abs(np.mean(error_um * np.exp(-2j * np.pi * HUM_HZ * time_s)))
 
 
-def test_controller_of_the_page_takes_off_the_hum_that_h_infinity_leaves(model, made):
-    controller = load_stabilising_controller(made, model, STAGE.tick_s, STAGE.sample_period_s)
-    assert hum_left_um(model, controller) < 0.01 * HUM_UM
-    assert hum_left_um(model, design_feedback(model, load_weights())) > 0.9 * HUM_UM
+def test_controller_of_the_page_takes_off_the_hum_that_h_infinity_leaves(plain_model, made):
+    controller = load_stabilising_controller(
+        made, plain_model, STAGE.tick_s, STAGE.sample_period_s)
+    assert hum_left_um(plain_model, controller) < 0.01 * HUM_UM
+    assert hum_left_um(plain_model, design_feedback(plain_model, load_weights())) > 0.9 * HUM_UM
 
 
-def test_file_of_the_page_is_refused_at_another_tick_and_for_a_stage_that_changed(model, made):
+def test_file_of_the_page_is_refused_at_another_tick_and_for_a_stage_that_changed(
+        plain_model, made):
     with pytest.raises(ControllerFileError, match="the stage's tick is 0.002 s"):
-        load_stabilising_controller(made, model, 2e-3, STAGE.sample_period_s)
+        load_stabilising_controller(made, plain_model, 2e-3, STAGE.sample_period_s)
     grown = StageModel(
-        PreisachModel(-20.0, 120.0, 6.0 * model.hysteresis.density_um_per_v2, -9.0),
-        model.creep, model.dynamics)
+        PreisachModel(-20.0, 120.0, 6.0 * plain_model.hysteresis.density_um_per_v2, -9.0),
+        plain_model.creep, plain_model.dynamics)
     with pytest.raises(ControllerFileError, match="does not stabilise the model"):
         load_stabilising_controller(made, grown, STAGE.tick_s, STAGE.sample_period_s)
 
@@ -117,18 +111,18 @@ def test_parameter_file_of_the_page_fits_the_node():
     (control.tf([1.0, 0.0], [1.0, -1.0], 1.1e-5), "no multiple of the sample clock"),
     (control.tf([5.0, 0.0], [1.0, -1.0], 1e-3), "does not stabilise"),
 ])
-def test_system_that_is_no_feedback_is_refused(model, system, message):
+def test_system_that_is_no_feedback_is_refused(plain_model, system, message):
     with pytest.raises(ValueError, match=message):
-        feedback_from_control(system, model)
+        feedback_from_control(system, plain_model)
 
 
-def test_file_with_an_empty_report_is_refused_only_before_the_inverse(model, made):
+def test_file_with_an_empty_report_is_refused_only_before_the_inverse(plain_model, made):
     controller = replace(load_controller(made), report={})
     assert MultirateFeedback(controller).step(1.0, 0.0) > 0.0
     with pytest.raises(ValueError, match="lacks hysteresis_gain_um_per_v"):
-        FeedbackBeforeInverse(controller, model, None, STAGE.samples_per_tick)
+        FeedbackBeforeInverse(controller, plain_model, None, STAGE.samples_per_tick)
 
 
-def test_system_comes_through_the_file_as_it_is(model, made):
+def test_system_comes_through_the_file_as_it_is(plain_model, made):
     system = load_controller(made).state_space()
-    assert feedback_from_control(system, model).report["order"] == system.nstates == 3
+    assert feedback_from_control(system, plain_model).report["order"] == system.nstates == 3

@@ -12,12 +12,9 @@ import numpy as np
 import pytest
 
 from piezo_identification.experiments import validation
-from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_document import ModelFileError
 from piezo_models.model_file import load_model, save_model
-from piezo_models.preisach import PreisachModel
 
 PAGE = Path(__file__).parents[1] / "docs" / "adding_an_effect.md"
 COSINE_UM, SINE_UM = 0.03, -0.02
@@ -42,19 +39,15 @@ def outside(tmp_path):
     return directory
 
 
-def test_an_effect_from_outside_is_found_and_kept_in_the_model_file(outside, tmp_path):
-    stage = StageModel(
-        PreisachModel(-20.0, 120.0, np.tril(np.full((20, 20), 0.008)), -9.0),
-        CreepDynamics((0.17,), (0.18,)), ElectricVibrationDynamics(5e-4, (2846.0,), (0.7,)))
-    save_model(tmp_path / "model.json", IdentifiedModel(stage, (-20.0, 120.0)))
+def test_an_effect_from_outside_is_found_and_kept_in_the_model_file(
+        outside, plain_model, save_csv, tmp_path):
+    save_model(tmp_path / "model.json", IdentifiedModel(plain_model, (-20.0, 120.0)))
     voltage_v = validation(arc_s=0.03, tones_s=0.1).voltage_v
-    displacement_um = stage.simulate(voltage_v, 25e-6)
+    displacement_um = plain_model.simulate(voltage_v, 25e-6)
     phase = 2.0 * np.pi * displacement_um / 0.3165
     displacement_um += COSINE_UM * np.cos(phase) + SINE_UM * np.sin(phase)
     displacement_um += 0.009 * np.random.default_rng(1).normal(size=voltage_v.size)
-    np.savetxt(tmp_path / "data.csv", np.column_stack(
-        [25e-6 * np.arange(voltage_v.size), voltage_v, displacement_um]),
-        fmt="%.6f", delimiter=",", comments="", header="time_s,voltage_v,displacement_um")
+    save_csv(tmp_path / "data.csv", 25e-6 * np.arange(voltage_v.size), voltage_v, displacement_um)
 
     run = subprocess.run(
         [sys.executable, "-m", "piezo_identification.diagnose_command",

@@ -13,38 +13,26 @@ from action_msgs.msg import GoalStatus
 from piezo_client.client import GoalFailed
 from piezo_client.stage import Stage
 from piezo_identification.experiments import validation
-from piezo_models.cascade import StageModel
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_file import load_model, save_model
-from piezo_models.preisach import PreisachModel
 
 MODE = VibrationMode(8796.0, 0.02, 0.05)
 NOISE_UM = 0.009
 
 
 @pytest.fixture(scope="module")
-def stage():
-    return StageModel(
-        PreisachModel(-20.0, 120.0, np.tril(np.full((20, 20), 0.008)), -9.0),
-        CreepDynamics((0.17,), (0.18,)), ElectricVibrationDynamics(5e-4, (2846.0,), (0.7,)))
-
-
-@pytest.fixture(scope="module")
-def files(stage, tmp_path_factory):
+def files(plain_model, save_csv, tmp_path_factory):
     """A model, and recordings of a stage that has one mode more."""
     directory = tmp_path_factory.mktemp("lacking")
     paths = {"model": directory / "model.json"}
-    save_model(paths["model"], IdentifiedModel(stage, (-20.0, 120.0)))
+    save_model(paths["model"], IdentifiedModel(plain_model, (-20.0, 120.0)))
     for seed, name in enumerate(("data", "holdout")):
         voltage_v = validation(arc_s=0.02, tones_s=0.2 + 0.1 * seed).voltage_v
-        displacement_um = replace(stage, effects=(MODE,)).simulate(voltage_v, 25e-6)
+        displacement_um = replace(plain_model, effects=(MODE,)).simulate(voltage_v, 25e-6)
         displacement_um += NOISE_UM * np.random.default_rng(seed).normal(size=voltage_v.size)
-        paths[name] = directory / f"{name}.csv"
-        np.savetxt(paths[name], np.column_stack(
-            [25e-6 * np.arange(voltage_v.size), voltage_v, displacement_um]),
-            fmt="%.6f", delimiter=",", comments="", header="time_s,voltage_v,displacement_um")
+        paths[name] = save_csv(directory / f"{name}.csv", 25e-6 * np.arange(voltage_v.size),
+                               voltage_v, displacement_um)
     return paths
 
 

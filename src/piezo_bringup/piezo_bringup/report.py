@@ -6,8 +6,7 @@ from piezo_bringup.frequency_response import square_wave_response
 from piezo_bringup.second_half import second_half_sections
 from piezo_bringup.summary import table_rows
 from piezo_identification.prediction import predict
-from piezo_models.picture_style import to_png
-from piezo_models.report_page import Picture, Section, render_page
+from piezo_models.report_page import Section, pictured, render_page
 
 TITLE = "A piezo stage, identified and controlled"
 
@@ -69,7 +68,7 @@ def _errors_section(summary):
          "The thesis' figures were measured on a real stage, ours on a simulated one: they tell "
          "the scale. A dash stands where the thesis gives none."),
         table_rows(summary),
-        (_picture("Errors over frequency", tracking_pictures.draw_errors(
+        (pictured("Errors over frequency", tracking_pictures.draw_errors(
                       summary["tracking"], summary["tracking_after"]),
                   "Tracking error of each mode over the frequency; that of composite once more "
                   "with the extended model. What the sensor adds by its noise is the way from the "
@@ -93,20 +92,20 @@ def _identification_section(errors, model, recordings, directory):
          f"`./run piezo_identification simulate --model {directory}/model.json "
          f"--data {directory}/validation`.",),
         rows,
-        (_picture("Hysteresis loops",
+        (pictured("Hysteresis loops",
                   identification_pictures.draw_loops(predictions["validation"]),
                   "Loops that were not fitted, measured and modelled."),
-         _picture("Density", identification_pictures.draw_density(model.hysteresis),
+         pictured("Density", identification_pictures.draw_density(model.hysteresis),
                   "The identified density is largest at the diagonal: most relays switch off "
                   "little below the voltage at which they switched on."),
-         _picture("Creep", identification_pictures.draw_creep(predictions["creep"]),
+         pictured("Creep", identification_pictures.draw_creep(predictions["creep"]),
                   "Creep after a step of the voltage, measured and modelled. The creep was fitted "
                   "to this recording."),
-         _picture("Step response",
+         pictured("Step response",
                   identification_pictures.draw_step_response(predictions["dynamics"], period_s),
                   "Answer to one period of the square wave to which the dynamics were fitted, "
                   "measured and modelled."),
-         _picture("Frequency response", identification_pictures.draw_frequency_response(
+         pictured("Frequency response", identification_pictures.draw_frequency_response(
                       model.linear(), sample_period_s, measured),
                   "From the hysteresis' output to the displacement: the model, and the harmonics "
                   "of the square wave that stand out of the noise.")))
@@ -121,14 +120,14 @@ def _frequency_section(frequency_hz, runs):
     return Section(
         f"{name}, {run.amplitude_um:g} um peak to peak about {run.centre_um:g} um",
         pictures=(
-            _picture(f"Tracking at {name}", tracking_pictures.draw_tracking(by_mode),
+            pictured(f"Tracking at {name}", tracking_pictures.draw_tracking(by_mode),
                      "The last periods of the runs by the sensor, and the error of each on a scale "
                      "of its own.", tall=True),
-            _picture(f"Voltages at {name}",
+            pictured(f"Voltages at {name}",
                      tracking_pictures.draw_voltages(feedforward_v, feedback_v, run),
                      "The feedforward carries the trajectory, the feedback the slow remainder. The "
                      "feedback is what composite adds to the voltage of feedforward."),
-            _picture(f"Spectra at {name}", tracking_pictures.draw_spectra(
+            pictured(f"Spectra at {name}", tracking_pictures.draw_spectra(
                          feedforward_v, feedback_v, run.sample_rate_hz),
                      "Spectra of both voltages over the whole run, through a Hann window. The "
                      "feedback is held for a millisecond at a time, so its spectrum repeats around "
@@ -144,10 +143,6 @@ def _measures_section(summary):
          "of the clock on the wall, by the times at which the recorder received the blocks from "
          "the first of the loop to the last; each tick was a message there and back between two "
          f"processes. Ticks without an answer: {missed}.",))
-
-
-def _picture(name, figure, caption, tall=False):
-    return Picture(name, caption, to_png(figure), tall)
 
 
 def _words(name):

@@ -7,8 +7,7 @@ from piezo_bringup import extension_pictures
 from piezo_bringup.summary import model_error_rows, tracking_error_rows
 from piezo_identification.prediction import predict
 from piezo_models.effects import known_effects
-from piezo_models.picture_style import to_png
-from piezo_models.report_page import Picture, Section
+from piezo_models.report_page import Section, pictured
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +80,11 @@ def _model_section(summary, model, validation, second_half):
         ("Errors on the validation recording, which neither the identification nor the diagnosis "
          "fitted.",),
         model_error_rows(summary),
-        (_picture("Model error before and after",
+        (pictured("Model error before and after",
                   extension_pictures.draw_model_errors(before, after, sample_period_s),
                   "Spectrum of measured minus simulated displacement on the validation recording, "
                   "and the sensor's noise."),
-         _picture("Response before and after", extension_pictures.draw_responses(
+         pictured("Response before and after", extension_pictures.draw_responses(
                       model, second_half.model, sample_period_s),
                   "From the hysteresis' output to the displacement, without and with what was "
                   "added.")))
@@ -97,7 +96,7 @@ def _tracking_section(summary, runs, second_half):
         ("The same sines, modes and rests, with the extended model in place of the first; e_rms "
          "by the sensor.",),
         tracking_error_rows(summary),
-        (_picture("Tracking errors before and after",
+        (pictured("Tracking errors before and after",
                   extension_pictures.draw_tracking_errors(
                       _composite(runs), _composite(second_half.runs)),
                   "Error of composite over the last periods, by the sensor.", tall=True),))
@@ -111,7 +110,3 @@ def _number(value):
     if isinstance(value, list):
         return ", ".join(f"{number:.4g}" for number in value)
     return f"{value:.5g}"
-
-
-def _picture(name, figure, caption, tall=False):
-    return Picture(name, caption, to_png(figure), tall)

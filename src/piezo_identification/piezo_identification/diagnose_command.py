@@ -9,7 +9,7 @@ from piezo_identification.diagnosis.report import verdict_sentence
 from piezo_identification.diagnosis.results import diagnose_files
 from piezo_identification.frequency_response import is_frequency_response
 from piezo_identification.response_results import diagnose_response_file, response_sentence
-from piezo_models.command_line import run_command
+from piezo_models.command_line import print_progress, run_command
 
 
 def main(arguments=None):
@@ -50,13 +50,9 @@ def _diagnose(options):
         print(f"written to {options.output}")
         return
     results = diagnose_files(
-        options.model, options.data, options.holdout, options.output, _print_progress)
+        options.model, options.data, options.holdout, options.output, print_progress)
     _print_table(results.diagnosis, verdict_sentence(results.diagnosis))
     print(f"written to {options.output}")
-
-
-def _print_progress(stage, fraction):
-    print(f"{100.0 * fraction:3.0f} %  {stage}", flush=True)
 
 
 def _print_table(diagnosis, sentence):

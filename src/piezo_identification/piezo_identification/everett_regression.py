@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from scipy.sparse import coo_array, csr_array
 
-from piezo_models.preisach_kernels import branch_start, with_room
+from piezo_models.preisach_kernels import branch_start, cell_of, with_room
 
 NEAR_THE_END = 1e-3
 """Of the voltage range: this near to its ends the hysteresis counts as saturated."""
@@ -157,11 +157,6 @@ def _positions(voltage_v, levels_v):
 
 
 @njit(cache=True)
-def _cell_of(position, size):
-    return min(int(position), size - 1)
-
-
-@njit(cache=True)
 def _crossing(i, j):
     return (i - 1) * i // 2 + j
 
@@ -183,8 +178,8 @@ def _put(values, columns, count, value, column):
 @njit(cache=True)
 def _everett_row(values, columns, count, sign, alpha, beta, size):
     """Append the weights with which the unknowns give sign times the value at (alpha, beta)."""
-    i = _cell_of(alpha, size)
-    j = _cell_of(beta, size)
+    i = cell_of(alpha, size)
+    j = cell_of(beta, size)
     if i == j:
         way = alpha - beta
         count = _put(values, columns, count, sign * way * way, _crossing(i + 1, i))
@@ -301,13 +296,13 @@ def _visited(position, size):
             if highest > 0.0:
                 visited[_upper_cell(highest), 0 : _upper_cell(before) + 1] = True
         elif top % 2 == 1:
-            j = _cell_of(extremes[top - 1], size)
-            first = _cell_of(max(before, extremes[top - 1]), size)
+            j = cell_of(extremes[top - 1], size)
+            first = cell_of(max(before, extremes[top - 1]), size)
             visited[max(first, j) : _upper_cell(v) + 1, j] = True
         else:
             i = _upper_cell(extremes[top - 1])
             last = _upper_cell(min(before, extremes[top - 1]))
-            visited[i, _cell_of(v, size) : min(last, i) + 1] = True
+            visited[i, cell_of(v, size) : min(last, i) + 1] = True
     return visited
 
 

@@ -2,6 +2,7 @@
 """The named experiments of the identification: which voltage is played, and how fast."""
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +19,7 @@ VALIDATION_TURNS = (0.0, 0.836, 0.236, 0.747, 0.305, 0.652, 0.415, 0.933, 0.09, 
 VALIDATION_TONES = ((100.0, 0.06), (300.0, 0.03), (400.0, 0.03), (500.0, 0.03), (1000.0, 0.03))
 """Frequency in Hz and amplitude over the voltage range of each tone of the fast validation part."""
 
+MULTISINE_TURNS = (0.0, 0.5)
 MULTISINE_TONES = (
     (100.0, 0.05), (200.0, 0.1), (300.0, 0.05), (400.0, 0.05), (500.0, 0.05), (600.0, 0.05)
 )
@@ -203,21 +205,9 @@ def validation(limits=StageLimits(), arc_s=0.25, tones_s=1.0):
     ValueError
         If the waveform leaves the range or exceeds the slew limit.
     """
-    sample_period_s = 1.0 / limits.sample_rate_hz
-    samples = round(arc_s * limits.sample_rate_hz)
-    rise = 0.5 * (1.0 - np.cos(np.pi * np.arange(samples) / samples))
-    arcs = [
-        start + (end - start) * rise
-        for start, end in zip(VALIDATION_TURNS[:-1], VALIDATION_TURNS[1:], strict=True)
-    ]
-    time_s = np.arange(round(tones_s * limits.sample_rate_hz)) * sample_period_s
-    tones = VALIDATION_TURNS[-1] + sum(
-        amplitude * np.sin(2.0 * np.pi * frequency_hz * time_s)
-        for frequency_hz, amplitude in VALIDATION_TONES
-    )
-    voltage_v = limits.voltage_min_v + limits.span_v * np.concatenate([*arcs, tones])
+    voltage_v = _arcs_and_tones(limits, VALIDATION_TURNS, VALIDATION_TONES, arc_s, tones_s)
     return _fitting(
-        limits, Experiment("validation", voltage_v, sample_period_s, 1,
+        limits, Experiment("validation", voltage_v, 1.0 / limits.sample_rate_hz, 1,
                            "slow arcs of unseen amplitudes, then tones from 100 Hz to 1 kHz")
     )
 
@@ -240,17 +230,9 @@ def multisine(limits=StageLimits(), arc_s=0.5, tones_s=1.0):
     ValueError
         If the waveform leaves the range or exceeds the slew limit.
     """
-    sample_period_s = 1.0 / limits.sample_rate_hz
-    samples = round(arc_s * limits.sample_rate_hz)
-    climb = 0.25 * (1.0 - np.cos(np.pi * np.arange(samples) / samples))
-    time_s = np.arange(round(tones_s * limits.sample_rate_hz)) * sample_period_s
-    tones = 0.5 + sum(
-        amplitude * np.sin(2.0 * np.pi * frequency_hz * time_s)
-        for frequency_hz, amplitude in MULTISINE_TONES
-    )
-    voltage_v = limits.voltage_min_v + limits.span_v * np.concatenate([climb, tones])
+    voltage_v = _arcs_and_tones(limits, MULTISINE_TURNS, MULTISINE_TONES, arc_s, tones_s)
     return _fitting(
-        limits, Experiment("multisine", voltage_v, sample_period_s, 1,
+        limits, Experiment("multisine", voltage_v, 1.0 / limits.sample_rate_hz, 1,
                            "six tones from 100 to 600 Hz around mid-range")
     )
 
@@ -309,6 +291,19 @@ def _square_wave(limits, period_s, sample_period_s, swing_v):
     half = round(0.5 * period_s / sample_period_s)
     levels_v = limits.middle_v + 0.5 * swing_v * np.array([1.0, -1.0])
     return np.repeat(levels_v, half)
+
+
+def _arcs_and_tones(limits, turns, tones, arc_s, tones_s):
+    """Smooth ways from turn to turn (N,), then tones about the last; both in parts of the range."""
+    samples = round(arc_s * limits.sample_rate_hz)
+    rise = 0.5 * (1.0 - np.cos(np.pi * np.arange(samples) / samples))
+    arcs = [start + (end - start) * rise for start, end in pairwise(turns)]
+    time_s = np.arange(round(tones_s * limits.sample_rate_hz)) * (1.0 / limits.sample_rate_hz)
+    waves = turns[-1] + sum(
+        amplitude * np.sin(2.0 * np.pi * frequency_hz * time_s)
+        for frequency_hz, amplitude in tones
+    )
+    return limits.voltage_min_v + limits.span_v * np.concatenate([*arcs, waves])
 
 
 def _fitting(limits, experiment):

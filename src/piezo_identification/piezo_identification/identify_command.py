@@ -14,7 +14,7 @@ from piezo_identification.identify import identify
 from piezo_identification.linear_dynamics import METHODS
 from piezo_identification.response_fit import ResponseOrder
 from piezo_identification.sensor_sign import displacement_falls
-from piezo_models.command_line import run_command
+from piezo_models.command_line import print_progress, run_command
 from piezo_models.model_file import save_model
 from piezo_recorder.reader import read_recording
 
@@ -84,7 +84,7 @@ def _identify(options):
     if displacement_falls(data["hysteresis"]):
         print("the displacement falls as the voltage rises: its sign is changed throughout")
     identified = identify(
-        **data, progress=_print_progress, refine=options.refine, note=print,
+        **data, progress=print_progress, refine=options.refine, note=print,
         method=options.method,
         order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances))
     save_model(output, identified)
@@ -105,10 +105,6 @@ def _check_options(dynamics, options):
     }
     for option in (option for option, is_useless in useless.items() if is_useless):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give the data it is of")
-
-
-def _print_progress(stage, fraction):
-    print(f"{100.0 * fraction:3.0f} %  {stage}", flush=True)
 
 
 def _print_summary(identified):

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from piezo_identification.waveforms import played
 from piezo_models.cascade import StageModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.preisach import PreisachModel
@@ -30,6 +31,22 @@ def plant():
         CreepDynamics((0.01419, 0.1684, 1.053, 17.57), (0.01458, 0.1716, 1.07, 18.29)),
         ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.685, 0.082)),
     )
+
+
+@pytest.fixture
+def noise():
+    """White, of unit variance."""
+    return np.random.default_rng(3).normal(size=40_000)
+
+
+@pytest.fixture(scope="session")
+def csv_of(save_csv):
+    """Write what a recording played as a CSV file."""
+    def write(recording, path):
+        part = played(recording)
+        return save_csv(path, part.time_s, part.voltage_v, part.displacement_um)
+
+    return write
 
 
 @pytest.fixture(scope="session")

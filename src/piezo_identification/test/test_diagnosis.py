@@ -123,16 +123,12 @@ def test_no_recording_and_too_short_a_recording_are_refused(plant, record):
         diagnose(plant, [part.select(np.arange(part.voltage_v.size) < 600)])
 
 
-def test_the_command_writes_verdict_model_and_report(plant, record, tmp_path, capsys):
+def test_the_command_writes_verdict_model_and_report(plant, record, csv_of, tmp_path, capsys):
     model, output = tmp_path / "model.json", tmp_path / "out"
     save_model(model, IdentifiedModel(plant, (-20.0, 120.0)))
     files = []
     for seed in (1, 2):
-        part = played(record(MODE, seed=seed))
-        files.append(str(tmp_path / f"{seed}.csv"))
-        table = np.column_stack([part.time_s, part.voltage_v, part.displacement_um])
-        np.savetxt(files[-1], table, fmt="%.6f", delimiter=",", comments="",
-                   header="time_s,voltage_v,displacement_um")
+        files.append(str(csv_of(record(MODE, seed=seed), tmp_path / f"{seed}.csv")))
     assert main(["--model", str(model), "--data", files[0], "--holdout", files[1],
                  "--output", str(output)]) == 0
     assert "verdict: explained" in capsys.readouterr().out

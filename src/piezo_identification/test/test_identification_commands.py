@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -6,7 +8,6 @@ from piezo_identification import experiments
 from piezo_identification.identify import IdentificationCancelled, identify
 from piezo_identification.identify_command import main as identify_main
 from piezo_identification.simulate_command import main as simulate_main
-from piezo_identification.waveforms import played
 from piezo_models.model_file import load_model
 from piezo_models.preisach import PreisachModel
 from piezo_recorder.reader import read_recording, sha256_of
@@ -16,7 +17,7 @@ NAMES = ("creep", "dynamics", "hysteresis", "validation")
 
 
 @pytest.fixture(scope="module")
-def files(play, tmp_path_factory):
+def files(play, csv_of, tmp_path_factory):
     """CSV files of the experiments: their rows are samples at their instants."""
     directory = tmp_path_factory.mktemp("with a space")
     makers = {
@@ -26,13 +27,6 @@ def files(play, tmp_path_factory):
         "validation": lambda: play(experiments.validation(), 1),
     }
     return {name: csv_of(makers[name](), directory / f"{name}.csv") for name in NAMES}
-
-
-def csv_of(recording, path):
-    part = played(recording)
-    table = np.column_stack([part.time_s, part.voltage_v, part.displacement_um])
-    np.savetxt(path, table, fmt="%.6f", delimiter=",", header=HEADER, comments="")
-    return path
 
 
 def options(files):
@@ -124,14 +118,15 @@ def test_identify_takes_the_orders_of_a_frequency_response_and_its_band(
     assert "0+1-0" in capsys.readouterr().out
 
 
-def test_identify_takes_the_dynamics_from_a_multisine(plant, files, play, tmp_path):
+def test_identify_takes_the_dynamics_from_a_multisine(files, play, csv_of, tmp_path):
     path = csv_of(play(experiments.multisine(tones_s=0.4), 1), tmp_path / "multisine.csv")
     model = identified_with(files, tmp_path, path, "--modes", 2).model
     assert model.dynamics.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=2e-3)
     assert model.dynamics.time_constant_s == pytest.approx(490e-6, rel=0.01)
 
 
-def test_identify_fits_a_square_wave_by_armax(plant, files, play, tmp_path, capsys):
+def test_identify_fits_a_square_wave_by_armax(
+        plant, files, play, csv_of, tmp_path, capsys):
     path = csv_of(play(experiments.dynamics(duration_s=0.6), 1), tmp_path / "dynamics.csv")
     model = identified_with(
         files, tmp_path, path, "--method", "armax", "--modes", 2, beside=["hysteresis"]).model
@@ -248,24 +243,24 @@ def slow_stage():
     return PreisachModel(-75.0, 75.0, density, 12.0)
 
 
-def slow_file(path, slow_stage, sign, reversals_v):
-    """Straight ways between reversals, as 0.2 s samples."""
-    voltage_v = np.concatenate([
-        np.linspace(start, end, 120, endpoint=False)
-        for start, end in zip(reversals_v[:-1], reversals_v[1:], strict=True)
-    ])
-    noise = np.random.default_rng(3).normal(scale=0.005, size=voltage_v.size)
-    displacement_um = sign * slow_stage.simulate(voltage_v) + noise
-    table = np.column_stack([3.0 + 0.2 * np.arange(voltage_v.size), voltage_v, displacement_um])
-    np.savetxt(path, table, fmt="%.6f", delimiter=",", header=HEADER, comments="")
-    return path
+@pytest.fixture
+def slow_file(slow_stage, save_csv):
+    """Write straight ways between reversals, as 0.2 s samples."""
+    def write(path, sign, reversals_v):
+        voltage_v = np.concatenate([
+            np.linspace(start, end, 120, endpoint=False) for start, end in pairwise(reversals_v)])
+        noise = np.random.default_rng(3).normal(scale=0.005, size=voltage_v.size)
+        displacement_um = sign * slow_stage.simulate(voltage_v) + noise
+        return save_csv(path, 3.0 + 0.2 * np.arange(voltage_v.size), voltage_v, displacement_um)
+
+    return write
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_slow_recording_of_another_stage_is_enough(slow_stage, sign, tmp_path, capsys):
+def test_a_slow_recording_of_another_stage_is_enough(slow_file, sign, tmp_path, capsys):
     stairs_v = [v for top in np.linspace(-71.0, 75.0, 40) for v in (-75.0, top)]
-    fitted = slow_file(tmp_path / "fitted.csv", slow_stage, sign, [*stairs_v, -75.0])
-    unseen = slow_file(tmp_path / "unseen.csv", slow_stage, sign,
+    fitted = slow_file(tmp_path / "fitted.csv", sign, [*stairs_v, -75.0])
+    unseen = slow_file(tmp_path / "unseen.csv", sign,
                        [-75.0, 60.0, -40.0, 30.0, -10.0, 70.0, -60.0])
     model = tmp_path / "model.json"
     arguments = ["--hysteresis", str(fitted), "--output", str(model)]

@@ -196,7 +196,7 @@ def test_nothing_to_refine_on_and_too_short_a_recording_are_refused(plant, recor
 
 
 def test_the_command_stores_the_errors_before_and_after(
-    plant, play, recordings, tmp_path, capsys, monkeypatch
+    plant, play, recordings, csv_of, tmp_path, capsys, monkeypatch
 ):
     hysteresis = plant.hysteresis
     doubtful = DensityEstimate(
@@ -207,11 +207,7 @@ def test_the_command_stores_the_errors_before_and_after(
     files = {"hysteresis": recordings["hysteresis"], "validation": unseen}
     arguments = []
     for name, recording in files.items():
-        part = played(recording)
-        arguments += [f"--{name}", str(tmp_path / f"{name}.csv")]
-        table = np.column_stack([part.time_s, part.voltage_v, part.displacement_um])
-        np.savetxt(arguments[-1], table, fmt="%.6f", delimiter=",", comments="",
-                   header="time_s,voltage_v,displacement_um")
+        arguments += [f"--{name}", str(csv_of(recording, tmp_path / f"{name}.csv"))]
     model = tmp_path / "model.json"
     assert identify_main([*arguments, "--refine", "--output", str(model)]) == 0
     assert "before_refinement.e_y_percent" in capsys.readouterr().out

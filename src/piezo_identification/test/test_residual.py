@@ -6,11 +6,6 @@ from scipy.signal import lfilter
 from piezo_identification.diagnosis import residual as subject
 
 
-@pytest.fixture
-def noise():
-    return np.random.default_rng(3).normal(size=40_000)
-
-
 def test_white_noise_passes_the_test_and_coloured_noise_does_not(noise):
     assert subject.whiteness(noise).passed
     assert not subject.whiteness(lfilter([1.0], [1.0, -0.5], noise)).passed

@@ -5,11 +5,6 @@ import pytest
 from piezo_identification.diagnosis import noise as subject
 
 
-@pytest.fixture
-def noise():
-    return np.random.default_rng(3).normal(size=40_000)
-
-
 def test_the_noise_floor_is_not_raised_by_slow_structure_or_a_tone(noise):
     time_s = np.arange(noise.size) * 25e-6
     signal = 0.009 * noise + np.sin(30.0 * time_s) + 0.2 * np.sin(2.0 * np.pi * 15e3 * time_s)

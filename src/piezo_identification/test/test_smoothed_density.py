@@ -4,6 +4,7 @@ import pytest
 from scipy.optimize import nnls
 from scipy.sparse import csr_array
 
+from piezo_identification.density_estimate import lower_triangle
 from piezo_identification.everett_regression import (
     density_operator,
     everett_regression,
@@ -77,17 +78,11 @@ def test_whatever_came_before_is_one_offset_for_each_history(seed):
     voltage_v = np.concatenate([rng.uniform(-1.5, 4.5, 60), [5.0], rng.uniform(-2.0, 5.0, 20)])
     output = activation_matrix(np.append(before_v, voltage_v), levels_v)[before_v.size :] @ density
     regression = everett_regression(voltage_v, levels_v)
-    rest = output - regression.matrix @ unknowns_of(_square(density, 7), np.zeros(7))
+    rest = output - regression.matrix @ unknowns_of(lower_triangle(density, 7), np.zeros(7))
     assert (regression.history[60:] == 0).all()
     for number in set(regression.history) - {-1}:
         assert np.ptp(rest[regression.history == number]) < 1e-12
     assert np.count_nonzero(regression.history > 0) > 30
-
-
-def _square(values, size):
-    square = np.zeros((size, size))
-    square[np.tril_indices(size)] = values
-    return square
 
 
 def test_cells_are_visited_where_the_corner_of_the_memory_went():

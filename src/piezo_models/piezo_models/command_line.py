@@ -29,3 +29,8 @@ def run_command(parser, work, arguments=None):
         print(f"{parser.prog}: {error}", file=sys.stderr)
         return BAD_INPUT
     return 0
+
+
+def print_progress(stage, fraction):
+    """Tell how far a command is: what it works at, and what part of all is done."""
+    print(f"{100.0 * fraction:3.0f} %  {stage}", flush=True)

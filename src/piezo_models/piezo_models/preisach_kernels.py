@@ -41,7 +41,8 @@ def everett_table(density, reversible, cell_width):
 
 
 @njit(cache=True)
-def _cell_of(position, size):
+def cell_of(position, size):
+    """Index of the cell in which a position lies; the last one has its upper end, too."""
     return min(int(position), size - 1)
 
 
@@ -49,8 +50,8 @@ def _cell_of(position, size):
 def _everett(alpha, beta, cells, diagonal, reversible):
     """Everett function at two positions, in cells from voltage_min_v; alpha >= beta."""
     size = diagonal.size
-    i = _cell_of(alpha, size)
-    j = _cell_of(beta, size)
+    i = cell_of(alpha, size)
+    j = cell_of(beta, size)
     if i == j:
         return (alpha - beta) * (reversible[i] + (alpha - beta) * diagonal[i])
     x = alpha - i
@@ -174,7 +175,7 @@ def _rise(target, rounding, beta, cells, diagonal, reversible):
     No flat stretch is crossed for a rest within `rounding`.
     """
     size = diagonal.size
-    j = _cell_of(beta, size)
+    j = cell_of(beta, size)
     y = j + 1 - beta
     corner = y * (reversible[j] + diagonal[j] * y)
     if target <= corner + rounding:
@@ -200,7 +201,7 @@ def _fall(target, rounding, alpha, cells, diagonal, reversible):
     No flat stretch is crossed for a rest within `rounding`.
     """
     size = diagonal.size
-    i = _cell_of(alpha, size)
+    i = cell_of(alpha, size)
     x = alpha - i
     corner = x * (reversible[i] + diagonal[i] * x)
     if target <= corner + rounding:

@@ -5,6 +5,8 @@ import base64
 from dataclasses import dataclass
 from html import escape
 
+from piezo_models.picture_style import to_png
+
 STYLE = """
 :root { color-scheme: light; }
 body { font: 1rem/1.5 system-ui, sans-serif; color: #111; background: #fff;
@@ -74,6 +76,19 @@ class Section:
     paragraphs: tuple = ()
     table: tuple = ()
     pictures: tuple = ()
+
+
+def pictured(name, figure, caption, tall=False):
+    """Return a matplotlib figure as a `Picture`.
+
+    Parameters
+    ----------
+    name : str
+    figure : matplotlib.figure.Figure
+    caption : str
+    tall : bool
+    """
+    return Picture(name, caption, to_png(figure), tall)
 
 
 def render_page(title, paragraphs, sections):

@@ -13,30 +13,15 @@ def opened(**options):
     return stage
 
 
-def chunked(stage, voltage_v, size):
-    """Measured and true displacement, played in calls of `size` samples."""
-    pairs = [
-        (stage.exchange(voltage_v[first : first + size]), stage.true_displacement_um)
-        for first in range(0, voltage_v.size, size)
-    ]
-    return tuple(np.concatenate(part) for part in zip(*pairs, strict=True))
-
-
-def wandering_voltage(count):
-    steps = np.random.default_rng(7).normal(0.0, 3.0, count)
-    return 50.0 + 90.0 * np.sin(np.cumsum(steps) / 60.0)
-
-
-def test_calls_of_any_size_give_the_same_samples_to_the_bit():
-    voltage_v = wandering_voltage(10_000)
-    whole = chunked(opened(seed=3), voltage_v, voltage_v.size)
+def test_calls_of_any_size_give_the_same_samples_to_the_bit(wandering_voltage_v, exchanged):
+    whole = exchanged(wandering_voltage_v, wandering_voltage_v.size)
     for size in (1, 40, 1000, 4096, 4097):
-        parts = chunked(opened(seed=3), voltage_v, size)
+        parts = exchanged(wandering_voltage_v, size)
         assert all(np.array_equal(a, b) for a, b in zip(whole, parts, strict=True))
 
 
-def test_opening_again_repeats_the_same_samples():
-    voltage_v = wandering_voltage(5000)
+def test_opening_again_repeats_the_same_samples(wandering_voltage_v):
+    voltage_v = wandering_voltage_v[:5000]
     stage = opened(seed=3)
     first = stage.exchange(voltage_v)
     stage.open()
@@ -46,8 +31,8 @@ def test_opening_again_repeats_the_same_samples():
     assert np.array_equal(stage.exchange(voltage_v), first)
 
 
-def test_another_seed_changes_the_noise_and_not_the_position():
-    voltage_v = wandering_voltage(5000)
+def test_another_seed_changes_the_noise_and_not_the_position(wandering_voltage_v):
+    voltage_v = wandering_voltage_v[:5000]
     one, other = opened(seed=1), opened(seed=2)
     assert not np.array_equal(one.exchange(voltage_v), other.exchange(voltage_v))
     assert np.array_equal(one.true_displacement_um, other.true_displacement_um)
@@ -84,8 +69,8 @@ def test_exchange_refuses_what_it_cannot_play():
         stage.exchange(np.zeros(40))
 
 
-def test_a_refused_call_leaves_the_stage_untouched():
-    voltage_v = wandering_voltage(200)
+def test_a_refused_call_leaves_the_stage_untouched(wandering_voltage_v):
+    voltage_v = wandering_voltage_v[:200]
     expected = opened(seed=5).exchange(voltage_v)
     stage = opened(seed=5)
     with pytest.raises(ValueError):

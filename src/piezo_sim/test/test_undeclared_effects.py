@@ -68,22 +68,6 @@ def played(effect, levels, rest=0.0, surroundings=SURROUNDINGS):
     return samples
 
 
-def wandering_voltage(count):
-    steps = np.random.default_rng(7).normal(0.0, 3.0, count)
-    return 50.0 + 90.0 * np.sin(np.cumsum(steps) / 60.0)
-
-
-def exchanged(plant, voltage_v, size, seed=3):
-    """Measured and true displacement, played in calls of `size` samples."""
-    stage = SimulatedStage(plant, seed=seed)
-    stage.open()
-    pairs = [
-        (stage.exchange(voltage_v[first : first + size]), stage.true_displacement_um)
-        for first in range(0, voltage_v.size, size)
-    ]
-    return tuple(np.concatenate(part) for part in zip(*pairs, strict=True))
-
-
 def test_every_undeclared_effect_has_an_example():
     declared = {effect.name for effect in read_plant().stage + read_plant().amplifier}
     declared |= {effect.name for effect in read_plant().sensor}
@@ -91,31 +75,31 @@ def test_every_undeclared_effect_has_an_example():
 
 
 @every_effect
-def test_calls_of_any_size_give_the_same_samples_to_the_bit(effect):
-    plant, voltage_v = add_effect(read_plant(), effect), wandering_voltage(9000)
-    whole = exchanged(plant, voltage_v, voltage_v.size)
-    without = exchanged(read_plant(), voltage_v, voltage_v.size)
+def test_calls_of_any_size_give_the_same_samples_to_the_bit(effect, wandering_voltage_v, exchanged):
+    plant, voltage_v = add_effect(read_plant(), effect), wandering_voltage_v[:9000]
+    whole = exchanged(voltage_v, voltage_v.size, plant)
+    without = exchanged(voltage_v, voltage_v.size)
     assert np.std(whole[0] - without[0]) > 0.002
     for size in (1, 40, 4097):
-        parts = exchanged(plant, voltage_v, size)
+        parts = exchanged(voltage_v, size, plant)
         assert all(np.array_equal(a, b) for a, b in zip(whole, parts, strict=True))
 
 
 @every_effect
-def test_effects_of_the_sensor_leave_the_true_displacement(effect):
-    plant, voltage_v = add_effect(read_plant(), effect), wandering_voltage(3000)
-    _, true_um = exchanged(plant, voltage_v, voltage_v.size)
-    _, nominal_um = exchanged(read_plant(), voltage_v, voltage_v.size)
+def test_effects_of_the_sensor_leave_the_true_displacement(effect, wandering_voltage_v, exchanged):
+    plant, voltage_v = add_effect(read_plant(), effect), wandering_voltage_v[:3000]
+    _, true_um = exchanged(voltage_v, voltage_v.size, plant)
+    _, nominal_um = exchanged(voltage_v, voltage_v.size)
     assert np.array_equal(true_um, nominal_um) == (effect in plant.sensor)
 
 
 @every_effect
-def test_a_voltage_acts_only_after_its_own_sample(effect):
+def test_a_voltage_acts_only_after_its_own_sample(effect, exchanged):
     plant = add_effect(read_plant(), effect)
     voltage_v = np.zeros(100)
     voltage_v[50:] = 40.0
-    moved_um = exchanged(plant, voltage_v, 100)[1]
-    rest_um = exchanged(plant, np.zeros(100), 100)[1]
+    moved_um = exchanged(voltage_v, 100, plant)[1]
+    rest_um = exchanged(np.zeros(100), 100, plant)[1]
     assert np.array_equal(moved_um[:51], rest_um[:51])
     assert moved_um[80] > rest_um[80]
 

@@ -5,9 +5,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
 from numba import njit
 
+from piezo_sim.accumulating import AccumulatingRunner
 from piezo_sim.effect import Surroundings, parameter, require
 
 
@@ -36,23 +36,6 @@ class Depolarisation:
         require(self.lost_gain < 1.0, self, "lost_gain must be below 1.")
         require(self.travel_um > 0.0, self, "travel_um must be positive.")
 
-    def start(self, surroundings: Surroundings) -> "DepolarisationRunner":
-        """Start with a fresh ceramic."""
-        return DepolarisationRunner(self)
-
-
-class DepolarisationRunner:
-    """Depolarisation with the travel so far."""
-
-    def __init__(self, effect: Depolarisation):
-        self._state = (0.0, 0.0)
-        self._constants = (effect.lost_gain, effect.travel_um)
-
-    def rest(self, level: float) -> float:
-        """Begin to count the travel at the displacement `level`."""
-        self._state = (level, 0.0)
-        return level
-
-    def apply(self, samples: np.ndarray) -> None:
-        """Replace displacements by those of the aged ceramic."""
-        self._state = _age(samples, *self._state, *self._constants)
+    def start(self, surroundings: Surroundings) -> AccumulatingRunner:
+        """Start with a fresh ceramic; `rest` begins to count the travel."""
+        return AccumulatingRunner(_age, self.lost_gain, self.travel_um)

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from piezo_sim.effect import parameter, require
-from piezo_sim.linear import StateSpace
+from piezo_sim.linear import StateSpace, VibrationMode
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,8 @@ class ParallelMode:
         require(self.beside >= 1, self, "beside must be an integer of at least 1.")
 
     def state_space(self) -> StateSpace:
-        """The mode alone; states are position and velocity / w."""
-        w = self.frequency_rad_per_s
-        a = np.array([[0.0, w], [-w, -2.0 * self.damping_ratio * w]])
-        return StateSpace(a, np.array([0.0, w]), np.array([1.0, 0.0]), 0.0)
+        """The mode alone."""
+        return VibrationMode(self.frequency_rad_per_s, self.damping_ratio).state_space()
 
     def join(self, others: StateSpace) -> StateSpace:
         """Add the mode to the others."""

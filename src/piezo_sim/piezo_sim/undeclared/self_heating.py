@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
 from numba import njit
 
+from piezo_sim.accumulating import AccumulatingRunner
 from piezo_sim.effect import Surroundings, parameter, require
 
 
@@ -43,27 +43,11 @@ class SelfHeating:
             self.cooling_time_constant_s > 0.0, self, "cooling_time_constant_s must be positive."
         )
 
-    def start(self, surroundings: Surroundings) -> "SelfHeatingRunner":
-        """Start cold."""
-        return SelfHeatingRunner(self, surroundings.sample_period_s)
-
-
-class SelfHeatingRunner:
-    """Self-heating with the present temperature."""
-
-    def __init__(self, effect: SelfHeating, sample_period_s: float):
-        self._state = (0.0, 0.0)
-        self._constants = (
-            effect.heating_k_per_um,
-            math.exp(-sample_period_s / effect.cooling_time_constant_s),
-            effect.gain_per_k,
+    def start(self, surroundings: Surroundings) -> AccumulatingRunner:
+        """Start cold; travel heats."""
+        return AccumulatingRunner(
+            _heat,
+            self.heating_k_per_um,
+            math.exp(-surroundings.sample_period_s / self.cooling_time_constant_s),
+            self.gain_per_k,
         )
-
-    def rest(self, level: float) -> float:
-        """Cool down at the constant input `level`."""
-        self._state = (level, 0.0)
-        return level
-
-    def apply(self, samples: np.ndarray) -> None:
-        """Replace displacements by those of the warm actuator."""
-        self._state = _heat(samples, *self._state, *self._constants)

@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
 from numba import njit
 
+from piezo_sim.accumulating import AccumulatingRunner
 from piezo_sim.effect import Surroundings, parameter, require
 
 
@@ -45,28 +45,12 @@ class SwitchingDelay:
         )
         require(self.averaging_time_s > 0.0, self, "averaging_time_s must be positive.")
 
-    def start(self, surroundings: Surroundings) -> "SwitchingDelayRunner":
-        """Start with a voltage to be set by `rest`."""
-        return SwitchingDelayRunner(self, surroundings.sample_period_s)
-
-
-class SwitchingDelayRunner:
-    """Switching delay with the present voltage and speed."""
-
-    def __init__(self, effect: SwitchingDelay, sample_period_s: float):
-        self._state = (0.0, 0.0)
-        self._constants = (
-            sample_period_s,
-            -math.expm1(-sample_period_s / effect.averaging_time_s),
-            effect.threshold_shift_v,
-            effect.reference_speed_v_per_s,
+    def start(self, surroundings: Surroundings) -> AccumulatingRunner:
+        """Start with a voltage to be set by `rest`; what gathers is the averaged speed."""
+        return AccumulatingRunner(
+            _shift,
+            surroundings.sample_period_s,
+            -math.expm1(-surroundings.sample_period_s / self.averaging_time_s),
+            self.threshold_shift_v,
+            self.reference_speed_v_per_s,
         )
-
-    def rest(self, level: float) -> float:
-        """Stand still at the voltage `level`."""
-        self._state = (level, 0.0)
-        return level
-
-    def apply(self, samples: np.ndarray) -> None:
-        """Replace voltages by those that the hysteresis sees."""
-        self._state = _shift(samples, *self._state, *self._constants)
