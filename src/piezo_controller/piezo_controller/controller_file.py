@@ -3,7 +3,6 @@
 
 import json
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,12 @@ from piezo_controller.feedback_design import (
     UnstableLoop,
     check_stabilises,
 )
-from piezo_models.bounded_file import UnreadableFile, is_something_else, read_bounded_text
+from piezo_models.text_file import (
+    UnreadableFile,
+    is_something_else,
+    read_bounded_text,
+    replace_text,
+)
 
 FORMAT = "piezo_stage_controller"
 VERSION = 1
@@ -47,11 +51,8 @@ def save_controller(path, controller):
     if is_something_else(path, FORMAT):
         raise ControllerFileError(f"{path}: is there already and is no controller file, so it is "
                                   "not overwritten; choose another name")
-    partial = path.with_name(path.name + ".partial")
     try:
-        text = json.dumps(document, indent=1, allow_nan=False)
-        partial.write_text(text + "\n", encoding="utf-8")
-        os.replace(partial, path)
+        replace_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
     except ValueError:
         raise ControllerFileError(
             f"{path}: the controller holds a value that is not finite; design it again") from None

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Voltage that makes the model of a stage follow a periodic reference (thesis 5.2.2)."""
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezo_controller.lead_in import FADE_S, RAMP_S, aligned_samples, check_amplifier_range
 from piezo_controller.reach import (
     STATIC_DISPLACEMENT,
     VOLTAGE,
@@ -20,10 +20,7 @@ from piezo_models.linear import simulate_linear, zoh
 
 MODES = ("open_loop", "feedforward")
 
-RAMP_S = 0.05
-FADE_S = 0.05
 SETTLE_S = 0.1
-ALIGNMENT_SAMPLES = 40
 # Above it the stage passes too little for an inverse; what a reference holds there is left out.
 BANDWIDTH_HZ = 2500.0
 # What the compensation of an effect adds at reversals is cut off lower where it takes too much.
@@ -121,15 +118,10 @@ class FeedforwardPlanner:
     def __init__(self, period, model, mode="feedforward", *, voltage_range_v=(-20.0, 120.0),
                  slew_limit_v_per_s=2e6, sample_period_s=25e-6, start_voltage_v=0.0,
                  duration_s=1.0):
-        lowest_v, highest_v = voltage_range_v
         if mode not in MODES:
             raise ValueError(
                 f'unknown mode {mode!r} of the feedforward: use one of {", ".join(MODES)}')
-        if not lowest_v <= model.hysteresis.voltage_min_v <= start_voltage_v <= highest_v:
-            raise ValueError(
-                f"the model begins at {model.hysteresis.voltage_min_v:g} V, the amplifier at "
-                f"{lowest_v:g} V, the run at {start_voltage_v:g} V: identify the model over the "
-                "amplifier's range")
+        check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
         self.model = replace(model, effects=tuple(
             effect for effect in model.effects if effect.follows_voltage))
         self.left_alone = tuple(
@@ -137,7 +129,7 @@ class FeedforwardPlanner:
         self.hysteresis = model.hysteresis
         self.period = period
         self.mode = mode
-        self.highest_v = highest_v
+        self.highest_v = voltage_range_v[1]
         self.slew_limit_v_per_s = slew_limit_v_per_s
         self.sample_period_s = sample_period_s
         self.start_voltage_v = start_voltage_v
@@ -165,8 +157,7 @@ class FeedforwardPlanner:
         self.gain_um_per_v = (high_um - low_um) / travel_v
 
     def _aligned(self, time_s):
-        ticks = math.ceil(time_s / self.sample_period_s / ALIGNMENT_SAMPLES - 1e-9)
-        return ticks * ALIGNMENT_SAMPLES
+        return aligned_samples(time_s, self.sample_period_s)
 
     def _mean_weights(self, window):
         """Weights of the hysteresis outputs in the mean displacement after the once part."""

@@ -4,11 +4,12 @@
 import dataclasses
 import hashlib
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from piezo_models.text_file import replace_text
 
 FORMAT = "piezo_learned_feedforward"
 VERSION = 1
@@ -56,11 +57,9 @@ def save_learned(path, learned):
         "model_sha256": learned.model_sha256, "sample_rate_hz": learned.sample_rate_hz,
         "iterations": learned.iterations, "error_rms_um": learned.error_rms_um,
         "correction_um": learned.correction_um.tolist()}
-    temporary = path.with_suffix(".tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
+        replace_text(path, json.dumps(document, indent=1) + "\n")
     except OSError as error:
         raise LearnedFileError(f"cannot write {str(path)!r}: {error.strerror}; "
                                "give another directory") from None

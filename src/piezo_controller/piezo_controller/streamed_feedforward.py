@@ -1,12 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Voltage for a general reference, computed chunk by chunk while the stage plays."""
 
-import math
 from dataclasses import dataclass, replace
 
 import control
 import numpy as np
 
+from piezo_controller.lead_in import (
+    ALIGNMENT_SAMPLES,
+    FADE_S,
+    RAMP_S,
+    aligned_samples,
+    check_amplifier_range,
+)
 from piezo_controller.preview_inverse import PREVIEW_SAMPLES, PreviewInverse, preview_inverse
 from piezo_controller.reach import (
     STATIC_DISPLACEMENT,
@@ -20,11 +26,8 @@ from piezo_controller.smooth_rise import minimum_jerk
 from piezo_models.cascade import StageModel
 from piezo_models.linear import continue_linear, equilibrium_state, zoh
 
-RAMP_S = 0.05
 REST_S = 0.02
 LEAD_IN_S = 0.15
-FADE_S = 0.05
-ALIGNMENT_SAMPLES = 40
 CHUNK_SAMPLES = 4000
 # What the compensation of an effect looks at before and after the samples it compensates.
 EFFECT_MARGIN_SAMPLES = 80
@@ -107,14 +110,9 @@ def plan_stream(reference_um, model, method="least_squares", *, voltage_range_v=
     ValueError
         The model's range does not fit the amplifier's, or `method` does not fit the model.
     """
-    lowest_v, highest_v = voltage_range_v
-    if not lowest_v <= model.hysteresis.voltage_min_v <= start_voltage_v <= highest_v:
-        raise ValueError(
-            f"the model begins at {model.hysteresis.voltage_min_v:g} V, the amplifier at "
-            f"{lowest_v:g} V, the run at {start_voltage_v:g} V: identify the model over the "
-            "amplifier's range")
-    planner = _StreamPlanner(model, method, highest_v, slew_limit_v_per_s, sample_period_s,
-                             start_voltage_v, preview_samples)
+    check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
+    planner = _StreamPlanner(model, method, voltage_range_v[1], slew_limit_v_per_s,
+                             sample_period_s, start_voltage_v, preview_samples)
     reference_um = np.asarray(reference_um, dtype=float)
     try:
         return planner.plan(reference_um)
@@ -124,7 +122,7 @@ def plan_stream(reference_um, model, method="least_squares", *, voltage_range_v=
 
 def lead_in_samples(sample_period_s=25e-6):
     """Samples of a reference before its beginning that `plan_stream` takes."""
-    return _aligned(LEAD_IN_S, sample_period_s)
+    return aligned_samples(LEAD_IN_S, sample_period_s)
 
 
 def stream_margin(model, preview_samples=PREVIEW_SAMPLES):
@@ -250,7 +248,7 @@ class _StreamPlanner:
         once_v, memory, slow_um, slow_state = self._lead_in(reference_um[0])
         rest_um = slow_um[-1]
         level_um = self.model.sensed(np.full(ALIGNMENT_SAMPLES, rest_um), self.sample_period_s)[-1]
-        fade_samples = _aligned(FADE_S, self.sample_period_s)
+        fade_samples = aligned_samples(FADE_S, self.sample_period_s)
         fade = np.ones(reference_um.size)
         fade[:fade_samples] = minimum_jerk(fade_samples)
         inverse = OnlineInverse(
@@ -277,10 +275,10 @@ class _StreamPlanner:
         reachable_um = np.clip(first_um, *self.hysteresis.output_range_um)
         first_v = self.hysteresis.invert([reachable_um])[0]
         check_range(np.array([first_v]), lowest_v, self.highest_v, VOLTAGE)
-        ramp = minimum_jerk(_aligned(RAMP_S, self.sample_period_s))
+        ramp = minimum_jerk(aligned_samples(RAMP_S, self.sample_period_s))
         voltage_v = np.r_[self.start_voltage_v + (lowest_v - self.start_voltage_v) * ramp,
                           lowest_v + (first_v - lowest_v) * ramp,
-                          np.full(_aligned(REST_S, self.sample_period_s), first_v)]
+                          np.full(aligned_samples(REST_S, self.sample_period_s), first_v)]
         memory = self.model.memory(self.start_voltage_v).hysteresis
         before = equilibrium_state(self.slow, memory.hysteresis_um)
         hysteresis_um = self.hysteresis.simulate(
@@ -298,8 +296,3 @@ def _inverse(system):
     """Inverse of a discrete system that passes its input on at once, in the same states."""
     a, b, c, d = system.A, system.B, system.C, system.D
     return control.ss(a - b @ c / d, b / d, -c / d, 1 / d, system.dt)
-
-
-def _aligned(time_s, sample_period_s):
-    ticks = math.ceil(time_s / sample_period_s / ALIGNMENT_SAMPLES - 1e-9)
-    return ticks * ALIGNMENT_SAMPLES

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezo_controller.feedforward import FADE_S, plan_feedforward
+from piezo_controller.feedforward import plan_feedforward
+from piezo_controller.lead_in import FADE_S
 from piezo_controller.references import sample_reference
 from piezo_controller.smooth_rise import minimum_jerk
 

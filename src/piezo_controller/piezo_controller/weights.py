@@ -10,7 +10,7 @@ import control
 import yaml
 from scipy.signal import zpk2ss
 
-from piezo_models.bounded_file import UnreadableFile, read_bounded_text
+from piezo_models.text_file import UnreadableFile, read_bounded_text
 
 DISTURBANCE_HZ = 20.0
 """Bandwidth of the disturbances that the weights are made for, section 5.3.1."""

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The waveform that lets every effect show which a model may lack."""
 
+from itertools import pairwise
+
 import numpy as np
+
+from piezo_identification.input_designs import arc
 
 REST_S = 0.8
 """Silence: noise, disturbances from outside, outliers, drift."""
@@ -44,19 +48,15 @@ def diagnostic_block(limits):
     highest_step = limits.slew_limit_v_per_s / rate_hz / limits.span_v
     parts = [
         np.zeros(round(REST_S * rate_hz)), *_loops(rate_hz), *_faster_and_faster(rate_hz),
-        *_steps(rate_hz, highest_step), *_tones(rate_hz, highest_step), _arc(0.5, 0.0, rate_hz),
+        *_steps(rate_hz, highest_step), *_tones(rate_hz, highest_step),
+        arc(0.5, 0.0, round(ARC_S * rate_hz)),
     ]
     return limits.voltage_min_v + limits.span_v * np.concatenate(parts)
 
 
-def _arc(start, end, rate_hz):
-    samples = round(ARC_S * rate_hz)
-    return start + (end - start) * 0.5 * (1.0 - np.cos(np.pi * np.arange(samples) / samples))
-
-
 def _loops(rate_hz):
-    for start, end in zip(LOOPS[:-1], LOOPS[1:], strict=True):
-        yield _arc(start, end, rate_hz)
+    for start, end in pairwise(LOOPS):
+        yield arc(start, end, round(ARC_S * rate_hz))
         yield np.full(round(DWELL_S * rate_hz), end)
 
 

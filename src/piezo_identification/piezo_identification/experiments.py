@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from piezo_identification.diagnostic_waveform import diagnostic_block
-from piezo_identification.input_designs import stair_amplitudes, stair_harmonics
+from piezo_identification.input_designs import arc, stair_amplitudes, stair_harmonics
 from piezo_identification.relay import relay
 
 SWING_FRACTION = 0.3
@@ -296,8 +296,7 @@ def _square_wave(limits, period_s, sample_period_s, swing_v):
 def _arcs_and_tones(limits, turns, tones, arc_s, tones_s):
     """Smooth ways from turn to turn (N,), then tones about the last; both in parts of the range."""
     samples = round(arc_s * limits.sample_rate_hz)
-    rise = 0.5 * (1.0 - np.cos(np.pi * np.arange(samples) / samples))
-    arcs = [start + (end - start) * rise for start, end in pairwise(turns)]
+    arcs = [arc(start, end, samples) for start, end in pairwise(turns)]
     time_s = np.arange(round(tones_s * limits.sample_rate_hz)) * (1.0 / limits.sample_rate_hz)
     waves = turns[-1] + sum(
         amplitude * np.sin(2.0 * np.pi * frequency_hz * time_s)

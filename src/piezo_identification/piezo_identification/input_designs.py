@@ -1,7 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Inputs of stair amplitude for the hysteresis, and the sampling rules that belong to them."""
+"""Smooth ways between voltages; inputs of stair amplitude, and the sampling rules of those."""
 
 import numpy as np
+
+
+def arc(start, end, samples):
+    """Half a cosine from start towards end, which the sample after the last would reach.
+
+    Returns
+    -------
+    ndarray, shape (samples,)
+    """
+    return start + 0.5 * (end - start) * (1.0 - np.cos(np.pi * np.arange(samples) / samples))
 
 
 def stair_amplitudes(level_count, highest_v, below_the_top=0.0):

@@ -132,6 +132,10 @@ class RefinementProblem:
         )
 
 
+def _is_fitted(stretch):
+    return stretch % HELD_OUT != HELD_OUT // 2
+
+
 @dataclass(frozen=True, eq=False)
 class _Part:
     """What a vector of unknowns makes of a recording: error, derivatives, and what was fitted."""
@@ -143,7 +147,7 @@ class _Part:
 
     @property
     def fitted(self):
-        return self.stretch % HELD_OUT != HELD_OUT // 2
+        return _is_fitted(self.stretch)
 
     @property
     def scale_um(self):
@@ -174,7 +178,7 @@ class _Record:
         if rows < LEAST_ROWS:
             raise ValueError(f"{recording.path} has {self.time_s.size} samples: record longer")
         self.stretch = np.arange(rows) * STRETCHES // rows
-        self.fitted = self.stretch % HELD_OUT != HELD_OUT // 2
+        self.fitted = _is_fitted(self.stretch)
         self.measured_um = self._rows(part.displacement_um)
         before = recording.select(recording.sample_index <= part.sample_index[0]).voltage_v
         voltage_v = model.amplified(part.voltage_v, self.period_s)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import brentq
 
+from piezo_identification.input_designs import arc
 from piezo_recorder.sample_block import Flag
 
 AMPLITUDE_FRACTION = 0.05
@@ -119,10 +120,10 @@ def relay(limits, oscillation_s=0.5):
         (working_v, 0.25 * CYCLE_S), (working_v, HOLD_S),
     ]
     arcs = [
-        _arc(start_v, end_v, round(time_s * limits.sample_rate_hz))
+        arc(start_v, end_v, round(time_s * limits.sample_rate_hz))
         for (start_v, _), (end_v, time_s) in zip(turns[:-1], turns[1:], strict=True)
     ]
-    ends = np.cumsum([arc.size for arc in arcs])
+    ends = np.cumsum([way_v.size for way_v in arcs])
     duration_s = ends[-1] / limits.sample_rate_hz + oscillation_s
     return RelayExperiment(
         "relay", limits.clip(np.concatenate(arcs)), int(ends[0]),
@@ -131,10 +132,6 @@ def relay(limits, oscillation_s=0.5):
         f"relay of {amplitude_v:g} V to either side of {working_v:g} V, after the whole range and "
         "a slow cycle of that amplitude",
     )
-
-
-def _arc(start_v, end_v, samples):
-    return start_v + 0.5 * (end_v - start_v) * (1.0 - np.cos(np.pi * np.arange(samples) / samples))
 
 
 class RelayRun:

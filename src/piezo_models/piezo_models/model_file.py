@@ -2,12 +2,16 @@
 """The model file: one versioned JSON document, written atomically and read strictly."""
 
 import json
-import os
 from pathlib import Path
 
-from piezo_models.bounded_file import UnreadableFile, is_something_else, read_bounded_text
 from piezo_models.model_document import FORMAT, ModelFileError, document_of, rendered
 from piezo_models.model_reader import identified_model_of
+from piezo_models.text_file import (
+    UnreadableFile,
+    is_something_else,
+    read_bounded_text,
+    replace_text,
+)
 
 # A density of 1000 x 1000 cells fits.
 _LARGEST_FILE_BYTES = 32 * 2**20
@@ -35,19 +39,12 @@ def save_model(path, identified):
             f"{path}: is there already and is no model file, so it is not overwritten; "
             "choose another name"
         )
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(rendered(document) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        replace_text(path, rendered(document) + "\n")
     except OSError as error:
         raise ModelFileError(
             f"{path}: cannot be written ({error.strerror}); choose a writable directory"
         ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def load_model(path):

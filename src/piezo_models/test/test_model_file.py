@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from piezo_models import model_file
+from piezo_models import text_file
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import ElectricVibrationDynamics
@@ -200,7 +200,7 @@ def test_interrupted_writing_leaves_the_old_file(path, identified, monkeypatch):
     def fail(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(model_file.os, "replace", fail)
+    monkeypatch.setattr(text_file.os, "replace", fail)
     identified.created = "later"
     with pytest.raises(ModelFileError, match="No space left"):
         save_model(path, identified)

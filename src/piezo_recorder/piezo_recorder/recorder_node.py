@@ -8,12 +8,13 @@ import shutil
 import time
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from piezo_interfaces.srv import StartRecording, StopRecording
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.task import Future
 
+from piezo_node_tools.diagnostics import diagnostic
 from piezo_node_tools.parameters import declare
 from piezo_node_tools.presence import ClientWatch
 from piezo_node_tools.quality import SAMPLES
@@ -301,26 +302,19 @@ class Recorder(LifecycleNode):
         session = self._session
         if session is None:  # as above
             return
-        status = DiagnosticStatus(
-            name=f"{self.get_fully_qualified_name()}: recording", level=DiagnosticStatus.OK,
-            message="closed" if session.closed else "recording")
         if session.ended_early:
-            status.level = DiagnosticStatus.ERROR
-            status.message = f"closed early: {session.ended_early}"
+            level, message = DiagnosticStatus.ERROR, f"closed early: {session.ended_early}"
         elif session.missing:
-            status.level = DiagnosticStatus.WARN
-            status.message = f"{session.missing} samples missing"
-        values = {
+            level, message = DiagnosticStatus.WARN, f"{session.missing} samples missing"
+        else:
+            level, message = DiagnosticStatus.OK, "closed" if session.closed else "recording"
+        self._diagnostics.publish(diagnostic(self, "recording", level, message, {
             "path": session.path,
             "messages": session.writer.message_count,
             "samples": session.samples,
             "missing_samples": session.missing,
             "free_mb": round(_free_mb(session.writer.path)),
-        }
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        }))
 
 
 def _message_class(type_name):

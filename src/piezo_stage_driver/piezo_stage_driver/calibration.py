@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import yaml
 
-from piezo_models.bounded_file import UnreadableFile, read_bounded_text
+from piezo_models.text_file import UnreadableFile, read_bounded_text
 
 # Of NI-DAQmx.
 TERMINALS = ("DEFAULT", "DIFF", "RSE", "NRSE", "PSEUDO_DIFF")

@@ -5,12 +5,13 @@ import array
 import time
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from piezo_interfaces.msg import SampleBlock
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
+from piezo_node_tools.diagnostics import diagnostic
 from piezo_node_tools.quality import PACED_SAMPLES, SAMPLES
 
 NANOSECONDS = 1_000_000_000
@@ -36,7 +37,6 @@ class StageOutputs:
 
     def __init__(self, node, settings):
         self._node, self._settings = node, settings
-        self._name = f"{node.get_fully_qualified_name()}: stage"
         self.epoch_ns = 0
         self.quality = SAMPLES if settings.lockstep else PACED_SAMPLES
         self._samples = node.create_publisher(SampleBlock, "samples", self.quality)
@@ -121,12 +121,8 @@ class StageOutputs:
             One line.
         values : dict
         """
-        status = DiagnosticStatus(
-            name=self._name, hardware_id=self._settings.joint_name, level=level, message=message,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
-        array_message = DiagnosticArray(status=[status])
-        array_message.header.stamp = self._node.get_clock().now().to_msg()
-        self._diagnostics.publish(array_message)
+        self._diagnostics.publish(diagnostic(
+            self._node, "stage", level, message, values, self._settings.joint_name))
 
     def wait_for_delivery(self):
         """Let subscribers have the last samples before the process ends."""

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Read a file that may be too large, and do not write over one that is something else."""
+"""Text files: read up to a bound, replaced as a whole, none that is something else."""
 
 import json
+import os
 from pathlib import Path
 
 LARGEST_BYTES = 10_000_000
@@ -39,6 +40,26 @@ def read_bounded_text(path, largest_bytes=LARGEST_BYTES):
         raise UnreadableFile(f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise UnreadableFile("is not text") from None
+
+
+def replace_text(path, text):
+    """Write a file; the one at `path` is replaced at once or not at all.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def is_something_else(path, file_format, largest_bytes=LARGEST_BYTES):

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How every run begins: ramps of whole ticks, within the range that amplifier and model share."""
+
+import math
+
+RAMP_S = 0.05
+FADE_S = 0.05
+ALIGNMENT_SAMPLES = 40
+
+
+def aligned_samples(time_s, sample_period_s):
+    """Samples of a time, up to the next multiple of `ALIGNMENT_SAMPLES`."""
+    ticks = math.ceil(time_s / sample_period_s / ALIGNMENT_SAMPLES - 1e-9)
+    return ticks * ALIGNMENT_SAMPLES
+
+
+def check_amplifier_range(hysteresis, voltage_range_v, start_voltage_v):
+    """Refuse an amplifier that cannot go to the voltage at which the model begins.
+
+    Raises
+    ------
+    ValueError
+    """
+    lowest_v, highest_v = voltage_range_v
+    if not lowest_v <= hysteresis.voltage_min_v <= start_voltage_v <= highest_v:
+        raise ValueError(
+            f"the model begins at {hysteresis.voltage_min_v:g} V, the amplifier at "
+            f"{lowest_v:g} V, the run at {start_voltage_v:g} V: identify the model over the "
+            "amplifier's range")

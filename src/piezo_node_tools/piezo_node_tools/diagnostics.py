@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a node publishes of its state on ``/diagnostics`` (REP-107)."""
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+
+def diagnostic(node, name, level, message, values, hardware_id=""):
+    """Return the state of a part of a node, as of now.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    name : str
+        Of the part.
+    level : bytes
+        Of ``DiagnosticStatus``.
+    message : str
+        One line.
+    values : dict
+    hardware_id : str
+
+    Returns
+    -------
+    DiagnosticArray
+    """
+    status = DiagnosticStatus(
+        name=f"{node.get_fully_qualified_name()}: {name}", hardware_id=hardware_id, level=level,
+        message=message,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
+    array = DiagnosticArray(status=[status])
+    array.header.stamp = node.get_clock().now().to_msg()
+    return array
