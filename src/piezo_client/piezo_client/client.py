@@ -75,13 +75,12 @@ class Client:
 
     def run_experiment(self, experiment, directory, **options):
         """Run and record one experiment; see `goal`."""
-        return self.goal("run_experiment", on_feedback=options.pop("on_feedback", None),
-                         experiment=experiment, directory=str(directory), **options)
+        return self.goal(
+            "run_experiment", experiment=experiment, directory=str(directory), **options)
 
     def identify(self, directory, **options):
         """Run the whole identification; see `goal`."""
-        return self.goal("identify", on_feedback=options.pop("on_feedback", None),
-                         directory=str(directory), **options)
+        return self.goal("identify", directory=str(directory), **options)
 
     def diagnose(self, model, recordings, directory, holdout="", **options):
         """Find what a model lacks to explain recordings; see `goal`."""
@@ -89,11 +88,11 @@ class Client:
             "diagnose", model=str(model), recordings=[str(path) for path in recordings],
             holdout=str(holdout), directory=str(directory), **options)
 
-    def track(self, reference, model, mode, duration_s, directory, on_feedback=None, **options):
+    def track(self, reference, model, mode, duration_s, directory, **options):
         """Track a reference given as a dict of the fields of ``Reference``; see `goal`."""
         return self.goal(
-            "track", on_feedback=on_feedback, reference=Reference(**reference), model=str(model),
-            mode=mode, duration_s=float(duration_s), directory=str(directory), **options)
+            "track", reference=Reference(**reference), model=str(model), mode=mode,
+            duration_s=float(duration_s), directory=str(directory), **options)
 
     def goal(self, name, on_feedback=None, cancel_after_s=None, **fields):
         """Send a goal and wait for its end.

@@ -42,10 +42,16 @@ class StreamPlan:
     once_voltage_v : ndarray, shape (n,)
         Down to the model's lowest voltage, which wipes out the hysteresis' past, and up to the
         first value of the reference.
+    displacement_um : ndarray, shape (M,)
+        To expect, from the first sample on to `margin_samples` behind the last.
     feedback_start_sample, begin_sample : int
         Where feedback may begin; where the lead-in has ended and the reference begins.
     left_alone : tuple of str
         Effects of the model that are not compensated.
+    inverse : OnlineInverse
+        As it is when `once_voltage_v` has been played.
+    margin_samples : int
+        How far ahead it looks.
     """
 
     once_voltage_v: np.ndarray

@@ -107,25 +107,6 @@ def density_operator(size):
     ).tocsr()
 
 
-def unknowns_of(density, reversible):
-    """Unknowns of the regression from what they determine, in O(cells).
-
-    Parameters
-    ----------
-    density : ndarray, shape (n, n)
-        Times the area of a full cell; lower triangular.
-    reversible : ndarray, shape (n,)
-        Times the width of a cell.
-
-    Returns
-    -------
-    ndarray, shape (n (n + 1) / 2 + n,)
-    """
-    shares = np.tril(density, -1) + np.diag(0.5 * np.diagonal(density) + reversible)
-    rows = np.cumsum(shares[:, ::-1], axis=1)[:, ::-1]
-    return np.append(np.cumsum(rows, axis=0)[np.tril_indices(len(density))], reversible)
-
-
 def visited_cells(voltage_v, levels_v):
     """Cells of the Preisach plane in which the moving corner of the memory has been.
 

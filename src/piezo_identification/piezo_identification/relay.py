@@ -4,7 +4,6 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import brentq
 
 from piezo_identification.input_designs import arc
 from piezo_recorder.sample_block import Flag
@@ -23,9 +22,6 @@ SETTLING_CYCLES = 5
 
 HARMONICS = (1, 3, 5)
 """Of the oscillation, which a relay excites."""
-
-HIGHEST_HZ = 1e5
-"""Frequency up to which the phase of a model is followed."""
 
 
 @dataclass(frozen=True)
@@ -351,39 +347,3 @@ def _lines(signal, cycles_per_sample):
     coefficients = np.linalg.lstsq(basis, signal, rcond=None)[0]
     count, total = cycles_per_sample.size, waves.shape[1]
     return coefficients[2 : 2 + count] - 1j * coefficients[2 + total : 2 + total + count]
-
-
-def model_ultimate_frequency_hz(response, delay_s=0.0):
-    """Lowest frequency at which the phase of a model reaches -180 degrees.
-
-    Parameters
-    ----------
-    response : callable
-        Complex response at frequencies in Hz, such as the method of a model; positive at the
-        lowest ones.
-    delay_s : float
-        Further delay of the loop, such as that of a relay experiment.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    ValueError
-        If the phase does not go that far.
-    """
-    def delayed(frequency_hz):
-        return response(frequency_hz) * np.exp(-2j * np.pi * frequency_hz * delay_s)
-
-    frequency_hz = np.geomspace(1e-2, HIGHEST_HZ, 20_000)
-    phase = np.unwrap(np.angle(delayed(frequency_hz)))
-    below = np.flatnonzero(phase <= -np.pi)
-    if below.size == 0:
-        raise ValueError(
-            f"the phase of the model stays above -180 degrees up to {HIGHEST_HZ:g} Hz: a relay "
-            "does not make it oscillate"
-        )
-    # Turned by half a circle, the phase crosses zero without a jump.
-    bracket = frequency_hz[below[0] - 1 : below[0] + 1]
-    return float(brentq(lambda f: np.angle(-delayed(np.array(f))), *bracket))

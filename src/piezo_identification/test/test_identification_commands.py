@@ -40,7 +40,7 @@ def model_file(files, tmp_path_factory):
     return path
 
 
-def test_identify_writes_a_model_that_holds_on_unseen_data(plant, files, model_file):
+def test_identify_writes_a_model_that_holds_on_unseen_data(plant, model_file):
     identified = load_model(model_file)
     # The sensor's noise alone makes 0.04 % and 0.2 %.
     assert identified.errors["hysteresis_e_y_percent"] < 0.1
@@ -95,8 +95,7 @@ def identified_with(files, tmp_path, dynamics, *more, beside=("creep", "hysteres
     return load_model(output)
 
 
-def test_identify_takes_the_dynamics_from_a_frequency_response(
-        plant, files, response_file, tmp_path):
+def test_identify_takes_the_dynamics_from_a_frequency_response(files, response_file, tmp_path):
     identified = identified_with(
         files, tmp_path, response_file, "--modes", 2, "--antiresonances", 0)
     model = identified.model
@@ -226,8 +225,7 @@ def test_simulate_refuses_a_missing_model(files, tmp_path, capsys):
     (f"{HEADER}\n0,0,0\n0.1,1\n", "row 3: 2 values"),
     ("time_s,voltage_v\n0,0\n", "row 1: the column displacement_um is missing"),
 ])
-def test_both_commands_name_the_row_of_damaged_data(text, named, files, model_file, tmp_path,
-                                                    capsys):
+def test_both_commands_name_the_row_of_damaged_data(text, named, model_file, tmp_path, capsys):
     data = tmp_path / "data.csv"
     data.write_text(text)
     simulated = ["--model", model_file, "--data", data]

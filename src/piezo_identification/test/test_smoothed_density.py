@@ -8,7 +8,6 @@ from piezo_identification.density_estimate import lower_triangle
 from piezo_identification.everett_regression import (
     density_operator,
     everett_regression,
-    unknowns_of,
     visited_cells,
 )
 from piezo_identification.nonnegative import nonnegative_minimum
@@ -39,6 +38,13 @@ def unseen_voltage_v(lowest_v, highest_v):
     turns = [0, 0.836, 0.236, 0.747, 0.305, 0.652, 0.415, 0.933, 0.09, 0.585, 0.207, 0.5]
     steps = np.interp(np.arange(0.0, 11.0, 2e-3), np.arange(12), turns)
     return lowest_v + (highest_v - lowest_v) * steps
+
+
+def unknowns_of(density, reversible):
+    """Unknowns of the regression from what they determine: integrals over cells and diagonal."""
+    shares = np.tril(density, -1) + np.diag(0.5 * np.diagonal(density) + reversible)
+    rows = np.cumsum(shares[:, ::-1], axis=1)[:, ::-1]
+    return np.append(np.cumsum(rows, axis=0)[np.tril_indices(len(density))], reversible)
 
 
 def random_density(size, rng):

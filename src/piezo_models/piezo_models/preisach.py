@@ -166,7 +166,7 @@ class PreisachModel:
         alpha, beta = np.broadcast_arrays(np.clip(alpha_v, *limits), np.clip(beta_v, *limits))
         if not (np.isfinite(alpha).all() and np.isfinite(beta).all()):
             raise ValueError("alpha_v and beta_v must be finite voltages")
-        values = everett_values(alpha.ravel(), beta.ravel(), self._grid, self._table)
+        values = everett_values(alpha.flatten(), beta.flatten(), self._grid, self._table)
         return values.reshape(alpha.shape)[()]
 
     def memory(self):

@@ -63,9 +63,10 @@ class Recorder(LifecycleNode):
             StopRecording, "recorder/stop_recording", self._stop_recording)
         autostart(self)
 
-    # --- Lifecycle
+    # Lifecycle
 
     def on_configure(self, state):
+        """Look up the definitions of the types."""
         topics = self.get_parameter("topics").value
         types = self.get_parameter("types").value
         if len(topics) != len(types):
@@ -87,6 +88,7 @@ class Recorder(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state):
+        """Subscribe to the topics."""
         # Connected from here on: a subscription made only when a recording starts could miss
         # the first samples.
         for topic, definition in self._definitions.items():
@@ -96,6 +98,7 @@ class Recorder(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state):
+        """Close the recording that runs, and unsubscribe."""
         self.close()
         for subscription in self._subscriptions_by_topic.values():
             self.destroy_subscription(subscription)
@@ -103,6 +106,7 @@ class Recorder(LifecycleNode):
         return super().on_deactivate(state)
 
     def on_shutdown(self, state):
+        """Close the recording that runs, from any state."""
         self.close()
         return TransitionCallbackReturn.SUCCESS
 
@@ -111,7 +115,7 @@ class Recorder(LifecycleNode):
         if self._recording:
             self._end("the recorder was stopped")
 
-    # --- Services
+    # Services
 
     def _create_waiting_service(self, service_type, name, callback):
         """Create a service whose callback is a coroutine.
@@ -230,7 +234,7 @@ class Recorder(LifecycleNode):
             self.destroy_timer(timer)
         return condition()
 
-    # --- Recording
+    # Recording
 
     @property
     def _recording(self):

@@ -54,7 +54,7 @@ class RecordingSession:
 
     @property
     def missing(self):
-        """Gaps in the sample index of the first topic of samples."""
+        """Samples that no block of the first topic of samples covers."""
         return next(iter(self._counts.values())).missing
 
     def receive(self, topic, data, time_ns):

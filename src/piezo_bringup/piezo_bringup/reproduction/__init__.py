@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The numerical studies of the thesis' chapters 2 to 4, done again."""
+"""The numerical studies of the thesis' chapters 2 to 5, done again."""

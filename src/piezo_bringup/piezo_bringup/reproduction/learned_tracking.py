@@ -42,15 +42,14 @@ class LearnedRun:
 
     Attributes
     ----------
-    true_percent, measured_percent : float
-        e_rms of the part that plays the best, by the true position and by the sensor.
+    true_percent : float
+        e_rms of the part that plays the best, by the true position.
     iterations : int
     why : str
         It ended.
     """
 
     true_percent: float
-    measured_percent: float
     iterations: int
     why: str
 
@@ -99,8 +98,8 @@ def learn(frequency_hz, amplitude_um, seed, part=MODEL_ERROR):
     true_um = np.concatenate(list(_loop(feedforward, run, seed)))
     begin = feedforward.begin_sample
     error_um = true_um[begin:] - feedforward.expected_um(begin, true_um.size - begin)
-    return LearnedRun(100 * np.sqrt(np.mean(error_um**2)) / amplitude_um, run.e_rms_percent(),
-                      learner.iterations, learner.finished)
+    return LearnedRun(100 * np.sqrt(np.mean(error_um**2)) / amplitude_um, learner.iterations,
+                      learner.finished)
 
 
 def _loop(feedforward, run, seed):

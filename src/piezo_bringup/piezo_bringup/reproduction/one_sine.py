@@ -36,6 +36,7 @@ class OneSine:
 
     Parameters
     ----------
+    levels_v : ndarray, shape (L + 1,)
     rows, output_um : ndarray, shape (N, n) and (N,)
         Regression and noisy output of the relays.
     area_v2 : ndarray, shape (n,)
