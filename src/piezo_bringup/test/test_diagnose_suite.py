@@ -16,7 +16,7 @@ from piezo_bringup.diagnose_suite.outcome import as_text, outcome, summary
 COUNT, SEED = 2, 3
 
 
-def result(causes=(), effects=(), verdict="explained", not_decidable=(), later=True):
+def result(causes=(), effects=(), verdict="explained", not_decidable=(), later=True, lacking=9.0):
     return {
         "model": "identified before" if later else "identified with the effects",
         "contributions": [
@@ -24,7 +24,7 @@ def result(causes=(), effects=(), verdict="explained", not_decidable=(), later=T
             for cause, size, beyond in causes
         ],
         "effects": list(effects), "verdict": verdict, "not_decidable": list(not_decidable),
-        "after_um": 1.1, "perfect_um": 1.0,
+        "lacking_over_noise": lacking, "after_um": 1.1, "perfect_um": 1.0,
     }
 
 
@@ -46,6 +46,8 @@ def test_the_suite_has_the_cases_it_must_have_and_the_same_for_the_same_seed():
     (result([("self_heating", 9.0, 2.0)], ["creep"]), ("outside", "explained")),
     (result([("delay", 9.0, 2.0)], ["delay"]), ("clear", "right")),
     (result([("delay", 9.0, 2.0)], ["delay"], later=False), ("weak", "right")),
+    (result([("delay", 9.0, 5.0)], ["delay"], later=False), ("clear", "right")),
+    (result([("delay", 9.0, 5.0)], later=False, lacking=1.0), ("weak", "no name")),
     (result([("delay", 9.0, 2.0)], ["creep"]), ("clear", "wrong")),
     (result([("delay", 9.0, 2.0)], ["sensor_lag"], not_decidable=["delay"]),
      ("clear", "not decidable")),

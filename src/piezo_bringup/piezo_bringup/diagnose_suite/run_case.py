@@ -112,6 +112,7 @@ def run_case(case, model):
         "verdict": diagnosis.verdict,
         "effects": [entry["name"] for entry in diagnosis.effects],
         "not_decidable": sorted(diagnosis.not_decidable),
+        "lacking_over_noise": _lacking_um(diagnosis) / noise,
         "noise_um": noise, "noise_found_um": diagnosis.noise_floor_um,
         "before_um": diagnosis.before["rms_um"], "after_um": diagnosis.after["rms_um"],
         "perfect_um": perfect_um,
@@ -124,6 +125,13 @@ def _least_error_um(model, recording):
     trial = contest.trial(())
     left_um = (trial.residual * contest.tolerance_um)[contest.judge]
     return float(np.sqrt(np.mean(left_um**2)))
+
+
+def _lacking_um(diagnosis):
+    """RMS of what the model, its parameters tuned, leaves of the recording beyond the noise."""
+    contest = diagnosis.contest
+    rms_tolerances = np.sqrt(contest.structure(diagnosis.selection.start))
+    return float(rms_tolerances * np.sqrt(np.mean(contest.tolerance_um**2)))
 
 
 def _drawn(cause, plant, voltage_v, surroundings, multiple, seed):

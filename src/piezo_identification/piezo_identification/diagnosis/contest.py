@@ -18,8 +18,11 @@ STRETCHES, HELD_OUT = 120, 3
 """Stretches of a recording, and which of them are held out: one in three."""
 
 TUNING_PRICE = 0.02
-"""Of the energy of what is not explained: what a change of a parameter by the width to which it is
-known costs. However large the error, tuning explains it only with changes that can be believed."""
+"""Of the energy of what is not explained, beyond the noise: what a change of a parameter by the
+width to which it is known costs. However large the error, tuning explains it only with changes that
+can be believed."""
+LEAST_STRUCTURE = 0.05
+"""Part of the noise's energy that is priced at least."""
 
 MODEL_TOLERANCE = 1e-4
 """Part of the travel to which a good model is right: less is not worth an effect."""
@@ -180,7 +183,9 @@ class Contest:
         free = weighted[self.fit, : self.free_count]
         left = self.rows_of(effects)[self.fit]
         left = left - free @ np.linalg.lstsq(free, left, rcond=1e-12)[0]
-        price = np.sqrt(TUNING_PRICE * (left @ left))
+        noise = float(np.sum(self._noise_of_rows()[self.fit] ** 2))
+        energy = max(left @ left - noise, LEAST_STRUCTURE * noise)
+        price = np.sqrt(TUNING_PRICE * energy)
         self.prior = price * np.eye(weighted.shape[1])[self.free_count :]
         self.q, self.r = np.linalg.qr(np.vstack([weighted[self.fit], self.prior]))
         self.weighted = weighted
@@ -324,12 +329,16 @@ class Contest:
 
     def structure(self, trial):
         """Mean square of what is left beyond the noise on the rows that judge, in tolerances."""
-        noise = np.concatenate([
+        expected = float(np.mean(self._noise_of_rows()[self.judge] ** 2))
+        return max(0.0, self.held_out_square(trial) - expected)
+
+    def _noise_of_rows(self):
+        """The sensor's noise at all rows, in tolerances."""
+        noise_um = np.concatenate([
             np.full(rows.size, noise_um)
             for rows, noise_um in zip(self.rows, self.noise_um, strict=True)
         ])
-        expected = (noise / self.tolerance_um)[self.judge]
-        return max(0.0, self.held_out_square(trial) - float(np.mean(expected**2)))
+        return noise_um / self.tolerance_um
 
     def significance(self, before, after):
         """How surely the second trial is better than the first on the rows that judge.

@@ -7,15 +7,12 @@ import numpy as np
 
 from piezo_identification.diagnosis.contest import Contest
 from piezo_identification.diagnosis.residual import dependences, spectrum, whiteness
-from piezo_identification.diagnosis.selection import select
+from piezo_identification.diagnosis.selection import NOISE, select
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.prediction import predict
 from piezo_models.effects.outliers import FEWEST as FEWEST_OUTLIERS
 from piezo_models.effects.outliers import Outliers
 from piezo_models.measures import e_y_percent
-
-STRUCTURE = 0.6
-"""Size of what is left beyond the noise, in tolerances, below which it counts as noise."""
 
 EXPLAINED = 0.1
 """Part of the structure's power that may be left where effects explain it."""
@@ -69,7 +66,7 @@ def diagnose(model, recordings, holdout=None, progress=None):
         for wrong, part in zip(contest.wrong, contest.prepared, strict=True)
     )
     start, end = (contest.structure(trial) for trial in (selection.start, selection.end))
-    allowed = max(STRUCTURE**2, EXPLAINED * start)
+    allowed = max(NOISE**2, EXPLAINED * start)
     if end > allowed:
         verdict = "unexplained"
     elif selection.end.effects or wrong >= FEWEST_OUTLIERS:

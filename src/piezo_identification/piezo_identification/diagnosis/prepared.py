@@ -19,6 +19,8 @@ TUNING_WIDTH = 0.005
 """To which the parameters of dynamics and density are known, as a logarithm."""
 CREEP_WIDTH = 0.05
 """The same of the creep's rates and sizes."""
+REVERSIBLE_WIDTH = 0.02
+"""The same of the part of the gain that is reversible: small loops alone tell it from the rest."""
 
 FEWEST_SAMPLES = 500
 
@@ -173,6 +175,8 @@ class PreparedRecording:
             part = _times(replace(model.hysteresis, offset_um=0.0), surface)
             output_um, _ = self._hysteresis(part, self.voltage_v)
             columns.append(self._respond(linear, output_um)[rows])
+        more_reversible, _ = self._hysteresis(_traded(model.hysteresis, 1.0), self.voltage_v)
+        columns.append(self._respond(linear, more_reversible - self._hysteresis_um)[rows])
         return np.column_stack(columns) @ _tuning_map(model)
 
 
@@ -186,9 +190,10 @@ def _tuning_map(model):
     dynamics = model.dynamics
     others = (
         (dynamics.time_constant_s > 0.0) + 2 * len(dynamics.mode_frequencies_rad_per_s)
-        + 2 * len(dynamics.antiresonance_frequencies_rad_per_s) + len(_surfaces(model))
+        + 2 * len(dynamics.antiresonance_frequencies_rad_per_s) + len(_surfaces(model)) + 1
     )
     tuning = TUNING_WIDTH * np.eye(2 * pairs + others)
+    tuning[-1, -1] = REVERSIBLE_WIDTH
     for pair, (pole, zero) in enumerate(zip(
         model.creep.poles_rad_per_s, model.creep.zeros_rad_per_s, strict=True
     )):
@@ -235,9 +240,21 @@ def retuned(model, changes):
         factors(dynamics.damping_ratios), factors(dynamics.antiresonance_frequencies_rad_per_s),
         factors(dynamics.antiresonance_damping_ratios),
     )
-    surface = 1.0 + np.tensordot(changes[used:], _surfaces(model), axes=1)
+    surface = 1.0 + np.tensordot(changes[used:-1], _surfaces(model), axes=1)
     hysteresis = _times(model.hysteresis, np.maximum(surface, 0.0))
+    hysteresis = _traded(hysteresis, changes[-1])
     return replace(model, creep=creep, dynamics=dynamics, hysteresis=hysteresis)
+
+
+def _traded(hysteresis, part):
+    """The hysteresis with a part of its gain over the whole range made reversible."""
+    low_um, high_um = hysteresis.output_range_um
+    gain_um_per_v = (high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
+    return replace(
+        hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * (1.0 - part),
+        reversible_um_per_v=np.maximum(
+            hysteresis.reversible_um_per_v * (1.0 - part) + part * gain_um_per_v, 0.0),
+    )
 
 
 def _times(hysteresis, surface):

@@ -8,6 +8,9 @@ import numpy as np
 from piezo_models.effects import known_effects
 from piezo_models.effects.outliers import Outliers
 
+NOISE = 0.8
+"""Size of what is left beyond the noise, in tolerances, below which it counts as noise."""
+
 OVERWHELMING = 0.36
 """Part below which the mean square on held-out data convinces by itself: where one event, such as a
 jump, holds all of the evidence, there is no significance by numbers."""
@@ -15,7 +18,7 @@ jump, holds all of the evidence, there is no significance by numbers."""
 SIGNIFICANT = 5.0
 """Standard deviations that a gain must have; a dozen candidates try in every round."""
 
-NOTICEABLE = 0.25
+NOTICEABLE = 0.5
 """Size of a contribution, in tolerances, below which no effect is named."""
 
 BESIDE = 0.02
@@ -34,6 +37,12 @@ CLEARLY_FEWER = 2
 """Fitted numbers by which a set must be smaller to come before one that is slightly better."""
 
 MOST_EFFECTS = 3
+
+NEAR_TWINS = (
+    {"delay", "sensor_lag"}, {"creep", "thermal_drift"}, {"slew_limit", "vibration_mode"},
+    {"stiffening", "sensor_nonlinearity"},
+)
+"""Effects that do much the same: where one is found, the other is tried in its place."""
 
 RIVALS = 4
 """Sets of one size that go on, and how many times as much as the best they may leave."""
@@ -121,6 +130,8 @@ def select(contest, progress=None):
         if turn == 0:
             blind = {attempt.name: attempt.remark for attempt in attempts if attempt.remark}
         rounds.append(sorted(attempts[: len(kinds)], key=lambda one: _score(contest, one.trial)))
+        if turn == 0 and _is_noise(contest, best):
+            break
         grown = _simplest_first(contest, _fitted(contest, attempts))
         if not grown or not _convincing(contest, start, best, grown[0]):
             break
@@ -132,11 +143,16 @@ def select(contest, progress=None):
         )
         best = grown[0]
         twins = _twins(contest, grown)
-        if stuck or contest.held_out_square(best) < 1.0 + NOTICEABLE**2:
+        if stuck or _is_noise(contest, best):
             break
         beam = _rivals(contest, grown)
     best = _needed(contest, start, best)
-    return Selection(start, best, rounds, twins, blind)
+    return Selection(start, best, rounds, twins | _near_twins(contest, kinds, best), blind)
+
+
+def _is_noise(contest, trial):
+    """True if a trial leaves so little that the diagnosis takes it for noise."""
+    return contest.structure(trial) <= NOISE**2
 
 
 def _share_of(progress, begun, share):
@@ -228,6 +244,22 @@ def _twins(contest, grown):
             others = [effect.name for effect in other.effects]
             missing = [name for name in names if name not in others]
             twins |= {name: missing[0] for name in others if name not in names and missing}
+    return twins
+
+
+def _near_twins(contest, kinds, best):
+    """The near twins that do in place of effects what these do, and which they stand for."""
+    twins = {}
+    for number, effect in enumerate(best.effects):
+        others = (*best.effects[:number], *best.effects[number + 1 :])
+        present = {other.name for other in others}
+        for kind in kinds:
+            if {kind.name, effect.name} in NEAR_TWINS and kind.name not in present:
+                evidences = [
+                    contest.evidence(index, others) for index in range(len(contest.prepared))]
+                trial = contest.challenge(kind, others, evidences)
+                if trial and _alike(contest, best, contest.fit_effects(trial.effects)):
+                    twins[kind.name] = effect.name
     return twins
 
 

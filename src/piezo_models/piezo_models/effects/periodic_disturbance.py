@@ -12,6 +12,10 @@ FEWEST_PERIODS = 10
 """In a recording; slower ones are drift."""
 HARMONICS = 2
 
+DRIVEN = 0.05
+"""Part of the displacement's energy from which a line is the waveform's own."""
+LINE_BINS = 2
+
 
 @dataclass(frozen=True)
 class PeriodicDisturbance(Effect):
@@ -49,9 +53,11 @@ class PeriodicDisturbance(Effect):
 
     @classmethod
     def starts(cls, evidence):
-        """The largest line of the residual's spectrum."""
-        residual = evidence.residual_um * np.hanning(evidence.residual_um.size)
-        size = np.abs(np.fft.rfft(residual))
+        """The largest line of the residual's spectrum that the voltage does not drive."""
+        size = _lines(evidence.residual_um)
+        driven = _lines(evidence.displacement_um) ** 2
+        for line in np.flatnonzero(driven > DRIVEN * driven.sum()):
+            size[max(0, line - LINE_BINS) : line + LINE_BINS + 1] = 0.0
         size[:FEWEST_PERIODS] = 0.0
         size[-2:] = 0.0
         if size.size <= FEWEST_PERIODS + 2:
@@ -72,3 +78,8 @@ class PeriodicDisturbance(Effect):
                     cls(frequency_hz, cosines[0], sines[0], tuple(cosines[1:]), tuple(sines[1:]))
                 )
         return starts
+
+
+def _lines(signal):
+    """Size of the spectrum, without the mean."""
+    return np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(signal.size)))

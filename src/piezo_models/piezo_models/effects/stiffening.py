@@ -62,19 +62,16 @@ class Stiffening(Effect):
 
     @classmethod
     def starts(cls, evidence):
-        """Least squares, for each mode of the model."""
+        """Least squares, for each mode of the model, and for a spring that acts at once."""
         low, high = evidence.displacement_um.min(), evidence.displacement_um.max()
         if low == high:
             return []
         dynamics = evidence.dynamics
-        modes = list(zip(
-            dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True
-        )) or [(0.0, 1.0)]
+        modes = zip(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True)
+        # Faster than the samples a mode follows at once.
+        modes = [mode for mode in modes if mode[0] * evidence.sample_period_s <= 1.0]
         starts = []
-        for mode in modes:
-            # Faster than the samples a mode follows at once.
-            if mode[0] * evidence.sample_period_s > 1.0:
-                mode = (0.0, 1.0)
+        for mode in (*modes, (0.0, 1.0)):
             shape = cls(0.0, 0.0, 0.0, 0.5 * (low + high), 0.5 * (high - low), *mode)
             gains, _ = evidence.reduction(
                 -shape.yields(evidence.displacement_um, evidence.sample_period_s)

@@ -2,6 +2,7 @@
 """Amplifier that does not reach the voltages asked for."""
 
 from dataclasses import dataclass
+from itertools import product
 from typing import ClassVar
 
 import numpy as np
@@ -9,9 +10,11 @@ from scipy.special import ndtr
 
 from piezo_models.effects.effect import Effect, parameter
 
-SCANNED_PARTS = (0.01, 0.03, 0.1, 0.2)
-SCANNED_KNEE = 0.01
-
+SCANNED_PARTS = (-0.03, -0.01, 0.0, 0.003, 0.01, 0.03, 0.1, 0.2)
+"""Of the voltage's span: from its ends to the limit; a soft limit acts before it is reached."""
+SCANNED_KNEES = (0.003, 0.01, 0.03)
+KNEES_OF_REACH = 2.0
+TRIED = 4
 
 NEWTON_STEPS = 40
 INVERSION_TOLERANCE = 1e-9
@@ -69,14 +72,23 @@ class VoltageClipping(Effect):
 
     @classmethod
     def starts(cls, evidence):
-        """Limits at some parts of the span from its ends."""
+        """The best of a scan, by what they take off the voltage."""
         low, high = evidence.voltage_v.min(), evidence.voltage_v.max()
         span = high - low
-        knee = SCANNED_KNEE * span
-        # Where nothing is clipped, the limit is out of reach.
-        below, above = low - 2.0 * knee, high + 2.0 * knee
-        starts = [cls(below, high - part * span, knee) for part in SCANNED_PARTS]
-        return starts + [cls(low + part * span, above, knee) for part in SCANNED_PARTS]
+        shapes = []
+        for knee, part in product(SCANNED_KNEES, SCANNED_PARTS):
+            if part > -KNEES_OF_REACH * knee:
+                # Where nothing is clipped, the limit is out of reach.
+                out_of_reach = 2.0 * KNEES_OF_REACH * knee * span
+                shapes += [cls(low - out_of_reach, high - part * span, knee * span),
+                           cls(low + part * span, high + out_of_reach, knee * span)]
+        found = evidence.best(
+            shapes,
+            lambda shape: (shape.apply(evidence.voltage_v, evidence.sample_period_s)
+                           - evidence.voltage_v)[:, None],
+            TRIED,
+        )
+        return [shape for shape, gains in found if gains[0] > 0.0]
 
     @classmethod
     def lacks_excitation(cls, evidence):
