@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Where candidates compete: fitted on one part of the data, judged on another."""
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -164,6 +165,14 @@ class Contest:
             wrong = Outliers.find(residual, self.noise_um[-1])
             self.wrong.append(wrong & ~_just_after_a_jump(part.voltage_v))
         self._weigh(effects)
+
+    def untuned(self, effects):
+        """The same contest beside some effects with the model's parameters held as they are."""
+        held = copy(self)
+        held.columns = self.columns.copy()
+        held.columns[:, self.free_count :] = 0.0
+        held._weigh(effects)
+        return held
 
     def _weigh(self, effects):
         """Tolerance of each row, the rows that count, and the projection on the fitted ones."""

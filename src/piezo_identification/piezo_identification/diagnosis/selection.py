@@ -48,6 +48,11 @@ RIVALS = 4
 """Sets of one size that go on, and how many times as much as the best they may leave."""
 RIVAL = 1.5
 
+TUNED_FOR = "here a model with slightly other parameters does the same"
+MUCH_TUNED, AS_TUNED = 4.0, 2.0
+"""What must have been tuned away for other causes to be looked for, and what one may leave instead,
+as multiples of the structure's power that tuning leaves."""
+
 PROGRESS = 0.7
 """Part of the structure's power that may be left by a round before the search is given up."""
 
@@ -147,6 +152,7 @@ def select(contest, progress=None):
             break
         beam = _rivals(contest, grown)
     best = _needed(contest, start, best)
+    blind |= _tuned_for(contest, kinds, best)
     return Selection(start, best, rounds, twins | _near_twins(contest, kinds, best), blind)
 
 
@@ -263,6 +269,22 @@ def _near_twins(contest, kinds, best):
     return twins
 
 
+def _tuned_for(contest, kinds, best):
+    """The effects that explain by themselves what the model's parameters were tuned for, and so."""
+    held = contest.untuned(best.effects)
+    left = max(NOISE**2, contest.structure(best))
+    if held.structure(held.trial(best.effects)) < MUCH_TUNED * left:
+        return {}
+    evidences = [held.evidence(index, best.effects) for index in range(len(held.prepared))]
+    present, found = {effect.name for effect in best.effects}, {}
+    for kind in kinds:
+        if kind.name not in present and not all(map(kind.lacks_excitation, evidences)):
+            trial = held.challenge(kind, best.effects, evidences)
+            if trial and held.structure(trial) <= AS_TUNED * left:
+                found[kind.name] = TUNED_FOR
+    return found
+
+
 def _needed(contest, start, best):
     """The set without those effects beside which nothing is worse."""
     for number in range(len(best.effects) - 1, -1, -1):
@@ -286,7 +308,7 @@ def _attempt(contest, kind, current, evidences):
     before, after = contest.held_out_square(current), contest.held_out_square(trial)
     remark = ""
     if contest.visible(current, trial) < VISIBLE:
-        remark = "here a model with slightly other parameters does the same"
+        remark = TUNED_FOR
     return Attempt(
         kind.name, trial, contest.significance(current, trial),
         100.0 * (1.0 - np.sqrt(after / before)), contest.size(current, trial), remark,
