@@ -44,6 +44,8 @@ def test_every_parameter_has_a_description_a_range_and_a_unit(suite, node):
      "parameter sample_rate_hz is no float: give a value such as 40000.0"),
     ("stage", ["-p", "timing:=slow"],
      "parameter timing is 'slow': give paced or lockstep"),
+    ("controller", ["-p", "feedback_place:=inside"],
+     "parameter feedback_place is 'inside': give behind_inverse or before_inverse"),
     ("stage", ["-p", "autostart:=true", "-p", "plant:=/no/plant.yaml"],
      "/no/plant.yaml: the plant file cannot be read"),
     ("hardware", ["-p", "autostart:=true", "-p", "backend_file:=CALIBRATION"],

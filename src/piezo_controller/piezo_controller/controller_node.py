@@ -80,7 +80,7 @@ class ControllerNode(LifecycleNode):
         self._feedback_place = declare(
             self, "feedback_place", PLACES[0],
             "Where the feedback of the composite modes enters: behind_inverse, as a voltage; "
-            "before_inverse, as an output of the hysteresis.")
+            "before_inverse, as an output of the hysteresis.", choices=PLACES)
         self._directory = declare(
             self, "directory", "runs", "Where recordings go if a goal names no place.")
 
@@ -175,15 +175,12 @@ class ControllerNode(LifecycleNode):
                 controller, feedback_room_v(plan, self._stage.voltage_range_v))
         if self._feedback_place == "behind_inverse":
             return MultirateFeedback(controller, self._max_feedback_v)
-        if self._feedback_place == "before_inverse" and isinstance(plan, StreamPlan):
+        if isinstance(plan, StreamPlan):
             raise ValueError("a streamed reference takes its feedback behind the inverse: set "
                              "feedback_place to behind_inverse")
-        if self._feedback_place == "before_inverse":
-            return FeedbackBeforeInverse(
-                controller, model, plan, self._stage.samples_per_tick, self._max_feedback_v,
-                self._stage.rest_voltage_v)
-        raise ValueError(f"feedback_place is {self._feedback_place!r}: use one of "
-                         f"{', '.join(PLACES)}")
+        return FeedbackBeforeInverse(
+            controller, model, plan, self._stage.samples_per_tick, self._max_feedback_v,
+            self._stage.rest_voltage_v)
 
     def _design_feedback(self, method, model, model_text):
         digest = _sha256(model_text)
