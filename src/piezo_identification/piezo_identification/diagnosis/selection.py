@@ -18,7 +18,7 @@ jump, holds all of the evidence, there is no significance by numbers."""
 SIGNIFICANT = 5.0
 """Standard deviations that a gain must have; a dozen candidates try in every round."""
 
-NOTICEABLE = 0.5
+NOTICEABLE = 0.25
 """Size of a contribution, in tolerances, below which no effect is named."""
 
 BESIDE = 0.02
@@ -148,7 +148,7 @@ def select(contest, progress=None):
         )
         best = grown[0]
         twins = _twins(contest, grown)
-        if stuck or _is_noise(contest, best):
+        if stuck or contest.held_out_square(best) < 1.0 + NOTICEABLE**2:
             break
         beam = _rivals(contest, grown)
     best = _needed(contest, start, best)
