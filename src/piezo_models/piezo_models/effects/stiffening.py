@@ -15,7 +15,7 @@ FORCE_ROUNDS = 3
 
 @dataclass(frozen=True)
 class Stiffening(Effect):
-    """A spring whose force has a square and a cubic part beside a linear one.
+    """A spring whose force has parts up to the fourth power beside a linear one.
 
     The parts are given as the displacement that they take off at the ends of the range. They are
     forces: what they take off passes the mode of the spring once more, and is largest where the
@@ -33,12 +33,13 @@ class Stiffening(Effect):
     half_range_um: float = parameter("um", "fixed", 1e-12, 1e9)
     frequency_rad_per_s: float = parameter("rad/s", "fixed", 0.0, 1e9)
     damping_ratio: float = parameter("1", "fixed", 0.0, 10.0)
+    quartic_um: float = parameter("um", default=0.0)
 
     def yields(self, signal, sample_period_s, rest=None):
-        """What each part of 1 um at the ends would take off, shape (N, 3)."""
+        """What each part of 1 um at the ends would take off, shape (N, 4)."""
         def forces(level):
             x = np.clip((level - self.centre_um) / self.half_range_um, -1.5, 1.5)
-            return np.column_stack([x, x * x, x * x * x])
+            return np.column_stack([x, x**2, x**3, x**4])
 
         parts = forces(signal)
         if self.frequency_rad_per_s == 0.0:
@@ -56,7 +57,7 @@ class Stiffening(Effect):
         bent = signal
         for _ in range(FORCE_ROUNDS):
             bent = signal - self.yields(bent, sample_period_s, rest) @ (
-                self.linear_um, self.square_um, self.cubic_um
+                self.linear_um, self.square_um, self.cubic_um, self.quartic_um
             )
         return bent
 
@@ -76,5 +77,7 @@ class Stiffening(Effect):
             gains, _ = evidence.reduction(
                 -shape.yields(evidence.displacement_um, evidence.sample_period_s)
             )
-            starts.append(cls(*gains, shape.centre_um, shape.half_range_um, *mode))
+            *lower, quartic_um = gains
+            starts.append(
+                cls(*lower, shape.centre_um, shape.half_range_um, *mode, quartic_um=quartic_um))
         return starts

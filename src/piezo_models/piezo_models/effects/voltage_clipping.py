@@ -14,7 +14,7 @@ SCANNED_PARTS = (-0.03, -0.01, 0.0, 0.003, 0.01, 0.03, 0.1, 0.2)
 """Of the voltage's span: from its ends to the limit; a soft limit acts before it is reached."""
 SCANNED_KNEES = (0.003, 0.01, 0.03)
 KNEES_OF_REACH = 2.0
-TRIED = 4
+TRIED, LIKELY_GAIN = 4, 4.0
 
 NEWTON_STEPS = 40
 INVERSION_TOLERANCE = 1e-9
@@ -86,9 +86,12 @@ class VoltageClipping(Effect):
             shapes,
             lambda shape: (shape.apply(evidence.voltage_v, evidence.sample_period_s)
                            - evidence.voltage_v)[:, None],
-            TRIED,
+            len(shapes),
         )
-        return [shape for shape, gains in found if gains[0] > 0.0]
+        # What a limit takes off must be missing with about the gain of the stage.
+        gain = evidence.travel_um / span
+        return [shape for shape, gains in found
+                if gain / LIKELY_GAIN < gains[0] < gain * LIKELY_GAIN][:TRIED]
 
     @classmethod
     def lacks_excitation(cls, evidence):
