@@ -75,6 +75,29 @@ def test_two_effects_are_found_one_after_the_other(plant, record):
     assert strengths == sorted(strengths, reverse=True)
 
 
+@pytest.mark.parametrize("part_of_span", [0.02, 0.0])
+def test_a_soft_limit_is_found_below_and_at_the_highest_voltage(
+        plant, record, part_of_span):
+    voltage_v = record().voltage_v
+    highest_v = voltage_v.max() - part_of_span * np.ptp(voltage_v)
+    diagnosis = diagnose(plant, [record(VoltageClipping(-60.0, highest_v, 2.0))])
+    assert [entry["name"] for entry in diagnosis.effects] == ["voltage_clipping"]
+    assert diagnosis.effects[0]["parameters"]["highest_v"] == pytest.approx(highest_v, abs=1.0)
+
+
+def test_a_line_that_the_voltage_drives_is_no_disturbance(plant, record):
+    recording = record()
+    time_s = recording.time_s - recording.time_s[0]
+    wave = replace(recording, voltage_v=50.0 - 40.0 * np.cos(2.0 * np.pi * 15.0 * time_s))
+    simulated_um = predict(plant, wave).simulated_um
+    fading = np.linspace(0.998, 1.002, simulated_um.size) * simulated_um
+    missing = wave.voltage_v.size - fading.size
+    played_um = np.r_[np.full(missing, fading[0]), fading]
+    noise_um = np.random.default_rng(0).normal(scale=0.009, size=played_um.size)
+    diagnosis = diagnose(plant, [replace(wave, displacement_um=played_um + noise_um)])
+    assert "periodic_disturbance" not in [entry["name"] for entry in diagnosis.effects]
+
+
 def test_what_no_candidate_explains_gets_no_name(plant, record):
     recording = record()
     generator = np.random.default_rng(0)
