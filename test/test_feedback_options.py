@@ -55,12 +55,10 @@ def track(nodes, namespace, files, directory, controller, mode="composite", dura
 
 
 def test_controller_file_is_used_and_the_feedback_may_pass_the_inverse(nodes, files, tmp_path):
-    errors = [
-        track(nodes, f"/{place}", files, tmp_path, {
-            "controller_file": str(files / "stable.json"), "feedback_place": place}).e_rms_percent
-        for place in ("behind_inverse", "before_inverse")]
-    assert max(errors) < 1.0
-    assert errors[1] == pytest.approx(errors[0], rel=0.3)
+    tracked = track(nodes, "/before_inverse", files, tmp_path, {
+        "controller_file": str(files / "stable.json"), "feedback_place": "before_inverse"})
+    # Feedforward alone leaves more than 1 %.
+    assert tracked.e_rms_percent < 0.5
 
 
 def test_controller_that_does_not_stabilise_the_model_is_refused_and_nothing_moves(
@@ -74,6 +72,6 @@ def test_controller_that_does_not_stabilise_the_model_is_refused_and_nothing_mov
 def test_single_rate_of_the_sample_clock_tracks_and_tells_that_it_is_too_slow_for_it(
         nodes, files, tmp_path):
     result = track(nodes, "/fast", files, tmp_path, {"samples_per_tick": 1},
-                   "composite_single_rate", 0.05, samples_per_tick=1)
+                   "composite_single_rate", 0.025, samples_per_tick=1)
     assert result.e_rms_percent < 1.0
     assert "the tick of 25 us" in result.message

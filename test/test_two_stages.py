@@ -54,7 +54,7 @@ def track_side_by_side(sides, model, directory):
 
 
 def test_two_stages_track_different_references_at_the_same_time(suite, right, model, tmp_path):
-    long = Side("/right", 200.0, 3.0)
+    long = Side("/right", 200.0, 8.0)
     sides = long, Side("/left", 100.0, 0.5, after=long)
     runs = suite.beside(right.beside, track_side_by_side, sides, model, tmp_path)
     assert max(side.began_s for side in sides) < min(side.ended_s for side in sides)
