@@ -128,8 +128,7 @@ class Client:
                 handle.cancel_goal_async()
             message = self.wait(result).result
         except KeyboardInterrupt:
-            handle.cancel_goal_async()
-            self.spin_until(result.done, CANCEL_TIMEOUT_S)
+            self._cancel(handle, result)
             raise
         finally:
             self._running = None
@@ -151,9 +150,20 @@ class Client:
                 feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None)
 
         sent = ask()
-        if not self.spin_until(sent.done, LOST_RESPONSE_S):
-            sent = ask()  # as in `call`
-        return self.wait(sent)
+        try:
+            if not self.spin_until(sent.done, LOST_RESPONSE_S):
+                sent = ask()  # as in `call`
+            return self.wait(sent)
+        except KeyboardInterrupt:
+            # The goal is on its way, and must not run on alone.
+            if self.spin_until(sent.done, CANCEL_TIMEOUT_S):
+                self._cancel(sent.result(), sent.result().get_result_async())
+            raise
+
+    def _cancel(self, handle, result):
+        """Cancel a goal; wait for its end."""
+        handle.cancel_goal_async()
+        self.spin_until(result.done, CANCEL_TIMEOUT_S)
 
     def call(self, service_type, name, /, **fields):
         """Call a service and return its response."""
