@@ -42,5 +42,7 @@ def test_repeats_tell_the_noise_where_the_sensor_s_own_band_does_not(noise):
     # A tone of every harmonic fills all bands, and the voltage never rests.
     period = 4000
     played = np.tile(np.random.default_rng(0).normal(size=period), 10)
-    found = subject.sensor_noise_um(played + 0.009 * noise, played, played + 0.009 * noise, 25e-6)
+    found = subject.sensor_noise_um(
+        played + 0.009 * noise, played, played + 0.009 * noise, 25e-6,
+        subject.repeated_period(played))
     assert found == pytest.approx(0.009, rel=0.03)

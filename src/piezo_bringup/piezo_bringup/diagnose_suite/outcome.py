@@ -28,13 +28,13 @@ def strongest(result):
     An effect that was there when the model was identified is in its parameters as far as they can
     explain it: what counts is the rest, and no more than what the model lacks in all.
     """
-    found, most = result["contributions"], result["lacking_over_noise"]
-    size = "over_noise" if result["model"] == "identified before" else "beyond_model_over_noise"
-    largest = max((entry[size] for entry in found), default=0.0)
-    if size == "over_noise":
-        most = largest
-    return ([entry["cause"] for entry in found if entry[size] >= AS_STRONG * largest],
-            min(most, largest))
+    found = result["contributions"]
+    if result["model"] == "identified before":
+        size, bound = "over_noise", np.inf
+    else:
+        size, bound = "beyond_model_over_noise", result["lacking_over_noise"]
+    most = max((entry[size] for entry in found), default=0.0)
+    return [entry["cause"] for entry in found if entry[size] >= AS_STRONG * most], min(most, bound)
 
 
 def outcome(result):

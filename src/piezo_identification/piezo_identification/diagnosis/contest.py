@@ -161,6 +161,7 @@ class Contest:
             self.noise_um.append(sensor_noise_um(
                 part.measured_um[part.begin :], part.voltage_v[part.begin :],
                 np.where(suspect, 0.0, residual)[part.begin :], part.sample_period_s,
+                part.repeated_period,
             ))
             wrong = Outliers.find(residual, self.noise_um[-1])
             self.wrong.append(wrong & ~_just_after_a_jump(part.voltage_v))
@@ -296,6 +297,10 @@ class Contest:
             part.sample_period_s, part.voltage_v, simulated, self.residual_um(index, effects),
             self.noise_um[index], self.model.dynamics, part.drive_um, reduction, visible,
         )
+
+    def evidences(self, effects=()):
+        """What each recording shows beside the model with these effects."""
+        return [self.evidence(index, effects) for index in range(len(self.prepared))]
 
     def challenge(self, kind, effects, evidences):
         """The best fit of one more effect beside those found.

@@ -11,7 +11,7 @@ ROUNDING, SAME = 1e-6, 1e-6
 """Parts of the voltage's energy and span by which repeats may differ."""
 
 
-def sensor_noise_um(displacement_um, voltage_v, residual_um, sample_period_s):
+def sensor_noise_um(displacement_um, voltage_v, residual_um, sample_period_s, period):
     """Standard deviation of the sensor's noise, by that way of the three which finds least.
 
     What a model lacks can only add to it.
@@ -20,12 +20,13 @@ def sensor_noise_um(displacement_um, voltage_v, residual_um, sample_period_s):
     ----------
     displacement_um, voltage_v, residual_um : (N,) array
     sample_period_s : float
+    period : int or None
+        Samples after which the voltage repeats, as `repeated_period` finds it.
 
     Returns
     -------
     float
     """
-    period = repeated_period(voltage_v)
     found = [
         noise_floor_um(residual_um, sample_period_s),
         noise_from_rest_um(displacement_um, voltage_v),

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from piezo_identification.diagnosis.noise import repeated_period
 from piezo_identification.prediction import mean_zoh, starting_past_v
 from piezo_identification.sensitivities import factor_surfaces, sensitivity_systems
 from piezo_identification.settling import settling_time_s
@@ -114,6 +115,11 @@ class PreparedRecording:
                         displacement_um, self.sample_period_s, self.rest_um
                     )
         return self.model.sensed(displacement_um, self.sample_period_s)
+
+    @cached_property
+    def repeated_period(self):
+        """Samples after which the voltage repeats, once the start has settled; or None."""
+        return repeated_period(self.voltage_v[self.begin :])
 
     @cached_property
     def drive_um(self):

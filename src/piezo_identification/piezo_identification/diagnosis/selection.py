@@ -172,9 +172,7 @@ def _share_of(progress, begun, share):
 
 def _attempts(contest, kinds, current, report):
     """Each kind as one more effect beside those of a trial."""
-    evidences = [
-        contest.evidence(index, current.effects) for index in range(len(contest.prepared))
-    ]
+    evidences = contest.evidences(current.effects)
     attempts = []
     for number, kind in enumerate(kinds):
         report(kind.name, number / len(kinds))
@@ -261,9 +259,7 @@ def _near_twins(contest, kinds, best):
         present = {other.name for other in others}
         for kind in kinds:
             if {kind.name, effect.name} in NEAR_TWINS and kind.name not in present:
-                evidences = [
-                    contest.evidence(index, others) for index in range(len(contest.prepared))]
-                trial = contest.challenge(kind, others, evidences)
+                trial = contest.challenge(kind, others, contest.evidences(others))
                 if trial and _alike(contest, best, contest.fit_effects(trial.effects)):
                     twins[kind.name] = effect.name
     return twins
@@ -275,7 +271,7 @@ def _tuned_for(contest, kinds, best):
     left = max(NOISE**2, contest.structure(best))
     if held.structure(held.trial(best.effects)) < MUCH_TUNED * left:
         return {}
-    evidences = [held.evidence(index, best.effects) for index in range(len(held.prepared))]
+    evidences = held.evidences(best.effects)
     present, found = {effect.name for effect in best.effects}, {}
     for kind in kinds:
         if kind.name not in present and not all(map(kind.lacks_excitation, evidences)):
