@@ -6,6 +6,7 @@ import signal
 
 import numpy as np
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -20,6 +21,7 @@ from piezo_bringup.processes import Processes
 from piezo_client.client import Client
 from piezo_node_tools.quality import SAMPLES
 from piezo_recorder.reader import read_recording
+from piezo_recorder.writer import FLUSH_PERIOD_S
 
 TIMEOUT_S = 60.0
 NAMESPACE = "/recorded"
@@ -114,6 +116,23 @@ def test_a_gap_is_counted(recorder, tmp_path):
     stopped = recorder.stop(last_sample=239)
     assert (stopped.samples, stopped.missing_samples) == (160, 80)
     assert read_recording(stopped.path).gaps == [(80, 80)]
+
+
+def test_a_client_that_began_anew_leaves_no_recording_open(recorder, tmp_path):
+    def mortal():
+        return rclpy.create_node("mortal", namespace=NAMESPACE, context=recorder.node.context)
+
+    client = mortal()
+    assert recorder.start(tmp_path, "run", client=f"{NAMESPACE}/mortal").success
+    recorder.spin_until(lambda: False, 3.0 * FLUSH_PERIOD_S)
+    client.destroy_node()
+    recorder.spin_until(lambda: False, 3.0 * FLUSH_PERIOD_S)
+    client = mortal()
+    recorder.until(lambda: any(
+        status.level == DiagnosticStatus.ERROR and "mortal is gone" in status.message
+        for status in recorder.diagnostics))
+    assert recorder.start(tmp_path, "other", client=f"{NAMESPACE}/mortal").success
+    client.destroy_node()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -264,13 +264,15 @@ class Recorder(LifecycleNode):
                               clock=self._steady_clock)]
 
     def _client_is_gone(self):
-        """Whether the recording's client has been gone for as long as the stage moves on."""
+        """Whether the recording's client went away as long ago as the stage moves on.
+
+        One that came back since has started anew and knows nothing of the recording.
+        """
         client = self._session.client
-        if not client or not self._client_watch.is_gone(client):
-            self._client_gone_at = None
-            return False
-        self._client_gone_at = self._client_gone_at or time.monotonic()
-        return time.monotonic() - self._client_gone_at > AFTERMATH_S
+        if client and self._client_gone_at is None and self._client_watch.is_gone(client):
+            self._client_gone_at = time.monotonic()
+        gone_at = self._client_gone_at
+        return gone_at is not None and time.monotonic() - gone_at > AFTERMATH_S
 
     def _flush(self):
         if not self._recording:  # ended after this callback was due
