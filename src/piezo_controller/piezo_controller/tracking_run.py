@@ -181,6 +181,8 @@ class RunningSquares:
     @property
     def rms(self):
         """NaN before the first block."""
-        if not self.samples:
+        # Copied at once: one thread asks while another adds.
+        blocks = tuple(self._blocks)
+        if not blocks:
             return math.nan
-        return math.sqrt(sum(squares for squares, _ in self._blocks) / self.samples)
+        return math.sqrt(sum(squares for squares, _ in blocks) / sum(count for _, count in blocks))
