@@ -2,6 +2,7 @@
 """Electric lag, vibration modes and antiresonances of least output error."""
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -22,6 +23,10 @@ MOST_MODES = 4
 
 PATIENCE = 2
 """Numbers of modes in succession that may bring no gain before the search ends."""
+
+MODES_LEFT_OUT = 2
+"""Of richer dynamics, from which the modes are chosen that explain most: of a stage with more modes
+than asked for, those that ring longest are not those that move it most."""
 
 SEARCH_WIDTH = np.log(3.0)
 """Factor by which the fit may leave its start, as a logarithm."""
@@ -73,7 +78,8 @@ def fit_output_error(respond, measured_um, fixed, start, mode_count=None):
     """
     record = _Record(respond, measured_um, fixed)
     if mode_count is not None:
-        fit = record.fit(start(mode_count))
+        fit = min((record.fit(begin) for begin in record.starts(start, mode_count)),
+                  key=lambda fit: fit.trial.information)
         return fit.estimate((fit.trial,), True)
     best, trials, without_gain = None, [], 0
     for count in range(MOST_MODES + 1):
@@ -129,6 +135,25 @@ class _Record:
             split_dynamics_vector(vector * np.sqrt(np.diag(covariance)), *counts),
             order_trial(ModeOrder(*counts), solution.fun, parameters),
         )
+
+    def starts(self, start, count):
+        """The start with so many modes, and the best choice from those with more."""
+        yield start(count)
+        choices = []
+        for left_out in range(1, MODES_LEFT_OUT + 1):
+            try:
+                richer = start(count + left_out)
+            except ValueError:
+                # The record is too short for as many.
+                break
+            modes = zip(richer.mode_frequencies_rad_per_s, richer.damping_ratios, strict=True)
+            for chosen in combinations(modes, count):
+                frequencies, dampings = zip(*chosen, strict=True) if chosen else ((), ())
+                choices.append(ElectricVibrationDynamics(
+                    richer.time_constant_s, frequencies, dampings))
+        if choices:
+            yield min(choices, key=lambda model: np.sum(
+                self._left([self._respond(model)])[0] ** 2))
 
     def antiresonances(self, model):
         """A model's poles with the antiresonances of the modes that respond side by side.
