@@ -8,6 +8,7 @@ from piezo_identification.cancellation import checking
 from piezo_identification.frequency_response import FrequencyResponse
 from piezo_identification.hysteresis import estimate_density
 from piezo_identification.linear_dynamics import METHODS, estimate_linear_dynamics
+from piezo_identification.outlier_samples import without_outliers
 from piezo_identification.prediction import unseen_errors
 from piezo_identification.response_fit import ANY_ORDER
 from piezo_identification.sensor_sign import displacement_falls, reversed_displacement
@@ -100,9 +101,12 @@ def identify(
 
 
 def _identify(given, begin, refine, method, order, note):
-    signed = given
-    if displacement_falls(given["hysteresis"]):
-        signed = {name: _reversed(data) for name, data in given.items()}
+    signed = {
+        name: data if name == "validation" else _mended(name, data, note)
+        for name, data in given.items()
+    }
+    if displacement_falls(signed["hysteresis"]):
+        signed = {name: _reversed(data) for name, data in signed.items()}
     linear = estimate_linear_dynamics(
         signed.get("creep"), signed.get("dynamics"), signed["hysteresis"], method, order,
         lambda stage, fraction: begin(stage, 0.6 * fraction),
@@ -138,6 +142,17 @@ def _identify(given, begin, refine, method, order, note):
     )
     begin("done", 1.0)
     return identified
+
+
+def _mended(name, data, note):
+    """Data without outliers, which least squares cannot bear."""
+    if isinstance(data, FrequencyResponse):
+        return data
+    mended, count = without_outliers(data)
+    if count:
+        note(f"{name}: {count} of {mended.voltage_v.size} samples are far off their neighbours "
+             "and were taken for outliers")
+    return mended
 
 
 def _reversed(data):
