@@ -9,11 +9,12 @@ from collections import Counter
 import pytest
 from distributed import Client
 
+from piezo_bringup.diagnose_suite import command
 from piezo_bringup.diagnose_suite.cases import draw_cases
 from piezo_bringup.diagnose_suite.command import main, run_suite
-from piezo_bringup.diagnose_suite.outcome import as_text, outcome, summary
+from piezo_bringup.diagnose_suite.outcome import as_text, outcome, refused, summary
 
-COUNT, SEED = 2, 3
+COUNT, SEED = 2, 190
 
 
 def result(causes=(), effects=(), verdict="explained", not_decidable=(), later=True, lacking=9.0):
@@ -57,6 +58,15 @@ def test_the_suite_has_the_cases_it_must_have_and_the_same_for_the_same_seed():
 ])
 def test_outcome_of_a_case(case, expected):
     assert outcome(case) == expected
+
+
+def test_a_refused_case_counts_as_missed():
+    case = next(case for case in draw_cases(260, 1) if len(case.causes) == 1 and not case.outside)
+    missed = refused(case, ValueError("record longer"))
+    assert missed["error"] == "record longer" and outcome(missed) == ("clear", "refused")
+    document = summary([missed, result([("delay", 9.0, 2.0)], ["delay"])])
+    assert document["figures"]["named_first_percent"] == 50.0
+    assert document["confusion"][case.causes[0]]["refused"] == 1
 
 
 def test_the_summary_counts_what_is_not_decidable_apart():
@@ -108,6 +118,18 @@ def test_the_table_is_the_same_in_this_process_and_on_a_cluster(scheduler, tmp_p
         there = run_suite(client, COUNT, SEED)
     assert there == here
     assert [entry["number"] for entry in here["results"]] == list(range(COUNT))
+
+
+def test_a_case_that_is_refused_does_not_end_the_suite(monkeypatch):
+    def refuse(case, model):
+        raise ValueError(f"case {case.number} cannot be diagnosed")
+
+    monkeypatch.setattr(command, "run_case", refuse)
+    monkeypatch.setattr(command, "clean_model", lambda seed, plant: None)
+    with Client(processes=False, n_workers=1, dashboard_address=None) as client:
+        table = command.run_suite(client, COUNT, SEED)
+    assert [entry["error"] for entry in table["results"]] == [
+        f"case {number} cannot be diagnosed" for number in range(COUNT)]
 
 
 def test_a_scheduler_that_is_not_there_is_told_in_one_line(capsys, monkeypatch):

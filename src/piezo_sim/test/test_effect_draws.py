@@ -1,13 +1,23 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Effects drawn at random: as strong as wanted, the same for the same seed."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from piezo_sim.effect import Surroundings
 from piezo_sim.plant import Plant
 from piezo_sim.plant_file import read_plant
-from piezo_sim.undeclared.draws import CAUSES, CAUSES_OUTSIDE, DrawError, draw_effect, response_um
+from piezo_sim.undeclared.draws import (
+    CAUSES,
+    CAUSES_OUTSIDE,
+    DrawError,
+    add_effect,
+    draw_effect,
+    response_um,
+)
+from piezo_sim.undeclared.transport_delay import TransportDelay
 
 SURROUNDINGS = Surroundings(sample_period_s=2.5e-5, rest_voltage_v=0.0, seed=2)
 NOISE_UM = 0.009
@@ -70,6 +80,19 @@ def test_a_second_effect_is_drawn_on_top_of_the_first():
     )
     assert np.std(first_um - none_um) == pytest.approx(4.0 * NOISE_UM, rel=0.01)
     assert np.std(both_um - first_um) == pytest.approx(6.0 * NOISE_UM, rel=0.01)
+
+
+def test_a_slow_record_shows_what_is_between_its_samples():
+    slow = dataclasses.replace(SURROUNDINGS, sample_period_s=1e-3)
+    levels_v = np.repeat([0.0, 40.0, 10.0, 80.0], 50)
+    late_s = 3e-4
+    plant, late = read_plant(), add_effect(read_plant(), TransportDelay(late_s))
+    fine = dataclasses.replace(slow, sample_period_s=1e-4)
+    fine_um = response_um(plant, np.repeat(levels_v, 10), fine)
+    expected_um = np.concatenate([np.full(3, fine_um[0]), fine_um[:-3]])[::10]
+    np.testing.assert_allclose(response_um(late, levels_v, slow, 10), expected_um, atol=1e-6)
+    drawn = draw_effect("delay", plant, levels_v, slow, 5.0, seed=1, clock_samples=10)
+    assert drawn.contribution_rms_um == pytest.approx(5.0 * NOISE_UM, rel=0.01)
 
 
 @pytest.mark.parametrize("cause", ["delay", "slew_limit", "voltage_clipping", "backlash"])

@@ -9,7 +9,7 @@ from pathlib import Path
 from distributed import Client, LocalCluster, as_completed
 
 from piezo_bringup.diagnose_suite.cases import draw_cases
-from piezo_bringup.diagnose_suite.outcome import as_text, summary
+from piezo_bringup.diagnose_suite.outcome import as_text, refused, summary
 from piezo_bringup.diagnose_suite.run_case import clean_model, run_case
 from piezo_client.progress_line import ProgressLine
 
@@ -40,8 +40,17 @@ def run_suite(client, count, seed, progress=None):
     for done, _ in enumerate(as_completed(running), start=1):
         if progress is not None:
             progress(done)
-    results = client.gather(running)
+    results = [
+        _result(case, future) for case, future in zip(cases, running, strict=True)
+    ]
     return {"seed": seed, "cases": count, **summary(results), "results": results}
+
+
+def _result(case, future):
+    """Of a case that ran; one that was refused stays in the table, with the reason."""
+    if future.status == "finished":
+        return future.result()
+    return refused(case, future.exception())
 
 
 def main(arguments=None):

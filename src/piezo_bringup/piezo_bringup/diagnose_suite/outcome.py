@@ -37,6 +37,27 @@ def strongest(result):
     return [entry["cause"] for entry in found if entry[size] >= AS_STRONG * most], min(most, bound)
 
 
+def refused(case, error):
+    """Result of a case that could not be diagnosed.
+
+    Parameters
+    ----------
+    case : Case
+    error : Exception
+
+    Returns
+    -------
+    dict
+    """
+    return {"number": case.number, "plant": case.plant, "kind": case.kind,
+            "causes": list(case.causes), "verdict": "refused", "error": str(error)}
+
+
+def _group_of_refused(result):
+    causes = set(result["causes"])
+    return "outside" if causes & CAUSES_OUTSIDE.keys() else "clear" if causes else "clean"
+
+
 def outcome(result):
     """What a case came to.
 
@@ -45,6 +66,8 @@ def outcome(result):
     group, came_to : str
         The group is "clean", "outside", "clear" or "weak", by the contribution.
     """
+    if result["verdict"] == "refused":
+        return _group_of_refused(result), "refused"
     causes, most = strongest(result)
     first = result["effects"][0] if result["effects"] else None
     if not causes:
@@ -78,7 +101,9 @@ def summary(results):
         came_to[group][what] += 1
         if result["verdict"] == "explained" and group == "clear":
             ratios.append(result["after_um"] / result["perfect_um"])
-        if group in ("clean", "outside"):
+        if result["verdict"] == "refused":
+            row, named = (*result["causes"], "clean")[0], "refused"
+        elif group in ("clean", "outside"):
             row, named = group, result["verdict"]
         else:
             causes, _ = strongest(result)

@@ -10,12 +10,14 @@ from piezo_identification.experiments import Experiment, StageLimits
 from piezo_recorder.recording import Recording
 from piezo_recorder.sample_block import Flag
 from piezo_sim.effect import Surroundings
-from piezo_sim.plant import Plant
+from piezo_sim.undeclared.draws import respond
 
 REST_V = 0.0
 RAMP_S = 0.1
 FAST_HZ, SLOW_HZ = 40_000.0, 1000.0
 """Sample clocks: of fast experiments, and of a logger for slow ones."""
+LEAST_CLOCK_HZ = 10_000.0
+"""Of the stage, however slow the logger: what happens between two of its samples shows in them."""
 
 LOWEST_V, LEVELS_SPAN_V = 5.0, 90.0
 MOST_CHANGE_V = 45.0
@@ -107,6 +109,11 @@ def surroundings(experiment, seed):
     return Surroundings(experiment.sample_period_s, REST_V, seed)
 
 
+def clock_samples(experiment):
+    """Samples of the stage's clock for each of the experiment."""
+    return max(1, round(LEAST_CLOCK_HZ * experiment.sample_period_s))
+
+
 def record(plant, experiment, seed):
     """Play an experiment from rest.
 
@@ -122,7 +129,8 @@ def record(plant, experiment, seed):
     Recording
     """
     voltage_v, flags = commanded(experiment)
-    measured_um, _ = Plant(plant, surroundings(experiment, seed)).respond(voltage_v)
+    measured_um = respond(
+        plant, voltage_v, surroundings(experiment, seed), clock_samples(experiment))
     period_s = experiment.sample_period_s
     return Recording(
         path=experiment.name, sample_rate_hz=1.0 / period_s,

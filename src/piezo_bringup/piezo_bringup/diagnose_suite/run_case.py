@@ -79,10 +79,12 @@ def run_case(case, model):
     seed = int(case.random("noise").integers(2**31))
     surroundings = records.surroundings(experiment, seed)
     voltage_v, _ = records.commanded(experiment)
+    clock_samples = records.clock_samples(experiment)
     drawn = []
     for index, (cause, multiple) in enumerate(zip(case.causes, case.multiples, strict=True)):
         beside = drawn[-1].plant if drawn else plant
-        drawn.append(_drawn(cause, beside, voltage_v, surroundings, multiple, seed + index))
+        drawn.append(_drawn(
+            cause, beside, voltage_v, surroundings, multiple, seed + index, clock_samples))
     hidden = drawn[-1].plant if drawn else plant
     known = model
     if drawn and not case.later:
@@ -95,7 +97,7 @@ def run_case(case, model):
     contributions = []
     for effect, beside in zip(drawn, [plant, *(effect.plant for effect in drawn)], strict=False):
         with_it_um, without_um = (
-            response_um(stage, voltage_v, surroundings)[recording.playing]
+            response_um(stage, voltage_v, surroundings, clock_samples)[recording.playing]
             for stage in (effect.plant, beside)
         )
         beyond_um = _beyond_model_um(diagnosis.contest.prepared[0], with_it_um - without_um)
@@ -134,11 +136,12 @@ def _lacking_um(diagnosis):
     return float(rms_tolerances * np.sqrt(np.mean(contest.tolerance_um**2)))
 
 
-def _drawn(cause, plant, voltage_v, surroundings, multiple, seed):
+def _drawn(cause, plant, voltage_v, surroundings, multiple, seed, clock_samples):
     """The effect, half as strong as often as it takes for the recording to show it."""
     while True:
         try:
-            return draw_effect(cause, plant, voltage_v, surroundings, multiple, seed)
+            return draw_effect(
+                cause, plant, voltage_v, surroundings, multiple, seed, clock_samples)
         except DrawError:
             if multiple < WEAKEST_MULTIPLE:
                 raise

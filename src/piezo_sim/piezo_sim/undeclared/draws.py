@@ -75,6 +75,7 @@ class _Record:
     displacement_um: np.ndarray
     sample_period_s: float
     rest_voltage_v: float
+    clock_samples: int
 
     @property
     def duration_s(self) -> float:
@@ -187,7 +188,8 @@ def _backlash(random, record) -> Family:
 
 
 def _outliers(random, record) -> Family:
-    rate_per_s = max(_log_uniform(random, 1.0, 20.0), 10.0 / record.duration_s)
+    seen_per_s = max(_log_uniform(random, 1.0, 20.0), 10.0 / record.duration_s)
+    rate_per_s = seen_per_s * record.clock_samples
     spread = random.uniform(0.2, 0.6)
     return lambda strength: Spikes(rate_per_s, strength, spread)
 
@@ -278,10 +280,34 @@ def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
     return dataclasses.replace(plant, stage=tuple(stage))
 
 
-def response_um(
-    plant: PlantConfig, voltage_v: np.ndarray, surroundings: Surroundings
+def respond(
+    plant: PlantConfig, voltage_v: np.ndarray, surroundings: Surroundings, clock_samples: int
 ) -> np.ndarray:
-    """Displacement that the sensor would measure without noise and steps, shape of `voltage_v`."""
+    """Displacement at the samples of a record, which the stage's clock is a multiple of.
+
+    What is between the samples of a slow record, such as the answer to a jump, shows in them.
+
+    Parameters
+    ----------
+    plant : PlantConfig
+    voltage_v : ndarray, shape (N,)
+        Each held for a sample of the record.
+    surroundings : Surroundings
+        With the record's sample period.
+    clock_samples : int
+        Of the stage's clock, for each of the record.
+    """
+    clock_s = surroundings.sample_period_s / clock_samples
+    clock = dataclasses.replace(surroundings, sample_period_s=clock_s)
+    held_v = np.repeat(np.asarray(voltage_v, dtype=np.float64), clock_samples)
+    measured_um, _ = Plant(plant, clock).respond(held_v)
+    return measured_um[::clock_samples]
+
+
+def response_um(
+    plant: PlantConfig, voltage_v: np.ndarray, surroundings: Surroundings, clock_samples: int = 1
+) -> np.ndarray:
+    """Displacement that the sensor would measure without noise and steps; see `respond`."""
     sensor = tuple(
         dataclasses.replace(effect, noise_rms_um=0.0, converter_bits=32)
         if isinstance(effect, DisplacementSensor)
@@ -289,8 +315,7 @@ def response_um(
         for effect in plant.sensor
     )
     quiet = dataclasses.replace(plant, sensor=sensor)
-    measured_um, _ = Plant(quiet, surroundings).respond(np.array(voltage_v, dtype=np.float64))
-    return measured_um
+    return respond(quiet, voltage_v, surroundings, clock_samples)
 
 
 def draw_effect(
@@ -300,6 +325,7 @@ def draw_effect(
     surroundings: Surroundings,
     noise_multiple: float,
     seed: int,
+    clock_samples: int = 1,
 ) -> DrawnEffect:
     """Draw an effect that contributes a multiple of the sensor's noise to a record.
 
@@ -317,6 +343,8 @@ def draw_effect(
         RMS of the contribution, its mean removed, over the RMS of the sensor's noise.
     seed : int
         Seed of the effect's shape.
+    clock_samples : int
+        Of the stage's clock, for each of the record; see `respond`.
 
     Returns
     -------
@@ -329,12 +357,13 @@ def draw_effect(
         If the record cannot show the effect that strongly, or so weakly.
     """
     recipe = (CAUSES | CAUSES_OUTSIDE)[cause]
-    without_um = response_um(plant, voltage_v, surroundings)
+    without_um = response_um(plant, voltage_v, surroundings, clock_samples)
     record = _Record(
         np.asarray(voltage_v),
         without_um,
         surroundings.sample_period_s,
         surroundings.rest_voltage_v,
+        clock_samples,
     )
     family = recipe.family(np.random.default_rng([seed, *cause.encode()]), record)
     noise_um = next(e.noise_rms_um for e in plant.sensor if isinstance(e, DisplacementSensor))
@@ -346,7 +375,7 @@ def draw_effect(
     def drawn(log_strength):
         effect = family(math.exp(log_strength))
         with_it = add_effect(plant, effect)
-        added_um = response_um(with_it, voltage_v, surroundings) - without_um
+        added_um = response_um(with_it, voltage_v, surroundings, clock_samples) - without_um
         added_um -= added_um.mean()
         gain = added_um @ varying_um / max(varying_um @ varying_um, 1e-300)
         beyond_um = added_um - gain * varying_um
