@@ -4,7 +4,7 @@
 import numpy as np
 
 from piezo_identification.dynamics import remove_creep
-from piezo_identification.settling import low_frequency_delay_s, settling_time_s
+from piezo_identification.settling import first_settled, low_frequency_delay_s
 from piezo_identification.smoothed_density import smoothed_density
 from piezo_identification.waveforms import played, sample_by_voltage
 
@@ -73,7 +73,7 @@ def estimate_density(
     edges_v = np.linspace(levels_v[0], levels_v[-1], level_count * cells_per_level + 1)
     return smoothed_density(
         voltage_v, hysteresis_output_um(part, creep, dynamics, delay_s), edges_v,
-        samples=np.flatnonzero(part.time_s >= settling_time_s(dynamics)),
+        samples=np.arange(first_settled(dynamics, part.time_s), part.time_s.size),
         transients=np.exp(-np.outer(part.time_s, creep.zeros_rad_per_s)),
         smoothing_weight=smoothing_weight, level_count=level_count,
         translation_weight=translation_weight,

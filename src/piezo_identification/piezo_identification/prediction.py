@@ -4,13 +4,17 @@
 from dataclasses import dataclass
 from itertools import product
 
-import control
 import numpy as np
 
 from piezo_identification.everett_regression import NEAR_THE_END
-from piezo_identification.settling import settling_time_s
-from piezo_identification.waveforms import played, samples_per_mean, turning_points
-from piezo_models.linear import equilibrium_state, simulate_linear, zoh
+from piezo_identification.sampled_response import behind_lags, leading_lags, respond
+from piezo_identification.settling import first_settled
+from piezo_identification.waveforms import (
+    played,
+    samples_per_mean,
+    turning_points,
+    with_voltage_before,
+)
 from piezo_models.measures import e_y_percent
 
 CLEARLY_LESS = 0.9
@@ -114,16 +118,21 @@ class _Run:
 
     def __init__(self, model, recording):
         self.model, self.part = model, played(recording)
-        self.before_v = recording.select(
-            recording.sample_index <= self.part.sample_index[0]).voltage_v
         period_s = self.part.sample_period_s
-        self.voltage_v = model.amplified(self.part.voltage_v, period_s)
-        self.system = mean_zoh(model.linear(), period_s, samples_per_mean(self.part))
-        self.settled = np.flatnonzero(self.part.time_s >= settling_time_s(model.dynamics))
+        joined_v, lead = with_voltage_before(recording, self.part)
+        amplified_v = model.amplified(joined_v, period_s)
+        # As far as the first voltage of the part, from which it is simulated.
+        self.before_v, self.voltage_v = amplified_v[: lead + 1], amplified_v[lead:]
+        self.samples = samples_per_mean(self.part)
+        lags, self.effects = leading_lags(
+            model.effects_at("displacement") + model.effects_at("sensor"), self.samples)
+        self.system, self.delay_s = behind_lags(model.linear(), lags)
+        time_s = self.part.time_s
+        self.settled = np.arange(first_settled(model.dynamics, time_s), time_s.size)
         rates_rad_per_s = list(model.creep.poles_rad_per_s)
         if model.hysteretic_creep is not None:
             rates_rad_per_s += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
-        time_s = self.part.time_s[self.settled]
+        time_s = time_s[self.settled]
         self.free = np.column_stack([
             np.ones(time_s.size), *(np.exp(-rate * time_s) for rate in rates_rad_per_s)
         ])
@@ -168,11 +177,11 @@ class _Run:
             hysteresis_um += model.hysteretic_creep.simulate(
                 self.voltage_v, part.sample_period_s, memory.hysteretic_creep
             )
-        simulated_um = model.sensed(
-            simulate_linear(self.system, hysteresis_um,
-                            equilibrium_state(model.linear(), hysteresis_um[0])),
-            part.sample_period_s,
-        )[self.settled]
+        simulated_um = respond(
+            self.system, hysteresis_um, part.sample_period_s, self.samples, self.delay_s)
+        for effect in self.effects:
+            simulated_um = effect.apply(simulated_um, part.sample_period_s)
+        simulated_um = simulated_um[self.settled]
         difference_um = part.displacement_um[self.settled] - simulated_um
         return simulated_um + self.free @ np.linalg.lstsq(self.free, difference_um, rcond=1e-12)[0]
 
@@ -207,29 +216,3 @@ def slow_branches(time_s, voltage_v):
     for start, end in zip(points[:-1], points[1:], strict=True):
         slow[start : end + 1] = time_s[end] - time_s[start] > SLOW_BRANCH_S
     return slow
-
-
-def mean_zoh(system, sample_period_s, samples):
-    """Discrete system whose output is the mean of the samples that fall into each held period.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        Continuous.
-    sample_period_s : float
-        Time for which the input is held.
-    samples : int
-        Equally spaced output samples in that time, the first at its start.
-
-    Returns
-    -------
-    control.StateSpace
-        Discrete, with the state of `system` at the start of each period.
-    """
-    fine = zoh(system, sample_period_s / samples)
-    transition, gain = np.eye(system.nstates), np.zeros_like(fine.B)
-    output, direct = np.zeros_like(fine.C), np.zeros_like(fine.D)
-    for _ in range(samples):
-        output, direct = output + fine.C @ transition, direct + fine.C @ gain + fine.D
-        transition, gain = fine.A @ transition, fine.A @ gain + fine.B
-    return control.ss(transition, gain, output / samples, direct / samples, sample_period_s)

@@ -6,17 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezo_identification.estimate import dynamics_vector, split_dynamics_vector
-from piezo_identification.prediction import mean_zoh
+from piezo_identification.sampled_response import respond
 from piezo_identification.sensitivities import hysteresis_parts, sensitivity_systems
-from piezo_identification.settling import settling_time_s
-from piezo_identification.waveforms import played, samples_per_mean
+from piezo_identification.settling import first_settled
+from piezo_identification.waveforms import played, samples_per_mean, with_voltage_before
 from piezo_models.hysteretic_creep import HystereticCreep
-from piezo_models.linear import (
-    CreepDynamics,
-    ElectricVibrationDynamics,
-    equilibrium_state,
-    simulate_linear,
-)
+from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.measures import e_y_percent
 
 MOST_ROWS = 20_000
@@ -172,7 +167,7 @@ class _Record:
         self.stage = model
         self.period_s, self.samples = part.sample_period_s, samples_per_mean(part)
         self.time_s = part.time_s
-        self.begin = int(np.searchsorted(self.time_s, settling_time_s(model.dynamics)))
+        self.begin = first_settled(model.dynamics, self.time_s)
         self.averaged = -(-(self.time_s.size - self.begin) // MOST_ROWS)
         rows = (self.time_s.size - self.begin) // max(self.averaged, 1)
         if rows < LEAST_ROWS:
@@ -180,8 +175,9 @@ class _Record:
         self.stretch = np.arange(rows) * STRETCHES // rows
         self.fitted = _is_fitted(self.stretch)
         self.measured_um = self._rows(part.displacement_um)
-        before = recording.select(recording.sample_index <= part.sample_index[0]).voltage_v
-        voltage_v = model.amplified(part.voltage_v, self.period_s)
+        joined_v, lead = with_voltage_before(recording, part)
+        amplified_v = model.amplified(joined_v, self.period_s)
+        before, voltage_v = amplified_v[: lead + 1], amplified_v[lead:]
         past = model.hysteresis.memory()
         model.hysteresis.simulate(before, past)
         operators = _operators(model.hysteretic_creep)
@@ -241,10 +237,7 @@ class _Record:
 
     def _response(self, system, input_um):
         """Displacement, or a derivative of it, of a stage that rested at the first input."""
-        return simulate_linear(
-            mean_zoh(system, self.period_s, self.samples), input_um,
-            equilibrium_state(system, input_um[0]),
-        )
+        return respond(system, input_um, self.period_s, self.samples)
 
     def _sensed(self, displacement_um, changes):
         """Rows of what the sensor shows, and of its changes, behind the effects that come last."""

@@ -6,6 +6,9 @@ import numpy as np
 NEGLIGIBLE = 1e-5
 """Part of a step below which what is left of its ringing does not count."""
 
+MOST_OF_RECORDING = 0.25
+"""Part of a recording that is given away to settle, however slowly a mode decays."""
+
 
 def low_frequency_delay_s(dynamics):
     """Delay of the dynamics at low frequency, the coefficient of (4.18) and (4.19).
@@ -44,3 +47,20 @@ def settling_time_s(dynamics):
         return 0.0
     slowest_rad_per_s = -dynamics.state_space().poles().real.max()
     return -np.log(NEGLIGIBLE) / slowest_rad_per_s
+
+
+def first_settled(dynamics, time_s):
+    """First sample of a recording at which its start has settled, as far as it is long enough.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics
+    time_s : (N,) array
+        Since the start.
+
+    Returns
+    -------
+    int
+    """
+    settled = np.searchsorted(time_s, settling_time_s(dynamics))
+    return int(min(settled, MOST_OF_RECORDING * time_s.size))

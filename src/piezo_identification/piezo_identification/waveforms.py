@@ -24,6 +24,19 @@ def played(recording):
     return part
 
 
+def with_voltage_before(recording, part):
+    """Voltage of a part of a recording, with that before it, which the hysteresis remembers too.
+
+    Returns
+    -------
+    voltage_v : (M,) array
+    lead : int
+        Samples of it that come before the part.
+    """
+    before = np.asarray(recording.voltage_v)[recording.sample_index < part.sample_index[0]]
+    return np.concatenate([before, part.voltage_v]).astype(float), before.size
+
+
 def samples_per_mean(recording):
     """Clock samples of which each displacement is the mean; 1 where nothing was averaged."""
     return max(1, round(recording.sample_period_s * recording.sample_rate_hz))

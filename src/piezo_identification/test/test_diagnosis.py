@@ -17,6 +17,7 @@ from piezo_models.effects.delay import Delay
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
+from piezo_models.hysteretic_creep import HystereticCreep
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model, save_model
 
@@ -38,7 +39,7 @@ def of_mode(plant, record):
 
 
 def test_the_plant_with_effects_predicts_its_own_recording(plant, record):
-    effects = (VoltageClipping(-20.0, 90.0), MODE, Delay(6e-5))
+    effects = (VoltageClipping(-20.0, 90.0), MODE, Delay(5e-5))
     prediction = predict(replace(plant, effects=effects), record(*effects, noise_um=0.0))
     assert np.abs(prediction.measured_um - prediction.simulated_um).max() < 1e-5
 
@@ -85,6 +86,44 @@ def test_a_soft_limit_is_found_below_and_at_the_highest_voltage(
     assert diagnosis.effects[0]["parameters"]["highest_v"] == pytest.approx(highest_v, abs=1.0)
 
 
+@pytest.fixture(scope="module")
+def of_levels(plant, play):
+    """Few levels, held for seconds, on a stage whose amplifier bends off below the highest."""
+    limit = VoltageClipping(-60.0, 74.0, 2.0)
+    levels_v = np.repeat([74.0, 38.0, 30.0, 74.0, 35.0, 52.0, 62.0], 2000)
+    experiment = experiments.Experiment("levels", levels_v, 1e-3, 1, "")
+    return limit, play(experiment, 1, 1000.0, stage=replace(plant, effects=(limit,)))
+
+
+def test_an_effect_on_the_voltage_acts_on_what_the_hysteresis_remembers(plant, of_levels):
+    limit, recording = of_levels
+    beside = predict(replace(plant, effects=(limit,)), recording)
+    assert np.std(beside.measured_um - beside.simulated_um) < 1.1 * 0.009
+    contest = Contest(plant, [recording], past_v=())
+    left = contest.residual_um(0, (limit,))[contest.prepared[0].begin :]
+    assert np.std(left) < 1.1 * 0.009
+
+
+def test_no_past_is_made_up_to_explain_an_effect(plant, of_levels):
+    limit, recording = of_levels
+    diagnosis = diagnose(plant, [recording])
+    assert [entry["name"] for entry in diagnosis.effects] == ["voltage_clipping"]
+    assert diagnosis.effects[0]["parameters"]["highest_v"] == pytest.approx(limit.highest_v, abs=1)
+    assert diagnosis.contest.prepared[0].past_v == ()
+
+
+def test_without_effects_tuning_is_priced_by_what_it_leaves(plant, record):
+    contest = Contest(plant, [record(MODE)])
+
+    def left_um(trial):
+        return np.sqrt(np.mean((trial.residual * contest.tolerance_um)[contest.judge] ** 2))
+
+    before = left_um(contest.trial(()))
+    contest.review((MODE,))
+    assert left_um(contest.trial(())) < 0.8 * before
+    assert left_um(contest.bare()) == pytest.approx(before, rel=0.02)
+
+
 def test_a_line_that_the_voltage_drives_is_no_disturbance(plant, record):
     recording = record()
     time_s = recording.time_s - recording.time_s[0]
@@ -115,8 +154,14 @@ def test_what_no_candidate_explains_gets_no_name(plant, record):
     assert "nm RMS" in diagnosis.left and "Hz" in diagnosis.left
 
 
-def test_tuning_columns_are_the_derivatives_of_a_retuned_model(plant, record):
+@pytest.mark.parametrize("beside", [
+    {},
+    {"hysteretic_creep": HystereticCreep((0.0, 5.0), (0.02, 0.1), (0.05, 0.03)),
+     "effects": (VoltageClipping(-20.0, 90.0),)},
+], ids=["bare", "with_creep_and_limit"])
+def test_tuning_columns_are_the_derivatives_of_a_retuned_model(plant, record, beside):
     recording = record(noise_um=0.0)
+    plant = replace(plant, **beside)
     part = PreparedRecording(plant, recording)
     rows = np.arange(part.begin, part.time_s.size, 37)
     columns = part.tuning_columns(rows)

@@ -3,16 +3,7 @@ import numpy as np
 import pytest
 
 from piezo_identification import experiments
-from piezo_identification.prediction import mean_zoh, predict, slow_branches, unseen_errors
-from piezo_models.linear import simulate_linear, zoh
-
-
-def test_the_mean_of_held_periods_is_that_of_the_samples_in_them(plant):
-    system = plant.linear()
-    held = np.random.default_rng(0).normal(size=50)
-    samples = simulate_linear(zoh(system, 25e-6), np.repeat(held, 40))
-    means = simulate_linear(mean_zoh(system, 1e-3, 40), held)
-    np.testing.assert_allclose(means, samples.reshape(-1, 40).mean(axis=1), atol=1e-9)
+from piezo_identification.prediction import predict, slow_branches, unseen_errors
 
 
 @pytest.mark.parametrize("experiment, clock_hz", [
@@ -53,7 +44,7 @@ def test_slow_branches_are_those_between_distant_reversals():
 def test_a_recording_too_short_to_settle_is_refused(plant, play):
     recording = play(experiments.validation(arc_s=0.1, tones_s=0.2))
     start = np.argmax(recording.playing)
-    short = recording.select(np.arange(recording.voltage_v.size) < start + 100)
+    short = recording.select(np.arange(recording.voltage_v.size) < start + 5)
     with pytest.raises(ValueError, match="record longer"):
         predict(plant, short)
 

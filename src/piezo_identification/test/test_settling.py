@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification.settling import low_frequency_delay_s, settling_time_s
+from piezo_identification.settling import first_settled, low_frequency_delay_s, settling_time_s
 from piezo_models.linear import ElectricVibrationDynamics, simulate_linear, zoh
 
 
@@ -19,6 +19,14 @@ def test_after_the_settling_time_a_step_response_stays_at_its_end(plant):
     settled = round(settling_time_s(plant.dynamics) / 25e-6)
     assert np.abs(response[settled:] - 1.0).max() < 1e-4
     assert np.abs(response[settled // 2 :] - 1.0).max() > 1e-4
+
+
+def test_a_mode_that_rings_for_long_leaves_most_of_a_recording():
+    time_s = np.arange(4000) * 25e-6
+    settled = ElectricVibrationDynamics(0.0, (1e4,), (0.1,))
+    assert time_s[first_settled(settled, time_s)] == pytest.approx(
+        settling_time_s(settled), abs=25e-6)
+    assert first_settled(ElectricVibrationDynamics(0.0, (1e4,), (1e-5,)), time_s) == 1000
 
 
 def test_without_dynamics_nothing_is_late():

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 
 from piezo_identification.diagnosis.noise import sensor_noise_um
 from piezo_identification.diagnosis.prepared import PreparedRecording, retuned
+from piezo_identification.outlier_samples import answers_a_jump
 from piezo_models.effects import Evidence, fitted_values, with_fitted_values
 from piezo_models.effects.outliers import Outliers
 
@@ -28,15 +29,12 @@ LEAST_STRUCTURE = 0.05
 MODEL_TOLERANCE = 1e-4
 """Part of the travel to which a good model is right: less is not worth an effect."""
 
-JUMP, AFTER_JUMP = 0.05, 40
-"""Part of the voltage's span that is a jump, and samples for which its answer is sharp."""
-
 MOST_EVALUATIONS = 15
 QUICK_EVALUATIONS = 6
 """Of a fit whose result will be fitted once more."""
 
-STARTS, RIVAL_START = 2, 1.2
-"""Guesses that a fit begins from, and what the second may leave over what the first leaves."""
+STARTS, RIVAL_START = 3, 1.5
+"""Guesses that a fit begins from, and what others may leave over what the first leaves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +74,8 @@ class Contest:
     ----------
     model : StageModel
     recordings : list of Recording
+    past_v : (float, float) or (), optional
+        Of the hysteresis before each recording; by default that of `starting_past_v`.
 
     Raises
     ------
@@ -83,10 +83,10 @@ class Contest:
         If a recording cannot be used.
     """
 
-    def __init__(self, model, recordings):
+    def __init__(self, model, recordings, past_v=None):
         self.model = model
         self.recordings = list(recordings)
-        self.prepared = [PreparedRecording(model, recording) for recording in recordings]
+        self.prepared = [PreparedRecording(model, recording, past_v) for recording in recordings]
         self._choose_rows()
         free = [
             part.free_columns(rows) for part, rows in zip(self.prepared, self.rows, strict=True)
@@ -140,7 +140,8 @@ class Contest:
 
     def residual_of_um(self, index, model):
         """The same beside another model."""
-        return self._without_free(index, PreparedRecording(model, self.recordings[index]))
+        past_v = self.prepared[index].past_v
+        return self._without_free(index, PreparedRecording(model, self.recordings[index], past_v))
 
     def _without_free(self, index, part, effects=()):
         difference = part.measured_um - part.simulate(effects)
@@ -164,8 +165,14 @@ class Contest:
                 part.repeated_period,
             ))
             wrong = Outliers.find(residual, self.noise_um[-1])
-            self.wrong.append(wrong & ~_just_after_a_jump(part.voltage_v))
+            self.wrong.append(wrong & ~answers_a_jump(part.voltage_v))
         self._weigh(effects)
+
+    def bare(self):
+        """The trial without effects, tuned at the price of what it leaves itself."""
+        bare = copy(self)
+        bare._weigh(())
+        return bare.trial(())
 
     def untuned(self, effects):
         """The same contest beside some effects with the model's parameters held as they are."""
@@ -406,10 +413,3 @@ class Contest:
         changes = trial.coefficients[self.free_count :]
         model = retuned(self.model, changes)
         return replace(model, effects=(*self.model.effects, *trial.effects))
-
-
-def _just_after_a_jump(voltage_v):
-    """Mask of the samples in which the answer to a jump of the voltage may look like outliers."""
-    jumps = np.abs(np.diff(voltage_v, prepend=voltage_v[0])) > JUMP * np.ptp(voltage_v)
-    near = np.convolve(jumps, np.ones(AFTER_JUMP))[: jumps.size]
-    return near > 0.0

@@ -9,7 +9,7 @@ from piezo_identification.diagnosis.contest import Contest
 from piezo_identification.diagnosis.residual import dependences, spectrum, whiteness
 from piezo_identification.diagnosis.selection import NOISE, select
 from piezo_identification.diagnosis.verdict import Verdict
-from piezo_identification.prediction import predict
+from piezo_identification.prediction import CLEARLY_LESS, predict
 from piezo_models.effects.outliers import FEWEST as FEWEST_OUTLIERS
 from piezo_models.effects.outliers import Outliers
 from piezo_models.measures import e_y_percent
@@ -59,8 +59,7 @@ def diagnose(model, recordings, holdout=None, progress=None):
     """
     if not recordings:
         raise ValueError("there is no recording to diagnose: give one")
-    contest = Contest(model, recordings)
-    selection = select(contest, progress)
+    contest, selection = _contested(model, recordings, progress)
     wrong = sum(
         int(wrong[part.begin :].sum())
         for wrong, part in zip(contest.wrong, contest.prepared, strict=True)
@@ -96,6 +95,28 @@ def diagnose(model, recordings, holdout=None, progress=None):
         verdict, effects, extended, before, after,
         float(np.median(contest.noise_um)), where, reasons, left, contest, selection,
     )
+
+
+def _contested(model, recordings, progress):
+    """The contest and its selection, with that past of the hysteresis that leaves less.
+
+    A past that fits best beside a model that lacks something may be there only to make up for it.
+    """
+    contest = Contest(model, recordings)
+    selection = select(contest, progress)
+    if not any(part.past_v for part in contest.prepared):
+        return contest, selection
+    plain = Contest(model, recordings, past_v=())
+    plain_selection = select(plain, progress)
+    if _left_um(contest, selection) < CLEARLY_LESS * _left_um(plain, plain_selection):
+        return contest, selection
+    return plain, plain_selection
+
+
+def _left_um(contest, selection):
+    """RMS of what a selection leaves, noise and all."""
+    left = selection.end.residual * contest.tolerance_um
+    return float(np.sqrt(np.mean(left[contest.judge] ** 2)))
 
 
 def _effect_entries(contest, trial):

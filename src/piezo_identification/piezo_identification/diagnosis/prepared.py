@@ -7,11 +7,11 @@ from functools import cached_property
 import numpy as np
 
 from piezo_identification.diagnosis.noise import repeated_period
-from piezo_identification.prediction import mean_zoh, starting_past_v
+from piezo_identification.prediction import starting_past_v
+from piezo_identification.sampled_response import behind_lags, leading_lags, respond
 from piezo_identification.sensitivities import factor_surfaces, sensitivity_systems
-from piezo_identification.settling import settling_time_s
-from piezo_identification.waveforms import played, samples_per_mean
-from piezo_models.linear import equilibrium_state, simulate_linear
+from piezo_identification.settling import first_settled
+from piezo_identification.waveforms import played, samples_per_mean, with_voltage_before
 
 MIDDLE_KNOTS, SPAN_KNOTS = 3, 4
 """Of the surface by which the density of a retuned model is multiplied."""
@@ -35,6 +35,8 @@ class PreparedRecording:
     ----------
     model : StageModel
     recording : Recording
+    past_v : (float, float) or (), optional
+        Of the hysteresis before the recording; by default that of `starting_past_v`.
 
     Raises
     ------
@@ -42,7 +44,7 @@ class PreparedRecording:
         If the recording has gaps, or is too short.
     """
 
-    def __init__(self, model, recording):
+    def __init__(self, model, recording, past_v=None):
         part = played(recording)
         self.path = recording.path
         self.model = model
@@ -51,46 +53,41 @@ class PreparedRecording:
         self.time_s = part.time_s - part.time_s[0]
         self.voltage_v = np.ascontiguousarray(part.voltage_v, dtype=float)
         self.measured_um = np.ascontiguousarray(part.displacement_um, dtype=float)
-        self._before_v = recording.select(
-            recording.sample_index <= part.sample_index[0]
-        ).voltage_v
-        self.begin = int(np.searchsorted(self.time_s, settling_time_s(model.dynamics)))
+        self._joined_v, self._lead = with_voltage_before(recording, part)
+        self.begin = first_settled(model.dynamics, self.time_s)
         if self.time_s.size - self.begin < FEWEST_SAMPLES:
             raise ValueError(
                 f"{self.path} has {self.time_s.size} samples, fewer than {FEWEST_SAMPLES} after "
                 "the start has settled: record longer"
             )
-        self._past_v = starting_past_v(model, recording)
+        self.past_v = starting_past_v(model, recording) if past_v is None else past_v
         self._answers = {}
-        hysteresis_um, rest_hysteresis_um = self._input_of_linear(self.voltage_v)
-        self._hysteresis_um = hysteresis_um
-        self._answers[(), ()] = self._respond(model.linear(), hysteresis_um)
-        self.rest_um = self._answers[(), ()][0] - (hysteresis_um[0] - rest_hysteresis_um)
+        self._amplified_v = model.amplified(self._joined_v, self.sample_period_s)
+        self._hysteresis_um, rest_um = self._hysteresis(model.hysteresis, self._amplified_v)
+        self._input_um = self._with_creep(self._hysteresis_um, self._amplified_v)
+        self.rest_um = self._answer((), (), ())[0] - (self._hysteresis_um[0] - rest_um)
 
-    def _hysteresis(self, hysteresis, voltage_v):
+    def _hysteresis(self, hysteresis, amplified_v):
         """Output while the waveform plays, and at the first sample of the recording."""
         memory = hysteresis.memory()
-        hysteresis.simulate(self._past_v, memory)
-        before_um = hysteresis.simulate(self._before_v, memory)
-        return hysteresis.simulate(voltage_v, memory), before_um[0]
+        hysteresis.simulate(self.past_v, memory)
+        output_um = hysteresis.simulate(amplified_v, memory)
+        return output_um[self._lead :], output_um[0]
 
-    def _input_of_linear(self, voltage_v):
-        """The same of the model, with its hysteretic creep and the effects it has already."""
+    def _with_creep(self, hysteresis_um, amplified_v):
+        """Input of the linear part: the output of the hysteresis with its creep."""
         model = self.model
-        voltage_v = model.amplified(voltage_v, self.sample_period_s)
-        output_um, rest_um = self._hysteresis(model.hysteresis, voltage_v)
-        if model.hysteretic_creep is not None:
-            past = model.hysteresis.memory()
-            model.hysteresis.simulate([*self._past_v, *self._before_v], past)
-            memory = model.memory(hysteresis=past).hysteretic_creep
-            output_um += model.hysteretic_creep.simulate(voltage_v, self.sample_period_s, memory)
-        return output_um, rest_um
+        if model.hysteretic_creep is None:
+            return hysteresis_um
+        past = model.hysteresis.memory()
+        model.hysteresis.simulate([*self.past_v, *amplified_v[: self._lead + 1]], past)
+        memory = model.memory(hysteresis=past).hysteretic_creep
+        return hysteresis_um + model.hysteretic_creep.simulate(
+            amplified_v[self._lead :], self.sample_period_s, memory)
 
-    def _respond(self, system, input_um):
-        return simulate_linear(
-            mean_zoh(system, self.sample_period_s, self.samples_per_mean), input_um,
-            equilibrium_state(system, input_um[0]),
-        )
+    def _respond(self, system, delay_s, input_um):
+        return respond(
+            system, input_um, self.sample_period_s, self.samples_per_mean, delay_s)
 
     def simulate(self, effects=(), quick=()):
         """Displacement that the model with these effects besides its own would measure, (N,).
@@ -107,14 +104,16 @@ class PreparedRecording:
             effect for effect in effects
             if effect.place == "modes" or effect.place == "linear" and effect not in quick
         )
-        displacement_um = self._answer(on_voltage, in_series)
-        for place in ("linear", "displacement", "sensor"):
-            for effect in effects:
-                if effect.place == place and effect not in in_series:
-                    displacement_um = effect.apply(
-                        displacement_um, self.sample_period_s, self.rest_um
-                    )
-        return self.model.sensed(displacement_um, self.sample_period_s)
+        behind = tuple(
+            effect for stage in (effects, self.model.effects)
+            for place in ("displacement", "sensor") for effect in stage if effect.place == place
+        )
+        lags, others = leading_lags(behind, self.samples_per_mean)
+        displacement_um = self._answer(on_voltage, in_series, lags)
+        quick = tuple(effect for effect in quick if effect.place == "linear")
+        for effect in (*quick, *others):
+            displacement_um = effect.apply(displacement_um, self.sample_period_s, self.rest_um)
+        return displacement_um
 
     @cached_property
     def repeated_period(self):
@@ -126,23 +125,25 @@ class PreparedRecording:
         """What drives the modes of vibration: the displacement if they followed at once, (N,)."""
         lag = type(self.model.dynamics)(self.model.dynamics.time_constant_s)
         without_modes = replace(self.model, dynamics=lag, effects=self.model.effects_at("linear"))
-        return self._respond(without_modes.linear(), self._hysteresis_um)
+        return self._respond(without_modes.linear(), 0.0, self._input_um)
 
-    def _answer(self, on_voltage, in_series):
-        """Output of the linear part, kept for the next time."""
-        key = on_voltage, in_series
+    def _answer(self, on_voltage, in_series, lags):
+        """Output of the linear part and the lags behind it, kept for the next time."""
+        key = on_voltage, in_series, lags
         if key not in self._answers:
-            hysteresis_um = self._hysteresis_um
+            input_um = self._input_um
             if on_voltage:
-                voltage_v = self.voltage_v
+                voltage_v = self._joined_v
                 for effect in on_voltage:
-                    voltage_v = effect.apply(voltage_v, self.sample_period_s, self._before_v[0])
-                hysteresis_um, _ = self._input_of_linear(voltage_v)
+                    voltage_v = effect.apply(voltage_v, self.sample_period_s)
+                amplified_v = self.model.amplified(voltage_v, self.sample_period_s)
+                hysteresis_um, _ = self._hysteresis(self.model.hysteresis, amplified_v)
+                input_um = self._with_creep(hysteresis_um, amplified_v)
             linear = replace(self.model, effects=(*self.model.effects, *in_series)).linear()
             # A fit tries many; the first and the last few are worth the memory.
             while len(self._answers) > KEPT_ANSWERS:
                 del self._answers[list(self._answers)[1]]
-            self._answers[key] = self._respond(linear, hysteresis_um)
+            self._answers[key] = self._respond(*behind_lags(linear, lags), input_um)
         return self._answers[key]
 
     def free_columns(self, rows):
@@ -174,15 +175,15 @@ class PreparedRecording:
         model = self.model
         linear = model.linear()
         columns = [
-            self._respond(sensitivity * linear, self._hysteresis_um)[rows]
+            self._respond(sensitivity * linear, 0.0, self._input_um)[rows]
             for sensitivity in sensitivity_systems(model.creep, model.dynamics)
         ]
         for surface in _surfaces(model):
             part = _times(replace(model.hysteresis, offset_um=0.0), surface)
-            output_um, _ = self._hysteresis(part, self.voltage_v)
-            columns.append(self._respond(linear, output_um)[rows])
-        more_reversible, _ = self._hysteresis(_traded(model.hysteresis, 1.0), self.voltage_v)
-        columns.append(self._respond(linear, more_reversible - self._hysteresis_um)[rows])
+            output_um, _ = self._hysteresis(part, self._amplified_v)
+            columns.append(self._respond(linear, 0.0, output_um)[rows])
+        more_reversible, _ = self._hysteresis(_traded(model.hysteresis, 1.0), self._amplified_v)
+        columns.append(self._respond(linear, 0.0, more_reversible - self._hysteresis_um)[rows])
         return np.column_stack(columns) @ _tuning_map(model)
 
 

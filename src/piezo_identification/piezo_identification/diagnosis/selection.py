@@ -143,9 +143,8 @@ def select(contest, progress=None):
         before, best = contest.structure(best), grown[0]
         stuck = contest.structure(best) > PROGRESS * before
         contest.review(best.effects)
-        start, *grown = (
-            contest.trial(trial.effects, trial.covariance) for trial in (start, *grown)
-        )
+        start = contest.bare()
+        grown = [contest.trial(trial.effects, trial.covariance) for trial in grown]
         best = grown[0]
         twins = _twins(contest, grown)
         if stuck or contest.held_out_square(best) < 1.0 + NOTICEABLE**2:
@@ -216,22 +215,25 @@ def _left(contest, trial):
     return np.sqrt(max(NOTICEABLE**2, contest.structure(trial)))
 
 
-def _alike(contest, best, other):
+def _alike(contest, best, other, sure=TWIN):
     """True if the data cannot tell a set of effects from the best one.
 
     What the best set leaves beyond the noise is how far its prediction can be trusted: sets that
     differ by less cannot be told apart.
     """
     return (contest.size(other, best) < _left(contest, best)
-            or contest.significance(other, best) < TWIN)
+            or contest.significance(other, best) < sure)
 
 
 def _simplest_first(contest, grown):
-    """The sets, but one that is like the best with clearly fewer numbers first."""
+    """The sets, but one that is like the best with clearly fewer numbers first.
+
+    What more numbers gain must be as sure as what an effect gains.
+    """
     if not grown:
         return grown
     first = min(
-        (trial for trial in grown if _alike(contest, grown[0], trial)),
+        (trial for trial in grown if _alike(contest, grown[0], trial, SIGNIFICANT)),
         key=lambda trial: trial.values,
     )
     if first.values > grown[0].values - CLEARLY_FEWER:

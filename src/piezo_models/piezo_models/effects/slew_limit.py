@@ -9,8 +9,8 @@ from numba import njit
 
 from piezo_models.effects.effect import Effect, parameter
 
-SCANNED_PARTS = (0.98, 0.95, 0.9, 0.82, 0.7, 0.5, 0.3, 0.15, 0.05, 0.01)
-"""Of the fastest change."""
+SCANNED_PARTS = (4.0, 2.0, 1.2, 0.98, 0.95, 0.9, 0.82, 0.7, 0.5, 0.3, 0.15, 0.05, 0.01)
+"""Of the fastest change; a limit above it delays every change within its sample."""
 SCANNED_FALL_RATIOS = (1.0, 4.0, 0.25)
 
 

@@ -14,6 +14,9 @@ SCANNED_PARTS = (-0.03, -0.01, 0.0, 0.003, 0.01, 0.03, 0.1, 0.2)
 """Of the voltage's span: from its ends to the limit; a soft limit acts before it is reached."""
 SCANNED_KNEES = (0.003, 0.01, 0.03)
 KNEES_OF_REACH = 2.0
+WIDEST_KNEE_V = 10.0
+"""A curve that bends over more than that is that of the stage, not an amplifier at its end."""
+
 TRIED, LIKELY_GAIN = 4, 4.0
 
 NEWTON_STEPS = 40
@@ -33,7 +36,7 @@ class VoltageClipping(Effect):
 
     lowest_v: float = parameter("V")
     highest_v: float = parameter("V")
-    knee_v: float = parameter("V", "linear", 0.0, 1e6, default=0.0)
+    knee_v: float = parameter("V", "linear", 0.0, WIDEST_KNEE_V, default=0.0)
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
@@ -80,8 +83,9 @@ class VoltageClipping(Effect):
             if part > -KNEES_OF_REACH * knee:
                 # Where nothing is clipped, the limit is out of reach.
                 out_of_reach = 2.0 * KNEES_OF_REACH * knee * span
-                shapes += [cls(low - out_of_reach, high - part * span, knee * span),
-                           cls(low + part * span, high + out_of_reach, knee * span)]
+                knee_v = min(knee * span, WIDEST_KNEE_V)
+                shapes += [cls(low - out_of_reach, high - part * span, knee_v),
+                           cls(low + part * span, high + out_of_reach, knee_v)]
         found = evidence.best(
             shapes,
             lambda shape: (shape.apply(evidence.voltage_v, evidence.sample_period_s)
