@@ -11,6 +11,7 @@ from piezo_identification.dynamics import (
     periodic_response,
     remove_creep,
 )
+from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, simulate_linear, zoh
 
 
@@ -60,6 +61,17 @@ def test_modes_that_move_side_by_side_are_found_with_their_antiresonances(plant,
     frequency_hz = np.geomspace(10.0, 1500.0, 200)
     difference = estimate.model.response(frequency_hz) / truth.response(frequency_hz) - 1.0
     assert np.abs(difference).max() < 5e-3
+
+
+@pytest.mark.parametrize("ringing", [
+    VibrationMode(7234.0, 0.005, -0.03), VibrationMode(9000.0, 0.005, 0.1)])
+def test_with_fewer_modes_than_the_stage_has_those_that_move_it_most_are_found(
+        plant, play, ringing):
+    recording = play(
+        experiments.dynamics(duration_s=1.0), 1, stage=replace(plant, effects=(ringing,)))
+    estimate = estimate_dynamics(recording, plant.creep, 2).model
+    assert estimate.mode_frequencies_rad_per_s[0] == pytest.approx(2846.0, rel=0.2)
+    assert estimate.mode_frequencies_rad_per_s[1] == pytest.approx(4909.0, rel=0.02)
 
 
 def test_the_subspace_start_is_exact_without_noise():
