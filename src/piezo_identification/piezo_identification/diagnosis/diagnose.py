@@ -7,15 +7,15 @@ import numpy as np
 
 from piezo_identification.diagnosis.contest import Contest
 from piezo_identification.diagnosis.residual import dependences, spectrum, whiteness
-from piezo_identification.diagnosis.selection import NOISE, select
+from piezo_identification.diagnosis.selection import NOISE, NOTICEABLE, select
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.prediction import CLEARLY_LESS, predict
 from piezo_models.effects.outliers import FEWEST as FEWEST_OUTLIERS
 from piezo_models.effects.outliers import Outliers
 from piezo_models.measures import e_y_percent
 
-EXPLAINED = 0.1
-"""Part of the structure's power that may be left where effects explain it."""
+EXPLAINED = 0.03
+"""Part of the structure's power that may be left where effects explain it, a sixth of its size."""
 
 GUESS = 0.5
 """Part of the structure's power that may be left before the effects found are mere guesses."""
@@ -60,15 +60,12 @@ def diagnose(model, recordings, holdout=None, progress=None):
     if not recordings:
         raise ValueError("there is no recording to diagnose: give one")
     contest, selection = _contested(model, recordings, progress)
-    wrong = sum(
-        int(wrong[part.begin :].sum())
-        for wrong, part in zip(contest.wrong, contest.prepared, strict=True)
-    )
+    outliers = _outlier_entry(contest, selection.end)
     start, end = (contest.structure(trial) for trial in (selection.start, selection.end))
     allowed = max(NOISE**2, EXPLAINED * start)
     if end > allowed:
         verdict = "unexplained"
-    elif selection.end.effects or wrong >= FEWEST_OUTLIERS:
+    elif selection.end.effects or outliers:
         verdict = "explained"
     else:
         verdict = "none"
@@ -76,13 +73,13 @@ def diagnose(model, recordings, holdout=None, progress=None):
     if verdict == "unexplained" and end > GUESS * start:
         trial = selection.start
     effects = _effect_entries(contest, trial)
-    if wrong >= FEWEST_OUTLIERS:
-        effects.append(_outlier_entry(contest, trial))
+    if outliers:
+        effects.append(outliers)
     effects.sort(key=lambda entry: -entry["error_reduction_percent"])
     extended = model
     if effects:
         extended = contest.extended_model(trial)
-        if wrong >= FEWEST_OUTLIERS:
+        if outliers:
             extended = replace(extended, effects=(*extended.effects, *_outlier_effect(contest)))
     before, after, where = _errors(model, extended, contest, trial, holdout)
     named = {entry["name"] for entry in effects}
@@ -163,11 +160,17 @@ def _outlier_effect(contest):
 
 
 def _outlier_entry(contest, trial):
+    """Of the outliers, if there are more than chance makes and they are worth a name."""
     parts = list(enumerate(contest.prepared))
     wrong = np.concatenate([contest.wrong[index][part.begin :] for index, part in parts])
     residual = np.concatenate([
         contest.residual_um(index, trial.effects)[part.begin :] for index, part in parts
     ])
+    if wrong.sum() < FEWEST_OUTLIERS:
+        return None
+    if np.sqrt(np.mean(np.where(wrong, residual, 0.0) ** 2)) < NOTICEABLE * np.median(
+            contest.tolerance_um):
+        return None
     clean, all_rms = np.std(residual[~wrong]), np.std(residual)
     return {
         "name": Outliers.name,
