@@ -17,9 +17,7 @@ demo: ## identify and control the simulated stage; report in runs/demo
 	@./run piezo_bringup demo --output runs/demo
 
 test: setup ## check the style, then run the unit and the integration tests
-	@$(in_environment) .venv/bin/ruff check . && .venv/bin/python -m mypy && \
-		.venv/bin/python -m pytest -p xdist.plugin --numprocesses auto --dist loadfile src && \
-		.venv/bin/python -m pytest test
+	@$(in_environment) .venv/bin/ruff check . && .venv/bin/python -m mypy && tools/tests
 
 long: setup ## run the tests of bad files and killed recorders with their full numbers
 	@$(in_environment) LONG_TESTS=1 .venv/bin/python -m pytest test/test_bad_input.py src/piezo_recorder/test/test_recording_killed.py

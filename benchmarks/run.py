@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import peers
 from computing_time import computing_times_s
+from diagnosis_speed import diagnosis_times_s
 from hysteresis_speed import samples_per_s
 from loop_speed import LOCKSTEP, closed_loop, ping_pong_round_trips, tick_round_trips
 from paced import paced_run
@@ -88,7 +89,16 @@ def paced(rows):
             rows[f"paced, 1 kHz: {title} ms", "of 1000"].append(1000 * int(count) / run.ticks)
 
 
+def diagnosis(rows):
+    """Add how long a million samples are diagnosed, and how often that of a simulation it is."""
+    simulation_s, diagnosis_s = diagnosis_times_s()
+    rows["diagnosis of a million samples", "s"].append(diagnosis_s)
+    rows["diagnosis of a million samples: over a simulation", "times"].append(
+        diagnosis_s / simulation_s)
+
+
 TARGETS = {
+    "diagnosis of a million samples": {"at_most": 60.0},
     "paced, 1 kHz: samples lost": {"at_most": 0},
     "paced, 1 kHz: ticks other than uploaded": {"at_most": 0},
     "loop, stage and controller": {"at_least": 2.0},
@@ -108,7 +118,7 @@ def main():
     print(f"{os.cpu_count()} cores; load average before: {os.getloadavg()[0]:.1f}")
     measured = Measurements()
     for number in range(1, rounds + 1):
-        for measure in (hysteresis, loops, round_trips, paced):
+        for measure in (hysteresis, loops, round_trips, paced, diagnosis):
             print(f"round {number} of {rounds}: {measure.__name__.replace('_', ' ')} ...",
                   flush=True)
             measure(measured)
