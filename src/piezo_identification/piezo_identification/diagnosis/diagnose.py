@@ -99,15 +99,22 @@ def _contested(model, recordings, progress):
 
     A past that fits best beside a model that lacks something may be there only to make up for it.
     """
-    contest = Contest(model, recordings)
-    selection = select(contest, progress)
-    if not any(part.past_v for part in contest.prepared):
-        return contest, selection
-    plain = Contest(model, recordings, past_v=())
-    plain_selection = select(plain, progress)
-    if _left_um(contest, selection) < CLEARLY_LESS * _left_um(plain, plain_selection):
-        return contest, selection
-    return plain, plain_selection
+    contests = [Contest(model, recordings)]
+    if any(part.past_v for part in contests[0].prepared):
+        contests.append(Contest(model, recordings, past_v=()))
+    contested = [
+        (contest, select(contest, _part_of(progress, number, len(contests))))
+        for number, contest in enumerate(contests)
+    ]
+    with_past, plain = contested[0], contested[-1]
+    return with_past if _left_um(*with_past) < CLEARLY_LESS * _left_um(*plain) else plain
+
+
+def _part_of(progress, number, count):
+    """Progress of one of several works."""
+    if progress is None:
+        return None
+    return lambda what, fraction: progress(what, (number + fraction) / count)
 
 
 def _left_um(contest, selection):
