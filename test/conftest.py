@@ -91,6 +91,8 @@ class StageClient(Client):
         self.processes = processes
         self.blocks = []
         self.answer = None
+        self.run = None
+        self._early_answers = []
         self._feedback = self.node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
         self.node.create_subscription(SampleBlock, "samples", self._receive, SAMPLES)
 
@@ -101,7 +103,11 @@ class StageClient(Client):
             self.send_feedback(block.tick, voltage_v)
 
     def send_feedback(self, tick, voltage_v):
-        self._feedback.publish(FeedbackVoltage(tick=tick, voltage_v=float(voltage_v)))
+        if self.run is None:  # the stage has begun, its response is still to come
+            self._early_answers.append((tick, voltage_v))
+        else:
+            self._feedback.publish(FeedbackVoltage(
+                tick=tick, voltage_v=float(voltage_v), run=self.run))
 
     def node_names(self):
         """The nodes of the namespace."""
@@ -193,7 +199,13 @@ class StageClient(Client):
                          period_voltage_v=array.array("d", period_voltage_v))
 
     def start_tracking(self, feedback, ticks=0):
-        return self.call(StartTracking, "start_tracking", feedback=feedback, ticks=ticks)
+        """Begin a run, whose number the answers then bear."""
+        self.run, self._early_answers = None, []
+        response = self.call(StartTracking, "start_tracking", feedback=feedback, ticks=ticks)
+        self.run, early = response.run, self._early_answers
+        for answer in early:
+            self.send_feedback(*answer)
+        return response
 
     def trigger(self, name):
         return self.call(Trigger, name)

@@ -36,6 +36,8 @@ class StageTracker:
 
     def __init__(self, node):
         self._take = self._stream = None
+        # Answers to the first blocks wait here until the number of their run is known.
+        self._early_answers, self._run, self._numbering = [], None, threading.Lock()
         self._client = node.get_fully_qualified_name()
         self._at_rest, self._awake = threading.Event(), threading.Event()
         self.last_sample = self.missed_feedback = 0
@@ -83,8 +85,9 @@ class StageTracker:
         try:
             if self._stream:
                 self._stream.feed()
-            call_service(self._start, StartTracking.Request(
-                feedback=self._answering, ticks=ticks, client=self._client))
+            self._run, self._early_answers = None, []
+            self._begin_answers(call_service(self._start, StartTracking.Request(
+                feedback=self._answering, ticks=ticks, client=self._client)).run)
             self._wait(cancelled, report)
         finally:
             self._take = self._stream = None
@@ -98,7 +101,17 @@ class StageTracker:
         self._load_voltages(voltage_v, append=True)
 
     def _publish(self, tick, voltage_v):
-        self._feedback.publish(FeedbackVoltage(tick=tick, voltage_v=voltage_v))
+        with self._numbering:
+            if self._run is None:
+                self._early_answers.append((tick, voltage_v))
+                return
+        self._feedback.publish(FeedbackVoltage(tick=tick, voltage_v=voltage_v, run=self._run))
+
+    def _begin_answers(self, run):
+        with self._numbering:
+            self._run, early = run, self._early_answers
+        for tick, voltage_v in early:
+            self._publish(tick, voltage_v)
 
     def _wait(self, cancelled, report):
         blocks_before, heard_s, reported_s = 0, time.monotonic(), 0.0

@@ -8,6 +8,7 @@ import numpy as np
 from piezo_sim.effect import Surroundings
 from piezo_sim.plant import Plant
 from piezo_sim.plant_file import PlantConfig, read_plant
+from piezo_stage_driver.backend import BackendFault
 
 
 class SimulatedStage:
@@ -59,11 +60,13 @@ class SimulatedStage:
         self._config = plant if isinstance(plant, PlantConfig) else read_plant(plant)
         self._surroundings = Surroundings(1.0 / sample_rate_hz, rest_voltage_v, seed)
         self._plant = None
+        self._failed = False
         # Compiles what is not compiled yet, so that no exchange has to wait for it.
         Plant(self._config, self._surroundings).respond(np.zeros(1))
 
     def open(self) -> None:
         """Put the stage to rest and start the noise from the seed."""
+        self._failed = False
         self._plant = Plant(self._config, self._surroundings)
         self.true_displacement_um = np.empty(0)
 
@@ -85,8 +88,13 @@ class SimulatedStage:
         ValueError
             If a voltage is not finite or the array is not one-dimensional.
         RuntimeError
-            If the stage is not open.
+            If the stage is not open, or has failed since.
+        BackendFault
+            If a fault of the plant file says so. As a real one, the amplifier then comes to rest
+            by itself, and plays nothing before the next `open`.
         """
+        if self._failed:
+            raise RuntimeError("the simulated stage has failed; call nothing but close().")
         if self._plant is None:
             raise RuntimeError("the simulated stage is not open; call open() first.")
         voltage_v = np.ascontiguousarray(voltage_v, dtype=np.float64)
@@ -95,7 +103,11 @@ class SimulatedStage:
         if not np.isfinite(voltage_v).all():
             first = int(np.argmin(np.isfinite(voltage_v)))
             raise ValueError(f"voltage_v[{first}] is {voltage_v[first]}; give finite voltages.")
-        displacement_um, self.true_displacement_um = self._plant.respond(voltage_v)
+        try:
+            displacement_um, self.true_displacement_um = self._plant.respond(voltage_v)
+        except BackendFault:
+            self._failed = True
+            raise
         return displacement_um
 
     def close(self) -> None:

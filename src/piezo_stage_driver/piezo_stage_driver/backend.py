@@ -9,12 +9,35 @@ import numpy as np
 class BackendFault(RuntimeError):
     """The hardware failed; its text says how.
 
-    Who raises it has brought the amplifier to rest as well as it still could.
+    Who raises it has brought the amplifier to rest by itself, as well as it still could: after a
+    fault the stage node calls ``close``, and nothing else before the next ``open``.
+
+    Parameters
+    ----------
+    text : str
+        What failed.
+    at_rest : bool
+        False where the amplifier could not be brought to rest, or that is not known; people are
+        then told to cut its supply.
     """
+
+    def __init__(self, text: str, at_rest: bool = True):
+        super().__init__(text)
+        self.at_rest = at_rest
 
 
 class StageBackend(Protocol):
     """An amplifier and a displacement sensor on one sample clock.
+
+    The stage node calls ``open``, then ``exchange`` again and again from one thread, then
+    ``close``. After a `BackendFault` of ``exchange`` it calls ``close`` once and nothing else, until
+    the stage is activated again, which begins with ``open``. Any other exception counts as a fault
+    that left the amplifier where it was.
+
+    A backend may also have a method ``emergency_rest() -> None``: its own way to rest, which the
+    node calls from another thread while ``exchange`` hangs. It returns once the amplifier is at
+    rest, and raises BackendFault where it cannot get there. Whatever it does, the exchange that
+    hangs may return meanwhile or later; ``close`` follows it.
 
     Attributes
     ----------
@@ -33,8 +56,9 @@ class StageBackend(Protocol):
 
         Raises
         ------
-        ValueError, OSError
-            If the hardware is not there or cannot do what it is asked.
+        ValueError, OSError, BackendFault
+            If the hardware is not there or cannot do what it is asked. Nothing is left open then:
+            no ``close`` follows.
         """
 
     def exchange(self, voltage_v: np.ndarray) -> np.ndarray:

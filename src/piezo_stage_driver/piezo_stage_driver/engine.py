@@ -10,7 +10,6 @@ from piezo_stage_driver.blocks import (
     FLAG_FEEDBACK_HELD,
     FLAG_FEEDFORWARD_HELD,
     FLAG_PLAYING,
-    FLAG_RAMPING,
     FLAG_STOPPED,
     FLAG_TRACKING,
     SAMPLES_PER_BLOCK,
@@ -18,9 +17,10 @@ from piezo_stage_driver.blocks import (
     BlockCollector,
 )
 from piezo_stage_driver.feedback_hold import FeedbackHold
-from piezo_stage_driver.guards import StopLatch, Stretch
+from piezo_stage_driver.safety.guards import StopLatch, Stretch
 from piezo_stage_driver.program import Phase, Program, StageRefusal
-from piezo_stage_driver.sources import Feedforward, Ramp, Waveform
+from piezo_stage_driver.ramps import Ramps
+from piezo_stage_driver.sources import Feedforward, Waveform
 from piezo_stage_driver.ticks import Ticks
 
 LONGEST_STRETCH_SAMPLES = 16000
@@ -49,24 +49,28 @@ class StageEngine:
     feedback_guard : FeedbackOscillation, optional
         Examines every answer before it acts.
     latch : StopLatch, optional
-        Of a stop that outlives the engine.
+        Of a stop that outlives the engine; any thread may set it, and the next tick heeds it.
+    feedback_limits : FeedbackLimits, optional
+        What one answer may ask for.
     """
 
     def __init__(self, backend, limits, rest_voltage_v=0.0, ramp_rate_v_per_s=2000.0,
                  samples_per_tick=40, max_missed_feedback=5,
                  longest_stretch_samples=LONGEST_STRETCH_SAMPLES,
-                 sensor_guards=(), feedback_guard=None, latch=None):
+                 sensor_guards=(), feedback_guard=None, latch=None, feedback_limits=None):
         limits.check_rest(rest_voltage_v)
         self._backend = backend
         self._limits = limits
-        self._rest_voltage_v = rest_voltage_v
-        self._ramp_rate_v_per_s = ramp_rate_v_per_s
+        self.rest_voltage_v = rest_voltage_v
         self._max_missed_feedback = max_missed_feedback
         self._longest_stretch_samples = longest_stretch_samples
         self._sensor_guards = sensor_guards
         self._feedback_guard = feedback_guard
         self._latch = latch or StopLatch()
+        self._feedback_limits = feedback_limits
         self._ticks = Ticks(backend.sample_rate_hz, samples_per_tick)
+        # A ramp that the slew limit held back would end before it is at rest.
+        self._ramps = Ramps(min(ramp_rate_v_per_s, limits.slew_v_per_s), self._ticks)
         self.sample_period_s = self._ticks.sample_period_s
         self.voltage_v = rest_voltage_v
         self.next_sample = 0
@@ -94,6 +98,19 @@ class StageEngine:
     def idle(self):
         """Whether nothing is being played."""
         return self._program.over
+
+    @property
+    def at_rest(self):
+        """Whether the amplifier is at rest, what is written ahead included."""
+        return self.idle and self.voltage_v == self.rest_voltage_v and all(
+            (voltage_v == self.rest_voltage_v).all() for voltage_v, _ in self._ahead)
+
+    @property
+    def seconds_to_rest(self):
+        """What a return to rest from here would take (s)."""
+        samples = self._ramps.samples(self.voltage_v, self.rest_voltage_v)
+        return (samples + (self.lead_ticks + 1) * self._ticks.samples_per_tick
+                ) * self.sample_period_s
 
     @property
     def phase_name(self):
@@ -124,7 +141,7 @@ class StageEngine:
     def awaiting_answer(self):
         """Whether the next tick would miss its answer if it were played now."""
         return (self.phase_name == "track" and self._feedback is not None
-                and self._feedback.awaited(self.tick))
+                and not self.stop_cause and self._feedback.awaited(self.tick))
 
     # Commands
 
@@ -165,7 +182,7 @@ class StageEngine:
         length = self._ticks.aligned(waveform.samples, hold_samples)
         self._begin(client, Program(
             [approach, Phase("play", waveform, length, FLAG_PLAYING)],
-            0 if hold_at_end else self._ramp_samples(voltage_v[-1], self._rest_voltage_v),
+            0 if hold_at_end else self._ramps.samples(voltage_v[-1], self.rest_voltage_v),
             hold_at_end))
         return self.last_sample + 1 + approach.samples, waveform.samples
 
@@ -185,6 +202,7 @@ class StageEngine:
         """
         once_voltage_v = np.array(once_voltage_v, dtype=float)
         if append:
+            self._require_not_stopped()
             if self._feedforward is None or self._feedforward.periodic:
                 raise StageRefusal("there is no streamed feedforward to append to: "
                                    "load one without a repeated part first")
@@ -221,9 +239,10 @@ class StageEngine:
         if self._feedforward is None:
             raise StageRefusal("no feedforward is loaded: call load_feedforward first")
         self._limits.check_start(
-            self._feedforward.sequence_v[0], self.voltage_v, self._ramp_v_per_tick)
+            self._feedforward.sequence_v[0], self.voltage_v, self._ramps.v_per_tick)
         self._feedforward.rewind()
-        self._feedback = FeedbackHold(self.tick, self.lead_ticks) if feedback else None
+        self._feedback = None if not feedback else FeedbackHold(
+            self.tick, self.lead_ticks, self._feedback_limits)
         samples = ticks * self._ticks.samples_per_tick or math.inf
         self._begin(client, Program(
             [Phase("track", self._feedforward, samples, FLAG_TRACKING)]))
@@ -254,10 +273,12 @@ class StageEngine:
         self.return_to_rest()
 
     def return_to_rest(self):
-        """End the present program by a ramp to the rest voltage."""
+        """End the present program by a ramp to the rest voltage, unless that is done."""
+        if self.phase_name == "return" or self.idle and self.voltage_v == self.rest_voltage_v:
+            return
         self._feedback = None
         self._program.hold_at_end = False
-        self._program.replace(self._ramp("return", self._rest_voltage_v))
+        self._program.replace(self._ramp("return", self.rest_voltage_v))
         self._end_if_over()
 
     def stop(self, cause):
@@ -273,7 +294,7 @@ class StageEngine:
         StageRefusal
             While the voltage still returns to rest.
         """
-        if not self.idle:
+        if not self.idle or self.stop_cause and self.voltage_v != self.rest_voltage_v:
             raise StageRefusal("the stage still returns to rest: reset it afterwards")
         self._latch.reset()
         self._begin_guards()
@@ -288,6 +309,8 @@ class StageEngine:
         block : Block or None
             None while a slow waveform has not filled a block.
         """
+        if self.stop_cause:  # set by another thread since
+            self.return_to_rest()
         feedback_v, flags = self._next_feedback()
         phase = self._program.phase(self.voltage_v)
         count = self._stretch_samples(phase)
@@ -317,7 +340,9 @@ class StageEngine:
             return 0.0, 0
         held = self._feedback.begin(self.tick)
         feedback_v = self._feedback.voltage_v
-        cause = self._feedback_guard.examine(feedback_v) if self._feedback_guard else ""
+        cause = self._feedback.cause
+        if self._feedback_guard and not cause:
+            cause = self._feedback_guard.examine(feedback_v)
         if cause:
             self.stop(cause)
         return feedback_v, FLAG_FEEDBACK_HELD if held else 0
@@ -333,9 +358,12 @@ class StageEngine:
 
     # Programs
 
-    def _require_ready(self):
+    def _require_not_stopped(self):
         if self.stop_cause:
             raise StageRefusal(f"the stage is stopped ({self.stop_cause}): reset it first")
+
+    def _require_ready(self):
+        self._require_not_stopped()
         if not self.idle:
             client = f" for {self.client}" if self.client else ""
             raise StageRefusal(
@@ -356,19 +384,9 @@ class StageEngine:
             self._feedback = None
             self._blocks.decimation = 1
 
-    @property
-    def _ramp_v_per_tick(self):
-        return self._ramp_rate_v_per_s * self.sample_period_s * self._ticks.samples_per_tick
-
-    def _ramp_samples(self, start_v, end_v):
-        return math.ceil(abs(end_v - start_v) / self._ramp_rate_v_per_s / self.sample_period_s)
-
     def _ramp(self, name, end_v):
-        # What an interrupted program left half collected is completed by at least one sample.
-        pending = self._blocks.pending_samples
-        samples = max(self._ramp_samples(self.voltage_v, end_v), pending > 0)
-        length = self._ticks.aligned(samples + pending, self._blocks.decimation) - pending
-        return Phase(name, Ramp(self.voltage_v, end_v, samples), length, FLAG_RAMPING)
+        return self._ramps.phase(name, self.voltage_v, end_v, self._blocks.pending_samples,
+                                 self._blocks.decimation)
 
     def _stretch_samples(self, phase):
         decimation = self._blocks.decimation

@@ -3,6 +3,8 @@
 
 import math
 
+from piezo_stage_driver.safety.limits import FeedbackLimits
+
 
 class FeedbackError(ValueError):
     """An answer that is not a voltage, or answers nothing."""
@@ -14,6 +16,8 @@ class FeedbackHold:
     The block published at the start of tick k is answered during tick k; the answer
     acts in tick k + 1. Where none came in time the last one is held and counted.
 
+    Answers may come from another thread than the ticks.
+
     Parameters
     ----------
     first_tick : int
@@ -21,14 +25,34 @@ class FeedbackHold:
         that asks for an answer.
     lead_ticks : int
         How much later the blocks come because the hardware is written ahead.
+    limits : FeedbackLimits, optional
+
+    Attributes
+    ----------
+    voltage_v : float
+        That acts.
+    missed, missed_in_a_row : int
+        Ticks without an answer.
+    limited, limited_in_a_row : int
+        Answers that asked for more than the limits allow.
     """
 
-    def __init__(self, first_tick, lead_ticks=0):
+    def __init__(self, first_tick, lead_ticks=0, limits=None):
         self.voltage_v = 0.0
-        self.missed = 0
-        self.missed_in_a_row = 0
+        self.missed = self.missed_in_a_row = 0
+        self.limited = self.limited_in_a_row = 0
+        self._limits = limits or FeedbackLimits()
         self._first_tick = first_tick + lead_ticks
         self._answers = {}
+
+    @property
+    def cause(self) -> str:
+        """Why the answers must stop the stage; empty where they need not."""
+        if self.limited_in_a_row <= self._limits.patience:
+            return ""
+        return (f"{self.limited_in_a_row} feedback answers in a row were beyond "
+                f"{self._limits.maximum_v:g} V, or stepped by more than "
+                f"{self._limits.maximum_step_v:g} V")
 
     def answer(self, tick, voltage_v, present_tick):
         """Keep the answer to the block of ``tick``; one that comes too late has no effect.
@@ -39,11 +63,13 @@ class FeedbackHold:
             If the voltage is not a finite number, or the block is still to come.
         """
         if not math.isfinite(voltage_v):
-            raise FeedbackError(f"the feedback for tick {tick} is not a finite number")
+            raise FeedbackError(f"the feedback for tick {tick} is not a finite number: "
+                                "send finite voltages only")
         if tick > present_tick:
             raise FeedbackError(f"the feedback is for tick {tick}, which is still to come: "
                                 "answer the tick of the last block")
-        self._answers[tick] = voltage_v
+        if tick + 1 >= present_tick:
+            self._answers[tick] = voltage_v
 
     def awaited(self, tick):
         """Whether ``tick`` cannot be played yet without missing an answer."""
@@ -53,11 +79,20 @@ class FeedbackHold:
         """Take over the answer that acts in ``tick``; return whether the last is held instead."""
         if tick - 1 <= self._first_tick:
             return False
-        held = tick - 1 not in self._answers
-        self.voltage_v = self._answers.get(tick - 1, self.voltage_v)
-        self.missed += held
-        self.missed_in_a_row = self.missed_in_a_row + 1 if held else 0
+        # One look: an answer that comes between two would act, and yet be counted as missed.
+        answer_v = self._answers.pop(tick - 1, None)
         # One by one, because answers may come from another thread meanwhile.
-        for old in [k for k in list(self._answers) if k < tick]:
-            del self._answers[old]
-        return held
+        for old in [k for k in list(self._answers) if k < tick - 1]:
+            self._answers.pop(old, None)
+        if answer_v is None:
+            self.missed += 1
+            self.missed_in_a_row += 1
+            return True
+        self.missed_in_a_row = 0
+        self._take(answer_v)
+        return False
+
+    def _take(self, answer_v):
+        self.voltage_v, limited = self._limits.apply(answer_v, self.voltage_v)
+        self.limited += limited
+        self.limited_in_a_row = self.limited_in_a_row + 1 if limited else 0

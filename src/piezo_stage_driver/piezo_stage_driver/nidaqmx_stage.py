@@ -5,6 +5,10 @@ Output and input run on the input's sample clock. The output is not regenerated 
 stage node repeats a periodic feedforward itself and adds the feedback of every tick, and what
 results is written `lead_ticks` ahead of the clock. If the computer is later than that, the card
 stops with its last voltage, and the amplifier is brought to rest by single writes.
+
+There is no ``emergency_rest``: no call of the driver waits for longer than `TIMEOUT_S`, so that a
+card that hangs becomes a fault by itself, and a second thread would have to take the output from a
+task that another one is waiting on, which could not be tried on a device.
 """
 
 import importlib
@@ -103,8 +107,8 @@ class NidaqmxStage:
             self._write(voltage_v)
             self._reader.read_many_sample(readings_v, len(voltage_v), timeout=TIMEOUT_S)
         except self._driver.Error as error:
-            self._return_to_rest(self._held_v(error))
-            raise BackendFault(self._meaning(error)) from None
+            at_rest = self._return_to_rest(self._held_v(error))
+            raise BackendFault(self._meaning(error), at_rest) from None
         self._ahead.popleft()
         return self._calibration.displacement_um(readings_v)
 
@@ -162,7 +166,7 @@ class NidaqmxStage:
         return float(self._ahead[-1 if ran_out else 0][-1])
 
     def _return_to_rest(self, start_v):
-        """Ramp by single writes, which the computer times."""
+        """Ramp by single writes, which the computer times; return whether the card took them."""
         settings = self._settings
         self._end_tasks()
         step_v = settings.ramp_rate_v_per_s * SOFTWARE_STEP_S
@@ -173,8 +177,9 @@ class NidaqmxStage:
             for voltage_v in np.linspace(start_v, settings.rest_voltage_v, steps + 1):
                 task.write(float(self._calibration.card_v(voltage_v)), auto_start=True)
                 time.sleep(SOFTWARE_STEP_S)
+            return True
         except self._driver.Error:
-            pass  # the card is gone: nothing more can be done from here
+            return False  # the card is gone: nothing more can be done from here
         finally:
             self._end_tasks()
 

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The stage as a lifecycle node: one interface over every backend."""
 
-import queue
 import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from piezo_interfaces.msg import FeedbackVoltage
-from piezo_interfaces.srv import LoadFeedforward, StartTracking
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
-from std_srvs.srv import Trigger
 
 from piezo_node_tools.parameters import declare
 from piezo_node_tools.presence import ClientWatch
@@ -18,16 +15,21 @@ from piezo_node_tools.quality import FEEDBACK
 from piezo_node_tools.spinning import autostart, run_node
 from piezo_stage_driver.backend import BackendFault
 from piezo_stage_driver.backends import create_backend
-from piezo_stage_driver.guards import StopLatch
 from piezo_stage_driver.latency import AnswerLatency
+from piezo_stage_driver.program import StageRefusal
+from piezo_stage_driver.safety.guards import StopLatch
+from piezo_stage_driver.safety.supervisor import NOT_ACTIVE, UNSAFE
+from piezo_stage_driver.safety.transitions import State
 from piezo_stage_driver.stage_outputs_node import StageOutputs
+from piezo_stage_driver.stage_services_node import StageServices
 from piezo_stage_driver.stage_settings_node import StageSettings
 from piezo_stage_driver.waveform_goals_node import WaveformGoals
 
 IDLE_WAIT_S = 0.05
-COMMAND_TIMEOUT_S = 5.0
+WATCH_PERIOD_S = 0.1
 CLIENT_WATCH_PERIOD_S = 0.2
 DIAGNOSTICS_PERIOD_S = 1.0
+FEEDBACK_WARNING_PERIOD_S = 1.0
 
 
 class StageNode(LifecycleNode):
@@ -55,19 +57,18 @@ class StageNode(LifecycleNode):
         self._outputs = StageOutputs(self, self.settings)
         self._latch = StopLatch()
         self._latency = AnswerLatency()
-        self._backend = self._engine = self._loop = self._failure = None
-        self._commands = queue.SimpleQueue()
-        self._active = False
+        self._backend = self._supervisor = self._loop = self._failure = self._own_rest = None
+        self._leaving = False
+        self._told_cause = ""
         self._answer_deadline = None
         self._client_watch = ClientWatch(self)
-        self._goals = WaveformGoals(self, self._command)
-        self.create_subscription(FeedbackVoltage, "feedback", self._on_feedback, FEEDBACK)
-        self.create_service(LoadFeedforward, "load_feedforward", self._on_load_feedforward)
-        self.create_service(StartTracking, "start_tracking", self._on_start_tracking)
-        self.create_service(Trigger, "stop_tracking", self._on_stop_tracking)
-        self.create_service(Trigger, "emergency_stop", self._on_emergency_stop)
-        self.create_service(Trigger, "reset", self._on_reset)
+        self._goals = WaveformGoals(self, self.submit)
+        self._client_services = StageServices(self, self.settings.emergency_stop_timeout_s)
+        feedback = self.create_subscription(
+            FeedbackVoltage, "feedback", self._on_feedback, FEEDBACK)
+        self._feedback_topic = feedback.topic_name
         clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(WATCH_PERIOD_S, self._watch, clock=clock)
         self.create_timer(CLIENT_WATCH_PERIOD_S, self._watch_client, clock=clock)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=clock)
         autostart(self, default=False)
@@ -78,7 +79,7 @@ class StageNode(LifecycleNode):
         """Make the backend and check the limits."""
         try:
             self._backend = self._create_backend(self)
-            self._engine = self.settings.create_engine(self._backend, self._latch)
+            self._supervisor = self.settings.create_supervisor(self._backend, self._latch)
         except ValueError as error:
             self.get_logger().error(f"cannot configure: {error}")
             return TransitionCallbackReturn.FAILURE
@@ -87,19 +88,18 @@ class StageNode(LifecycleNode):
     def on_activate(self, state):
         """Start the sample clock at sample 0."""
         try:
-            self._backend.open()
+            self._supervisor.activate()
         except (ValueError, OSError, BackendFault) as error:
             self.get_logger().error(f"cannot activate: {error}")
             return TransitionCallbackReturn.FAILURE
-        self._engine = self.settings.create_engine(self._backend, self._latch)
         self._outputs.epoch_ns = (
             0 if self.settings.lockstep else self.get_clock().now().nanoseconds)
         self._latency = AnswerLatency()
-        self._failure = None
-        self._active = True
+        self._failure = self._own_rest = None
+        self._leaving = False
         if not self.settings.lockstep:
-            self._loop = threading.Thread(target=self._run_paced, name="stage loop")
-            self._loop_ends = False
+            # A daemon: a backend that never returns must not keep the process from its end.
+            self._loop = threading.Thread(target=self._run_paced, name="stage loop", daemon=True)
             self._loop.start()
         return super().on_activate(state)
 
@@ -110,7 +110,7 @@ class StageNode(LifecycleNode):
 
     def on_cleanup(self, state):
         """Let the backend go."""
-        self._backend = self._engine = None
+        self._backend = self._supervisor = None
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state):
@@ -128,81 +128,74 @@ class StageNode(LifecycleNode):
         self._outputs.wait_for_delivery()
 
     def _leave_active(self, cause):
-        if not self._active:
+        supervisor = self._supervisor
+        if supervisor is None:
             return
-        self._active = False
-        if self._loop is not None:
-            self._loop_ends = True
+        self._leaving = True
+        supervisor.leave(cause)
+        while supervisor.active:
+            if self._loop is None or not self._loop.is_alive():
+                self._advance()
+                continue
+            self._loop.join(IDLE_WAIT_S)
+            if supervisor.hangs:
+                self._rest_without_loop(cause)
+        if not supervisor.hangs and self._loop is not None:
             self._loop.join()
-            self._loop = None
-        try:
-            if not isinstance(self._failure, BackendFault):
-                self._engine.return_to_rest()
-            while not self._engine.idle:
-                self._publish(self._engine.advance())
-            for _ in range(self._engine.lead_ticks):
-                self._publish(self._engine.advance())
-        except BackendFault as fault:
-            self._latch.stop(str(fault))
-            self.get_logger().error(f"stopped: {fault}")
-        finally:
-            self._goals.finish(self._engine.stop_cause or cause, self._engine.last_sample)
-            self._backend.close()
+        self._loop = None
+        supervisor.leave(cause)
+        self._client_services.settle()
+
+    def _rest_without_loop(self, cause):
+        """Give up a backend that hangs while the stage is left."""
+        self._begin_own_rest()
+        if self._own_rest is not None:
+            self._own_rest.join(self.settings.exchange_timeout_s)
+        self._supervisor.give_up(
+            f"{cause} while its backend hung: cut the amplifier's supply")
 
     # Time
 
     def step(self):
         """Advance a lockstep stage; return how long to wait for the next callback (s)."""
         if self._failure is not None:
-            self._fail()
-        if not self.settings.lockstep or not self._active or self._engine.idle:
+            raise self._failure
+        supervisor = self._supervisor
+        if supervisor is None:
             return IDLE_WAIT_S
-        if self._engine.awaiting_answer:
+        if supervisor.state is State.FAULTED:
+            self._tell_stop()
+            self.trigger_deactivate()
+            self._publish_diagnostics()
+        if not self.settings.lockstep or not supervisor.has_work:
+            return IDLE_WAIT_S
+        if supervisor.engine.awaiting_answer:
             now = time.monotonic()
             if self._answer_deadline is None:
                 self._answer_deadline = now + self.settings.lockstep_timeout_s
             if now < self._answer_deadline:
                 return min(IDLE_WAIT_S, self._answer_deadline - now)
         self._answer_deadline = None
-        try:
-            self._advance()
-        except BackendFault as fault:
-            self._failure = fault
+        self._advance()
         return 0.0
 
     def _run_paced(self):
         try:
-            while not self._loop_ends:
-                while not self._commands.empty():
-                    self._commands.get()()
+            while self._supervisor.active:
                 self._advance()
         except Exception as error:  # whatever it is: the main thread sees to it
             self._failure = error
 
-    def _fail(self):
-        """Leave the active state after a fault of the backend; any other error ends the node."""
-        failure = self._failure
-        if not isinstance(failure, BackendFault):
-            raise failure
-        self._latch.stop(str(failure))
-        self.get_logger().error(f"stopped: {failure}")
-        self.trigger_deactivate()
-        self._failure = None
-        self._publish_diagnostics()
-
     def _advance(self):
-        engine = self._engine
-        was_stopped = engine.stop_cause
-        self._goals.attend(engine)
-        self._publish(engine.advance())
-        if engine.stop_cause and not was_stopped:
-            self.get_logger().error(f"stopped: {engine.stop_cause}")
-            self._publish_diagnostics()
-        if engine.idle:
-            if self.settings.lockstep:
-                # Time stands still from here on: one block at rest tells that all is over.
-                self._publish(engine.advance())
-            self._goals.finish(engine.stop_cause, engine.last_sample)
+        supervisor = self._supervisor
+        was_idle = supervisor.engine.idle
+        self._publish(supervisor.tick())
+        self._tell_stop()
+        if self.settings.lockstep and supervisor.engine.idle and not was_idle:
+            # Time stands still from here on: the last block, at rest, tells that all is over.
+            for _ in range(supervisor.engine.lead_ticks + 1):
+                self._publish(supervisor.tick())
+        self._client_services.settle()
 
     def on_block(self, block):
         """Take part when a block is published; for stages that know more than they measure."""
@@ -214,123 +207,127 @@ class StageNode(LifecycleNode):
         self._outputs.publish_block(block, self._engine.next_sample, self._engine.idle)
         self.on_block(block)
 
-    def _command(self, function, *arguments):
-        """Run a command between two ticks; return what it returns, raise what it raises.
+    # Commands
 
-        Parameters
-        ----------
-        function : callable
-            Takes the engine and the arguments.
+    @property
+    def _engine(self):
+        return self._supervisor.engine if self._supervisor else None
 
-        Raises
-        ------
-        ValueError
-            If the command is refused.
-        """
-        if not self._active:
-            raise ValueError("the stage is not active: activate it first")
-        if self._loop is None:
-            return function(self._engine, *arguments)
-        outcome = queue.SimpleQueue()
+    @property
+    def _active(self):
+        return self._supervisor is not None and self._supervisor.active and not self._leaving
 
-        def run():
-            try:
-                outcome.put((function(self._engine, *arguments), None))
-            except ValueError as error:
-                outcome.put((None, error))
-        self._commands.put(run)
-        try:
-            value, error = outcome.get(timeout=COMMAND_TIMEOUT_S)
-        except queue.Empty:
-            raise ValueError("the stage left the active state: activate it again") from None
-        if error is not None:
-            raise error
-        return value
+    @property
+    def at_rest(self):
+        """Whether the amplifier is known to be at rest; it is before anything was configured."""
+        return self._supervisor is None or self._supervisor.at_rest
+
+    @property
+    def can_come_to_rest(self):
+        """Whether the stage still drives the amplifier."""
+        return self._supervisor is not None and self._supervisor.active
+
+    @property
+    def seconds_to_rest(self):
+        """What a return to rest would take from here (s)."""
+        return self._engine.seconds_to_rest if self.can_come_to_rest else 0.0
+
+    def submit(self, command):
+        """Have a command run between two ticks, or refused; it tells by itself which."""
+        if self._supervisor is not None:
+            self._supervisor.submit(command)
+            if self.settings.lockstep:
+                self._supervisor.attend()
+        elif command.name == "reset":
+            self._latch.reset()
+            command.finish()
+        else:
+            command.finish(error=StageRefusal(NOT_ACTIVE))
+
+    def stop(self, cause):
+        """Stop from whatever state, until somebody resets it."""
+        if self._supervisor is not None:
+            self._supervisor.stop(cause)
+        self._latch.stop(cause)
+        self._tell_stop()
 
     # Watching
+
+    def _watch(self):
+        supervisor = self._supervisor
+        if supervisor is None:
+            return
+        supervisor.watch()
+        if supervisor.hangs:
+            self._begin_own_rest()
+        self._tell_stop()
+        self._client_services.settle()
+
+    def _begin_own_rest(self):
+        """Ask a backend that hangs for its own way to rest, if it has one, and once."""
+        if self._own_rest is None and hasattr(self._backend, "emergency_rest"):
+            self._own_rest = threading.Thread(
+                target=self._rest_by_backend, name="own rest", daemon=True)
+            self._own_rest.start()
+
+    def _rest_by_backend(self):
+        try:
+            self._backend.emergency_rest()
+        except Exception as error:  # of a vendor's library
+            self._supervisor.give_up(f"the backend hangs, and cannot come to rest: {error}")
+        else:
+            self._supervisor.give_up("the backend hung, and came to rest in its own way",
+                                     at_rest=True)
 
     def _watch_client(self):
         client = self._engine.client if self._active else ""
         if client and self._client_watch.is_gone(client):
-            self._stop(f"the client {client} is gone")
+            self.stop(f"the client {client} is gone")
 
-    def _stop(self, cause):
-        """Stop from whatever state, until somebody resets it."""
-        known = self._latch.cause
-        try:
-            self._command(lambda engine: engine.stop(cause))
-        except ValueError:  # not active: nothing moves
-            self._latch.stop(cause)
-        if not known:
+    def _tell_stop(self):
+        """Say it where the stage has been stopped since; called from both threads."""
+        cause, told = self._latch.cause, self._told_cause
+        self._told_cause = cause
+        if cause and cause != told:
             self.get_logger().error(f"stopped: {cause}")
-        self._publish_diagnostics()
+            self._publish_diagnostics()
 
     def _publish_diagnostics(self):
+        supervisor = self._supervisor
         engine = self._engine
         if self._latch.cause:
             level, message = DiagnosticStatus.ERROR, self._latch.cause
-        elif engine is None or not self._active:
+        elif not self._active:
             level, message = DiagnosticStatus.OK, "not active"
         elif engine.missed_feedback:
             level, message = DiagnosticStatus.WARN, "feedback answers were missed"
         else:
             level, message = DiagnosticStatus.OK, engine.phase_name
-        values = {} if engine is None else {
+        if supervisor is not None and (supervisor.hangs or not (
+                supervisor.active or supervisor.at_rest)):
+            level, message = DiagnosticStatus.ERROR, f"{message}; {UNSAFE}"
+        values = {} if supervisor is None else {
             "phase": engine.phase_name if self._active else "not active",
             "client": engine.client,
             "voltage_v": f"{engine.voltage_v:.4f}", "next_sample": engine.next_sample,
-            "missed_feedback": engine.missed_feedback, **self._latency.described()}
+            "missed_feedback": engine.missed_feedback, **supervisor.described,
+            **self._latency.described()}
         self._outputs.publish_diagnostics(level, message, values)
 
-    # Tracking and stops
-
     def _on_feedback(self, message):
-        if self._engine is None:
+        if not self._active:
             return
         self._latency.answered(message.tick)
         try:
-            self._engine.answer(message.tick, message.voltage_v)
+            self._supervisor.answer(
+                message.tick, message.voltage_v, message.run, self._one_node_answers)
         except ValueError as error:
-            self.get_logger().warning(f"feedback refused: {error}")
+            self.get_logger().warning(f"feedback refused: {error}",
+                                      throttle_duration_sec=FEEDBACK_WARNING_PERIOD_S)
+            self._tell_stop()
 
-    def _answer_service(self, response, name, *arguments):
-        """Run an engine command for a service; return its value, or None where it is refused."""
-        try:
-            value = self._command(lambda engine: getattr(engine, name)(*arguments))
-        except ValueError as error:
-            response.success, response.message = False, f"{name} refused: {error}"
-            self.get_logger().warning(response.message)
-            return None
-        response.success = True
-        return value
-
-    def _on_load_feedforward(self, request, response):
-        self._answer_service(response, "load_feedforward", request.once_voltage_v,
-                             request.period_voltage_v, request.append)
-        return response
-
-    def _on_start_tracking(self, request, response):
-        first_tick = self._answer_service(
-            response, "start_tracking", request.feedback, request.ticks, request.client)
-        response.first_tick = first_tick or 0
-        return response
-
-    def _on_stop_tracking(self, request, response):
-        self._answer_service(response, "stop_tracking")
-        return response
-
-    def _on_emergency_stop(self, request, response):
-        self._stop("emergency stop")
-        response.success = True
-        return response
-
-    def _on_reset(self, request, response):
-        if self._active:
-            self._answer_service(response, "reset")
-        else:
-            self._latch.reset()
-            response.success = True
-        return response
+    def _one_node_answers(self):
+        return self.count_publishers(self._feedback_topic) <= 1
 
 
 def main(args=None):

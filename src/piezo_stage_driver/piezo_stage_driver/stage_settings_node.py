@@ -4,13 +4,14 @@
 from piezo_node_tools.parameters import declare
 from piezo_stage_driver.backends import BackendSettings
 from piezo_stage_driver.engine import LONGEST_STRETCH_SAMPLES, StageEngine
-from piezo_stage_driver.guards import (
+from piezo_stage_driver.safety.guards import (
     FeedbackOscillation,
     SensorNoise,
     SensorRange,
     SensorResponse,
 )
-from piezo_stage_driver.limits import VoltageLimits
+from piezo_stage_driver.safety.limits import FeedbackLimits, VoltageLimits
+from piezo_stage_driver.safety.supervisor import StageSupervisor
 
 
 class StageSettings:
@@ -36,6 +37,19 @@ class StageSettings:
              "Rate of the ramps to the first sample and to rest (V/s).", 1.0, 1.0e6)
         take("max_missed_feedback", 5,
              "More feedback answers missed in a row stop the stage.", 0, 10000)
+        take("max_feedback_v", 140.0,
+             "A feedback answer beyond it, of either sign, does not act (V).", 1.0e-3, 2000.0)
+        take("max_feedback_step_v", 15.0,
+             "Largest change of the feedback from one tick to the next (V).", 1.0e-3, 2000.0)
+        take("max_limited_feedback", 3,
+             "More answers in a row beyond these two limits stop the stage.", 0, 10000)
+        take("max_foreign_feedback", 0,
+             "More answers from others than the client of the run stop the stage.", 0, 10000)
+        take("exchange_timeout_s", 2.0,
+             "A backend that has not returned for longer stops the stage (s).", 0.05, 600.0)
+        take("emergency_stop_timeout_s", 2.0,
+             "What an emergency stop may take beyond the ramp before it answers that it failed "
+             "(s).", 0.05, 600.0)
         take("minimum_displacement_um", -45.0,
              "A sensor that reads less stops the stage (um).", -1.0e6, 1.0e6)
         take("maximum_displacement_um", 145.0,
@@ -70,6 +84,17 @@ class StageSettings:
             minimum_voltage_v=self.minimum_voltage_v, maximum_voltage_v=self.maximum_voltage_v,
             rest_voltage_v=self.rest_voltage_v, ramp_rate_v_per_s=self.ramp_rate_v_per_s)
 
+    def create_supervisor(self, backend, latch):
+        """Return the supervisor of a backend.
+
+        Raises
+        ------
+        LimitError
+            If the limits contradict each other.
+        """
+        return StageSupervisor(backend, self.create_engine, latch, self.max_foreign_feedback,
+                               self.exchange_timeout_s)
+
     def create_engine(self, backend, latch):
         """Return an engine that drives the backend within the limits, under every guard.
 
@@ -89,4 +114,6 @@ class StageSettings:
                 SensorResponse(self.stuck_voltage_v, self.stuck_displacement_um),
                 SensorNoise(self.max_sensor_noise_um)),
             feedback_guard=FeedbackOscillation(self.max_feedback_oscillation_v),
-            latch=latch)
+            latch=latch,
+            feedback_limits=FeedbackLimits(
+                self.max_feedback_v, self.max_feedback_step_v, self.max_limited_feedback))

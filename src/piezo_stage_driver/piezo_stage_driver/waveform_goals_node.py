@@ -2,12 +2,66 @@
 """The action ``play_waveform`` of the stage node."""
 
 import functools
+import threading
 import time
 
 from piezo_interfaces.action import PlayWaveform
 from rclpy.action import ActionServer, CancelResponse
 
+from piezo_stage_driver.safety.commands import Command
+
 PROGRESS_PERIOD_S = 0.1
+
+
+class WaveformGoal:
+    """One goal, from the command until its answer; see ``safety.supervisor.Goal``.
+
+    Parameters
+    ----------
+    handle : rclpy.action.server.ServerGoalHandle
+    answer : callable
+        ``answer(goal, result)``, from any thread.
+    """
+
+    def __init__(self, handle, answer):
+        self.handle = handle
+        self._answer = answer
+        self._result = PlayWaveform.Result()
+        self._answered = threading.Lock()
+        self._last_progress_s = 0.0
+
+    @property
+    def cancelled(self):
+        """Whether the client has asked for its end."""
+        return self.handle.is_cancel_requested
+
+    def begin(self, value, error):
+        """Take the answer to the command."""
+        if error is not None:
+            self._finish(f"waveform refused: {error}")
+        else:
+            self._result.first_sample, self._result.samples = value
+
+    def attend(self, engine):
+        """Tell how far it is."""
+        now_s = time.monotonic()
+        if now_s - self._last_progress_s < PROGRESS_PERIOD_S:
+            return
+        self._last_progress_s = now_s
+        self.handle.publish_feedback(PlayWaveform.Feedback(
+            stage=engine.phase_name, fraction=float(engine.fraction),
+            seconds_left=float(engine.seconds_left)))
+
+    def end(self, cause, last_sample):
+        """Take the end; the cause is empty where the waveform was played to its end."""
+        self._result.last_sample = last_sample
+        self._finish(cause)
+
+    def _finish(self, message):
+        # rclpy ends the process where a goal is answered twice.
+        if self._answered.acquire(blocking=False):
+            self._result.message, self._result.success = message, not message
+            self._answer(self, self._result)
 
 
 class WaveformGoals:
@@ -16,77 +70,50 @@ class WaveformGoals:
     Parameters
     ----------
     node : rclpy.node.Node
-    command : callable
-        Runs a function of the engine and further arguments between two ticks; raises
-        ValueError where it is refused.
+    submit : callable
+        Takes a ``safety.commands.Command``.
     """
 
-    def __init__(self, node, command):
-        self._node, self._command = node, command
-        self._goal = self._result = None
+    def __init__(self, node, submit):
+        self._node, self._submit = node, submit
         self._unanswered = 0
-        self._last_progress_s = 0.0
+        self._counting = threading.Lock()
         self._server = ActionServer(
             node, PlayWaveform, "play_waveform", self._end,
             handle_accepted_callback=self._accept,
-            cancel_callback=lambda goal: CancelResponse.ACCEPT)
+            cancel_callback=lambda handle: CancelResponse.ACCEPT)
 
     @property
     def answered(self):
         """Whether the client of every goal that ended knows."""
         return not self._unanswered
 
-    def _accept(self, goal_handle):
-        try:
-            self._command(self._begin, goal_handle)
-        except ValueError as error:
-            message = f"waveform refused: {error}"
-            self._node.get_logger().warning(message)
-            self._answer(goal_handle, PlayWaveform.Result(message=message))
+    def _accept(self, handle):
+        wanted, goal = handle.request, WaveformGoal(handle, self._answer)
+        self._submit(Command(
+            "play", wanted.voltage_v, wanted.sample_period_s, wanted.repeats,
+            wanted.hold_at_end, wanted.client, on_done=goal.begin, goal=goal))
 
-    def _begin(self, engine, goal_handle):
-        goal, result = goal_handle.request, PlayWaveform.Result()
-        result.first_sample, result.samples = engine.play(
-            goal.voltage_v, goal.sample_period_s, goal.repeats, goal.hold_at_end, goal.client)
-        self._goal, self._result = goal_handle, result
-        self._last_progress_s = time.monotonic()
-
-    def attend(self, engine):
-        """Look whether the goal is to be cancelled, and tell how far it is."""
-        goal = self._goal
-        if goal is None:
-            return
-        if goal.is_cancel_requested and engine.phase_name != "return":
-            engine.return_to_rest()
-        now_s = time.monotonic()
-        if now_s - self._last_progress_s < PROGRESS_PERIOD_S:
-            return
-        self._last_progress_s = now_s
-        goal.publish_feedback(PlayWaveform.Feedback(
-            stage=engine.phase_name, fraction=float(engine.fraction),
-            seconds_left=float(engine.seconds_left)))
-
-    def finish(self, message, last_sample):
-        """End the goal, if there is one; the message is empty where it was played to its end."""
-        if self._goal is not None:
-            goal, result, self._goal, self._result = self._goal, self._result, None, None
-            result.message, result.last_sample = message, last_sample
-            result.success = not message
-            self._answer(goal, result)
-
-    def _answer(self, goal_handle, result):
+    def _answer(self, goal, result):
         """Execute a goal now that it is over: the executor polls, busily, a goal that waits."""
-        self._unanswered += 1
+        if result.message.startswith("waveform refused"):
+            self._node.get_logger().warning(result.message)
+        self._count(1)
         self._node.executor.create_task(
-            goal_handle.execute, functools.partial(self._end, result=result))
+            goal.handle.execute, functools.partial(self._end, result=result))
 
-    def _end(self, goal_handle, result):
-        self._unanswered -= 1
-        if goal_handle.is_cancel_requested:
+    def _count(self, change):
+        # From the thread that ticks, and from the executor's.
+        with self._counting:
+            self._unanswered += change
+
+    def _end(self, handle, result):
+        self._count(-1)
+        if handle.is_cancel_requested:
             result.success, result.message = False, "the waveform was cancelled"
-            goal_handle.canceled()
+            handle.canceled()
         elif result.success:
-            goal_handle.succeed()
+            handle.succeed()
         else:
-            goal_handle.abort()
+            handle.abort()
         return result

@@ -10,7 +10,7 @@ import pytest
 
 from piezo_stage_driver.backends import BackendSettings, create_backend
 from piezo_stage_driver.engine import StageEngine
-from piezo_stage_driver.limits import VoltageLimits
+from piezo_stage_driver.safety.limits import VoltageLimits
 
 PAGE = Path(__file__).parents[3] / "docs" / "adding_a_backend.md"
 SETTINGS = BackendSettings("", 40000.0, 40, -20.0, 120.0, 0.0, 2000.0)

@@ -16,7 +16,7 @@ from piezo_stage_driver.blocks import (
 )
 from piezo_stage_driver.engine import StageEngine
 from piezo_stage_driver.feedback_hold import FeedbackError
-from piezo_stage_driver.limits import (
+from piezo_stage_driver.safety.limits import (
     FLAG_RANGE_LIMITED,
     FLAG_SLEW_LIMITED,
     LimitError,

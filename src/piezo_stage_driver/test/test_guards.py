@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from piezo_stage_driver.blocks import FLAG_STOPPED
 from piezo_stage_driver.engine import StageEngine
-from piezo_stage_driver.guards import (
+from piezo_stage_driver.safety.guards import (
     FeedbackOscillation,
     SensorNoise,
     SensorRange,
@@ -17,7 +17,7 @@ from piezo_stage_driver.guards import (
     StopLatch,
     Stretch,
 )
-from piezo_stage_driver.limits import VoltageLimits
+from piezo_stage_driver.safety.limits import VoltageLimits
 from piezo_stage_driver.program import StageRefusal
 
 TICK = 40

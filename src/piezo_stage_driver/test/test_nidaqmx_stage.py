@@ -4,6 +4,7 @@
 import inspect
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +17,11 @@ from piezo_stage_driver.backends import BackendSettings, create_backend
 from piezo_stage_driver.blocks import FLAG_TRACKING
 from piezo_stage_driver.calibration import TERMINALS, CalibrationError, load_calibration
 from piezo_stage_driver.engine import StageEngine
-from piezo_stage_driver.limits import VoltageLimits
 from piezo_stage_driver.nidaqmx_stage import NidaqmxStage, load_driver
+from piezo_stage_driver.safety.commands import Command
+from piezo_stage_driver.safety.limits import VoltageLimits
+from piezo_stage_driver.safety.supervisor import StageSupervisor
+from piezo_stage_driver.safety.transitions import State
 
 EXAMPLE = Path(__file__).parents[1] / "config" / "nidaqmx_calibration.yaml"
 LEAD_TICKS = 20
@@ -119,9 +123,71 @@ def test_card_that_is_gone_ends_without_a_traceback(card, stage, monkeypatch):
         raise DaqError("Device is not connected.", -200324)
     monkeypatch.setattr(Reader, "read_many_sample", gone)
     monkeypatch.setattr(Task, "write", gone)
-    with pytest.raises(BackendFault, match=r"the card failed: Device is not connected\. \(NI-D"):
+    with pytest.raises(BackendFault, match=r"the card failed: Device is not connected\. \(NI-D"
+                       ) as fault:
         stage.exchange(np.zeros(40))
+    assert not fault.value.at_rest
     stage.close()
+
+
+def late(card, monkeypatch):
+    card.be_late(LEAD_TICKS * 40 + 1)
+
+
+def lost(card, monkeypatch):
+    card.fault = DaqError("overwritten", -200279)
+
+
+def gone(card, monkeypatch):
+    def fail(*_, **__):
+        raise DaqError("Device is not connected.", -200324)
+    monkeypatch.setattr(Reader, "read_many_sample", fail)
+    monkeypatch.setattr(Task, "write", fail)
+
+
+@pytest.mark.parametrize("work", ["play", "track"])
+@pytest.mark.parametrize("bad_luck", [late, lost, gone])
+def test_after_a_fault_the_card_ramps_to_rest_and_nothing_follows(
+        card, monkeypatch, bad_luck, work):
+    supervisor = StageSupervisor(
+        NidaqmxStage(load_calibration(EXAMPLE), settings(), card.driver()),
+        lambda backend, latch: StageEngine(
+            backend, VoltageLimits(-20.0, 100.0, 2.0e6), latch=latch,
+            longest_stretch_samples=40))
+    told, ends = [], []
+    goal = SimpleNamespace(cancelled=False, attend=lambda engine: None,
+                           end=lambda *end: ends.append(end))
+    supervisor.activate()
+
+    def ask(name, *arguments, goal=None):
+        supervisor.submit(Command(
+            name, *arguments, on_done=lambda *answer: told.append(answer), goal=goal))
+
+    if work == "play":
+        ask("play", np.full(400_000, 50.0), 25e-6, goal=goal)
+    else:
+        ask("load_feedforward", np.linspace(0.0, 50.0, 1000), [])
+        ask("start_tracking", False)
+    for _ in range(4 * LEAD_TICKS):
+        supervisor.tick()
+    assert all(error is None for _, error in told)
+    assert card.held_v == 5.0
+    bad_luck(card, monkeypatch)
+    played = len(card.played_v)
+    ask("load_feedforward", [0.0], [])
+    for _ in range(100):
+        supervisor.tick()
+    assert supervisor.state is State.FAULTED
+    assert supervisor.at_rest is (bad_luck is not gone)
+    assert card.open_tasks == 0
+    assert len(card.played_v) <= played + 40  # of the exchange that failed
+    if bad_luck is not gone:
+        assert np.all(np.diff(card.single_v) <= 1e-12)
+        assert card.single_v[-1] == card.held_v == 0.0
+    assert [cause.startswith("the card failed") for cause, _ in ends] == [True] * (work == "play")
+    supervisor.leave("deactivated")
+    assert supervisor.state is State.INACTIVE
+    assert card.open_tasks == 0
 
 
 def test_clock_that_the_card_rounds_is_refused():

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What voltage may reach the amplifier."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,7 +98,7 @@ class VoltageLimits:
                 "begin at the present voltage")
 
     def apply(self, voltage_v, previous_v, sample_period_s):
-        """Hold a voltage within the limits.
+        """Hold a voltage within the limits; what is not a number holds the voltage before it.
 
         Parameters
         ----------
@@ -114,7 +115,7 @@ class VoltageLimits:
             ``FLAG_RANGE_LIMITED`` and ``FLAG_SLEW_LIMITED`` where they took effect.
         """
         flags = 0
-        limited_v = np.clip(voltage_v, self.minimum_v, self.maximum_v)
+        limited_v = np.clip(_numbers(voltage_v, previous_v), self.minimum_v, self.maximum_v)
         if not np.array_equal(limited_v, voltage_v):
             flags |= FLAG_RANGE_LIMITED
         largest_step_v = self.slew_v_per_s * sample_period_s * (1 + 1e-9)
@@ -125,3 +126,48 @@ class VoltageLimits:
                 step_v = np.clip(wanted_v - previous_v, -largest_step_v, largest_step_v)
                 previous_v = limited_v[i] = previous_v + step_v
         return limited_v, flags
+
+
+@dataclass(frozen=True)
+class FeedbackLimits:
+    """What one feedback answer may ask for, whoever sends it.
+
+    Attributes
+    ----------
+    maximum_v : float
+        An answer beyond it, of either sign, does not act (V).
+    maximum_step_v : float
+        Largest change of the feedback from one tick to the next (V).
+    patience : int
+        More answers in a row that had to be limited stop the stage.
+    """
+
+    maximum_v: float = math.inf
+    maximum_step_v: float = math.inf
+    patience: int = 3
+
+    def apply(self, voltage_v: float, previous_v: float) -> tuple[float, bool]:
+        """Return what an answer may do, and whether that is less than it asks for.
+
+        Parameters
+        ----------
+        voltage_v, previous_v : float
+            The answer, and the feedback that acts at present (V).
+        """
+        if not abs(voltage_v) <= self.maximum_v:
+            return previous_v, True
+        step_v = voltage_v - previous_v
+        if abs(step_v) <= self.maximum_step_v:
+            return voltage_v, False
+        return previous_v + math.copysign(self.maximum_step_v, step_v), True
+
+
+def _numbers(voltage_v, previous_v):
+    """Replace every NaN of a sequence by the last number before it."""
+    voltage_v = np.asarray(voltage_v, dtype=float)
+    missing = np.isnan(voltage_v)
+    if not missing.any():
+        return voltage_v
+    known_v = np.r_[previous_v, voltage_v]
+    last = np.maximum.accumulate(np.where(np.r_[False, missing], 0, np.arange(len(known_v))))
+    return known_v[last[1:]]

@@ -6,6 +6,7 @@ answer before it acts. Their answer is empty, or the cause of a stop.
 """
 
 import math
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ RESPONSE_PATIENCE_SAMPLES = 800
 
 
 class StopLatch:
-    """Why the stage is stopped, until somebody resets it.
+    """Why the stage is stopped, until somebody resets it; any thread may stop it.
 
     Attributes
     ----------
@@ -27,10 +28,12 @@ class StopLatch:
 
     def __init__(self):
         self.cause = ""
+        self._lock = threading.Lock()
 
-    def stop(self, cause):
+    def stop(self, cause: str) -> None:
         """Keep the cause, unless one is kept already."""
-        self.cause = self.cause or cause
+        with self._lock:
+            self.cause = self.cause or cause
 
     def reset(self):
         """Forget the cause."""

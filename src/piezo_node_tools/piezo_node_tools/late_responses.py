@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Services that are answered later than they are called, while the executor goes on."""
+
+import threading
+
+
+class LateResponse:
+    """The response of one call; `give` sends it, from any thread, once.
+
+    A coroutine would do the same, but the executor of this rclpy polls one that waits, busily.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    response : message
+        To be filled in.
+
+    Attributes
+    ----------
+    response : message
+    """
+
+    def __init__(self, node, response):
+        self.response = response
+        self._node = node
+        self._lock = threading.Lock()
+        self._given = False
+        self._send = None
+        self._sharers = []
+
+    def give(self) -> None:
+        """Send the response, unless that is done."""
+        with self._lock:
+            given, self._given = self._given, True
+            send, sharers = self._send, self._sharers
+        if given:
+            return
+        if send:
+            self._node.executor.create_task(send, self.response)
+        for other in sharers:
+            other.response = self.response
+            other.give()
+
+    def share(self, other: "LateResponse") -> None:
+        """Give the same response to another call, as soon as it is there."""
+        with self._lock:
+            given = self._given
+            if not given:
+                self._sharers.append(other)
+        if given:
+            other.response = self.response
+            other.give()
+
+    def send_by(self, send) -> None:
+        """Take what sends; called once the service's callback has returned."""
+        with self._lock:
+            self._send, given = send, self._given
+        if given:
+            send(self.response)
+
+
+def create_late_service(node, service_type, name, callback):
+    """Create a service whose callback need not answer before it returns.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    service_type : type
+    name : str
+    callback : callable
+        ``callback(request, late)`` with a `LateResponse`, which somebody gives in the end.
+
+    Returns
+    -------
+    rclpy.service.Service
+    """
+    def begin(request, response):
+        late = LateResponse(node, response)
+        callback(request, late)
+        return late
+
+    service = node.create_service(service_type, name, begin)
+    send_response = service.send_response
+    # The executor passes on what the callback returns as if it were the response.
+    service.send_response = lambda late, header: late.send_by(
+        lambda response: send_response(response, header))
+    return service

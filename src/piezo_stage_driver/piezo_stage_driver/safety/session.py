@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One opening of the backend: after a fault nothing reaches it but its end."""
+
+import contextlib
+import threading
+from collections.abc import Callable
+
+import numpy as np
+
+from piezo_stage_driver.backend import BackendFault, StageBackend
+
+
+class SessionOver(BackendFault):
+    """The backend was given up while it did not return."""
+
+
+class BackendSession:
+    """A backend between ``open`` and ``close``, as the engine drives it.
+
+    Parameters
+    ----------
+    backend : StageBackend
+    clock : callable
+        Returns the time (s).
+    """
+
+    def __init__(self, backend: StageBackend, clock: Callable[[], float]):
+        self._backend, self._clock = backend, clock
+        self.sample_rate_hz = backend.sample_rate_hz
+        self.lead_samples = getattr(backend, "lead_samples", 0)
+        self._lock = threading.Lock()
+        self._over = False
+        self._began_s: float | None = None
+
+    @property
+    def waited_s(self) -> float:
+        """How long the present call of the backend has lasted; 0 between two calls (s)."""
+        began_s = self._began_s
+        return 0.0 if began_s is None else self._clock() - began_s
+
+    @property
+    def busy(self) -> bool:
+        """Whether the backend has not returned yet."""
+        return self._began_s is not None
+
+    def open(self) -> None:
+        """See ``StageBackend.open``."""
+        self._backend.open()
+
+    def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
+        """Play samples; see ``StageBackend.exchange``.
+
+        Raises
+        ------
+        BackendFault
+            Whatever the backend raises becomes one. The backend is closed then.
+        SessionOver
+            If the session was given up; the backend is closed as soon as it returns.
+        """
+        with self._lock:
+            if self._over:
+                raise SessionOver("the backend was given up: activate the stage again")
+            self._began_s = self._clock()
+        fault = displacement_um = None
+        try:
+            displacement_um = self._checked(self._backend.exchange(voltage_v), len(voltage_v))
+        except BackendFault as raised:
+            fault = raised
+        except Exception as error:  # whatever it is, the backend must not be driven on
+            fault = BackendFault(f"the backend broke: {error!r}", at_rest=False)
+            fault.__cause__ = error
+        with self._lock:
+            given_up, self._over = self._over, self._over or fault is not None
+            self._began_s = None
+        if given_up or fault:
+            self._close()
+        if given_up:
+            raise SessionOver("the backend was given up: activate the stage again")
+        if fault:
+            raise fault
+        return displacement_um
+
+    def give_up(self) -> None:
+        """Let nothing reach the backend any more, from any thread; it is closed once it returns."""
+        with self._lock:
+            over, self._over = self._over, True
+            busy = self.busy
+        if not (over or busy):
+            self._close()
+
+    def close(self) -> None:
+        """Close the backend, unless that is done."""
+        with self._lock:
+            over, self._over = self._over, True
+        if not over:
+            self._backend.close()
+
+    def _close(self):
+        # A backend that has failed may fail to close as well: its fault has been told.
+        with contextlib.suppress(Exception):
+            self._backend.close()
+
+    @staticmethod
+    def _checked(displacement_um, samples):
+        displacement_um = np.asarray(displacement_um, dtype=float)
+        if displacement_um.shape != (samples,):
+            raise BackendFault(
+                f"the backend returned displacements of shape {displacement_um.shape} for "
+                f"{samples} voltages", at_rest=False)
+        return displacement_um
