@@ -10,6 +10,9 @@ LONGEST_NAME = 100
 LONGEST_NAME_BYTES = 240
 """File systems allow 255; a recording adds ``_0.mcap`` to its name."""
 
+LONGEST_SHOWN = 300
+"""Characters of a path in a refusal."""
+
 LONGEST_COMPONENT_BYTES = 255
 LONGEST_PATH_BYTES = 3500
 """Linux allows 4096; the files of a recording need some."""
@@ -87,7 +90,7 @@ class DataRoot:
         real = Path(os.path.realpath(self.folder / text))
         if not real.is_relative_to(self.folder):
             raise DataRootError(
-                f"'{text}' is outside {self.folder}, under which the node {self._node_name} "
+                f"{_shown(text)} is outside {self.folder}, under which the node {self._node_name} "
                 "writes: name a directory in there, or start the nodes with the parameter "
                 "data_root set to a folder that holds both")
         return real
@@ -144,4 +147,4 @@ def _problem(name: str) -> str:
 
 def _shown(text: str) -> str:
     """Return a text as one line of bounded length, whatever is in it."""
-    return ascii(text if len(text) <= LONGEST_NAME else text[:LONGEST_NAME] + "...")
+    return repr(text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "...")
