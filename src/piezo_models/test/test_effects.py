@@ -198,6 +198,34 @@ def test_the_slew_limit_gives_the_mean_of_what_it_allows():
     np.testing.assert_allclose(held, [0.0, 0.5, 1.5, 2.5, 3.0, 3.0])
 
 
+@pytest.mark.parametrize("time_constant_s", [1e-6, 2e-4, 1e-2])
+@pytest.mark.parametrize("roundness", [0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.0999, 0.1001, 0.25, 0.5])
+def test_a_lag_of_any_roundness_is_exact_for_straight_lines(time_constant_s, roundness):
+    """A ramp behind 1 / (1 + T s + r (T s)^2), by the roots of its characteristic equation."""
+    time_s = np.arange(4000) * PERIOD_S
+    lagging = SensorLag(time_constant_s, roundness).apply(time_s, PERIOD_S)
+    apart = time_constant_s * np.sqrt(1.0 - 4.0 * roundness + 0j)
+    slow = 0.5 * (time_constant_s + apart)
+    fast = roundness * time_constant_s**2 / slow
+    if roundness == 0.25:
+        rest = (time_s + time_constant_s) * np.exp(-time_s / slow)
+    else:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            fast_rest = np.where(time_s > 0.0, fast**2 * np.exp(-time_s / fast), fast**2)
+        rest = (slow**2 * np.exp(-time_s / slow) - (fast_rest if fast else 0.0)) / apart
+    np.testing.assert_allclose(
+        lagging, (time_s - time_constant_s + rest).real, atol=1e-11 * time_s[-1])
+
+
+def test_a_lag_hardly_changes_with_its_roundness_from_zero_on():
+    signal = wave()
+    sharp = SensorLag(2e-4).apply(signal, PERIOD_S)
+    slopes = [(SensorLag(2e-4, roundness).apply(signal, PERIOD_S) - sharp) / roundness
+              for roundness in (1e-9, 1e-7, 1e-5, 1e-3)]
+    for slope in slopes[:-1]:
+        np.testing.assert_allclose(slope, slopes[-1], atol=2e-2 * np.abs(slopes[-1]).max())
+
+
 def test_outliers_stand_out_of_noise_and_not_out_of_structure():
     generator = np.random.default_rng(0)
     residual = 0.01 * generator.normal(size=20_000)

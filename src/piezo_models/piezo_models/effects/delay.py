@@ -56,6 +56,10 @@ class Delay(Effect):
         unit = control.pade(1.0, PADE_ORDER)
         return slowed(*unit, self.delay_s) if self.delay_s > 0.0 else None
 
+    def response(self, s):
+        """See `Effect.response`."""
+        return np.exp(-s * self.delay_s)
+
     @classmethod
     def starts(cls, evidence):
         """Of least squares: a short delay takes off the velocity times it."""

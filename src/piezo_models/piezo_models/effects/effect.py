@@ -184,6 +184,21 @@ class Effect(ABC):
         """
         return None
 
+    def response(self, s):
+        """The factor that a linear effect behind the linear part gives the frequency response.
+
+        Parameters
+        ----------
+        s : (N,) array of complex
+            Where to evaluate it, in rad/s.
+
+        Returns
+        -------
+        (N,) array of complex
+            Ones for an effect that is not linear.
+        """
+        return np.ones_like(s)
+
     @classmethod
     @abstractmethod
     def starts(cls, evidence):

@@ -12,6 +12,9 @@ from piezo_models.effects.filtering import filtered, slowed, unfiltered_period
 
 ROUNDED = 0.25
 
+SHARPEST = 1e-6
+"""Roundness up to which the lag is of first order for a feedback loop."""
+
 
 @dataclass(frozen=True)
 class SensorLag(Effect):
@@ -38,12 +41,16 @@ class SensorLag(Effect):
 
     def lag(self):
         """See `Effect.lag`."""
-        shape = [self.roundness, 1.0, 1.0] if self.roundness > 0.0 else [1.0, 1.0]
+        # A much faster second lag would only stiffen the system.
+        shape = [self.roundness, 1.0, 1.0] if self.roundness > SHARPEST else [1.0, 1.0]
         return slowed([1.0], shape, self.time_constant_s)
 
+    def response(self, s):
+        """See `Effect.response`."""
+        return 1.0 / np.polyval(self._denominator(), s)
+
     def _denominator(self):
-        lag = [self.time_constant_s, 1.0]
-        return [self.roundness * self.time_constant_s**2, *lag] if self.roundness > 0.0 else lag
+        return [self.roundness * self.time_constant_s**2, self.time_constant_s, 1.0]
 
     @classmethod
     def starts(cls, evidence):
