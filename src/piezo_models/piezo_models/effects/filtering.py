@@ -28,9 +28,34 @@ def filtered(numerator, denominator, signal, sample_period_s, rest=None):
     -------
     (N,) array
     """
+    return _from_rest(numerator, denominator, signal, sample_period_s, rest)[0]
+
+
+def filtered_on(numerator, denominator, signal, sample_period_s, state=None):
+    """The next part of a signal behind a continuous transfer function, and the state after it.
+
+    Parameters
+    ----------
+    numerator, denominator, signal, sample_period_s
+        As in `filtered`.
+    state : (n,) array, optional
+        After the part before; from rest at the first value where there is none.
+
+    Returns
+    -------
+    behind : (N,) array
+    state : (n,) array
+    """
+    if state is None:
+        return _from_rest(numerator, denominator, signal, sample_period_s)
+    b, a, _ = _discrete(tuple(numerator), tuple(denominator), sample_period_s)
+    return lfilter(b, a, signal, zi=state)
+
+
+def _from_rest(numerator, denominator, signal, sample_period_s, rest=None):
     b, a, settled = _discrete(tuple(numerator), tuple(denominator), sample_period_s)
     rest = float(signal[0]) if rest is None else rest
-    return lfilter(b, a, signal, zi=settled * rest)[0]
+    return lfilter(b, a, signal, zi=settled * rest)
 
 
 @lru_cache(maxsize=2048)

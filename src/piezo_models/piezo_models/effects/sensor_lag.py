@@ -8,7 +8,7 @@ import numpy as np
 
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect, parameter
-from piezo_models.effects.filtering import filtered, slowed, unfiltered_period
+from piezo_models.effects.filtering import filtered, filtered_on, slowed, unfiltered_period
 
 ROUNDED = 0.25
 
@@ -34,6 +34,10 @@ class SensorLag(Effect):
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
         return filtered([1.0], self._denominator(), signal, sample_period_s, rest)
+
+    def advance(self, signal, sample_period_s, past=None):
+        """See `Effect.advance`: the past is the filter's state."""
+        return filtered_on([1.0], self._denominator(), signal, sample_period_s, past)
 
     def compensate(self, wanted, sample_period_s):
         """The period divided by the lag, harmonic by harmonic."""
