@@ -55,7 +55,7 @@ def ping_pong_round_trips(directory, count):
     """Round trips (s) of the same messages, as often, between nodes that do nothing else."""
     directory.mkdir(parents=True, exist_ok=True)
     file = directory / "ping.npy"
-    with BenchmarkProcesses(directory) as processes:
+    with BenchmarkProcesses(directory, data_root=directory) as processes:
         processes.start_module("pong_node")
         processes.start_module("ping_node", {"round_trips_file": file, "count": count})
         processes.process("ping_node").wait(PING_PONG_TIMEOUT_S)
@@ -66,7 +66,7 @@ def _track(directory, duration_s, executables, modules):
     """Track in composite mode; return the progress, see `_watch_progress`."""
     directory.mkdir(parents=True, exist_ok=True)
     write_model(directory / "model.json")
-    with BenchmarkProcesses(directory) as processes, Client() as client:
+    with BenchmarkProcesses(directory, data_root=directory) as processes, Client() as client:
         if "recorder" not in executables:
             _stand_in_for_recorder(client.node)
         progress = _watch_progress(client.node)

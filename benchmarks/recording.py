@@ -27,7 +27,7 @@ def resident_mb(process):
 
 def record(directory, duration_s):
     """Record a waveform; return the recorder's response and its memory on the way."""
-    with Processes(directory / "logs") as processes, Client() as client:
+    with Processes(directory / "logs", data_root=directory) as processes, Client() as client:
         processes.start("stage", {"autostart": True, "timing": "lockstep"})
         processes.start("recorder")
         client.spin_until(lambda: {"stage", "recorder"} <= set(client.node.get_node_names()), 60.0)

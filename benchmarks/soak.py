@@ -82,7 +82,7 @@ class Soak:
         self.memory_mb = {}
         self._at_rest = True
         self._number = 0
-        self.processes = Processes(directory / "logs")
+        self.processes = Processes(directory / "logs", data_root=directory)
         write_model(directory / "model.json")
 
     def __enter__(self):

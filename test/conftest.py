@@ -256,7 +256,7 @@ class Nodes:
         self._groups += 1
         directory = self._directory / str(self._groups)
         self._ends.callback(self._assert_no_traceback, directory)
-        processes = self._ends.enter_context(Processes(directory))
+        processes = self._ends.enter_context(Processes(directory, data_root="/"))
         for name in ("stage", *names):
             parameters = {"timing": "lockstep", "autostart": True, **stage_parameters}
             processes.start(name, parameters if name == "stage"

@@ -75,7 +75,7 @@ class FedRecorder(Client):
 
 @pytest.fixture
 def recorder(tmp_path):
-    with Processes(tmp_path / "logs") as processes:
+    with Processes(tmp_path / "logs", data_root=tmp_path) as processes:
         processes.start("recorder", namespace=NAMESPACE)
         with FedRecorder(processes) as recorder:
             yield recorder
@@ -107,6 +107,34 @@ def test_every_message_is_recorded_and_numbers_are_told(recorder, tmp_path):
     refused = recorder.start(tmp_path, "run")
     assert not refused.success
     assert "exists already" in refused.message
+
+
+def test_what_is_not_under_the_data_root_is_refused_in_one_line(recorder, tmp_path):
+    outside = tmp_path.parent / f"{tmp_path.name}_outside"
+    outside.mkdir()
+    (tmp_path / "link").symlink_to(outside)
+    for directory in ("..", outside, "link", "link/new", "/", f"../{outside.name}"):
+        refused = recorder.start(directory, "run")
+        assert not refused.success
+        assert f"'{directory}' is outside {tmp_path}" in refused.message
+        assert "data_root" in refused.message
+    for directory, name, attachment in (
+            ("", "../run", "a"), ("", "two\nlines", "a"), ("", ".run", "a"), ("", "x" * 300, "a"),
+            ("", "run", "../../x"), ("", "run", "a\nb"), ("x" * 300, "run", "a"),
+            ("x/" * 3000, "run", "a"), ("a\nb", "run", "a")):
+        refused = recorder.start(
+            directory, name, attachment_names=[attachment], attachment_contents=[""])
+        assert not refused.success
+        assert refused.message.isprintable()
+        assert ": give a" in refused.message
+    assert not [*outside.iterdir()]
+    assert {path.name for path in tmp_path.iterdir()} == {"logs", "link"}
+    log = (tmp_path / "logs" / "recorder.log").read_text()
+    assert "Traceback" not in log
+
+    started = recorder.start("new/folder", "run")  # taken from the root, not from here
+    assert started.path == str(tmp_path / "new" / "folder" / "run")
+    assert recorder.stop().success
 
 
 def test_a_gap_is_counted(recorder, tmp_path):

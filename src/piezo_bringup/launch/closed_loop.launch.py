@@ -5,6 +5,7 @@ from launch.actions import IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
@@ -13,9 +14,10 @@ from launch import LaunchDescription
 def generate_launch_description():
     """Describe what is started; the arguments are those of stage.launch.py."""
     stage = PathJoinSubstitution([FindPackageShare("piezo_bringup"), "launch", "stage.launch.py"])
+    data_root = {"data_root": ParameterValue(LaunchConfiguration("data_root"), value_type=str)}
     settings = {
         "namespace": LaunchConfiguration("namespace"),
-        "parameters": [LaunchConfiguration("parameters")],
+        "parameters": [data_root, LaunchConfiguration("parameters")],
         "output": "screen",
     }
     return LaunchDescription([

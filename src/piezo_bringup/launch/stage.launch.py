@@ -4,6 +4,7 @@
 from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
@@ -13,15 +14,19 @@ def generate_launch_description():
     """Describe what is started, and the arguments."""
     default = PathJoinSubstitution(
         [FindPackageShare("piezo_bringup"), "config", "simulated_stage.yaml"])
+    data_root = {"data_root": ParameterValue(LaunchConfiguration("data_root"), value_type=str)}
     settings = {
         "namespace": LaunchConfiguration("namespace"),
-        "parameters": [LaunchConfiguration("parameters")],
+        # What the parameter file says counts more.
+        "parameters": [data_root, LaunchConfiguration("parameters")],
         "output": "screen",
     }
     return LaunchDescription([
         DeclareLaunchArgument("namespace", default_value="", description="Of all nodes."),
         DeclareLaunchArgument("parameters", default_value=default,
                               description="Parameter file (YAML)."),
+        DeclareLaunchArgument("data_root", default_value=".",
+                              description="Folder under which the nodes write."),
         DeclareLaunchArgument(
             "discovery_range", default_value="LOCALHOST",
             description="LOCALHOST, or SUBNET to let other machines command the stage."),

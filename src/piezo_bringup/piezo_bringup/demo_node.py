@@ -121,7 +121,7 @@ def run_demo(directory, command, progress):
     """
     begin_s = time.monotonic()
     os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().choice(DOMAIN_IDS))
-    with Processes(directory / "logs") as processes:
+    with Processes(directory / "logs", data_root=directory) as processes:
         progress.show("start the nodes", 0.0)
         for name, parameters in NODES.items():
             processes.start(name, parameters)

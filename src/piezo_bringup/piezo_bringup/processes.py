@@ -28,11 +28,15 @@ class Processes:
         Gets one log file per process.
     environment : dict of str to str, optional
         Added to the environment, such as ``ROS_DOMAIN_ID``.
+    data_root : path-like, optional
+        Folder under which the nodes write; by default this process' working directory, or what a
+        parameter file says.
     """
 
-    def __init__(self, log_directory, environment=None):
+    def __init__(self, log_directory, environment=None, data_root=None):
         self._log_directory = Path(log_directory)
         self._log_directory.mkdir(parents=True, exist_ok=True)
+        self._parameters = {} if data_root is None else {"data_root": Path(data_root).absolute()}
         self._environment = {**os.environ, **(environment or {})}
         # The wheels' guard is of this process: what we start must find its libraries itself.
         self._environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
@@ -59,7 +63,7 @@ class Processes:
         package, executable = EXECUTABLES[name]
         command = [str(Path(get_package_prefix(package), "lib", package, executable)),
                    "--ros-args"]
-        for key, value in (parameters or {}).items():
+        for key, value in {**self._parameters, **(parameters or {})}.items():
             text = str(value).lower() if isinstance(value, bool) else value
             command += ["-p", f"{key}:={text}"]
         if namespace:

@@ -33,10 +33,13 @@ def main(arguments=None):
         print(f"suite: {options.parameters} is no file: give a parameter file (YAML)",
               file=sys.stderr)
         return BAD_INPUT
+    if options.data_root and not options.data_root.is_dir():
+        print(f"suite: {options.data_root} is no folder: give one that exists", file=sys.stderr)
+        return BAD_INPUT
     ending = []
     for number in signal.SIGINT, signal.SIGTERM:
         signal.signal(number, lambda *_: ending.append(True))
-    with Processes(options.logs) as processes:
+    with Processes(options.logs, data_root=options.data_root) as processes:
         for name in options.nodes:
             processes.start(name, namespace=options.namespace, parameter_file=options.parameters)
         print(f"{', '.join(options.nodes)} started; logs in {options.logs}; end them with Ctrl-C",
@@ -60,6 +63,9 @@ def _parser():
     parser.add_argument("--namespace", default="", metavar="/NAME", help="of all nodes")
     parser.add_argument("--parameters", type=Path, default=default, metavar="FILE",
                         help="parameter file (YAML); that of the simulated stage by default")
+    parser.add_argument("--data-root", type=Path, metavar="DIR",
+                        help="folder under which the nodes write; by default what the parameter "
+                             "file says, or the present one")
     parser.add_argument("--logs", type=Path, default=Path("runs/logs"), metavar="DIR",
                         help="gets what the nodes print (default: %(default)s)")
     return parser

@@ -9,6 +9,7 @@ from piezo_interfaces.msg import Reference
 from rclpy.action import ActionClient
 from rclpy.experimental import EventsExecutor
 
+from piezo_client.paths import with_absolute_paths
 from piezo_node_tools.discovery import prepare_discovery
 
 SERVER_TIMEOUT_S = 30.0
@@ -76,23 +77,23 @@ class Client:
     def run_experiment(self, experiment, directory, **options):
         """Run and record one experiment; see `goal`."""
         return self.goal(
-            "run_experiment", experiment=experiment, directory=str(directory), **options)
+            "run_experiment", experiment=experiment, directory=directory, **options)
 
     def identify(self, directory, **options):
         """Run the whole identification; see `goal`."""
-        return self.goal("identify", directory=str(directory), **options)
+        return self.goal("identify", directory=directory, **options)
 
     def diagnose(self, model, recordings, directory, holdout="", **options):
         """Find what a model lacks to explain recordings; see `goal`."""
         return self.goal(
-            "diagnose", model=str(model), recordings=[str(path) for path in recordings],
-            holdout=str(holdout), directory=str(directory), **options)
+            "diagnose", model=model, recordings=recordings, holdout=holdout,
+            directory=directory, **options)
 
     def track(self, reference, model, mode, duration_s, directory, **options):
         """Track a reference given as a dict of the fields of ``Reference``; see `goal`."""
         return self.goal(
-            "track", reference=Reference(**reference), model=str(model), mode=mode,
-            duration_s=float(duration_s), directory=str(directory), **options)
+            "track", reference=Reference(**reference), model=model, mode=mode,
+            duration_s=float(duration_s), directory=directory, **options)
 
     def goal(self, name, on_feedback=None, cancel_after_s=None, **fields):
         """Send a goal and wait for its end.
@@ -106,7 +107,7 @@ class Client:
         cancel_after_s : float, optional
             Cancel the goal after this time.
         **fields
-            Of the goal.
+            Of the goal; relative paths are of the caller's folder.
 
         Returns
         -------
@@ -146,7 +147,7 @@ class Client:
 
         def ask():
             return client.send_goal_async(
-                action_type.Goal(**fields),
+                action_type.Goal(**with_absolute_paths(fields)),
                 feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None)
 
         sent = ask()
@@ -170,7 +171,7 @@ class Client:
         client = self.node.create_client(service_type, name)
         if not self.spin_until(client.service_is_ready, SERVER_TIMEOUT_S):
             raise RuntimeError(f"nobody serves {name}: start its node")
-        request = service_type.Request(**fields)
+        request = service_type.Request(**with_absolute_paths(fields))
         answer = client.call_async(request)
         if not self.spin_until(answer.done, LOST_RESPONSE_S):
             # A response gets lost where the server has not met the client yet: ask once more.

@@ -67,7 +67,6 @@ class Stage:
         -------
         Played
         """
-        directory = _absolute(directory)
         recording = self._call("recorder/start_recording", StartRecording,
                                directory=directory, name=free_name(directory, name),
                                client=self._name)
@@ -103,8 +102,7 @@ class Stage:
         -------
         piezo_client.results.Experiment
         """
-        result = self._client.run_experiment(
-            name, _absolute(directory), on_feedback=self._shown(""))
+        result = self._client.run_experiment(name, directory, on_feedback=self._shown(""))
         return Experiment(Path(result.recording), result.summary)
 
     def identify(self, directory="", recordings=(), creep_pairs=0, modes=0):
@@ -124,8 +122,8 @@ class Stage:
         Identification
         """
         result = self._client.identify(
-            _absolute(directory), recordings=[_absolute(path) for path in recordings],
-            creep_pairs=creep_pairs, modes=modes, on_feedback=self._shown(""))
+            directory, recordings=recordings, creep_pairs=creep_pairs, modes=modes,
+            on_feedback=self._shown(""))
         return Identification(
             Path(result.model), dict(zip(result.error_names, result.error_values, strict=True)),
             tuple(map(Path, result.recordings)))
@@ -151,7 +149,7 @@ class Stage:
         Tracking
         """
         result = self._client.track(
-            reference, _absolute(model), mode, duration_s, _absolute(directory),
+            reference, model, mode, duration_s, directory,
             on_feedback=self._shown(f"track, {mode}"))
         return Tracking(Path(result.recording), result.e_rms_percent, result.largest_error_um,
                         result.missed_feedback, result.message)
@@ -175,8 +173,7 @@ class Stage:
         piezo_client.results.Diagnosis
         """
         result = self._client.diagnose(
-            _absolute(model), [_absolute(path) for path in recordings], _absolute(directory),
-            _absolute(holdout), on_feedback=self._shown("diagnose: "))
+            model, recordings, directory, holdout, on_feedback=self._shown("diagnose: "))
         return Diagnosis(result.verdict, result.sentence, tuple(result.effects),
                          Path(result.extended_model), Path(result.report),
                          json.loads(result.verdict_json))
@@ -205,12 +202,6 @@ class Stage:
         progress = self._progress
         return progress and (lambda feedback: progress(
             step + getattr(feedback, "stage", ""), feedback.fraction, feedback.seconds_left))
-
-
-def _absolute(path):
-    """A path as the nodes need it, which run elsewhere; empty for none."""
-    path = os.fspath(path)
-    return path and str(Path(path).absolute())
 
 
 def _doubles(values):

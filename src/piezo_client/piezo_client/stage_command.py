@@ -130,7 +130,7 @@ def _identify(stage, options):
 
 def _track(stage, options):
     reference = (
-        {"kind": "file", "file": str(options.file.absolute())} if options.file else
+        {"kind": "file", "file": str(options.file)} if options.file else
         SHAPES[options.shape](options.frequency_hz, options.amplitude_um, options.centre_um))
     run = stage.track(reference, options.model, options.mode, options.duration_s, options.output)
     return [f"e_rms_percent {run.e_rms_percent:.4g}",

@@ -28,7 +28,7 @@ from piezo_controller.weights import DEFAULT, load_weights
 from piezo_models.model_file import load_model
 from piezo_node_tools.calls import CallFailed
 from piezo_node_tools.goals import GoalServers
-from piezo_node_tools.parameters import declare
+from piezo_node_tools.parameters import declare, declare_data_root
 from piezo_node_tools.recording import RecorderCaller
 from piezo_node_tools.spinning import autostart, run_node
 from piezo_node_tools.tracking import REPORT_PERIOD_S, StageTracker
@@ -81,6 +81,7 @@ class ControllerNode(LifecycleNode):
             self, "feedback_place", PLACES[0],
             "Where the feedback of the composite modes enters: behind_inverse, as a voltage; "
             "before_inverse, as an output of the hysteresis.", choices=PLACES)
+        self._data_root = declare_data_root(self)
         self._directory = declare(
             self, "directory", "runs", "Where recordings go if a goal names no place.")
 
@@ -89,8 +90,9 @@ class ControllerNode(LifecycleNode):
         return self._goals.end()
 
     def _track(self, goal, result, progress):
+        directory = self._data_root.writable(goal.directory or self._directory)
+        self._locate_files(goal)
         model_text = _read_text(goal.model)
-        directory = goal.directory or self._directory
         run, plan, feedback, save = self._plan(goal, model_text, directory)
         progress.check()
         result.recording = self._recorder.start(directory, f"track_{goal.mode}", {
@@ -111,6 +113,12 @@ class ControllerNode(LifecycleNode):
         left_alone = plan.left_alone and ("the feedforward leaves alone: "
                                           f'{", ".join(plan.left_alone)}')
         result.message = "; ".join(filter(None, (learned, left_alone, run.lateness)))
+
+    def _locate_files(self, goal):
+        """Take the relative paths of files to read from the data root."""
+        goal.model = self._data_root.readable(goal.model)
+        for reference in (goal.reference, *goal.then):
+            reference.file = self._data_root.readable(reference.file)
 
     def _plan(self, goal, model_text, directory):
         if not 0.0 < goal.duration_s <= LONGEST_DURATION_S:
@@ -139,7 +147,7 @@ class ControllerNode(LifecycleNode):
             raise ValueError("learning repeats one reference by its exact inverse: "
                              "leave then and inversion empty")
         reference, key = _reference(goal.reference), _sha256(model_text)
-        path = Path(goal.learned) if goal.learned else learned_path(directory, reference, key)
+        path = self._data_root.writable(goal.learned or learned_path(directory, reference, key))
         correction_um = None
         if goal.learned or path.exists():
             correction_um = load_correction(path, reference, key, self._stage.sample_rate_hz)

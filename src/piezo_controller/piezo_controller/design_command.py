@@ -115,7 +115,8 @@ def _print(report, rules, samples_per_tick, robustness):
                                f"{rules.highest_bandwidth_hz:.4g} Hz"),
         ("loop shaping by (5.11)", f"performance below {rules.performance_hz:.4g} Hz, robustness "
                                    f"above {rules.robustness_hz:.4g} Hz"),
-        *((label, layout.format(report[key])) for key, label, layout in ROWS if key in report),
+        *((label, "none" if report[key] is None else layout.format(report[key]))
+          for key, label, layout in ROWS if key in report),
         ("stable with 5 % errors of all parameters",
          f"{robustness.samples - robustness.unstable_samples} of {robustness.samples} drawn"),
         ("  Ms at the worst errors found", f"{robustness.worst_peak_sensitivity:.2f}"),

@@ -9,6 +9,8 @@ from piezo_controller.h_infinity import is_stable
 BAND_EDGE = 1 / np.sqrt(2)
 SETTLED = 0.05
 LONGEST_SETTLING_TICKS = 2000
+LEAST_CROSSING = 1e-12
+"""Size of a loop on the real axis that is rounding."""
 
 
 def loop_responses(plant, controller, frequency_hz):
@@ -47,15 +49,16 @@ def measure_loop(plant, controller, gain_spread):
         open loop first falls to 1), ``peak_sensitivity`` and its ``peak_frequency_hz``,
         ``gain_margin`` and ``phase_margin_deg`` with ``_at_lowest_gain`` and
         ``_at_highest_gain``, ``settling_to_5_percent_s`` (after a step disturbance of the output),
-        ``stable_within_gain_spread``.
+        ``stable_within_gain_spread``. None stands for what the loop does not have: it crosses
+        nothing from 0.1 Hz on, or has not settled after `LONGEST_SETTLING_TICKS`.
     """
     frequency_hz = np.geomspace(0.1, 0.5 / plant.dt, 8000)
     loop, sensitivity = loop_responses(plant, controller, frequency_hz)
     size = np.abs(sensitivity)
     gains = np.linspace(1 - gain_spread, 1 + gain_spread, 5)
     measures = {
-        "bandwidth_hz": float(frequency_hz[np.argmax(size > BAND_EDGE)]),
-        "crossover_hz": float(frequency_hz[np.argmax(np.abs(loop) < 1)]),
+        "bandwidth_hz": _first_rise_hz(frequency_hz, size > BAND_EDGE),
+        "crossover_hz": _first_rise_hz(frequency_hz, np.abs(loop) < 1),
         "peak_sensitivity": float(size.max()),
         "peak_frequency_hz": float(frequency_hz[size.argmax()]),
         "settling_to_5_percent_s": _settling_s(plant, controller),
@@ -69,19 +72,29 @@ def measure_loop(plant, controller, gain_spread):
     return measures
 
 
+def _first_rise_hz(frequency_hz, holds):
+    """The first frequency at which something begins to hold; None if it never begins to."""
+    begins = np.flatnonzero(~holds[:-1] & holds[1:])
+    return float(frequency_hz[begins[0] + 1]) if begins.size else None
+
+
 def _margins(loop):
     """Gain margin (factor) and phase margin (degrees) from a dense frequency response.
 
-    The gain margin is that towards higher gains: only crossings between -1 and 0 count.
+    The gain margin is that towards higher gains: only crossings between -1 and 0 count. None where
+    the response does not cross the axis there, or the unit circle.
     """
     real, imaginary, size = loop.real, loop.imag, np.abs(loop)
     crossing = imaginary[:-1] * imaginary[1:] < 0
     unity = (size[:-1] - 1) * (size[1:] - 1) < 0
     # At half the tick's rate, the last frequency, the response is real.
     on_axis = np.append(real[:-1][crossing], real[-1])
-    gain_margin = 1 / max(-on_axis[on_axis > -1].min(initial=0.0), 1e-12)
-    phase_margin = np.pi - np.abs(np.angle(loop[:-1][unity])).max(initial=0.0)
-    return float(gain_margin), float(np.degrees(phase_margin))
+    nearest = on_axis[on_axis > -1].min(initial=0.0)
+    gain_margin = float(-1 / nearest) if nearest < -LEAST_CROSSING else None
+    if not unity.any():
+        return gain_margin, None
+    phase_margin = np.pi - np.abs(np.angle(loop[:-1][unity])).max()
+    return gain_margin, float(np.degrees(phase_margin))
 
 
 def _settling_s(plant, controller):
@@ -89,4 +102,6 @@ def _settling_s(plant, controller):
     time_s = np.arange(LONGEST_SETTLING_TICKS) * plant.dt
     error = np.abs(control.step_response(sensitivity, time_s).outputs)
     outside = np.flatnonzero(error > SETTLED)
+    if outside.size and outside[-1] == error.size - 1:
+        return None
     return float((outside[-1] + 1) * plant.dt) if outside.size else 0.0

@@ -9,15 +9,13 @@ import numpy as np
 from piezo_controller.generalised_plant import design_plant
 from piezo_controller.h_infinity import is_stable
 from piezo_controller.loop_measures import loop_responses
+from piezo_models.creep_errors import with_creep_errors
 
 SAMPLES = 200
 SWEEPS = 2
 FREQUENCIES = 100
-PARAMETERS = {
-    "creep": ("poles_rad_per_s", "zeros_rad_per_s"),
-    "dynamics": ("time_constant_s", "mode_frequencies_rad_per_s", "damping_ratios",
-                 "antiresonance_frequencies_rad_per_s", "antiresonance_damping_ratios"),
-}
+DYNAMICS = ("time_constant_s", "mode_frequencies_rad_per_s", "damping_ratios",
+            "antiresonance_frequencies_rad_per_s", "antiresonance_damping_ratios")
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,8 @@ def check_robustness(model, controller, clock_period_s, gain_spread, parameter_e
     gain_spread : float
         The hysteresis' gain lies within ``1 +- gain_spread`` of its nominal value.
     parameter_error : float
-        Relative error of every parameter of creep and dynamics, of either sign.
+        Relative error of rate and size of every creep pair, and of every parameter of the
+        dynamics, of either sign.
     samples : int
     seed : int
     at_once : bool
@@ -95,19 +94,16 @@ def check_robustness(model, controller, clock_period_s, gain_spread, parameter_e
 
 
 def _parameters(model):
-    return sum(np.size(getattr(getattr(model, part), name))
-               for part, names in PARAMETERS.items() for name in names)
+    return 2 * len(model.creep.poles_rad_per_s) + sum(
+        np.size(getattr(model.dynamics, name)) for name in DYNAMICS)
 
 
 def _with_errors(model, errors):
     """The model with relative errors in the parameters of its linear dynamics."""
-    first, parts = 0, {}
-    for part, names in PARAMETERS.items():
-        fields = {}
-        for name in names:
-            values = np.asarray(getattr(getattr(model, part), name), dtype=float)
-            fields[name] = values * (1 + np.reshape(errors[first:first + values.size],
-                                                    values.shape))
-            first += values.size
-        parts[part] = replace(getattr(model, part), **fields)
-    return replace(model, **parts)
+    first, fields = 2 * len(model.creep.poles_rad_per_s), {}
+    creep = with_creep_errors(model.creep, errors[:first])
+    for name in DYNAMICS:
+        values = np.asarray(getattr(model.dynamics, name), dtype=float)
+        fields[name] = values * (1 + np.reshape(errors[first:first + values.size], values.shape))
+        first += values.size
+    return replace(model, creep=creep, dynamics=replace(model.dynamics, **fields))

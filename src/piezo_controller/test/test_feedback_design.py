@@ -231,6 +231,56 @@ def test_measures_of_a_loop_known_in_closed_form():
     assert abs(band / (band + gain)) == pytest.approx(np.sqrt(0.5), rel=2e-3)
 
 
+def static_loop(gain, delay=0):
+    """L = gain / z^delay."""
+    return control.ss(np.eye(delay, k=-1), np.eye(delay, 1), gain * np.eye(1, delay, delay - 1),
+                      [[0.0 if delay else gain]], TICK_S)
+
+
+def measured(loop):
+    return measure_loop(loop, control.ss([], [], [], [[1.0]], TICK_S), 0.1)
+
+
+def test_a_loop_that_never_reaches_one_has_no_crossover():
+    # S = 1 / (1 + 1 / 2z): |1 + e^-jw / 2|^2 = 2 where cos w = 3/4.
+    measures = measured(static_loop(0.5, delay=1))
+    assert measures["crossover_hz"] is None
+    assert measures["phase_margin_deg"] is None
+    assert measures["gain_margin"] == pytest.approx(2.0)
+    assert measures["bandwidth_hz"] == pytest.approx(
+        np.arccos(0.75) / (2 * np.pi * TICK_S), rel=2e-3)
+    # So weak a loop suppresses nothing to -3 dB: S(0) = 1 / 1.1.
+    weak = measured(static_loop(0.1, delay=1))
+    assert weak["bandwidth_hz"] is None
+    assert weak["crossover_hz"] is None
+
+
+def test_a_loop_that_never_falls_has_no_crossover_and_no_margins():
+    measures = measured(static_loop(3.0))
+    for name in ("crossover_hz", "bandwidth_hz", "gain_margin", "phase_margin_deg"):
+        assert measures[name] is None, name
+    assert measures["peak_sensitivity"] == pytest.approx(0.25)
+
+
+def test_the_crossover_is_where_the_loop_falls_and_not_where_it_rises():
+    # |L| = g / |z^2 - 2 r cos(a) z + r^2|, a resonance that stands out of a low gain.
+    radius, angle, gain = 0.99, 0.5, 0.02
+    resonance = control.ss([[2 * radius * np.cos(angle), -radius**2], [1, 0]], [[1], [0]],
+                           [[0, gain]], [[0]], TICK_S)
+    turn = np.linspace(1e-3, np.pi, 2_000_000)
+    z = np.exp(1j * turn)
+    size = gain / np.abs(z**2 - 2 * radius * np.cos(angle) * z + radius**2)
+    assert size[0] < 1 < size.max()
+    falls = turn[1:][(size[:-1] >= 1) & (size[1:] < 1)]
+    assert measured(resonance)["crossover_hz"] == pytest.approx(
+        falls[0] / (2 * np.pi * TICK_S), rel=2e-3)
+
+
+def test_a_loop_that_does_not_settle_has_no_settling_time():
+    slow = control.ss(1.0, 1.0, 1e-5, 0.0, TICK_S)  # 0.05 left after 300 s
+    assert measured(slow)["settling_to_5_percent_s"] is None
+
+
 def test_unstable_gain_within_the_spread_is_reported(controller, stage_model):
     plant, k_h = design_plant(stage_model, TICK_S, CLOCK_PERIOD_S)
     margin = controller.report["gain_margin"]

@@ -11,6 +11,7 @@ from piezo_identification.estimate import (
     creep_of_partial_fractions,
     order_trial,
     parameter_covariance,
+    propagated,
 )
 from piezo_identification.settling import low_frequency_delay_s, settling_time_s
 from piezo_identification.waveforms import played, samples_per_mean, square_wave
@@ -169,7 +170,7 @@ class _CreepRecord:
         relative[rates.size :, rates.size + 2 : 2 * rates.size + 2] = (
             np.eye(rates.size) / coefficients[1]
         )
-        return creep_of_partial_fractions(rates, gains, relative @ covariance @ relative.T)
+        return creep_of_partial_fractions(rates, gains, propagated(relative, covariance))
 
     def trial(self, rates):
         """How well these rates do, and whether they can be creep at all."""

@@ -121,6 +121,10 @@ def dynamics_of_armax(armax, input, sample_period_s, mode_count):
         return dynamics_vector(dynamics_of_poles(np.log(np.array(nearest)) / sample_period_s))
 
     order = denominator.size - 1
+    model = dynamics_of_poles(np.log(kept) / sample_period_s)
+    if np.isinf(armax.covariance[:order, :order]).any():
+        # The poles depend on all coefficients, and the data do not tell all of those.
+        return model, split_dynamics_vector(np.full(1 + 2 * mode_count, np.inf), mode_count)
     centre = vector(denominator)
     values, directions = np.linalg.eigh(armax.covariance[:order, :order])
     # Steps along the axes of the covariance are changes that the data allow.
@@ -129,10 +133,7 @@ def dynamics_of_armax(armax, input, sample_period_s, mode_count):
     changes = [
         (vector(denominator + np.append(0.0, step * axis)) - centre) / step for axis in axes.T
     ]
-    return (
-        dynamics_of_poles(np.log(kept) / sample_period_s),
-        split_dynamics_vector(np.linalg.norm(changes, axis=0), mode_count),
-    )
+    return model, split_dynamics_vector(np.linalg.norm(changes, axis=0), mode_count)
 
 
 def _strongest_poles(armax, input, mode_count):

@@ -10,6 +10,12 @@ from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 SHOWN = 12
 """Trials in a table of orders."""
 
+RANK_TOLERANCE = 1e-12
+"""Singular value over the largest, of scaled columns, from which a direction is rounding."""
+
+UNTOLD_SHARE = 1e-3
+"""Of a parameter in a direction that is rounding, from which it is not told either."""
+
 
 @dataclass(frozen=True)
 class OrderTrial:
@@ -116,14 +122,103 @@ def parameter_covariance(jacobian, residual, parameters=None):
     Returns
     -------
     ndarray, shape (P, P)
+        Of a parameter that the data do not tell, the variance is infinite and the rest is zero.
     """
     variance = np.sum(residual**2) / (residual.size - (parameters or jacobian.shape[1]))
+    spread, untold = scaled_inverse(jacobian)
+    covariance = variance * spread @ spread.T
+    covariance[untold, :] = covariance[:, untold] = 0.0
+    covariance[untold, untold] = np.inf
+    return covariance
+
+
+def propagated(sensitivity, covariance):
+    """Covariance of quantities that depend on parameters; infinite where on one that is not told.
+
+    Parameters
+    ----------
+    sensitivity : ndarray, shape (Q, P)
+    covariance : ndarray, shape (P, P)
+        Of `parameter_covariance`.
+
+    Returns
+    -------
+    ndarray, shape (Q, Q)
+    """
+    untold = np.isinf(np.diag(covariance))
+    told = np.where(np.isinf(covariance), 0.0, covariance)
+    result = sensitivity @ told @ sensitivity.T
+    reached = np.any(sensitivity[:, untold] != 0.0, axis=1)
+    result[reached, :] = result[:, reached] = 0.0
+    result[reached, reached] = np.inf
+    return result
+
+
+def parameter_deviations(jacobian):
+    """Standard deviations of the parameters of a least-squares fit whose residual has variance 1.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (N, P)
+        Of the residual at the optimum.
+
+    Returns
+    -------
+    ndarray, shape (P,)
+        Infinite for a parameter that the data do not tell.
+    """
+    spread, untold = scaled_inverse(jacobian)
+    return np.where(untold, np.inf, np.linalg.norm(spread, axis=1))
+
+
+def scaled_inverse(jacobian):
+    """Square root of the inverse normal matrix of a Jacobian, without the square of its condition.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (N, P)
+        With at least as many rows as columns.
+
+    Returns
+    -------
+    spread : ndarray, shape (P, P)
+        ``spread @ spread.T`` is the inverse of ``jacobian.T @ jacobian``; directions that are
+        rounding are left out.
+    untold : ndarray of bool, shape (P,)
+        The parameters that take part in such a direction: the data do not tell them.
+    """
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
     # Scaled columns keep rates of hundredths and of thousands apart from the rounding.
     _, values, right = np.linalg.svd(jacobian / scale, full_matrices=False)
-    spread = right.T / values / scale[:, None]
-    return variance * spread @ spread.T
+    told = values > RANK_TOLERANCE * values.max(initial=0.0)
+    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=told)
+    untold = np.any(np.abs(right[~told]) > UNTOLD_SHARE, axis=0)
+    return right.T * inverse / scale[:, None], untold
+
+
+def untold_parameters(model, standard_deviations):
+    """Name the parameters whose standard deviation is larger than they are.
+
+    Parameters
+    ----------
+    model : StageModel
+    standard_deviations : dict of str to dict
+        Of its creep and its dynamics, under the names and in the shapes of their fields.
+
+    Returns
+    -------
+    list of str
+        Such as ``creep poles_rad_per_s 2``, counted from 1.
+    """
+    untold = []
+    for part, deviations in standard_deviations.items():
+        for name, deviation in deviations.items():
+            value = np.atleast_1d(getattr(getattr(model, part), name))
+            wide = np.flatnonzero(np.atleast_1d(deviation) > np.abs(value))
+            untold += [f"{part} {name} {index + 1}" if value.size > 1 else f"{part} {name}"
+                       for index in wide]
+    return untold
 
 
 def dynamics_vector(dynamics):
@@ -184,7 +279,7 @@ def creep_of_partial_fractions(rates, gains, covariance=None):
     by_gain = (rates / distance) / slope
     sensitivity = np.column_stack([by_rate, by_gain])
     poles_std = np.sqrt(np.diag(covariance)[: rates.size])
-    zeros_std = np.sqrt(np.einsum("ij,jk,ik->i", sensitivity, covariance, sensitivity))
+    zeros_std = np.sqrt(np.diag(propagated(sensitivity, covariance)))
     return model, {
         "poles_rad_per_s": tuple(poles_std.tolist()), "zeros_rad_per_s": tuple(zeros_std.tolist())
     }

@@ -2,7 +2,6 @@
 """Run the identification on a stage: experiments and the whole sequence as actions."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment
@@ -17,7 +16,7 @@ from piezo_identification.response_fit import ResponseOrder
 from piezo_models.model_file import save_model
 from piezo_node_tools.calls import ActionCaller, CallFailed, Cancelled
 from piezo_node_tools.goals import GoalServers
-from piezo_node_tools.parameters import declare
+from piezo_node_tools.parameters import declare, declare_data_root
 from piezo_node_tools.recording import RecorderCaller
 from piezo_node_tools.spinning import autostart, run_node
 from piezo_node_tools.tracking import StageTracker
@@ -25,6 +24,7 @@ from piezo_recorder.reader import read_recording
 
 # Of the identify action: what the experiments take of it, the rest are the estimators.
 EXPERIMENTS_FRACTION = 0.5
+DIAGNOSIS_FILES = ("verdict.json", "extended_model.json", "report.html")
 
 
 class IdentificationNode(LifecycleNode):
@@ -44,6 +44,7 @@ class IdentificationNode(LifecycleNode):
             declare(self, "rest_voltage_v", 0.0,
                     "Voltage of the stage at rest (V).", -1000.0, 1000.0),
             declare(self, "samples_per_tick", 40, "Samples of one feedback period.", 1, 4000))
+        self._data_root = declare_data_root(self)
         self._directory = declare(
             self, "directory", "runs", "Where recordings and models go if a goal names no place.")
         self._refine = declare(
@@ -62,7 +63,7 @@ class IdentificationNode(LifecycleNode):
         return self._goals.end()
 
     def _run_experiment(self, goal, result, progress):
-        directory = goal.directory or self._directory
+        directory = self._writable(goal)
         experiment = named_experiment(goal.experiment, self._limits)
         result.summary = f"{experiment.description}, {experiment.duration_s:g} s"
         self._record(experiment, directory, result, lambda stage, fraction: progress.report(
@@ -117,9 +118,10 @@ class IdentificationNode(LifecycleNode):
             "maximum_voltage_v": self._limits.voltage_max_v}, indent=1)
 
     def _identify(self, goal, result, progress):
-        directory = Path(goal.directory or self._directory)
+        directory = self._writable(goal)
         _make(directory)
-        result.recordings = list(goal.recordings) or self._run_all(directory, result, progress)
+        given = [*map(self._data_root.readable, goal.recordings)]
+        result.recordings = given or self._run_all(directory, result, progress)
         if len(result.recordings) != len(EXPERIMENTS):
             raise ValueError(
                 f"{len(result.recordings)} recordings are named: give those of "
@@ -136,7 +138,7 @@ class IdentificationNode(LifecycleNode):
                 cancelled=lambda: progress.cancelled)
         except IdentificationCancelled:
             raise Cancelled from None
-        model = directory.absolute() / "model.json"
+        model = directory / "model.json"
         save_model(model, identified)
         result.model = str(model)
         result.error_names = list(identified.errors)
@@ -159,8 +161,11 @@ class IdentificationNode(LifecycleNode):
             progress.check()
             progress.report(fraction, stage=stage)
 
-        results = diagnose_files(goal.model, goal.recordings, goal.holdout or None,
-                                 goal.directory or self._directory, report)
+        readable, directory = self._data_root.readable, self._writable(goal)
+        for name in DIAGNOSIS_FILES:  # which may be links that lead elsewhere
+            self._data_root.writable(directory / name)
+        results = diagnose_files(readable(goal.model), [*map(readable, goal.recordings)],
+                                 readable(goal.holdout) or None, directory, report)
         diagnosis = results.diagnosis
         result.verdict = diagnosis.verdict
         result.sentence = verdict_sentence(diagnosis)
@@ -171,6 +176,10 @@ class IdentificationNode(LifecycleNode):
         for name in ("rms_um", "e_y_percent"):
             setattr(result, f"before_{name}", float(diagnosis.before[name]))
             setattr(result, f"after_{name}", float(diagnosis.after[name]))
+
+    def _writable(self, goal):
+        """The directory in which a goal's files are made."""
+        return self._data_root.writable(goal.directory or self._directory)
 
 
 def _make(directory):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from piezo_identification import refinement
 from piezo_identification.cancellation import checking
+from piezo_identification.estimate import untold_parameters
 from piezo_identification.frequency_response import FrequencyResponse
 from piezo_identification.hysteresis import estimate_density
 from piezo_identification.linear_dynamics import METHODS, estimate_linear_dynamics
@@ -124,6 +125,10 @@ def _identify(given, begin, refine, method, order, note):
     uncertainties, errors = linear.uncertainties, {}
     if refine:
         model, uncertainties, errors = _refined(model, uncertainties, signed, begin)
+    untold = untold_parameters(model, uncertainties)
+    if untold:
+        note(f"the recordings do not tell {', '.join(untold)}: the standard deviation is larger "
+             "than the value; ask for a lower order, or record more")
     begin("validation", 0.95)
     if "validation" in signed:
         errors = unseen_errors(model, signed["validation"]) | errors

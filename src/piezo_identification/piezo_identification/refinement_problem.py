@@ -5,7 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezo_identification.estimate import dynamics_vector, split_dynamics_vector
+from piezo_identification.estimate import (
+    dynamics_vector,
+    scaled_inverse,
+    split_dynamics_vector,
+)
 from piezo_identification.sampled_response import respond
 from piezo_identification.sensitivities import hysteresis_parts, sensitivity_systems
 from piezo_identification.settling import first_settled
@@ -28,6 +32,9 @@ CORRELATED = 100
 
 SEARCH_WIDTH = np.log(2.0)
 """Factor by which a parameter may leave its start, as a logarithm."""
+
+SAME_OUTPUT = 1e-10
+"""Part of the largest singular value of the outputs below which one is the rounding of others."""
 
 SMALL = 1e-6
 """Step of a numerical derivative, over the travel."""
@@ -101,15 +108,13 @@ class RefinementProblem:
         """
         physical, factors = np.split(fit.jacobian(vector), [self.count], axis=1)
         projected = physical - factors @ np.linalg.lstsq(factors, physical, rcond=1e-10)[0]
-        scale = np.linalg.norm(projected, axis=0)
-        _, values, right = np.linalg.svd(projected / scale, full_matrices=False)
-        pushes = projected * fit.residual(vector)[:, None]
-        pushes = np.add.reduceat(pushes, fit.stretches()) / scale
-        spread = pushes @ (right.T / values**2) @ right
+        inverse, untold = scaled_inverse(projected)
+        # Orthogonal columns: what each row's error pushes, without the square of the condition.
+        pushes = (projected @ inverse) * fit.residual(vector)[:, None]
+        spread = np.add.reduceat(pushes, fit.stretches()) @ inverse.T
         deviations = np.zeros(self.physical.size)
-        deviations[self.free] = (
-            np.exp(vector[: self.count]) * np.linalg.norm(spread, axis=0) / scale
-        )
+        deviations[self.free] = np.exp(vector[: self.count]) * np.where(
+            untold, np.inf, np.linalg.norm(spread, axis=0))
         creep, dynamics = self._named(deviations)
         return {"creep": creep, "dynamics": dynamics}
 
@@ -193,8 +198,8 @@ class _Record:
             hysteresis.simulate(before, memory)
             column[:] = hysteresis.simulate(voltage_v, memory)
         # Two levels of voltage make two different outputs, however many surfaces there are.
-        values, vectors = np.linalg.eigh(outputs_um.T @ outputs_um)
-        self.mixture = vectors[:, values > 1e-14 * values[-1]].T
+        _, values, right = np.linalg.svd(np.linalg.qr(outputs_um, mode="r"))
+        self.mixture = right[values > SAME_OUTPUT * values[0]]
         self.outputs_um = np.asfortranarray(outputs_um @ self.mixture.T)
         # Two levels show one gain of the hysteresis: free (4.5), it does not bend the density.
         self.free_gain = np.unique(part.voltage_v).size == 2

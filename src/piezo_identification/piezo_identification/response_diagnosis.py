@@ -8,7 +8,11 @@ from scipy.optimize import least_squares
 
 from piezo_identification.cancellation import check_cancelled
 from piezo_identification.diagnosis.verdict import Verdict
-from piezo_identification.estimate import dynamics_of_vector, dynamics_vector
+from piezo_identification.estimate import (
+    dynamics_of_vector,
+    dynamics_vector,
+    parameter_deviations,
+)
 from piezo_models.effects import fitted_values, with_fitted_values
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
@@ -186,11 +190,12 @@ class _Contest:
             return self._trial(tuning, effects)
         low = np.concatenate([np.full(count, -TUNING), low])
         high = np.concatenate([np.full(count, TUNING), high])
-        solution = least_squares(
-            errors, np.clip(start, low + 1e-12, high - 1e-12), bounds=(low, high), x_scale="jac",
-            ftol=1e-4, max_nfev=MOST_EVALUATIONS,
-        )
-        return self._trial(*at(solution.x))
+        free = np.ones(start.size, dtype=bool)
+        while True:
+            vector, told = _fit(errors, start, low, high, free)
+            if told.all() or not told.any():
+                return self._trial(*at(vector))
+            free[free] = told
 
     def _trial(self, tuning, effects):
         return _Trial(tuning, tuple(effects), self._residual(tuning, effects))
@@ -286,6 +291,37 @@ class _Contest:
         )
 
 
+def _fit(errors, start, low, high, free):
+    """Fit some of the parameters; return all of them, and which of the fitted ones the data tell.
+
+    What the data do not tell within its bounds would go anywhere: it is to stay where it starts.
+
+    Parameters
+    ----------
+    errors : callable
+        Of a vector, over their standard deviation.
+    start, low, high : (n,) array
+    free : (n,) array of bool
+
+    Returns
+    -------
+    vector : (n,) array
+    told : (m,) array of bool
+        Of the free ones.
+    """
+    def whole(part):
+        vector = start.copy()
+        vector[free] = part
+        return vector
+
+    low, high = low[free], high[free]
+    solution = least_squares(
+        lambda part: errors(whole(part)), np.clip(start[free], low + 1e-12, high - 1e-12),
+        bounds=(low, high), x_scale="jac", ftol=1e-4, max_nfev=MOST_EVALUATIONS,
+    )
+    return whole(solution.x), parameter_deviations(solution.jac) < high - low
+
+
 def full_response(model, frequency_hz):
     """Response of a model with its linear effects, those of the sensor and the delay too.
 
@@ -300,9 +336,7 @@ def full_response(model, frequency_hz):
     """
     s = 2j * np.pi * frequency_hz
     response = model.response(frequency_hz)
-    for effect in model.effects:
-        if isinstance(effect, Delay):
-            response = response * np.exp(-s * effect.delay_s)
-        elif isinstance(effect, SensorLag):
-            response = response / (1.0 + s * effect.time_constant_s)
+    for place in ("displacement", "sensor"):
+        for effect in model.effects_at(place):
+            response = response * effect.response(s)
     return response

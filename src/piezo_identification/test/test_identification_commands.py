@@ -117,6 +117,23 @@ def test_identify_takes_the_orders_of_a_frequency_response_and_its_band(
     assert "0+1-0" in capsys.readouterr().out
 
 
+def test_what_the_data_do_not_tell_is_said_and_the_model_saved(files, tmp_path, capsys):
+    """A response without creep does not tell where a pole lies that its zero cancels."""
+    frequency_hz = np.geomspace(1.0, 2000.0, 60)
+    gain = 3.0 / (1.0 + 2j * np.pi * frequency_hz * 500e-6)
+    path = tmp_path / "no_creep.csv"
+    np.savetxt(path, np.column_stack([frequency_hz, gain.real, gain.imag]), delimiter=",",
+               header="frequency_hz,gain_re,gain_im", comments="")
+    identified = identified_with(
+        files, tmp_path, path, "--creep-pairs", 1, "--modes", 0, "--antiresonances", 0,
+        beside=["hysteresis"])
+    (deviation,) = identified.uncertainties["creep"]["poles_rad_per_s"]
+    assert deviation > identified.model.creep.poles_rad_per_s[0]
+    assert identified.uncertainties["dynamics"]["time_constant_s"] < 1e-6
+    assert identified.model.dynamics.time_constant_s == pytest.approx(500e-6, rel=1e-3)
+    assert "do not tell creep poles_rad_per_s, creep zeros_rad_per_s" in capsys.readouterr().out
+
+
 def test_identify_takes_the_dynamics_from_a_multisine(files, play, csv_of, tmp_path):
     path = csv_of(play(experiments.multisine(tones_s=0.4), 1), tmp_path / "multisine.csv")
     model = identified_with(files, tmp_path, path, "--modes", 2).model

@@ -2,13 +2,14 @@
 """Linear effects compete for what a model does not explain of a frequency response."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from piezo_identification.diagnose_command import main
 from piezo_identification.frequency_response import FrequencyResponse
-from piezo_identification.response_diagnosis import diagnose_response, full_response
+from piezo_identification.response_diagnosis import _Contest, diagnose_response, full_response
 from piezo_models.cascade import StageModel
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -91,7 +92,36 @@ def test_a_response_with_few_frequencies_or_beside_another_file_is_refused(tmp_p
     assert "give it alone" in capsys.readouterr().err
 
 
-def test_a_lag_of_the_sensor_is_in_the_full_response():
-    lagging = StageModel(LINE, CreepDynamics(), MODEL.dynamics, effects=(SensorLag(1e-3),))
+@pytest.mark.parametrize("roundness", [0.0, 0.1, 0.25, 0.5])
+def test_a_lag_of_the_sensor_is_in_the_full_response(roundness):
+    lagging = replace(MODEL, effects=(SensorLag(1e-3, roundness),))
     ratio = full_response(lagging, FREQUENCY_HZ) / full_response(MODEL, FREQUENCY_HZ)
-    np.testing.assert_allclose(ratio, 1.0 / (1.0 + 2e-3j * np.pi * FREQUENCY_HZ))
+    slow = 2e-3j * np.pi * FREQUENCY_HZ
+    np.testing.assert_allclose(ratio, 1.0 / (1.0 + slow + roundness * slow**2))
+
+
+def lag_response(time_constant_s, roundness, frequency_hz=FREQUENCY_HZ):
+    slow = 2j * np.pi * frequency_hz * time_constant_s
+    return 1.0 / (1.0 + slow + roundness * slow**2)
+
+
+@pytest.mark.parametrize("roundness", [0.0, 0.25, 0.4])
+def test_the_shape_of_a_lag_is_found(roundness):
+    diagnosis = diagnose_response(MODEL, measured(lag_response(8e-4, roundness)))
+    found = diagnosis.effects[0]
+    assert found["name"] == "sensor_lag"
+    assert found["parameters"]["time_constant_s"] == pytest.approx(8e-4, rel=0.02)
+    assert found["parameters"]["roundness"] == pytest.approx(roundness, abs=0.02)
+
+
+def test_the_shape_of_a_lag_stays_where_the_response_does_not_tell_it():
+    """Far below its corner, a lag of any shape is one phase."""
+    frequency_hz = np.geomspace(0.1, 3.0, 90)
+    random = np.random.default_rng(7)
+    gain = full_response(MODEL, frequency_hz) * lag_response(1e-3, 0.25, frequency_hz)
+    noise = 1e-4 * (random.normal(size=90) + 1j * random.normal(size=90))
+    contest = _Contest(MODEL, FrequencyResponse("slow", frequency_hz, gain + noise))
+    trial = contest._solve(contest.given().tuning, (SensorLag(1e-3),), tunes=False)
+    assert trial.effects[0].roundness == 0.0
+    assert trial.effects[0].time_constant_s == pytest.approx(1e-3, rel=0.1)
+

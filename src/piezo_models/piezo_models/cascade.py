@@ -4,7 +4,7 @@
 What these three do not explain is added as effects, each at its place in the cascade.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,17 +23,20 @@ from piezo_models.preisach import PreisachMemory, PreisachModel
 class StageMemory:
     """What the stage remembers: the past of its hysteresis and the state of `StageModel.linear`.
 
-    That of the hysteretic creep too, where the model has it.
+    That of the hysteretic creep too, where the model has it, and of the effects, by their place
+    among those of the model: what `piezo_models.effects.effect.Effect.advance` returns.
     """
 
     hysteresis: PreisachMemory
     linear_state: np.ndarray
     hysteretic_creep: HystereticCreepMemory | None = None
+    effects: dict = field(default_factory=dict)
 
     def copy(self):
         """An independent memory with the same past."""
         hysteretic = None if self.hysteretic_creep is None else self.hysteretic_creep.copy()
-        return StageMemory(self.hysteresis.copy(), self.linear_state.copy(), hysteretic)
+        return StageMemory(
+            self.hysteresis.copy(), self.linear_state.copy(), hysteretic, dict(self.effects))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +81,25 @@ class StageModel:
             response = response * effect.state_space()(s)
         return response
 
-    def amplified(self, voltage_v, sample_period_s):
-        """The voltage behind the effects that act on it, shape (N,)."""
-        for effect in self.effects_at("voltage"):
-            voltage_v = effect.apply(voltage_v, sample_period_s)
-        return voltage_v
+    def amplified(self, voltage_v, sample_period_s, memory=None):
+        """The voltage behind the effects that act on it, shape (N,); of a `StageMemory` goes on."""
+        return self._behind(("voltage",), voltage_v, sample_period_s, memory)
 
-    def sensed(self, displacement_um, sample_period_s):
-        """What the sensor measures of the output of `linear`, behind the effects on either."""
-        for place in ("displacement", "sensor"):
-            for effect in self.effects_at(place):
-                displacement_um = effect.apply(displacement_um, sample_period_s)
-        return displacement_um
+    def sensed(self, displacement_um, sample_period_s, memory=None):
+        """What the sensor measures of the output of `linear`, behind the effects on either.
+
+        Those of a `StageMemory` go on from there.
+        """
+        return self._behind(("displacement", "sensor"), displacement_um, sample_period_s, memory)
+
+    def _behind(self, places, signal, sample_period_s, memory):
+        pasts = {} if memory is None else memory.effects
+        for place in places:
+            for index, effect in enumerate(self.effects):
+                if effect.place == place and len(signal):
+                    signal, pasts[index] = effect.advance(
+                        signal, sample_period_s, pasts.get(index))
+        return signal
 
     def memory(self, rest_voltage_v=0.0, hysteresis=None, settled=True):
         """Memory of a stage at rest.
@@ -132,7 +142,8 @@ class StageModel:
         memory : StageMemory, optional
             Past of the stage; continued, and updated in place. By default the stage has rested at
             0 V, reached from negative saturation, until the creep was over. Effects that are not
-            linear begin anew, at rest.
+            linear have rested at the first value that they get. Parts that are simulated one
+            after the other, with one memory and one sample period, are the whole.
 
         Returns
         -------
@@ -146,11 +157,11 @@ class StageModel:
         """
         memory = self.memory() if memory is None else memory
         system = zoh(self.linear(), sample_period_s)
-        voltage_v = self.amplified(voltage_v, sample_period_s)
+        voltage_v = self.amplified(np.asarray(voltage_v, dtype=float), sample_period_s, memory)
         hysteresis = self.hysteresis.simulate(voltage_v, memory.hysteresis)
         if self.hysteretic_creep is not None:
             hysteresis += self.hysteretic_creep.simulate(
                 voltage_v, sample_period_s, memory.hysteretic_creep
             )
         displacement, memory.linear_state = continue_linear(system, hysteresis, memory.linear_state)
-        return self.sensed(displacement, sample_period_s)
+        return self.sensed(displacement, sample_period_s, memory)

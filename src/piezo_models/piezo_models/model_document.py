@@ -2,6 +2,7 @@
 """The JSON document of a model file, as it is written."""
 
 import json
+import math
 
 import numpy as np
 
@@ -23,7 +24,8 @@ def document_of(identified):
         for effect in model.effects
     ]
     uncertainties = (
-        {"uncertainties": _plain(identified.uncertainties)} if identified.uncertainties else {}
+        {"uncertainties": _untold_as_null(_plain(identified.uncertainties))}
+        if identified.uncertainties else {}
     )
     visited = {} if identified.visited is None else {"visited": [
         "".join("01"[int(cell)] for cell in row[: i + 1])
@@ -80,6 +82,15 @@ def _plain(value):
     if isinstance(value, (list, tuple)):
         return [_plain(entry) for entry in value]
     return value.item() if isinstance(value, np.generic) else value
+
+
+def _untold_as_null(value):
+    """Standard deviations with null for infinite ones, as JSON has no infinity."""
+    if isinstance(value, dict):
+        return {key: _untold_as_null(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_untold_as_null(entry) for entry in value]
+    return None if value == math.inf else value
 
 
 def rendered(value, indent=""):

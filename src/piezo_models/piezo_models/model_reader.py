@@ -114,20 +114,29 @@ class _Reader:
         """Standard deviations of each part, in the shape of its parameters."""
         if "uncertainties" not in top:
             return {}
-        value = top["uncertainties"]
-        parts = self.fields(value, "uncertainties.", optional=("creep", "dynamics"))
+        parts = self.fields(top["uncertainties"], "uncertainties.", optional=("creep", "dynamics"))
+        read = {}
         for part, deviations in parts.items():
             names = tuple(top[part])
             fields = self.fields(deviations, f"uncertainties.{part}.", *names)
-            for name, deviation in fields.items():
-                path, parameter = f"uncertainties.{part}.{name}", top[part][name]
-                if isinstance(parameter, list):
-                    numbers = self.numbers(deviation, path, length=len(parameter))
-                else:
-                    numbers = [self.number(deviation, path)]
-                if min(numbers, default=0.0) < 0.0:
-                    self.refuse(path, "is negative", "give standard deviations")
-        return value
+            read[part] = {
+                name: self.deviations(deviation, f"uncertainties.{part}.{name}", top[part][name])
+                for name, deviation in fields.items()}
+        return read
+
+    def deviations(self, value, path, parameter):
+        """Standard deviations in the shape of a parameter; null is one that no data told."""
+        if not isinstance(parameter, list):
+            return self.deviation(value, path)
+        if not isinstance(value, list) or len(value) != len(parameter):
+            self.numbers(value, path, length=len(parameter))
+        return [self.deviation(entry, f"{path}[{i}]") for i, entry in enumerate(value)]
+
+    def deviation(self, value, path):
+        number = math.inf if value is None else self.number(value, path)
+        if number < 0.0:
+            self.refuse(path, "is negative", "give standard deviations")
+        return number
 
     def hysteresis(self, value):
         fields = self.fields(

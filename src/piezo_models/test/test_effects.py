@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import control
@@ -24,6 +24,7 @@ from piezo_models.effects.stiffening import Stiffening
 from piezo_models.effects.thermal_drift import ThermalDrift
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
+from piezo_models.hysteretic_creep import HystereticCreep
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_document import ModelFileError
@@ -184,6 +185,63 @@ def test_the_stage_applies_effects_at_their_places():
     np.testing.assert_allclose(both, expected)
 
 
+PARTS = ([], [1], [1, 2, 3], [700], [5, 5, 1000], list(range(100, 1500, 100)))
+
+
+@pytest.mark.parametrize("effect", [
+    *EXAMPLES, Delay(0.0), Delay(0.3 * PERIOD_S), Delay(1.7 * PERIOD_S), Delay(400.2 * PERIOD_S),
+    SensorLag(2e-4), PeriodicDisturbance(50.0, 0.1, 0.2, (0.1,), (0.05,)),
+], ids=lambda effect: f"{effect.name} {next(iter(effect.parameters().values()))}")
+def test_a_simulation_in_parts_is_the_whole(effect):
+    random = np.random.default_rng(2)
+    voltage_v = np.cumsum(random.normal(scale=2.0, size=1500)).clip(-20.0, 120.0)
+    model = replace(stage((effect,)), hysteretic_creep=HystereticCreep((5.0,), (0.01,), (0.02,)))
+    whole = model.simulate(voltage_v, PERIOD_S)
+    for edges in PARTS:
+        memory = model.memory()
+        parts = [model.simulate(part, PERIOD_S, memory) for part in np.split(voltage_v, edges)]
+        np.testing.assert_allclose(np.concatenate(parts), whole, rtol=0.0, atol=1e-11)
+
+
+def test_a_simulation_in_parts_is_the_whole_with_all_effects_and_copies_go_their_own_way():
+    random = np.random.default_rng(3)
+    voltage_v = random.uniform(-20.0, 120.0, 900)
+    model = stage(EXAMPLES)
+    memory = model.memory()
+    model.simulate(voltage_v[:400], PERIOD_S, memory)
+    copy = memory.copy()
+    model.simulate(random.uniform(-20.0, 120.0, 50), PERIOD_S, memory)
+    np.testing.assert_allclose(
+        model.simulate(voltage_v[400:], PERIOD_S, copy),
+        model.simulate(voltage_v, PERIOD_S)[400:], rtol=0.0, atol=1e-11)
+
+
+def test_what_an_effect_applies_is_what_it_does_in_parts():
+    """Also from another rest than the first value, which `advance` does not know of."""
+    signal = wave(300, 2)
+    for effect in EXAMPLES:
+        if effect.place in ("voltage", "displacement", "sensor"):
+            behind, past = [], None
+            for part in np.split(signal, [50, 120]):
+                made, past = effect.advance(part, PERIOD_S, past)
+                behind.append(made)
+            np.testing.assert_allclose(
+                np.concatenate(behind), effect.apply(signal, PERIOD_S), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("effect", [
+    effect for effect in EXAMPLES if effect.place in ("voltage", "displacement", "sensor")
+    and effect.name != "stiffening"], ids=lambda effect: effect.name)
+def test_an_effect_remembers_no_more_the_longer_it_goes_on(effect):
+    def remembered(parts):
+        past = None
+        for _ in range(parts):
+            _, past = effect.advance(wave(100, 1), PERIOD_S, past)
+        return np.size(past)
+
+    assert remembered(20) == remembered(2)
+
+
 def test_a_delay_of_part_of_a_sample_is_exact_for_slow_signals():
     time_s = np.arange(4000) * PERIOD_S
     for delay_s in (0.3 * PERIOD_S, 4.6 * PERIOD_S):
@@ -196,6 +254,34 @@ def test_a_delay_of_part_of_a_sample_is_exact_for_slow_signals():
 def test_the_slew_limit_gives_the_mean_of_what_it_allows():
     held = SlewLimit(40_000.0).apply(np.array([0.0, 3.0, 3.0, 3.0, 3.0, 3.0]), PERIOD_S)
     np.testing.assert_allclose(held, [0.0, 0.5, 1.5, 2.5, 3.0, 3.0])
+
+
+@pytest.mark.parametrize("time_constant_s", [1e-6, 2e-4, 1e-2])
+@pytest.mark.parametrize("roundness", [0.0, 1e-300, 1e-12, 1e-6, 1e-3, 0.0999, 0.1001, 0.25, 0.5])
+def test_a_lag_of_any_roundness_is_exact_for_straight_lines(time_constant_s, roundness):
+    """A ramp behind 1 / (1 + T s + r (T s)^2), by the roots of its characteristic equation."""
+    time_s = np.arange(4000) * PERIOD_S
+    lagging = SensorLag(time_constant_s, roundness).apply(time_s, PERIOD_S)
+    apart = time_constant_s * np.sqrt(1.0 - 4.0 * roundness + 0j)
+    slow = 0.5 * (time_constant_s + apart)
+    fast = roundness * time_constant_s**2 / slow
+    if roundness == 0.25:
+        rest = (time_s + time_constant_s) * np.exp(-time_s / slow)
+    else:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            fast_rest = np.where(time_s > 0.0, fast**2 * np.exp(-time_s / fast), fast**2)
+        rest = (slow**2 * np.exp(-time_s / slow) - (fast_rest if fast else 0.0)) / apart
+    np.testing.assert_allclose(
+        lagging, (time_s - time_constant_s + rest).real, atol=1e-11 * time_s[-1])
+
+
+def test_a_lag_hardly_changes_with_its_roundness_from_zero_on():
+    signal = wave()
+    sharp = SensorLag(2e-4).apply(signal, PERIOD_S)
+    slopes = [(SensorLag(2e-4, roundness).apply(signal, PERIOD_S) - sharp) / roundness
+              for roundness in (1e-9, 1e-7, 1e-5, 1e-3)]
+    for slope in slopes[:-1]:
+        np.testing.assert_allclose(slope, slopes[-1], atol=2e-2 * np.abs(slopes[-1]).max())
 
 
 def test_outliers_stand_out_of_noise_and_not_out_of_structure():

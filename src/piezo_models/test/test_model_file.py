@@ -242,6 +242,19 @@ def test_uncertainties_come_back_in_the_shape_of_the_parameters(identified, tmp_
     ]
 
 
+def test_an_uncertainty_that_no_data_told_is_saved_as_null(identified, tmp_path):
+    creep = identified.model.creep
+    identified.uncertainties = {"creep": {
+        "poles_rad_per_s": (np.inf, *[0.01] * (len(creep.poles_rad_per_s) - 1)),
+        "zeros_rad_per_s": (0.01,) * len(creep.zeros_rad_per_s)}}
+    save_model(tmp_path / "m.json", identified)
+    stored = json.loads((tmp_path / "m.json").read_text())["uncertainties"]
+    assert stored["creep"]["poles_rad_per_s"][0] is None
+    loaded = load_model(tmp_path / "m.json").uncertainties["creep"]
+    assert loaded["poles_rad_per_s"][0] == np.inf
+    assert loaded["poles_rad_per_s"][1:] == [0.01] * (len(creep.poles_rad_per_s) - 1)
+
+
 @pytest.mark.parametrize(("edit", "named"), [
     (lambda u: u["creep"].pop("zeros_rad_per_s"), "uncertainties.creep.zeros_rad_per_s is missing"),
     (lambda u: u["creep"]["zeros_rad_per_s"].append(1.0), "uncertainties.creep.zeros_rad_per_s is"),

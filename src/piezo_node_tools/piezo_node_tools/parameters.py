@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Declare parameters with a description and a range."""
 
+from pathlib import Path
+
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+
+from piezo_node_tools.data_root import DataRoot
 
 
 class InvalidParameter(ValueError):
@@ -54,3 +58,25 @@ def declare(node, name, default, description, minimum=None, maximum=None, read_o
     if choices and value not in choices:
         raise InvalidParameter(f"parameter {name} is {value!r}: give {' or '.join(choices)}")
     return value
+
+
+def declare_data_root(node):
+    """Declare the parameter ``data_root`` and return the folder under which the node writes.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+
+    Returns
+    -------
+    DataRoot
+        By default of the folder in which the node was started.
+
+    Raises
+    ------
+    DataRootError
+        If there is no such folder.
+    """
+    folder = declare(node, "data_root", str(Path.cwd()),
+                     "Folder under which the node writes; goals name directories within it.")
+    return DataRoot(folder, node.get_name())

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Have a run recorded by the recorder node."""
 
+import os
+from itertools import chain, count
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -75,6 +77,9 @@ class RecorderCaller:
 
 def free_name(directory, name):
     """Return the name, or the first of name_2, name_3 ... that the directory does not hold yet."""
-    taken = {path.name for path in Path(directory).glob(f"{name}*")}
-    names = [name, *(f"{name}_{number}" for number in range(2, len(taken) + 2))]
-    return next(candidate for candidate in names if candidate not in taken)
+    try:
+        taken = set(os.listdir(directory))
+    except OSError:  # nothing there yet; else the recorder tells what is wrong
+        taken = set()
+    numbered = (f"{name}_{number}" for number in count(2))
+    return next(candidate for candidate in chain([name], numbered) if candidate not in taken)

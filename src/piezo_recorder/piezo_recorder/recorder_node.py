@@ -6,7 +6,6 @@ import importlib
 import inspect
 import shutil
 import time
-from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from piezo_interfaces.srv import StartRecording, StopRecording
@@ -14,8 +13,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.task import Future
 
+from piezo_node_tools.data_root import DataRootError, check_file_name
 from piezo_node_tools.diagnostics import diagnostic
-from piezo_node_tools.parameters import declare
+from piezo_node_tools.parameters import declare, declare_data_root
 from piezo_node_tools.presence import ClientWatch
 from piezo_node_tools.quality import SAMPLES
 from piezo_node_tools.spinning import autostart, run_node
@@ -49,6 +49,7 @@ class Recorder(LifecycleNode):
         declare(self, "minimum_free_mb", 200,
                 "Free disk space (megabyte) below which a recording is refused or closed.",
                 0, 1_000_000_000, read_only=False)
+        self._data_root = declare_data_root(self)
         self._session = None
         self._client_watch = ClientWatch(self)
         self._client_gone_at = None
@@ -149,6 +150,8 @@ class Recorder(LifecycleNode):
                 self._session = self._new_session(request)
             except OSError as error:
                 refusal = _sentence(error)
+            except DataRootError as error:
+                refusal = str(error)
         if refusal:
             self.get_logger().error(refusal)
             response.message = refusal
@@ -161,21 +164,29 @@ class Recorder(LifecycleNode):
 
     def _refusal(self, request):
         """Say why a recording cannot start now; empty if it can."""
-        name = request.name
         if not self._subscriptions_by_topic:
             return "The recorder is not active: activate it first."
         if self._recording:
             return f"{self._session.path} is being recorded: stop it first."
-        if not name or Path(name).name != name or name == "..":
-            return f"'{name}' cannot name a recording: give a name without a path."
         if len(request.attachment_names) != len(request.attachment_contents):
             return (f"{len(request.attachment_names)} attachment names came with "
                     f"{len(request.attachment_contents)} contents: give one for each.")
-        free_mb = _free_mb(Path(request.directory))
+        try:
+            path = self._path(request)
+        except DataRootError as error:
+            return str(error)
+        free_mb = _free_mb(path)
         if free_mb < self._minimum_free_mb:
-            return (f"Only {free_mb:.0f} MB are free in {request.directory}: "
+            return (f"Only {free_mb:.0f} MB are free in {path.parent}: "
                     f"make room for {self._minimum_free_mb} MB.")
         return ""
+
+    def _path(self, request):
+        """Where the recording goes; DataRootError if it, or an attachment, is not to be there."""
+        check_file_name(request.name, "a recording")
+        for name in request.attachment_names:
+            check_file_name(name, "an attachment")
+        return self._data_root.writable(request.directory) / request.name
 
     async def _stage_is_there(self):
         samples = self._subscriptions_by_topic[self._samples_topic]
@@ -184,7 +195,7 @@ class Recorder(LifecycleNode):
 
     def _new_session(self, request):
         sample_rate_hz = self.get_parameter("sample_rate_hz").value
-        writer = RecordingWriter(Path(request.directory, request.name), sample_rate_hz)
+        writer = RecordingWriter(self._path(request), sample_rate_hz)
         session = RecordingSession(writer, self._definitions, sample_rate_hz, request.client)
         self._client_gone_at = None
         for name, content in zip(

@@ -12,6 +12,7 @@ from piezo_identification.sampled_response import behind_lags, leading_lags, res
 from piezo_identification.sensitivities import factor_surfaces, sensitivity_systems
 from piezo_identification.settling import first_settled
 from piezo_identification.waveforms import played, samples_per_mean, with_voltage_before
+from piezo_models.creep_errors import creep_error_map
 
 MIDDLE_KNOTS, SPAN_KNOTS = 3, 4
 """Of the surface by which the density of a retuned model is multiplied."""
@@ -188,11 +189,7 @@ class PreparedRecording:
 
 
 def _tuning_map(model):
-    """Logarithms of the factors of the parameters, for a change of each by one width.
-
-    Pole and zero of a creep pair lie so close that their common place is one quantity, and how much
-    creeps between them another: both are known to a few percent, their distance is not free.
-    """
+    """Logarithms of the factors of the parameters, for a change of each by one width."""
     pairs = len(model.creep.poles_rad_per_s)
     dynamics = model.dynamics
     others = (
@@ -201,11 +198,7 @@ def _tuning_map(model):
     )
     tuning = TUNING_WIDTH * np.eye(2 * pairs + others)
     tuning[-1, -1] = REVERSIBLE_WIDTH
-    for pair, (pole, zero) in enumerate(zip(
-        model.creep.poles_rad_per_s, model.creep.zeros_rad_per_s, strict=True
-    )):
-        tuning[[pair, pairs + pair], pair] = CREEP_WIDTH
-        tuning[pairs + pair, pairs + pair] = CREEP_WIDTH * (zero - pole) / zero
+    tuning[: 2 * pairs, : 2 * pairs] = CREEP_WIDTH * creep_error_map(model.creep)
     return tuning
 
 

@@ -32,8 +32,13 @@ class Backlash(Effect):
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
-        start = float(signal[0] if rest is None else rest)
-        return _played(np.ascontiguousarray(signal), 0.5 * self.width_um, start)
+        return self.advance(signal, sample_period_s, rest)[0]
+
+    def advance(self, signal, sample_period_s, past=None):
+        """See `Effect.advance`: the past is the position of the stage."""
+        start = float(signal[0] if past is None else past)
+        behind = _played(np.ascontiguousarray(signal), 0.5 * self.width_um, start)
+        return behind, float(behind[-1])
 
     def compensate(self, wanted, sample_period_s):
         """The play is taken up at once after each reversal."""

@@ -11,6 +11,8 @@ from scipy.interpolate import CubicSpline
 from piezo_models.effects.effect import Effect, parameter
 from piezo_models.effects.filtering import slowed
 
+CUBIC = 3
+
 PADE_ORDER = 3
 """Exact to 0.1 degree up to a phase of 90 degrees."""
 
@@ -28,22 +30,30 @@ class Delay(Effect):
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
         rest = signal[0] if rest is None else rest
-        whole, part = divmod(self.delay_s / sample_period_s, 1.0)
-        whole = min(int(whole), signal.size)
-        at = _later(signal, whole, rest)
-        if part == 0.0 or signal.size < 4:
-            return at
-        after, earlier, earliest = (
-            _later(signal, whole + samples, rest) for samples in (-1, 1, 2)
-        )
-        # Lagrange's cubic through the four samples around the instant.
-        x = 1.0 - part
-        return (
-            -earliest * x * (x - 1.0) * (x - 2.0) / 6.0
-            + earlier * (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0
-            - at * (x + 1.0) * x * (x - 2.0) / 2.0
-            + after * (x + 1.0) * x * (x - 1.0) / 6.0
-        )
+        return self.advance(signal, sample_period_s, np.full(
+            self._remembered(sample_period_s, signal.size), rest))[0]
+
+    def advance(self, signal, sample_period_s, past=None):
+        """See `Effect.advance`: the past is the samples that have not arrived in full.
+
+        Lagrange's cubic through the four samples around the instant; of a delay shorter than a
+        sample through the last four, as the next is not known yet.
+        """
+        if past is None:
+            past = np.full(self._remembered(sample_period_s), signal[0])
+        known = np.concatenate([past, signal])
+        late = self.delay_s / sample_period_s
+        latest = min(max(int(late) - 1, 0), past.size - CUBIC)
+        behind = np.zeros(signal.size)
+        for weight, node in zip(_lagrange(late - int(late) + min(int(late), 1)), range(CUBIC + 1),
+                                strict=True):
+            first = past.size - latest - node
+            behind += weight * known[first : first + signal.size]
+        return behind, known[known.size - past.size :]
+
+    def _remembered(self, sample_period_s, most=np.inf):
+        """Samples that come before the one that has just arrived, or no more than there are."""
+        return int(min(max(int(self.delay_s / sample_period_s) - 1, 0), most)) + CUBIC
 
     def compensate(self, wanted, sample_period_s):
         """The period, earlier."""
@@ -55,6 +65,10 @@ class Delay(Effect):
         """See `Effect.lag`."""
         unit = control.pade(1.0, PADE_ORDER)
         return slowed(*unit, self.delay_s) if self.delay_s > 0.0 else None
+
+    def response(self, s):
+        """See `Effect.response`."""
+        return np.exp(-s * self.delay_s)
 
     @classmethod
     def starts(cls, evidence):
@@ -73,9 +87,8 @@ class Delay(Effect):
         return None
 
 
-def _later(signal, samples, rest):
-    """The signal some samples later; one sample earlier by going on at the end as it bends."""
-    if samples < 0:
-        return np.append(signal[1:], 3.0 * (signal[-1] - signal[-2]) + signal[-3])
-    samples = min(samples, signal.size)
-    return np.concatenate([np.full(samples, rest), signal[: signal.size - samples]])
+def _lagrange(place):
+    """Weights of values at 0 to `CUBIC` for the value of their polynomial at a place."""
+    nodes = np.arange(CUBIC + 1)
+    return [np.prod([(place - other) / (node - other) for other in nodes if other != node])
+            for node in nodes]

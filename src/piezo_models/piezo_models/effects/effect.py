@@ -118,6 +118,8 @@ class Effect(ABC):
         A stage may have more than one.
     follows_voltage : bool
         False for what comes from outside, at times of its own.
+    remembers : bool
+        False where every sample depends on itself alone.
     experiment : str
         What to play so that the effect shows.
     """
@@ -126,6 +128,7 @@ class Effect(ABC):
     place: ClassVar[str]
     several: ClassVar[bool] = False
     follows_voltage: ClassVar[bool] = True
+    remembers: ClassVar[bool] = True
     experiment: ClassVar[str]
 
     @abstractmethod
@@ -144,6 +147,32 @@ class Effect(ABC):
         -------
         (N,) array
         """
+
+    def advance(self, signal, sample_period_s, past=None):
+        """The next part of the signal behind the effect, and what is remembered for the one after.
+
+        The parts joined are what `apply` makes of the joined signal.
+
+        Parameters
+        ----------
+        signal : (N,) array
+            Not empty.
+        sample_period_s : float
+            The same for all parts.
+        past : object, optional
+            Returned with the part before, and not changed; at first there is none.
+
+        Returns
+        -------
+        behind : (N,) array
+        past : object
+            By default the whole signal so far, to which the effect is applied anew: an effect that
+            remembers less has an `advance` of its own.
+        """
+        if not self.remembers:
+            return self.apply(signal, sample_period_s), None
+        whole = signal if past is None else np.concatenate([past, signal])
+        return self.apply(whole, sample_period_s)[whole.size - signal.size :], whole
 
     def compensate(self, wanted, sample_period_s):
         """The periodic signal in front of the effect that gives the wanted one behind it.
@@ -183,6 +212,21 @@ class Effect(ABC):
             Continuous.
         """
         return None
+
+    def response(self, s):
+        """The factor that a linear effect behind the linear part gives the frequency response.
+
+        Parameters
+        ----------
+        s : (N,) array of complex
+            Where to evaluate it, in rad/s.
+
+        Returns
+        -------
+        (N,) array of complex
+            Ones for an effect that is not linear.
+        """
+        return np.ones_like(s)
 
     @classmethod
     @abstractmethod

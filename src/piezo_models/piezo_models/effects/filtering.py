@@ -7,6 +7,9 @@ import control
 import numpy as np
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
+FAR_APART = 0.1
+"""Of two lags T1 and T2: T1 T2 / (T1 + T2)^2 up to which partial fractions lose no digit."""
+
 
 def filtered(numerator, denominator, signal, sample_period_s, rest=None):
     """Signal behind a continuous transfer function, from rest.
@@ -25,17 +28,81 @@ def filtered(numerator, denominator, signal, sample_period_s, rest=None):
     -------
     (N,) array
     """
+    return _from_rest(numerator, denominator, signal, sample_period_s, rest)[0]
+
+
+def filtered_on(numerator, denominator, signal, sample_period_s, state=None):
+    """The next part of a signal behind a continuous transfer function, and the state after it.
+
+    Parameters
+    ----------
+    numerator, denominator, signal, sample_period_s
+        As in `filtered`.
+    state : (n,) array, optional
+        After the part before; from rest at the first value where there is none.
+
+    Returns
+    -------
+    behind : (N,) array
+    state : (n,) array
+    """
+    if state is None:
+        return _from_rest(numerator, denominator, signal, sample_period_s)
+    b, a, _ = _discrete(tuple(numerator), tuple(denominator), sample_period_s)
+    return lfilter(b, a, signal, zi=state)
+
+
+def _from_rest(numerator, denominator, signal, sample_period_s, rest=None):
     b, a, settled = _discrete(tuple(numerator), tuple(denominator), sample_period_s)
     rest = float(signal[0]) if rest is None else rest
-    return lfilter(b, a, signal, zi=settled * rest)[0]
+    return lfilter(b, a, signal, zi=settled * rest)
 
 
 @lru_cache(maxsize=2048)
 def _discrete(numerator, denominator, sample_period_s):
     """Coefficients, and the state in which a level of 1 has settled; a scan asks again."""
-    b, a, _ = cont2discrete((numerator, denominator), sample_period_s, method="foh")
-    b = np.ravel(b)
+    lags_s = _lags(numerator, denominator)
+    if lags_s is not None:
+        b, a = _two_lags(*lags_s, sample_period_s)
+        b = b * numerator[0] / denominator[-1]
+    else:
+        b, a, _ = cont2discrete((numerator, denominator), sample_period_s, method="foh")
+        b = np.ravel(b)
     return b, a, lfilter_zi(b, a)
+
+
+def _lags(numerator, denominator):
+    """Time constants of two lags in series that are far apart, or None where it is something else.
+
+    The faster one may be zero.
+    """
+    if (len(numerator), len(denominator)) != (1, 3) or denominator[2] == 0.0:
+        return None
+    product, total, _ = np.array(denominator) / denominator[2]
+    if total <= 0.0 or product < 0.0 or product > FAR_APART * total**2:
+        return None
+    slow_s = 0.5 * (total + np.sqrt(total**2 - 4.0 * product))
+    return slow_s, product / slow_s
+
+
+def _two_lags(slow_s, fast_s, sample_period_s):
+    """Discrete coefficients of two lags in series, by partial fractions.
+
+    The matrix exponential of the usual way loses all digits where one lag is very short.
+    """
+    (slow_b, slow_a), (fast_b, fast_a) = (
+        _first_order_lag(time_s, sample_period_s) for time_s in (slow_s, fast_s))
+    b = slow_s * np.convolve(slow_b, fast_a) - fast_s * np.convolve(fast_b, slow_a)
+    return b / (slow_s - fast_s), np.convolve(slow_a, fast_a)
+
+
+def _first_order_lag(time_constant_s, sample_period_s):
+    """Coefficients of 1 / (1 + T s) for a signal that is straight between samples; T may be 0."""
+    if time_constant_s == 0.0:
+        return np.array([1.0, 0.0]), np.array([1.0, 0.0])
+    periods = sample_period_s / time_constant_s
+    decay, mean = np.exp(-periods), -np.expm1(-periods) / periods
+    return np.array([1.0 - mean, mean - decay]), np.array([1.0, -decay])
 
 
 def unfiltered_period(numerator, denominator, period, sample_period_s):

@@ -29,6 +29,7 @@ class Outliers(Effect):
     name: ClassVar[str] = "outliers"
     place: ClassVar[str] = "sensor"
     follows_voltage: ClassVar[bool] = False
+    remembers: ClassVar[bool] = False
     experiment: ClassVar[str] = "rest, at the full sample clock"
 
     share: float = parameter("1", "fixed", 0.0, 1.0)

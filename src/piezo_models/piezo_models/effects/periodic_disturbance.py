@@ -36,8 +36,9 @@ class PeriodicDisturbance(Effect):
     harmonic_cosines_um: tuple = parameter("um", default=())
     harmonic_sines_um: tuple = parameter("um", default=())
 
-    def _tones(self, samples, sample_period_s):
-        phase = 2.0 * np.pi * self.frequency_hz * sample_period_s * np.arange(samples)
+    def _tones(self, samples, sample_period_s, first=0):
+        sample = np.arange(first, first + samples)
+        phase = 2.0 * np.pi * self.frequency_hz * sample_period_s * sample
         multiples = range(1, 2 + len(self.harmonic_cosines_um))
         return np.column_stack([
             *(np.cos(multiple * phase) for multiple in multiples),
@@ -46,10 +47,14 @@ class PeriodicDisturbance(Effect):
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
-        tones = self._tones(signal.size, sample_period_s)
-        return signal + tones @ (
-            self.cosine_um, *self.harmonic_cosines_um, self.sine_um, *self.harmonic_sines_um
-        )
+        return self.advance(signal, sample_period_s)[0]
+
+    def advance(self, signal, sample_period_s, past=None):
+        """See `Effect.advance`: the past is the number of samples."""
+        first = past or 0
+        tones = self._tones(signal.size, sample_period_s, first)
+        sizes = self.cosine_um, *self.harmonic_cosines_um, self.sine_um, *self.harmonic_sines_um
+        return signal + tones @ sizes, first + signal.size
 
     @classmethod
     def starts(cls, evidence):

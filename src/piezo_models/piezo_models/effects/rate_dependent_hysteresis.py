@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from piezo_models.effects.effect import Effect, parameter
-from piezo_models.effects.filtering import filtered
+from piezo_models.effects.filtering import filtered, filtered_on
 from piezo_models.linear import simulate_linear, zoh
 
 SCANNED_EXPONENTS = (0.02, 0.5)
@@ -37,8 +37,18 @@ class RateDependentHysteresis(Effect):
         """See `Effect.apply`."""
         return signal - self._behind(signal, sample_period_s, rest)
 
+    def advance(self, signal, sample_period_s, past=None):
+        """See `Effect.advance`: the past is the state of the filter that averages the speed."""
+        speed, past = filtered_on(
+            [1.0, 0.0], [self.averaging_time_s, 1.0], signal, sample_period_s, past)
+        return signal - self._growth(speed), past
+
     def _behind(self, signal, sample_period_s, rest=None):
-        speed = filtered([1.0, 0.0], [self.averaging_time_s, 1.0], signal, sample_period_s, rest)
+        return self._growth(
+            filtered([1.0, 0.0], [self.averaging_time_s, 1.0], signal, sample_period_s, rest))
+
+    def _growth(self, speed):
+        """How far the thresholds move, in V, at an averaged speed."""
         p = self.rate_exponent
         growth = np.expm1(p * np.log1p(np.abs(speed) / self.onset_v_per_s)) / p
         return self.widening_v * np.sign(speed) * growth

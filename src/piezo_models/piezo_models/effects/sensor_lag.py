@@ -8,9 +8,12 @@ import numpy as np
 
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect, parameter
-from piezo_models.effects.filtering import filtered, slowed, unfiltered_period
+from piezo_models.effects.filtering import filtered, filtered_on, slowed, unfiltered_period
 
 ROUNDED = 0.25
+
+SHARPEST = 1e-6
+"""Roundness up to which the lag is of first order for a feedback loop."""
 
 
 @dataclass(frozen=True)
@@ -32,18 +35,26 @@ class SensorLag(Effect):
         """See `Effect.apply`."""
         return filtered([1.0], self._denominator(), signal, sample_period_s, rest)
 
+    def advance(self, signal, sample_period_s, past=None):
+        """See `Effect.advance`: the past is the filter's state."""
+        return filtered_on([1.0], self._denominator(), signal, sample_period_s, past)
+
     def compensate(self, wanted, sample_period_s):
         """The period divided by the lag, harmonic by harmonic."""
         return unfiltered_period([1.0], self._denominator(), wanted, sample_period_s)
 
     def lag(self):
         """See `Effect.lag`."""
-        shape = [self.roundness, 1.0, 1.0] if self.roundness > 0.0 else [1.0, 1.0]
+        # A much faster second lag would only stiffen the system.
+        shape = [self.roundness, 1.0, 1.0] if self.roundness > SHARPEST else [1.0, 1.0]
         return slowed([1.0], shape, self.time_constant_s)
 
+    def response(self, s):
+        """See `Effect.response`."""
+        return 1.0 / np.polyval(self._denominator(), s)
+
     def _denominator(self):
-        lag = [self.time_constant_s, 1.0]
-        return [self.roundness * self.time_constant_s**2, *lag] if self.roundness > 0.0 else lag
+        return [self.roundness * self.time_constant_s**2, self.time_constant_s, 1.0]
 
     @classmethod
     def starts(cls, evidence):

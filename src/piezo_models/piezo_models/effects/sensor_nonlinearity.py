@@ -15,6 +15,7 @@ class SensorNonlinearity(Effect):
 
     name: ClassVar[str] = "sensor_nonlinearity"
     place: ClassVar[str] = "sensor"
+    remembers: ClassVar[bool] = False
     experiment: ClassVar[str] = "hysteresis: harmonics over the whole range, and fast tones"
 
     first_um: float = parameter("um")

@@ -26,7 +26,7 @@ def _slewed(voltage, rise, fall, change_per_v, start):
         reached = last + (way if missing > 0.0 else -way)
         output[n] = reached - 0.5 * (reached - last) * min(1.0, way / step)
         last = reached
-    return output
+    return output, last
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,11 @@ class SlewLimit(Effect):
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
-        start = float(signal[0] if rest is None else rest)
+        return self.advance(signal, sample_period_s, rest)[0]
+
+    def advance(self, signal, sample_period_s, past=None):
+        """See `Effect.advance`: the past is the voltage that was reached."""
+        start = float(signal[0] if past is None else past)
         rise_v = self.slew_limit_v_per_s * sample_period_s
         return _slewed(np.ascontiguousarray(signal, dtype=float), rise_v, self.fall_ratio * rise_v,
                        self.change_per_v, start)

@@ -35,10 +35,14 @@ class ThermalDrift(Effect):
 
     def apply(self, signal, sample_period_s, rest=None):
         """See `Effect.apply`."""
-        time_s = np.arange(signal.size) * sample_period_s
-        return signal + self._drifts(time_s) @ (
-            self.rate_um_per_s, self.approach_um, *self.waves_um
-        )
+        return self.advance(signal, sample_period_s)[0]
+
+    def advance(self, signal, sample_period_s, past=None):
+        """See `Effect.advance`: the past is the number of samples."""
+        first = past or 0
+        time_s = np.arange(first, first + signal.size) * sample_period_s
+        drift = self._drifts(time_s) @ (self.rate_um_per_s, self.approach_um, *self.waves_um)
+        return signal + drift, first + signal.size
 
     def _drifts(self, time_s):
         phase = np.pi * np.minimum(time_s / self.duration_s, 1.0)

@@ -32,6 +32,7 @@ class VoltageClipping(Effect):
 
     name: ClassVar[str] = "voltage_clipping"
     place: ClassVar[str] = "voltage"
+    remembers: ClassVar[bool] = False
     experiment: ClassVar[str] = "hysteresis: harmonics over the whole range"
 
     lowest_v: float = parameter("V")

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Paths as the nodes need them: those of the caller, who may work in another folder than they."""
+
+import copy
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+ONE_PATH = ("directory", "model", "holdout", "learned")
+SEVERAL_PATHS = ("recordings",)
+ONE_REFERENCE = ("reference",)
+SEVERAL_REFERENCES = ("then",)
+
+
+def absolute(path: str | os.PathLike) -> str:
+    """Return a path as it is seen from every folder; an empty one, for none, stays empty."""
+    path = os.fspath(path)
+    return path and str(Path(path).absolute())
+
+
+def with_absolute_paths(fields: Mapping) -> dict:
+    """Return the fields of a goal or a request with all paths in them made absolute.
+
+    Parameters
+    ----------
+    fields : mapping of str to object
+        Paths may be path-like; references are messages or anything else with a ``file``.
+
+    Returns
+    -------
+    dict
+        Nothing in ``fields`` is changed.
+    """
+    made = dict(fields)
+    for names, convert in ((ONE_PATH, absolute), (ONE_REFERENCE, _with_absolute_file)):
+        made |= {name: convert(made[name]) for name in names if name in made}
+    for names, convert in ((SEVERAL_PATHS, absolute), (SEVERAL_REFERENCES, _with_absolute_file)):
+        made |= {name: [*map(convert, made[name])] for name in names if name in made}
+    return made
+
+
+def _with_absolute_file(reference):
+    reference = copy.copy(reference)
+    reference.file = absolute(reference.file)
+    return reference
