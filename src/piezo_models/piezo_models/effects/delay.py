@@ -14,6 +14,9 @@ from piezo_models.effects.filtering import slowed
 PADE_ORDER = 3
 """Exact to 0.1 degree up to a phase of 90 degrees."""
 
+LONGEST = 0.1
+"""Part of a recording."""
+
 
 @dataclass(frozen=True)
 class Delay(Effect):
@@ -57,11 +60,16 @@ class Delay(Effect):
         return slowed(*unit, self.delay_s) if self.delay_s > 0.0 else None
 
     @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`."""
+        return {"delay_s": (0.0, LONGEST * extent.duration_s)}
+
+    @classmethod
     def starts(cls, evidence):
         """Of least squares: a short delay takes off the velocity times it."""
         velocity = np.gradient(evidence.displacement_um, evidence.sample_period_s)
         gains, _ = evidence.reduction(-velocity[:, None])
-        delay_s = float(np.clip(gains[0], 0.0, 0.1 * evidence.duration_s))
+        delay_s = float(np.clip(gains[0], 0.0, LONGEST * evidence.duration_s))
         return [cls(delay_s), cls(2.0 * delay_s)] if delay_s > 0.0 else []
 
     @classmethod

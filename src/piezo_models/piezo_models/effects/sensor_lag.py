@@ -46,6 +46,11 @@ class SensorLag(Effect):
         return [self.roundness * self.time_constant_s**2, *lag] if self.roundness > 0.0 else lag
 
     @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`."""
+        return {"time_constant_s": (1e-9, 0.3 * extent.duration_s)}
+
+    @classmethod
     def starts(cls, evidence):
         """The best of a scan."""
         shapes = [
