@@ -9,9 +9,9 @@ from scipy.interpolate import PchipInterpolator
 from piezo_models.effects.isolated_samples import isolated, typical_range
 from piezo_models.effects.outliers import FEWEST
 
-OUTLIER = "outlier"
-"""Further column of a recording: not zero where the displacement is not to be used. A CSV file may
-bring its own."""
+OUTLIER = "outlier_um"
+"""Further column of a recording: by how much the displacement was off, where it is not to be used;
+zero elsewhere. A CSV file may bring its own, which is taken as it is."""
 
 SMALL = 1e-4
 """Part of the travel that counts as noise, at least."""
@@ -32,44 +32,24 @@ def with_outliers_marked(recording):
     Parameters
     ----------
     recording : Recording
-        Taken as it is where it has the column `OUTLIER`, but for the values.
+        Returned as it is where it has the column `OUTLIER`.
 
     Returns
     -------
     Recording
         With the column `OUTLIER`.
     """
-    measured_um = np.asarray(recording.displacement_um, dtype=float)
     if OUTLIER in recording.columns:
-        wrong = recording.columns[OUTLIER] != 0.0
-    else:
-        wrong = isolated(
-            measured_um, recording.voltage_v, noise=SMALL * typical_range(measured_um))
-        if np.count_nonzero(wrong) < FEWEST:
-            wrong[:] = False
-    return marked(recording, wrong)
-
-
-def marked(recording, wrong):
-    """The recording with these samples marked as outliers, and put among the good ones.
-
-    Parameters
-    ----------
-    recording : Recording
-    wrong : (N,) array of bool
-
-    Returns
-    -------
-    Recording
-    """
-    columns = recording.columns | {OUTLIER: wrong.astype(float)}
-    if not wrong.any() or np.count_nonzero(~wrong) < 2:
-        return replace(recording, columns=columns)
+        return recording
     measured_um = np.array(recording.displacement_um, dtype=float)
-    good = np.flatnonzero(~wrong)
-    sample = np.clip(np.flatnonzero(wrong), good[0], good[-1])
-    measured_um[wrong] = PchipInterpolator(good, measured_um[good])(sample)
-    return replace(recording, displacement_um=measured_um, columns=columns)
+    wrong = isolated(measured_um, recording.voltage_v, noise=SMALL * typical_range(measured_um))
+    off_um = np.zeros(measured_um.size)
+    if np.count_nonzero(wrong) >= FEWEST:
+        good = np.flatnonzero(~wrong)
+        sample = np.clip(np.flatnonzero(wrong), good[0], good[-1])
+        off_um[wrong] = measured_um[wrong] - PchipInterpolator(good, measured_um[good])(sample)
+    return replace(recording, displacement_um=measured_um - off_um,
+                   columns=recording.columns | {OUTLIER: off_um})
 
 
 def good_samples(recording):

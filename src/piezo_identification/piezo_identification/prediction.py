@@ -51,6 +51,8 @@ class Prediction:
         Samples that neither fits nor errors count; none by default.
     reversed : bool
         The sign of the measured displacement was changed.
+    sample_index : ndarray of int, shape (N,), optional
+        Of the samples in the recording.
     """
 
     time_s: np.ndarray
@@ -60,6 +62,7 @@ class Prediction:
     past_v: tuple = ()
     outlier: np.ndarray | None = None
     reversed: bool = False
+    sample_index: np.ndarray | None = None
 
     @property
     def good(self):
@@ -109,7 +112,7 @@ def predict(model, recording):
         simulated_um = run.simulated_um(past_v)
     return Prediction(
         part.time_s[settled], part.voltage_v[settled], part.displacement_um[settled],
-        simulated_um, past_v, ~run.good, is_reversed,
+        simulated_um, past_v, ~run.good, is_reversed, part.sample_index[settled],
     )
 
 

@@ -7,9 +7,7 @@ import pytest
 from piezo_identification import experiments
 from piezo_identification.dynamics import estimate_dynamics
 from piezo_identification.outlier_samples import (
-    OUTLIER,
     good_samples,
-    outlier_text,
     with_outliers_marked,
 )
 

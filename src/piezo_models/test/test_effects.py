@@ -14,7 +14,7 @@ from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import PLACES, parameter
-from piezo_models.effects.outliers import FEWEST, Outliers
+from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
 from piezo_models.effects.sensor_lag import SensorLag
@@ -196,15 +196,6 @@ def test_a_delay_of_part_of_a_sample_is_exact_for_slow_signals():
 def test_the_slew_limit_gives_the_mean_of_what_it_allows():
     held = SlewLimit(40_000.0).apply(np.array([0.0, 3.0, 3.0, 3.0, 3.0, 3.0]), PERIOD_S)
     np.testing.assert_allclose(held, [0.0, 0.5, 1.5, 2.5, 3.0, 3.0])
-
-
-def test_outliers_stand_out_of_noise_and_not_out_of_structure():
-    generator = np.random.default_rng(0)
-    residual = 0.01 * generator.normal(size=20_000)
-    residual += 0.3 * np.sin(2.0 * np.pi * np.arange(20_000) / 40.0)
-    assert Outliers.find(residual, 0.01).sum() < FEWEST
-    residual[[500, 7000]] += [2.0, -2.0]
-    assert Outliers.find(residual, 0.01)[[500, 7000]].all()
 
 
 def test_a_parameter_outside_its_bounds_is_refused():
