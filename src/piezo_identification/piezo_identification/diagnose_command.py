@@ -9,6 +9,7 @@ from piezo_identification.diagnosis.report import verdict_sentence
 from piezo_identification.diagnosis.results import diagnose_files
 from piezo_identification.frequency_response import is_frequency_response
 from piezo_identification.response_results import diagnose_response_file, response_sentence
+from piezo_identification.sensor_sign import sign_text
 from piezo_models.command_line import print_progress, run_command
 
 
@@ -56,6 +57,10 @@ def _diagnose(options):
 
 
 def _print_table(diagnosis, sentence):
+    for path in diagnosis.reversed:
+        print(sign_text(path))
+    for text in diagnosis.left_out:
+        print(text)
     print(f"verdict: {diagnosis.verdict}. {sentence}")
     print(f"{'':28}{'before':>12}{'after':>12}")
     for name in ("rms_um", "e_y_percent"):

@@ -4,6 +4,7 @@
 import numpy as np
 
 from piezo_identification.dynamics import remove_creep
+from piezo_identification.outlier_samples import good_samples
 from piezo_identification.settling import first_settled, low_frequency_delay_s
 from piezo_identification.smoothed_density import smoothed_density
 from piezo_identification.waveforms import played, sample_by_voltage
@@ -43,6 +44,7 @@ def estimate_density(
     ----------
     recording : Recording
         Of the hysteresis experiment, or any slow one. For the start see `everett_regression`.
+        Samples that are marked as outliers are neither fitted nor held out.
     creep : CreepDynamics
     dynamics : ElectricVibrationDynamics
     level_count : int
@@ -70,10 +72,11 @@ def estimate_density(
     voltage_v = part.voltage_v
     levels_v = np.linspace(voltage_v.min(), voltage_v.max(), level_count + 1)
     _check_coverage(recording.path, part, levels_v)
+    settled = np.arange(part.time_s.size) >= first_settled(dynamics, part.time_s)
     edges_v = np.linspace(levels_v[0], levels_v[-1], level_count * cells_per_level + 1)
     return smoothed_density(
         voltage_v, hysteresis_output_um(part, creep, dynamics, delay_s), edges_v,
-        samples=np.arange(first_settled(dynamics, part.time_s), part.time_s.size),
+        samples=np.flatnonzero(settled & good_samples(part)),
         transients=np.exp(-np.outer(part.time_s, creep.zeros_rad_per_s)),
         smoothing_weight=smoothing_weight, level_count=level_count,
         translation_weight=translation_weight,

@@ -9,7 +9,11 @@ from piezo_identification.estimate import untold_parameters
 from piezo_identification.frequency_response import FrequencyResponse
 from piezo_identification.hysteresis import estimate_density
 from piezo_identification.linear_dynamics import METHODS, estimate_linear_dynamics
-from piezo_identification.outlier_samples import without_outliers
+from piezo_identification.outlier_samples import (
+    good_samples,
+    outlier_text,
+    with_outliers_marked,
+)
 from piezo_identification.prediction import unseen_errors
 from piezo_identification.response_fit import ANY_ORDER
 from piezo_identification.sensor_sign import displacement_falls, reversed_displacement
@@ -102,10 +106,7 @@ def identify(
 
 
 def _identify(given, begin, refine, method, order, note):
-    signed = {
-        name: data if name == "validation" else _mended(name, data, note)
-        for name, data in given.items()
-    }
+    signed = {name: _marked(name, data, note) for name, data in given.items()}
     if displacement_falls(signed["hysteresis"]):
         signed = {name: _reversed(data) for name, data in signed.items()}
     linear = estimate_linear_dynamics(
@@ -149,15 +150,15 @@ def _identify(given, begin, refine, method, order, note):
     return identified
 
 
-def _mended(name, data, note):
-    """Data without outliers, which least squares cannot bear."""
+def _marked(name, data, note):
+    """Data whose outliers are marked: least squares cannot bear them."""
     if isinstance(data, FrequencyResponse):
         return data
-    mended, count = without_outliers(data)
-    if count:
-        note(f"{name}: {count} of {mended.voltage_v.size} samples are far off their neighbours "
-             "and were taken for outliers")
-    return mended
+    data = with_outliers_marked(data)
+    text = outlier_text(name, ~good_samples(data), data.time_s)
+    if text:
+        note(text)
+    return data
 
 
 def _reversed(data):

@@ -1,57 +1,59 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Samples that the sensor got wrong, and recordings mended of them."""
+"""Samples that the sensor got wrong: found, left out of fits and errors, and told of."""
 
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import convolve1d, maximum_filter1d, median_filter
+from scipy.interpolate import PchipInterpolator
 
-from piezo_models.effects.outliers import AROUND, FEWEST, NEIGHBOURS, THRESHOLD
+from piezo_models.effects.isolated_samples import isolated, typical_range
+from piezo_models.effects.outliers import FEWEST
 
-JUMP, AFTER_JUMP = 0.05, 40
-"""Part of the voltage's span that is a jump, and samples in which it is badly predicted."""
-
-BETWEEN = np.array([-1.0, 4.0, 0.0, 4.0, -1.0]) / 6.0
-"""Of a cubic through two samples on either side of one: its value there."""
-BESIDE = BETWEEN.size // 2
+OUTLIER = "outlier_um"
+"""Further column of a recording: by how much the displacement was off, where it is not to be used;
+zero elsewhere. A CSV file may bring its own, which is taken as it is."""
 
 SMALL = 1e-4
-"""Part of the travel that counts as noise, at least: the step of a converter may be as large."""
+"""Part of the travel that counts as noise, at least."""
 
-MOST_ROUNDS = 10
+ANSWER_OF_A_RESIDUAL = 0.25
+"""Part of the mean gain by which what a model leaves may move with a step of the voltage."""
 
-
-def jumps_of(voltage_v):
-    """Mask of the samples before which the voltage jumps.
-
-    Parameters
-    ----------
-    voltage_v : (N,) array
-
-    Returns
-    -------
-    (N,) array of bool
-    """
-    return np.abs(np.diff(voltage_v, prepend=voltage_v[0])) > JUMP * np.ptp(voltage_v)
+MOST_TOLD = 5
+"""Places that are told; the others are counted."""
 
 
-def answers_a_jump(voltage_v):
-    """Mask of the samples in which the residual after a jump may look like outliers.
+def with_outliers_marked(recording):
+    """The recording with its outliers marked and put among the good samples beside them.
+
+    Estimators that take a mask leave the marked samples out, by `good_samples`; the others use the
+    values in their place.
 
     Parameters
     ----------
-    voltage_v : (N,) array
+    recording : Recording
+        Returned as it is where it has the column `OUTLIER`.
 
     Returns
     -------
-    (N,) array of bool
+    Recording
+        With the column `OUTLIER`.
     """
-    jumps = jumps_of(voltage_v)
-    return np.convolve(jumps, np.ones(AFTER_JUMP))[: jumps.size] > 0.0
+    if OUTLIER in recording.columns:
+        return recording
+    measured_um = np.array(recording.displacement_um, dtype=float)
+    wrong = isolated(measured_um, recording.voltage_v, noise=SMALL * typical_range(measured_um))
+    off_um = np.zeros(measured_um.size)
+    if np.count_nonzero(wrong) >= FEWEST:
+        good = np.flatnonzero(~wrong)
+        sample = np.clip(np.flatnonzero(wrong), good[0], good[-1])
+        off_um[wrong] = measured_um[wrong] - PchipInterpolator(good, measured_um[good])(sample)
+    return replace(recording, displacement_um=measured_um - off_um,
+                   columns=recording.columns | {OUTLIER: off_um})
 
 
-def without_outliers(recording):
-    """The recording with its outliers on smooth curves through the samples beside them.
+def good_samples(recording):
+    """Mask of the samples that are not marked as outliers.
 
     Parameters
     ----------
@@ -59,33 +61,50 @@ def without_outliers(recording):
 
     Returns
     -------
-    recording : Recording
-        The given one if there are no more than chance makes.
-    count : int
-        Of the samples changed.
+    (N,) array of bool
     """
-    measured_um = np.asarray(recording.displacement_um, dtype=float)
-    jumps = jumps_of(recording.voltage_v)
-    # The samples beside a jump are compared with some on its other side.
-    sharp = maximum_filter1d(jumps, 2 * BESIDE + 1)
-    mended_um = measured_um.copy()
-    for _ in range(MOST_ROUNDS):
-        expected_um = convolve1d(mended_um, BETWEEN, mode="nearest")
-        wrong = _far_off(mended_um, expected_um, SMALL * np.ptp(measured_um)) & ~sharp
-        if not wrong.any():
-            break
-        mended_um[wrong] = expected_um[wrong]
-    count = int(np.count_nonzero(mended_um != measured_um))
-    if count < FEWEST:
-        return recording, 0
-    return replace(recording, displacement_um=mended_um), count
+    if OUTLIER not in recording.columns:
+        return np.ones(recording.voltage_v.size, dtype=bool)
+    return recording.columns[OUTLIER] == 0.0
 
 
-def _far_off(measured_um, expected_um, noise_um):
-    """Mask of samples farther off than noise makes; of neighbours the worst: it spoils theirs."""
-    off_um = np.abs(measured_um - expected_um)
-    around_um = 1.4826 * median_filter(off_um, AROUND, mode="nearest")
-    limit_um = THRESHOLD * np.maximum(noise_um, around_um)
-    # A good sample between two wrong ones is not far off the others.
-    off_um[np.abs(measured_um - median_filter(measured_um, NEIGHBOURS)) < limit_um] = 0.0
-    return (off_um > limit_um) & (off_um == maximum_filter1d(off_um, 2 * BESIDE + 1))
+def outliers_of_residual(residual_um, measured_um, voltage_v, noise_um=0.0):
+    """Mask of the samples that stand out of what a model leaves.
+
+    Parameters
+    ----------
+    residual_um, measured_um, voltage_v : (N,) array
+    noise_um : float
+        Standard deviation of the noise of a sample, at least.
+
+    Returns
+    -------
+    (N,) array of bool
+    """
+    travel_um, span_v = typical_range(measured_um), typical_range(voltage_v)
+    return isolated(residual_um, voltage_v, ANSWER_OF_A_RESIDUAL * travel_um / max(span_v, 1e-300),
+                    max(noise_um, SMALL * travel_um))
+
+
+def outlier_text(path, wrong, time_s):
+    """One sentence for people: how many samples are left out, and where.
+
+    Parameters
+    ----------
+    path : str
+    wrong : (N,) array of bool
+    time_s : (N,) array
+
+    Returns
+    -------
+    str
+        Empty if there are none.
+    """
+    count = int(np.count_nonzero(wrong))
+    if not count:
+        return ""
+    begins = np.flatnonzero(np.diff(wrong.astype(int), prepend=0) == 1)
+    told = ", ".join(f"{time_s[begin]:.6g}" for begin in begins[:MOST_TOLD])
+    more = f" and {begins.size - MOST_TOLD} more" if begins.size > MOST_TOLD else ""
+    return (f"{path}: {count} of {wrong.size} samples ({100.0 * count / wrong.size:.2g} %) are "
+            f"outliers and were left out, at {told} s{more}")

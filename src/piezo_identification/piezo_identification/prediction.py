@@ -7,7 +7,13 @@ from itertools import product
 import numpy as np
 
 from piezo_identification.everett_regression import NEAR_THE_END
+from piezo_identification.outlier_samples import (
+    good_samples,
+    outliers_of_residual,
+    with_outliers_marked,
+)
 from piezo_identification.sampled_response import behind_lags, leading_lags, respond
+from piezo_identification.sensor_sign import moves_against, reversed_displacement
 from piezo_identification.settling import first_settled
 from piezo_identification.waveforms import (
     played,
@@ -15,6 +21,7 @@ from piezo_identification.waveforms import (
     turning_points,
     with_voltage_before,
 )
+from piezo_models.effects.outliers import FEWEST
 from piezo_models.measures import e_y_percent
 
 CLEARLY_LESS = 0.9
@@ -40,6 +47,12 @@ class Prediction:
         From when the start has settled.
     past_v : (float, float) or ()
         Of `starting_past_v`.
+    outlier : ndarray of bool, shape (N,), optional
+        Samples that neither fits nor errors count; none by default.
+    reversed : bool
+        The sign of the measured displacement was changed.
+    sample_index : ndarray of int, shape (N,), optional
+        Of the samples in the recording.
     """
 
     time_s: np.ndarray
@@ -47,22 +60,30 @@ class Prediction:
     measured_um: np.ndarray
     simulated_um: np.ndarray
     past_v: tuple = ()
+    outlier: np.ndarray | None = None
+    reversed: bool = False
+    sample_index: np.ndarray | None = None
 
     @property
-    def is_reversed(self):
-        """True if the measured displacement moves against the simulated one."""
-        return bool(np.dot(self.measured_um - self.measured_um.mean(), self.simulated_um) < 0.0)
+    def good(self):
+        """Mask of the samples that count, shape (N,)."""
+        return np.ones(self.time_s.size, dtype=bool) if self.outlier is None else ~self.outlier
 
     def e_y_percent(self, part=slice(None)):
         """Relative error (4.20) by the sensor, offset removed, of the whole or of a part."""
-        return e_y_percent(self.measured_um[part], self.simulated_um[part])
+        used = np.zeros(self.time_s.size, dtype=bool)
+        used[part] = True
+        used &= self.good
+        return e_y_percent(self.measured_um[used], self.simulated_um[used])
 
 
 def predict(model, recording):
     """Simulate a model under the voltage of a recording.
 
     The state of the creep at the first sample, and the offset, are fitted: nothing tells what the
-    stage did before. The past of the hysteresis is that of `starting_past_v`.
+    stage did before. The past of the hysteresis is that of `starting_past_v`. The sign of the
+    measured displacement is changed where it moves against the model. Outliers are left out: those
+    that stand out of the displacement, and those that stand out of what the model leaves.
 
     Parameters
     ----------
@@ -78,13 +99,40 @@ def predict(model, recording):
     ValueError
         If the recording has gaps, or is too short to settle.
     """
+    recording, is_reversed = conditioned(model, recording)
     run = _Run(model, recording)
     past_v = starting_past_v(model, recording)
     part, settled = run.part, run.settled
+    simulated_um = run.simulated_um(past_v)
+    standing_out = outliers_of_residual(
+        part.displacement_um[settled] - simulated_um, part.displacement_um[settled],
+        part.voltage_v[settled]) & run.good
+    if np.count_nonzero(standing_out) >= FEWEST:
+        run.good = run.good & ~standing_out
+        simulated_um = run.simulated_um(past_v)
     return Prediction(
         part.time_s[settled], part.voltage_v[settled], part.displacement_um[settled],
-        run.simulated_um(past_v), past_v,
+        simulated_um, past_v, ~run.good, is_reversed, part.sample_index[settled],
     )
+
+
+def conditioned(model, recording):
+    """The recording with the sign of the model and its outliers marked.
+
+    Parameters
+    ----------
+    model : StageModel
+    recording : Recording
+
+    Returns
+    -------
+    recording : Recording
+    is_reversed : bool
+        The sign of its displacement was changed.
+    """
+    recording = with_outliers_marked(recording)
+    is_reversed = _Run(model, recording).is_reversed
+    return (reversed_displacement(recording) if is_reversed else recording), is_reversed
 
 
 def starting_past_v(model, recording):
@@ -133,12 +181,21 @@ class _Run:
         if model.hysteretic_creep is not None:
             rates_rad_per_s += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
         time_s = time_s[self.settled]
+        self.good = good_samples(self.part)[self.settled]
         self.free = np.column_stack([
             np.ones(time_s.size), *(np.exp(-rate * time_s) for rate in rates_rad_per_s)
         ])
-        if self.settled.size <= self.free.shape[1]:
+        if np.count_nonzero(self.good) <= self.free.shape[1]:
             raise ValueError(
                 f"{recording.path} has {self.part.time_s.size} samples: record longer")
+
+    @property
+    def is_reversed(self):
+        """Whether the measured displacement moves against the model's."""
+        measured_um = self.part.displacement_um[self.settled]
+        simulated_um = self._bound_um(())
+        return moves_against(
+            measured_um[self.good], simulated_um[self.good], self.free[self.good])
 
     @property
     def starts_saturated(self):
@@ -164,10 +221,18 @@ class _Run:
     def error_um(self, past_v):
         """RMS of what a past leaves."""
         difference_um = self.part.displacement_um[self.settled] - self.simulated_um(past_v)
-        return float(np.sqrt(np.mean(difference_um**2)))
+        return float(np.sqrt(np.mean(difference_um[self.good] ** 2)))
 
     def simulated_um(self, past_v):
         """Displacement after a past, with the free parts that fit best."""
+        simulated_um = self._bound_um(past_v)
+        difference_um = self.part.displacement_um[self.settled] - simulated_um
+        free, good = self.free, self.good
+        return simulated_um + free @ np.linalg.lstsq(
+            free[good], difference_um[good], rcond=1e-12)[0]
+
+    def _bound_um(self, past_v):
+        """Displacement after a past, without the free parts."""
         model, part = self.model, self.part
         past = model.hysteresis.memory()
         model.hysteresis.simulate([*past_v, *self.before_v], past)
@@ -181,9 +246,7 @@ class _Run:
             self.system, hysteresis_um, part.sample_period_s, self.samples, self.delay_s)
         for effect in self.effects:
             simulated_um = effect.apply(simulated_um, part.sample_period_s)
-        simulated_um = simulated_um[self.settled]
-        difference_um = part.displacement_um[self.settled] - simulated_um
-        return simulated_um + self.free @ np.linalg.lstsq(self.free, difference_um, rcond=1e-12)[0]
+        return simulated_um[self.settled]
 
 
 def unseen_errors(model, recording):
@@ -200,11 +263,25 @@ def unseen_errors(model, recording):
         `e_y_percent` of the whole, `hysteresis_e_y_percent` of the slow branches and
         `dynamics_e_y_percent` of the fast ones, as far as there are any.
     """
-    prediction = predict(model, recording)
+    return errors_of(predict(model, recording))
+
+
+def errors_of(prediction):
+    """The same of a prediction.
+
+    Parameters
+    ----------
+    prediction : Prediction
+
+    Returns
+    -------
+    dict of str to float
+    """
     errors = {"e_y_percent": prediction.e_y_percent()}
     slow = slow_branches(prediction.time_s, prediction.voltage_v)
     for name, part in (("hysteresis", slow), ("dynamics", ~slow)):
-        if np.ptp(prediction.measured_um[part], axis=None) if part.any() else 0.0:
+        part = part & prediction.good
+        if np.ptp(prediction.measured_um[part]) if part.any() else 0.0:
             errors[f"{name}_e_y_percent"] = prediction.e_y_percent(part)
     return errors
 

@@ -13,7 +13,7 @@ from piezo_identification.estimate import (
     dynamics_vector,
     parameter_deviations,
 )
-from piezo_models.effects import fitted_values, with_fitted_values
+from piezo_models.effects import Extent, fitted_values, with_fitted_values
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
@@ -39,6 +39,9 @@ TWIN_PERCENT = 5.0
 
 EXPLAINED = 0.1
 """Part of the square of the error beyond the tolerance that may be left where it is explained."""
+
+SLOWEST = 10
+"""One in so many frequencies tells the sign of the sensor: the slowest, which nothing delays."""
 
 MOST_EFFECTS = 4
 MODE_STARTS, CREEP_RELAXATIONS = 24, 3
@@ -93,6 +96,9 @@ def diagnose_response(model, measured):
             f"{measured.path} has {measured.frequency_hz.size} frequencies, too few to hold some "
             f"out: measure at least {4 * BLOCK * HELD_OUT}"
         )
+    is_reversed = _moves_against(model, measured)
+    if is_reversed:
+        measured = replace(measured, gain=-measured.gain)
     contest = _Contest(model, measured)
     start = current = contest.tuned(())
     effects, tried, not_decidable = [], [], {}
@@ -124,8 +130,18 @@ def diagnose_response(model, measured):
         contest.errors(given), contest.errors(current if effects else given), contest.noise,
         {"source": "frequencies that were not fitted", "samples": int(np.sum(~contest.fit))},
         not_decidable, contest.description(current) if verdict == "unexplained" else "",
+        [str(measured.path)] if is_reversed else [], [],
         tried, measured, contest.gain(given), contest.gain(current if effects else given),
     )
+
+
+def _moves_against(model, measured):
+    """Whether the sensor counts against the model where the stage is slow."""
+    slow = np.argsort(measured.frequency_hz)[: max(1, measured.frequency_hz.size // SLOWEST)]
+    gain = measured.gain[slow]
+    response = full_response(model, measured.frequency_hz[slow])
+    weight = np.abs(gain) * np.abs(response)
+    return bool(np.sum((gain * response.conj()).real / np.maximum(weight, 1e-300)) < 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +158,8 @@ class _Contest:
 
     def __init__(self, model, measured):
         self.model, self.measured = model, measured
+        low_hz, high_hz = measured.frequency_hz.min(), measured.frequency_hz.max()
+        self.extent = Extent(np.inf, -np.inf, np.inf, 1.0 / low_hz, 0.5 / high_hz)
         self.dynamics = dynamics_vector(model.dynamics)
         self.free = self.dynamics > 0.0
         block = np.arange(measured.frequency_hz.size) // BLOCK
@@ -173,7 +191,7 @@ class _Contest:
     def _solve(self, tuning, effects, tunes):
         """Fit of the last effect, and of the dynamics if `tunes`."""
         last = effects[-1:]
-        values, low, high = fitted_values(last[0]) if last else (np.empty(0),) * 3
+        values, low, high = fitted_values(last[0], self.extent) if last else (np.empty(0),) * 3
         count = tuning.size if tunes else 0
 
         def at(vector):

@@ -5,9 +5,10 @@ import argparse
 import sys
 from pathlib import Path
 
+from piezo_identification.outlier_samples import outlier_text
 from piezo_identification.prediction import predict
 from piezo_identification.prediction_pictures import draw_displacement, draw_loops
-from piezo_identification.sensor_sign import reversed_displacement
+from piezo_identification.sensor_sign import sign_text
 from piezo_models.command_line import run_command
 from piezo_models.model_file import load_model
 from piezo_recorder.reader import read_recording
@@ -44,9 +45,10 @@ def _simulate(options):
     model = load_model(model_path).model
     recording = read_recording(data_path)
     prediction = predict(model, recording)
-    if prediction.is_reversed:
-        print("the displacement moves against the model: its sign is changed")
-        prediction = predict(model, reversed_displacement(recording))
+    if prediction.reversed:
+        print(sign_text(data_path))
+    if prediction.outlier.any():
+        print(outlier_text(data_path, prediction.outlier, prediction.time_s))
     if prediction.past_v:
         print("the recording does not begin saturated: taken to have come from {:.4g} V by way of "
               "{:.4g} V".format(*prediction.past_v))

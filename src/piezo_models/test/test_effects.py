@@ -14,7 +14,7 @@ from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import PLACES, parameter
-from piezo_models.effects.outliers import FEWEST, Outliers
+from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
 from piezo_models.effects.sensor_lag import SensorLag
@@ -282,15 +282,6 @@ def test_a_lag_hardly_changes_with_its_roundness_from_zero_on():
               for roundness in (1e-9, 1e-7, 1e-5, 1e-3)]
     for slope in slopes[:-1]:
         np.testing.assert_allclose(slope, slopes[-1], atol=2e-2 * np.abs(slopes[-1]).max())
-
-
-def test_outliers_stand_out_of_noise_and_not_out_of_structure():
-    generator = np.random.default_rng(0)
-    residual = 0.01 * generator.normal(size=20_000)
-    residual += 0.3 * np.sin(2.0 * np.pi * np.arange(20_000) / 40.0)
-    assert Outliers.find(residual, 0.01).sum() < FEWEST
-    residual[[500, 7000]] += [2.0, -2.0]
-    assert Outliers.find(residual, 0.01)[[500, 7000]].all()
 
 
 def test_a_parameter_outside_its_bounds_is_refused():

@@ -9,15 +9,10 @@ from scipy.optimize import least_squares
 
 from piezo_identification.diagnosis.noise import sensor_noise_um
 from piezo_identification.diagnosis.prepared import PreparedRecording, retuned
-from piezo_identification.outlier_samples import answers_a_jump
-from piezo_models.effects import Evidence, fitted_values, with_fitted_values
+from piezo_identification.diagnosis.rows import stretches, views
+from piezo_identification.outlier_samples import outliers_of_residual
+from piezo_models.effects import Evidence, Extent, fitted_values, with_fitted_values
 from piezo_models.effects.outliers import Outliers
-
-MOST_ROWS = 30_000
-"""Samples that are fitted and judged, in chunks spread evenly over longer recordings."""
-CHUNK = 250
-STRETCHES, HELD_OUT = 120, 3
-"""Stretches of a recording, and which of them are held out: one in three."""
 
 TUNING_PRICE = 0.02
 """Of the energy of what is not explained, beyond the noise: what a change of a parameter by the
@@ -74,6 +69,7 @@ class Contest:
     ----------
     model : StageModel
     recordings : list of Recording
+        With the sign of the model, and their outliers marked.
     past_v : (float, float) or (), optional
         Of the hysteresis before each recording; by default that of `starting_past_v`.
 
@@ -87,7 +83,7 @@ class Contest:
         self.model = model
         self.recordings = list(recordings)
         self.prepared = [PreparedRecording(model, recording, past_v) for recording in recordings]
-        self._choose_rows()
+        self.rows, self.stretch, self.fitted = stretches(self.prepared)
         free = [
             part.free_columns(rows) for part, rows in zip(self.prepared, self.rows, strict=True)
         ]
@@ -102,29 +98,20 @@ class Contest:
             start += block.shape[1]
         columns[:, self.free_count :] = tuning
         self.columns = columns
-        self.wrong = [np.zeros(part.time_s.size, dtype=bool) for part in self.prepared]
+        self.wrong = [part.outlier for part in self.prepared]
+        self.extent = self._extent()
         self.review(())
 
-    def _choose_rows(self):
-        """Rows of each recording, their stretches, and which are fitted."""
-        budget = MOST_ROWS // len(self.prepared)
-        self.rows, stretches = [], []
-        for index, part in enumerate(self.prepared):
-            settled = np.arange(part.begin, part.time_s.size)
-            if settled.size > budget:
-                # Chunks that do not keep step with a periodic waveform.
-                chunks = budget // CHUNK
-                room = settled.size // chunks
-                shift = np.random.default_rng(0).integers(0, room - CHUNK + 1, chunks)
-                starts = part.begin + np.arange(chunks) * room + shift
-                rows = (starts[:, None] + np.arange(CHUNK)).ravel()
-            else:
-                rows = settled
-            self.rows.append(rows)
-            stretch = (rows - part.begin) * STRETCHES // settled.size
-            stretches.append(index * STRETCHES + stretch)
-        self.stretch = np.concatenate(stretches)
-        self.fitted = self.stretch % HELD_OUT != HELD_OUT // 2
+    def _extent(self):
+        """How far the recordings go."""
+        parts = self.prepared
+        return Extent(
+            max(float(np.ptp(part.measured_um[part.begin :])) for part in parts),
+            min(float(part.voltage_v.min()) for part in parts),
+            max(float(part.voltage_v.max()) for part in parts),
+            max(part.time_s.size * part.sample_period_s for part in parts),
+            min(part.sample_period_s for part in parts),
+        )
 
     def _of_recording(self):
         """Mask of the rows of each recording."""
@@ -158,14 +145,16 @@ class Contest:
         ]
         self.noise_um, self.wrong = [], []
         for part, residual in zip(self.prepared, residuals, strict=True):
-            suspect = Outliers.find(residual, 0.0)
+            def standing_out(noise_um, part=part, residual=residual):
+                return part.outlier | outliers_of_residual(
+                    residual, part.measured_um, part.voltage_v, noise_um)
+
             self.noise_um.append(sensor_noise_um(
                 part.measured_um[part.begin :], part.voltage_v[part.begin :],
-                np.where(suspect, 0.0, residual)[part.begin :], part.sample_period_s,
+                np.where(standing_out(0.0), 0.0, residual)[part.begin :], part.sample_period_s,
                 part.repeated_period,
             ))
-            wrong = Outliers.find(residual, self.noise_um[-1])
-            self.wrong.append(wrong & ~answers_a_jump(part.voltage_v))
+            self.wrong.append(standing_out(self.noise_um[-1]))
         self._weigh(effects)
 
     def bare(self):
@@ -248,7 +237,7 @@ class Contest:
         -------
         Trial
         """
-        starts = [fitted_values(effect) for effect in effects]
+        starts = [fitted_values(effect, self.extent) for effect in effects]
         sizes = np.cumsum([0, *(values.size for values, _, _ in starts)])
 
         def effects_at(vector):
@@ -276,33 +265,13 @@ class Contest:
         part = self.prepared[index]
         mask = next(mask for number, mask in enumerate(self._of_recording()) if number == index)
         fit = self.fit[mask]
-        rows = self.rows[index][fit]
-        tolerance = self.tolerance_um[mask][0]
-        columns = self.weighted[mask][fit]
-        prior = self.prior
-        q, _ = np.linalg.qr(np.vstack([columns, prior]))
-
-        def project(values):
-            padded = np.vstack([values[rows] / tolerance, np.zeros((len(prior), values.shape[1]))])
-            return padded - q @ (q.T @ padded)
-
-        simulated = part.simulate(effects)
-        left = project((part.measured_um - simulated)[:, None])[:, 0]
-        energy = left @ left
-
-        def reduction(contributions):
-            seen = project(contributions)
-            gains = np.linalg.lstsq(seen, left, rcond=1e-10)[0]
-            rest = left - seen @ gains
-            return gains, 1.0 - (rest @ rest) / energy
-
-        def visible(contribution):
-            varying = (contribution[rows] - contribution[rows].mean()) / tolerance
-            return np.linalg.norm(project(contribution)) / max(np.linalg.norm(varying), 1e-300)
-
+        rows, tolerance_um = self.rows[index][fit], self.tolerance_um[mask][0]
+        simulated_um = part.simulate(effects)
         return Evidence(
-            part.sample_period_s, part.voltage_v, simulated, self.residual_um(index, effects),
-            self.noise_um[index], self.model.dynamics, part.drive_um, reduction, visible,
+            part.sample_period_s, part.voltage_v, simulated_um, self.residual_um(index, effects),
+            self.noise_um[index], self.model.dynamics, part.drive_um,
+            *views(self.weighted[mask][fit], self.prior, rows, tolerance_um,
+                   part.measured_um - simulated_um),
         )
 
     def evidences(self, effects=()):
@@ -326,7 +295,8 @@ class Contest:
         Trial or None
             As guessed if no guess is better than nothing; None without any guess.
         """
-        starts = [start for evidence in evidences for start in kind.starts(evidence)]
+        starts = [self._within_bounds(start)
+                  for evidence in evidences for start in kind.starts(evidence)]
         if not starts:
             return None
         costs = []
@@ -343,6 +313,20 @@ class Contest:
             return self.trial((*effects, start), quick=(start,))
         fits = [self.fit_effects((start,), effects, quick=True) for start in promising]
         return min(fits, key=lambda fit: np.sum(fit.residual[self.fit] ** 2))
+
+    def _within_bounds(self, effect):
+        """The effect with parameters that are physically possible, each by itself."""
+        return with_fitted_values(effect, fitted_values(effect, self.extent)[0])
+
+    def impossible(self, trial):
+        """Why no stage can have the effects of a trial, by their names; empty if one can.
+
+        Returns
+        -------
+        dict of str to str
+        """
+        reasons = {effect.name: effect.impossible(self.extent) for effect in trial.effects}
+        return {name: reason for name, reason in reasons.items() if reason}
 
     def held_out_square(self, trial):
         """Mean square of what is left on the rows that judge, in tolerances."""

@@ -6,13 +6,12 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from piezo_identification.diagnosis.contest import Contest
+from piezo_identification.diagnosis.held_out import HeldOut
+from piezo_identification.diagnosis.outliers import found_outliers, left_out
 from piezo_identification.diagnosis.residual import dependences, spectrum, whiteness
-from piezo_identification.diagnosis.selection import NOISE, NOTICEABLE, select
+from piezo_identification.diagnosis.selection import NOISE, select
 from piezo_identification.diagnosis.verdict import Verdict
-from piezo_identification.prediction import CLEARLY_LESS, predict
-from piezo_models.effects.outliers import FEWEST as FEWEST_OUTLIERS
-from piezo_models.effects.outliers import Outliers
-from piezo_models.measures import e_y_percent
+from piezo_identification.prediction import CLEARLY_LESS, conditioned
 
 EXPLAINED = 0.03
 """Part of the structure's power that may be left where effects explain it, a sixth of its size."""
@@ -59,38 +58,42 @@ def diagnose(model, recordings, holdout=None, progress=None):
     """
     if not recordings:
         raise ValueError("there is no recording to diagnose: give one")
-    contest, selection = _contested(model, recordings, progress)
-    outliers = _outlier_entry(contest, selection.end)
-    start, end = (contest.structure(trial) for trial in (selection.start, selection.end))
+    given = [*recordings, *([] if holdout is None else [holdout])]
+    signed, changed = zip(*(conditioned(model, recording) for recording in given), strict=True)
+    if holdout is not None:
+        *signed, holdout = signed
+    contest, selection = _contested(model, signed, progress)
+    held_out = HeldOut(contest, holdout)
+    trial, refused = held_out.kept(selection.end)
+    start, end = contest.structure(selection.start), contest.structure(trial)
     allowed = max(NOISE**2, EXPLAINED * start)
-    if end > allowed:
-        verdict = "unexplained"
-    elif selection.end.effects or outliers:
-        verdict = "explained"
-    else:
-        verdict = "none"
-    trial = selection.end
-    if verdict == "unexplained" and end > GUESS * start:
+    if end > allowed and end > GUESS * start:
         trial = selection.start
     effects = _effect_entries(contest, trial)
+    outliers = found_outliers(contest)
     if outliers:
-        effects.append(outliers)
+        effects.append(outliers.entry(contest, trial))
+    if end > allowed:
+        verdict = "unexplained"
+    else:
+        verdict = "explained" if effects else "none"
     effects.sort(key=lambda entry: -entry["error_reduction_percent"])
-    extended = model
-    if effects:
-        extended = contest.extended_model(trial)
-        if outliers:
-            extended = replace(extended, effects=(*extended.effects, *_outlier_effect(contest)))
-    before, after, where = _errors(model, extended, contest, trial, holdout)
+    extended = contest.extended_model(trial) if trial.effects else model
+    before, after, where = held_out.errors(trial)
+    if outliers:
+        extended = replace(extended, effects=(*extended.effects, outliers.effect(contest)))
     named = {entry["name"] for entry in effects}
-    reasons = {name: why for name, why in selection.blind.items() if name not in named}
+    reasons = {name: why for name, why in (selection.blind | refused).items() if name not in named}
     for name, twin in selection.twins.items():
         if name not in named and twin in named:
             reasons[name] = f"the data does not tell it from {twin}"
     left = _description(contest, trial) if verdict == "unexplained" else ""
     return Diagnosis(
-        verdict, effects, extended, before, after,
-        float(np.median(contest.noise_um)), where, reasons, left, contest, selection,
+        verdict, effects, extended, before, after, float(np.median(contest.noise_um)), where,
+        reasons, left,
+        [str(recording.path) for recording, is_reversed in zip(given, changed, strict=True)
+         if is_reversed],
+        [*left_out(contest), *held_out.left_out()], contest, selection,
     )
 
 
@@ -160,72 +163,12 @@ def _add_deviations(entries, trial):
             )
 
 
-def _outlier_effect(contest):
-    for index in range(len(contest.prepared)):
-        yield from Outliers.starts(contest.evidence(index))[:1]
-        return
-
-
-def _outlier_entry(contest, trial):
-    """Of the outliers, if there are more than chance makes and they are worth a name."""
-    parts = list(enumerate(contest.prepared))
-    wrong = np.concatenate([contest.wrong[index][part.begin :] for index, part in parts])
-    residual = np.concatenate([
-        contest.residual_um(index, trial.effects)[part.begin :] for index, part in parts
-    ])
-    if wrong.sum() < FEWEST_OUTLIERS:
-        return None
-    if np.sqrt(np.mean(np.where(wrong, residual, 0.0) ** 2)) < NOTICEABLE * np.median(
-            contest.tolerance_um):
-        return None
-    clean, all_rms = np.std(residual[~wrong]), np.std(residual)
-    return {
-        "name": Outliers.name,
-        "parameters": {"share": float(wrong.mean()),
-                       "size_um": float(np.sqrt(np.mean(residual[wrong] ** 2)))},
-        "error_reduction_percent": float(100.0 * (1.0 - clean / all_rms)),
-    }
-
-
-def _errors(model, extended, contest, trial, holdout):
-    if holdout is not None:
-        errors = []
-        for tried in (model, extended):
-            prediction = predict(tried, holdout)
-            left = prediction.measured_um - prediction.simulated_um
-            errors.append({"rms_um": float(np.sqrt(np.mean(left**2))),
-                           "e_y_percent": float(prediction.e_y_percent())})
-        return *errors, {"source": str(holdout.path), "samples": int(left.size)}
-    judges = ~contest.fitted, contest.judge
-    judge = contest.judge
-    measured = np.concatenate([
-        part.measured_um[rows] for part, rows in zip(contest.prepared, contest.rows, strict=True)
-    ])
-    errors = []
-    untuned = _untuned_residual(contest)
-    for residual, judge in zip(
-        (untuned, untuned if extended is model else trial.residual), judges, strict=True
-    ):
-        left = (residual * contest.tolerance_um)[judge]
-        errors.append({"rms_um": float(np.sqrt(np.mean(left**2))),
-                       "e_y_percent": e_y_percent(measured[judge], measured[judge] - left)})
-    return *errors, {"source": "stretches of the recordings that were not fitted",
-                     "samples": int(np.count_nonzero(judge))}
-
-
-def _untuned_residual(contest):
-    """Of the model as it was given, with offset and initial creep free."""
-    difference = contest.rows_of(())
-    free = contest.weighted[:, : contest.free_count]
-    fit = contest.fit
-    return difference - free @ np.linalg.lstsq(free[fit], difference[fit], rcond=1e-12)[0]
-
-
 def _description(contest, trial):
     """Where, when, how large and at which frequencies something is left."""
     sentences = []
     for index, part in enumerate(contest.prepared):
-        residual = contest.residual_um(index, trial.effects)[part.begin :]
+        residual = contest.residual_um(index, trial.effects)
+        residual = np.where(contest.wrong[index], 0.0, residual)[part.begin :]
         frequency_hz, density = spectrum(residual, part.sample_period_s)
         power = np.cumsum(density[1:])
         low, high = frequency_hz[1:][np.searchsorted(power, [0.1 * power[-1], 0.9 * power[-1]])]

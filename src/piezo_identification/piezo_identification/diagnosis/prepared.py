@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from piezo_identification.diagnosis.noise import repeated_period
+from piezo_identification.outlier_samples import OUTLIER, good_samples
 from piezo_identification.prediction import starting_past_v
 from piezo_identification.sampled_response import behind_lags, leading_lags, respond
 from piezo_identification.sensitivities import factor_surfaces, sensitivity_systems
@@ -36,6 +37,7 @@ class PreparedRecording:
     ----------
     model : StageModel
     recording : Recording
+        With the sign of the model, and its outliers marked.
     past_v : (float, float) or (), optional
         Of the hysteresis before the recording; by default that of `starting_past_v`.
 
@@ -54,6 +56,8 @@ class PreparedRecording:
         self.time_s = part.time_s - part.time_s[0]
         self.voltage_v = np.ascontiguousarray(part.voltage_v, dtype=float)
         self.measured_um = np.ascontiguousarray(part.displacement_um, dtype=float)
+        self.outlier = ~good_samples(part)
+        self.off_um = part.columns.get(OUTLIER, np.zeros(self.time_s.size))
         self._joined_v, self._lead = with_voltage_before(recording, part)
         self.begin = first_settled(model.dynamics, self.time_s)
         if self.time_s.size - self.begin < FEWEST_SAMPLES:

@@ -8,6 +8,7 @@ import numpy as np
 from piezo_identification.diagnosis import pictures
 from piezo_identification.diagnosis.residual import input_correlation, whiteness
 from piezo_identification.diagnosis.selection import SIGNIFICANT
+from piezo_identification.sensor_sign import sign_text
 from piezo_models.effects import known_effects
 from piezo_models.report_page import Picture, Section, render_page
 
@@ -19,6 +20,10 @@ def verdict_sentence(diagnosis):
     if diagnosis.verdict == "none":
         return f"The model lacks nothing that the data shows: {before:.3g} nm RMS are left."
     if diagnosis.verdict == "explained":
+        if not after < before:
+            # Outliers are left out before and after.
+            return (f"The sensor has {names}: without those samples {after:.3g} nm RMS are left on "
+                    "held-out data.")
         return (f"The model lacks {names}: with it the error on held-out data falls from "
                 f"{before:.3g} to {after:.3g} nm RMS.")
     beside = f" beside {names}" if names else ""
@@ -55,7 +60,9 @@ def render_report(diagnosis, origin=()):
 def _found(diagnosis):
     before, after = diagnosis.before, diagnosis.after
     where = "{samples} samples of {source}".format(**diagnosis.holdout)
-    return Section("What was found", (f"Held out: {where}.",), [
+    told = [f"Held out: {where}.", *(f"{text}." for text in diagnosis.left_out),
+            *(f"{sign_text(path)}." for path in diagnosis.reversed)]
+    return Section("What was found", tuple(told), [
         ("error on held-out data", "before", "after"),
         ("RMS (nm)", *(f"{1e3 * errors['rms_um']:.4g}" for errors in (before, after))),
         ("e_y (%)", *(f"{errors['e_y_percent']:.4g}" for errors in (before, after))),

@@ -188,6 +188,7 @@ def _fitted(contest, attempts):
             tried.setdefault(names, attempt.trial)
     rivals = _rivals(contest, list(tried.values()))
     fitted = [contest.fit_effects(trial.effects) for trial in rivals]
+    fitted = [trial for trial in fitted if not contest.impossible(trial)]
     return sorted(fitted, key=lambda trial: _score(contest, trial))
 
 
@@ -303,6 +304,9 @@ def _attempt(contest, kind, current, evidences):
     trial = contest.challenge(kind, current.effects, evidences)
     if trial is None:
         return Attempt(kind.name, None)
+    reasons = contest.impossible(trial)
+    if reasons:
+        return Attempt(kind.name, None, remark="; ".join(reasons.values()))
     before, after = contest.held_out_square(current), contest.held_out_square(trial)
     remark = ""
     if contest.visible(current, trial) < VISIBLE:

@@ -29,6 +29,10 @@ class Verdict:
         Effects that the data cannot tell, and why.
     left : str
         What is left if it is more than noise; empty otherwise.
+    reversed : list of str
+        Recordings whose sign was changed: their sensor counts against the model.
+    left_out : list of str
+        Sentences on the samples that were left out as outliers.
     """
 
     verdict: str
@@ -40,6 +44,8 @@ class Verdict:
     holdout: dict
     not_decidable: dict
     left: str
+    reversed: list
+    left_out: list
 
     def document(self):
         """The content of verdict.json."""
@@ -53,6 +59,8 @@ class Verdict:
             "not_decidable": list(self.not_decidable),
             "not_decidable_because": self.not_decidable,
             "left": self.left,
+            "reversed": self.reversed,
+            "outliers_left_out": self.left_out,
         }
 
 

@@ -9,7 +9,13 @@ from importlib.metadata import entry_points
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
-from piezo_models.effects.effect import Effect, Evidence, fitted_values, with_fitted_values
+from piezo_models.effects.effect import (
+    Effect,
+    Evidence,
+    Extent,
+    fitted_values,
+    with_fitted_values,
+)
 from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
@@ -42,7 +48,7 @@ GROUP = "piezo_models.effects"
 """Entry points that other packages offer their effects by."""
 
 __all__ = [
-    "EFFECTS", "GROUP", "Effect", "Evidence", "fitted_values", "known_effects",
+    "EFFECTS", "GROUP", "Effect", "Evidence", "Extent", "fitted_values", "known_effects",
     "with_fitted_values",
 ]
 

@@ -49,6 +49,11 @@ class Backlash(Effect):
         return wanted + 0.5 * self.width_um * ahead[wanted.size :]
 
     @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`: a play that leaves some motion."""
+        return {"width_um": (1e-9, max(0.5 * extent.travel_um, 1e-9))}
+
+    @classmethod
     def starts(cls, evidence):
         """Widths from the noise to a tenth of the travel."""
         high = 0.1 * evidence.travel_um

@@ -16,6 +16,9 @@ CUBIC = 3
 PADE_ORDER = 3
 """Exact to 0.1 degree up to a phase of 90 degrees."""
 
+LONGEST = 0.1
+"""Part of a recording."""
+
 
 @dataclass(frozen=True)
 class Delay(Effect):
@@ -71,11 +74,16 @@ class Delay(Effect):
         return np.exp(-s * self.delay_s)
 
     @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`."""
+        return {"delay_s": (0.0, LONGEST * extent.duration_s)}
+
+    @classmethod
     def starts(cls, evidence):
         """Of least squares: a short delay takes off the velocity times it."""
         velocity = np.gradient(evidence.displacement_um, evidence.sample_period_s)
         gains, _ = evidence.reduction(-velocity[:, None])
-        delay_s = float(np.clip(gains[0], 0.0, 0.1 * evidence.duration_s))
+        delay_s = float(np.clip(gains[0], 0.0, LONGEST * evidence.duration_s))
         return [cls(delay_s), cls(2.0 * delay_s)] if delay_s > 0.0 else []
 
     @classmethod

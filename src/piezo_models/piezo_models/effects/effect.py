@@ -106,6 +106,32 @@ class Evidence:
         return [(candidate, gains) for candidate, gains, _ in tried[:count]]
 
 
+@dataclass(frozen=True)
+class Extent:
+    """How far recordings go: it bounds what the parameters of an effect can physically be.
+
+    Attributes
+    ----------
+    travel_um : float
+        Largest minus smallest measured displacement.
+    lowest_v, highest_v : float
+        Of the voltage.
+    duration_s : float
+    sample_period_s : float
+    """
+
+    travel_um: float
+    lowest_v: float
+    highest_v: float
+    duration_s: float
+    sample_period_s: float
+
+    @property
+    def span_v(self):
+        """Highest minus lowest voltage."""
+        return self.highest_v - self.lowest_v
+
+
 class Effect(ABC):
     """An effect with its parameters: a frozen dataclass whose fields are made by `parameter`.
 
@@ -256,6 +282,35 @@ class Effect(ABC):
         """
         return None
 
+    @classmethod
+    def bounds(cls, extent):
+        """What the parameters can physically be in recordings that go so far.
+
+        Parameters
+        ----------
+        extent : Extent
+
+        Returns
+        -------
+        dict of str to (float, float)
+            Least and largest value of each parameter that the recordings bound more closely than
+            its declaration does.
+        """
+        return {}
+
+    def impossible(self, extent):
+        """Why no stage can have the effect with these parameters; None if one can.
+
+        Parameters
+        ----------
+        extent : Extent
+
+        Returns
+        -------
+        str or None
+        """
+        return None
+
     def parameters(self):
         """Value of each parameter by name; a list where it has several."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
@@ -279,20 +334,30 @@ class Effect(ABC):
             object.__setattr__(self, field.name, plain)
 
 
-def fitted_values(effect):
+def fitted_values(effect, extent=None):
     """Numbers that a fit may change, logarithms where the parameter is fitted as one.
+
+    Parameters
+    ----------
+    effect : Effect
+    extent : Extent, optional
+        Of the recordings, which bound the parameters by `Effect.bounds`.
 
     Returns
     -------
     values, low, high : (n,) arrays
+        Each value within its bounds.
     """
+    closer = {} if extent is None else effect.bounds(extent)
     values, lows, highs = [], [], []
     for field in dataclasses.fields(effect):
-        scale = field.metadata["scale"]
+        scale, name = field.metadata["scale"], field.name
         if scale == "fixed":
             continue
-        numbers = np.atleast_1d(np.asarray(getattr(effect, field.name), dtype=float))
-        bounds = field.metadata["low"], field.metadata["high"]
+        numbers = np.atleast_1d(np.asarray(getattr(effect, name), dtype=float))
+        declared = field.metadata["low"], field.metadata["high"]
+        bounds = np.clip(closer.get(name, declared), *declared)
+        numbers = np.clip(numbers, *bounds)
         if scale == "logarithm":
             with np.errstate(divide="ignore"):
                 numbers, bounds = np.log(numbers), np.log(np.maximum(bounds, 0.0))

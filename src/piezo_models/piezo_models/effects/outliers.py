@@ -5,14 +5,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from piezo_models.effects.effect import Effect, parameter
+from piezo_models.effects.isolated_samples import isolated
 
-NEIGHBOURS = 11
-"""Samples of the running median; a burst shorter than half of them stands out."""
-AROUND = 51
-"""Samples in which the neighbours' own spread is taken."""
 THRESHOLD = 7.0
 """In standard deviations of the noise."""
 FEWEST = 3
@@ -20,7 +16,7 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class Outliers(Effect):
-    """Single samples or short bursts far off their neighbours: known by their size, not their time.
+    """Single samples or short runs far off their neighbours: known by their size, not their time.
 
     Nothing can foretell them: a model with this effect leaves such samples out where it is fitted
     or judged.
@@ -41,29 +37,11 @@ class Outliers(Effect):
         return signal
 
     @classmethod
-    def find(cls, residual_um, noise_um):
-        """Mask of the samples far off their neighbours.
-
-        Parameters
-        ----------
-        residual_um : (N,) array
-        noise_um : float
-            Standard deviation of the noise of a sample, at least.
-
-        Returns
-        -------
-        (N,) array of bool
-        """
-        off_um = np.abs(residual_um - median_filter(residual_um, NEIGHBOURS, mode="nearest"))
-        # What the model does not explain moves the neighbours too.
-        around_um = 1.4826 * median_filter(off_um, AROUND, mode="nearest")
-        return off_um > THRESHOLD * np.maximum(noise_um, around_um)
-
-    @classmethod
     def starts(cls, evidence):
         """The outliers of the recording, if there are more than chance makes."""
-        wrong = cls.find(evidence.residual_um, evidence.noise_um)
+        residual_um = evidence.residual_um
+        wrong = isolated(residual_um, evidence.voltage_v, noise=evidence.noise_um)
         if wrong.sum() < FEWEST:
             return []
-        size_um = float(np.sqrt(np.mean(evidence.residual_um[wrong] ** 2)))
+        size_um = float(np.sqrt(np.mean(residual_um[wrong] ** 2)))
         return [cls(float(wrong.mean()), size_um, THRESHOLD * evidence.noise_um)]

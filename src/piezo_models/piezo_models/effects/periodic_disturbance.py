@@ -57,6 +57,13 @@ class PeriodicDisturbance(Effect):
         return signal + tones @ sizes, first + signal.size
 
     @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`: a tone that the samples can show, within the measured range."""
+        names = ("cosine_um", "sine_um", "harmonic_cosines_um", "harmonic_sines_um")
+        return {"frequency_hz": (1.0 / extent.duration_s, 0.5 / extent.sample_period_s)} | {
+            name: (-extent.travel_um, extent.travel_um) for name in names}
+
+    @classmethod
     def starts(cls, evidence):
         """The largest line of the residual's spectrum that the voltage does not drive."""
         size = _lines(evidence.residual_um)

@@ -54,6 +54,12 @@ class RateDependentHysteresis(Effect):
         return self.widening_v * np.sign(speed) * growth
 
     @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`: no threshold moves farther than the voltage does."""
+        return {"widening_v": (-extent.span_v, extent.span_v),
+                "averaging_time_s": (1e-2 * extent.sample_period_s, extent.duration_s)}
+
+    @classmethod
     def starts(cls, evidence):
         """The best of a scan, in which the hysteresis is no more than a gain."""
         period_s, voltage_v = evidence.sample_period_s, evidence.voltage_v

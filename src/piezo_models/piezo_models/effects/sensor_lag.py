@@ -57,6 +57,11 @@ class SensorLag(Effect):
         return [self.roundness * self.time_constant_s**2, self.time_constant_s, 1.0]
 
     @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`."""
+        return {"time_constant_s": (1e-9, 0.3 * extent.duration_s)}
+
+    @classmethod
     def starts(cls, evidence):
         """The best of a scan."""
         shapes = [

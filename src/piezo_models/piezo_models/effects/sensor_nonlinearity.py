@@ -41,6 +41,19 @@ class SensorNonlinearity(Effect):
         )
 
     @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`: what it reads wrong is less than what it reads."""
+        names = ("first_um", "second_um", "third_um", "fourth_um")
+        return {name: (-0.5 * extent.travel_um, 0.5 * extent.travel_um) for name in names}
+
+    def impossible(self, extent):
+        """See `Effect.impossible`: a sensor that reads less where there is more."""
+        position_um = self.centre_um + self.half_range_um * np.linspace(-1.0, 1.0, 201)
+        if np.any(np.diff(self.apply(position_um, 1.0)) <= 0.0):
+            return "the sensor would read less where the displacement is more"
+        return None
+
+    @classmethod
     def starts(cls, evidence):
         """Least squares over the travel of the recording."""
         low, high = evidence.displacement_um.min(), evidence.displacement_um.max()

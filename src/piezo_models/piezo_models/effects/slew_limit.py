@@ -70,6 +70,12 @@ class SlewLimit(Effect):
         return super().compensate(wanted, sample_period_s)
 
     @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`: slow enough to show, fast enough to move at all."""
+        return {"slew_limit_v_per_s": (1e-3 * extent.span_v / extent.duration_s,
+                                       10.0 * extent.span_v / extent.sample_period_s)}
+
+    @classmethod
     def starts(cls, evidence):
         """Limits below the fastest change, of both directions or of one."""
         fastest = np.abs(np.diff(evidence.voltage_v)).max(initial=0.0) / evidence.sample_period_s

@@ -8,18 +8,21 @@ import numpy as np
 
 from piezo_models.effects.effect import Effect, parameter
 from piezo_models.effects.filtering import filtered
+from piezo_models.effects.spring_equation import FARTHEST, SOFTEST, balance, straight_beyond
 
-FORCE_ROUNDS = 3
-"""The force follows from the displacement that it changes."""
+STRONGEST = 100.0
+"""Force of a part at the end of the range over that of the linear spring, at most."""
 
 
 @dataclass(frozen=True)
 class Stiffening(Effect):
     """A spring whose force has parts up to the fourth power beside a linear one.
 
-    The parts are given as the displacement that they take off at the ends of the range. They are
-    forces: what they take off passes the mode of the spring once more, and is largest where the
-    mode is near.
+    The parts f are given as the displacement by which they would shorten the linear spring at the
+    ends of the range. With the displacement x of the linear spring and the spring's mode G, the
+    displacement y is the solution of y = x - G f(y), however large it is. The force goes on
+    straight beyond `spring_equation.FARTHEST` half ranges, or where the spring would be softer
+    than `spring_equation.SOFTEST` of the linear one.
     """
 
     name: ClassVar[str] = "stiffening"
@@ -35,10 +38,14 @@ class Stiffening(Effect):
     damping_ratio: float = parameter("1", "fixed", 0.0, 10.0)
     quartic_um: float = parameter("um", default=0.0)
 
+    @property
+    def _parts(self):
+        return self.linear_um, self.square_um, self.cubic_um, self.quartic_um
+
     def yields(self, signal, sample_period_s, rest=None):
-        """What each part of 1 um at the ends would take off, shape (N, 4)."""
+        """What each part of 1 um at the ends takes off where the displacement is given, (N, 4)."""
         def forces(level):
-            x = np.clip((level - self.centre_um) / self.half_range_um, -1.5, 1.5)
+            x = np.clip((level - self.centre_um) / self.half_range_um, -FARTHEST, FARTHEST)
             return np.column_stack([x, x**2, x**3, x**4])
 
         parts = forces(signal)
@@ -53,17 +60,32 @@ class Stiffening(Effect):
         ])
 
     def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
-        bent = signal
-        for _ in range(FORCE_ROUNDS):
-            bent = signal - self.yields(bent, sample_period_s, rest) @ (
-                self.linear_um, self.square_um, self.cubic_um, self.quartic_um
-            )
-        return bent
+        """See `Effect.apply`: the solution of the spring's equation of motion."""
+        return balance(
+            signal, self._parts, self.centre_um, self.half_range_um, self.frequency_rad_per_s,
+            self.damping_ratio, sample_period_s, signal[0] if rest is None else rest,
+        )
+
+    @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`."""
+        strongest_um = STRONGEST * extent.travel_um
+        parts = ("linear_um", "square_um", "cubic_um", "quartic_um")
+        return {name: (-strongest_um, strongest_um) for name in parts}
+
+    def impossible(self, extent):
+        """See `Effect.impossible`: a spring that gives way within the range."""
+        if np.abs(straight_beyond(self._parts, self.half_range_um)).min() < 1.0:
+            return (f"the spring would be softer than {100 * SOFTEST:g} % of its stiffness within "
+                    "the range")
+        return None
 
     @classmethod
     def starts(cls, evidence):
-        """Least squares, for each mode of the model, and for a spring that acts at once."""
+        """Least squares, for each mode of the model, and for a spring that acts at once.
+
+        The spring's equation is linear in its parts where the displacement is the measured one.
+        """
         low, high = evidence.displacement_um.min(), evidence.displacement_um.max()
         if low == high:
             return []
@@ -71,12 +93,11 @@ class Stiffening(Effect):
         modes = zip(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True)
         # Faster than the samples a mode follows at once.
         modes = [mode for mode in modes if mode[0] * evidence.sample_period_s <= 1.0]
+        measured_um = evidence.displacement_um + evidence.residual_um
         starts = []
         for mode in (*modes, (0.0, 1.0)):
             shape = cls(0.0, 0.0, 0.0, 0.5 * (low + high), 0.5 * (high - low), *mode)
-            gains, _ = evidence.reduction(
-                -shape.yields(evidence.displacement_um, evidence.sample_period_s)
-            )
+            gains, _ = evidence.reduction(-shape.yields(measured_um, evidence.sample_period_s))
             *lower, quartic_um = gains
             starts.append(
                 cls(*lower, shape.centre_um, shape.half_range_um, *mode, quartic_um=quartic_um))

@@ -14,6 +14,10 @@ WAVES = 8
 VISIBLE = 0.005
 """Part of a steady drift that unknown creep must leave to be seen."""
 
+FARTHEST, SLOWEST = 2.0, 3.0
+"""Measured ranges by which a part may drift: two may in part undo each other, or the motion. And
+durations of the recording that an approach may take: of a slower one it shows no end."""
+
 
 @dataclass(frozen=True)
 class ThermalDrift(Effect):
@@ -50,6 +54,25 @@ class ThermalDrift(Effect):
             time_s, -np.expm1(-time_s / self.time_constant_s),
             *(np.cos((wave + 2) * phase) - 1.0 for wave in range(len(self.waves_um))),
         ])
+
+    @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`: no part drifts farther than `FARTHEST` times the measured range."""
+        farthest_um = FARTHEST * extent.travel_um
+        return {
+            "rate_um_per_s": (-farthest_um / extent.duration_s, farthest_um / extent.duration_s),
+            "approach_um": (-farthest_um, farthest_um), "waves_um": (-farthest_um, farthest_um),
+            "time_constant_s": (extent.sample_period_s, SLOWEST * extent.duration_s),
+        }
+
+    def impossible(self, extent):
+        """See `Effect.impossible`: nothing drifts farther than it was seen to move."""
+        time_s = np.linspace(0.0, extent.duration_s, 200)
+        drift_um = self._drifts(time_s) @ (self.rate_um_per_s, self.approach_um, *self.waves_um)
+        if np.ptp(drift_um) > FARTHEST * extent.travel_um:
+            return (f"it would drift by {np.ptp(drift_um):.3g} um while the sensor saw no more "
+                    f"than {extent.travel_um:.3g} um")
+        return None
 
     @classmethod
     def starts(cls, evidence):

@@ -51,6 +51,12 @@ class VibrationMode(Effect):
         return filtered(*self._mode(), drive, sample_period_s, rest)
 
     @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`: a mode that the samples can show."""
+        return {"frequency_rad_per_s": (2.0 * np.pi / extent.duration_s,
+                                        np.pi / extent.sample_period_s)}
+
+    @classmethod
     def starts(cls, evidence):
         """The best of a scan over frequency and damping."""
         low_hz = LOWEST_PERIODS / evidence.duration_s

@@ -75,6 +75,13 @@ class VoltageClipping(Effect):
         raise ValueError(refusal)
 
     @classmethod
+    def bounds(cls, extent):
+        """See `Effect.bounds`: limits in or near the voltages played, bent over a part of them."""
+        low, high, span_v = extent.lowest_v, extent.highest_v, extent.span_v
+        return {"lowest_v": (low - span_v, high), "highest_v": (low, high + span_v),
+                "knee_v": (0.0, 0.5 * span_v)}
+
+    @classmethod
     def starts(cls, evidence):
         """The best of a scan, by what they take off the voltage."""
         low, high = evidence.voltage_v.min(), evidence.voltage_v.max()

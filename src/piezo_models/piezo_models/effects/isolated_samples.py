@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Find samples that leave a signal and come back to it, which no stage can do so fast."""
+
+import numpy as np
+from numba import njit
+from scipy.ndimage import maximum_filter1d, median_filter
+
+AROUND = 25
+"""Samples on each side of a step, whose own steps tell what the signal usually does."""
+
+SPREAD = 7.0
+"""Standard deviations of the noise of the samples around."""
+
+STEPS = 2.0
+"""Typical steps around: a tip of a triangle is no larger than one."""
+
+ROUNDINGS = 3.0
+"""Of the steps of a converter."""
+
+ANSWER = 40
+"""Samples in which a step of the voltage may be answered, by ringing too."""
+
+JUMP, FEWEST_JUMPS = 0.05, 4
+"""Part of the voltage's range that is a jump, and jumps that show how fast the answer is."""
+
+ANSWERED = 1.5
+"""What a step of the voltage may be answered by, over the mean gain."""
+
+LENGTHS = (1, 3, 8, 20, 50)
+"""Samples of the runs that are looked for, in turn: of two that take turns, the shorter ones are
+wrong. A run that is longer than all of these is a state of the sensor."""
+
+RETURN = 0.3
+"""Part of its height to which a run comes back to where it began."""
+
+SUDDEN = 0.3
+"""Part of the height of a run by which it begins and ends at once."""
+
+MOST = 0.1
+"""Part of the samples: where more stand out, it is the signal that does."""
+
+
+def isolated(signal, voltage_v, answer_per_v=None, noise=0.0):
+    """Mask of single samples and short runs that stand out of a signal on both sides.
+
+    The signal leaves by a step that is large beside the noise and beside the steps around, all
+    samples lie as far off the line between the good ones on either side, and it comes back. Steps
+    of the voltage explain steps of the signal for a while. So neither tips of triangles nor edges
+    nor ringing stand out: the samples beside them move alike.
+
+    Parameters
+    ----------
+    signal : (N,) array
+    voltage_v : (N,) array
+    answer_per_v : float, optional
+        By how much the signal may move from one sample to the next for a step of 1 V; by default
+        by `ANSWERED` times its range over that of the voltage, or less if the signal's answers to
+        jumps of the voltage show that it is slower.
+    noise : float
+        Standard deviation of the signal's noise, at least.
+
+    Returns
+    -------
+    (N,) array of bool
+    """
+    signal = np.ascontiguousarray(signal, dtype=float)
+    voltage_v = np.asarray(voltage_v, dtype=float)
+    if signal.size < 2 * AROUND:
+        return np.zeros(signal.size, dtype=bool)
+    if answer_per_v is None:
+        answer_per_v = _answer_per_v(signal, voltage_v)
+    good = np.arange(signal.size)
+    for longest in LENGTHS:
+        for way in (slice(None), slice(None, None, -1)):
+            if good.size < 2 * AROUND:
+                break
+            left, limit = signal[good], _limits(signal, voltage_v, good, answer_per_v, noise)
+            walk = STEPS * _beside(np.abs(np.diff(left, prepend=left[0])))
+            if way.step:
+                # The limit of a step stands at its second sample.
+                limit, walk = np.roll(limit[::-1], 1), walk[::-1]
+            wrong = _runs(np.ascontiguousarray(left[way]), limit, walk, longest)
+            good = good[~wrong[way]]
+    wrong = np.ones(signal.size, dtype=bool)
+    wrong[good] = False
+    if wrong.mean() > MOST:
+        return np.zeros(signal.size, dtype=bool)
+    return wrong
+
+
+def _answer_per_v(signal, voltage_v):
+    """By how much the signal may move from one sample to the next for a step of 1 V."""
+    span_v = typical_range(voltage_v)
+    most = ANSWERED * typical_range(signal) / max(span_v, 1e-300)
+    changes_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
+    jumps = np.flatnonzero(changes_v > JUMP * span_v)
+    jumps = jumps[(jumps > 0) & (jumps < signal.size - ANSWER)]
+    if span_v == 0.0 or jumps.size < FEWEST_JUMPS:
+        return most
+    steps = np.abs(np.diff(signal, prepend=signal[0]))
+    answers = steps[jumps[:, None] + np.arange(ANSWER)] / changes_v[jumps, None]
+    return min(most, STEPS * float(np.median(answers, axis=0).max()))
+
+
+def typical_range(values):
+    """Range of the values, without the most extreme 2 % on either side."""
+    low, high = np.quantile(values, (0.02, 0.98))
+    return float(high - low)
+
+
+def _limits(signal, voltage_v, good, answer_per_v, noise):
+    """Step between each good sample and the one before that a good signal does not exceed."""
+    left = signal[good]
+    steps = np.abs(np.diff(left, prepend=left[0]))
+    bends = np.abs(np.diff(left, 2, prepend=left[0], append=left[-1]))
+    spread = 1.4826 / np.sqrt(6.0) * _beside(bends)
+    values = np.unique(left)
+    rounding = np.diff(values).min(initial=np.inf) if values.size > 1 else 0.0
+    changes_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
+    # The window lies before the sample, and takes in a change at the sample itself.
+    lately_v = maximum_filter1d(changes_v, ANSWER, origin=ANSWER // 2 - 1, mode="nearest")
+    return np.maximum.reduce([
+        SPREAD * np.maximum(spread, noise), STEPS * _beside(steps),
+        np.full(left.size, ROUNDINGS * rounding), answer_per_v * lately_v[good],
+    ])
+
+
+def _beside(sizes):
+    """Median of the sizes before each sample or of those behind it, whichever is larger, (N,)."""
+    middle = median_filter(sizes, AROUND, mode="reflect")
+    # A step belongs to both samples that it joins: both windows leave out the nearest two.
+    away = AROUND // 2 + 2
+    before = np.concatenate([np.full(away, middle[0]), middle[:-away]])
+    behind = np.concatenate([middle[away:], np.full(away, middle[-1])])
+    return np.maximum(before, behind)
+
+
+@njit(cache=True)
+def _runs(signal, limit, walk, longest):
+    """Mask of the runs between a step away and the next sample where the signal is back."""
+    wrong = np.zeros(signal.size, dtype=np.bool_)
+    n = 1
+    while n < signal.size:
+        begin = signal[n - 1]
+        if abs(signal[n] - begin) <= limit[n]:
+            n += 1
+            continue
+        end = n
+        for back in range(n + 1, min(n + longest + 1, signal.size)):
+            last = abs(signal[back] - signal[back - 1])
+            if last <= limit[back]:
+                continue
+            length = back - n + 1
+            slope = (signal[back] - begin) / length
+            far, farthest = True, 0.0
+            for k in range(n, back):
+                off = abs(signal[k] - begin - slope * (k - n + 1))
+                farthest = max(farthest, off)
+                if off <= max(limit[n], limit[back]):
+                    far = False
+                    break
+            returns = abs(signal[back] - begin) <= RETURN * farthest + walk[n] * length
+            # The crest of a wave is far off too, but not by its first step and its last.
+            first = abs(signal[n] - begin)
+            if far and returns and min(first, last) >= SUDDEN * farthest:
+                end = back
+                break
+        for k in range(n, end):
+            wrong[k] = True
+        n = max(end, n) + 1
+    return wrong

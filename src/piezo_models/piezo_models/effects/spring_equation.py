@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The equation of a nonlinear spring, solved sample by sample to rounding."""
+
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from scipy.linalg import expm
+
+SOFTEST = 0.1
+"""Part of the linear stiffness that the spring keeps. Beyond the displacement at which a polynomial
+would fall below it, the force goes on straight: every load then has one displacement."""
+
+FARTHEST = 4.0
+"""Displacement, in half ranges from the middle, beyond which the force goes on straight in any
+case: a fourth power is not known so far beyond the samples that it was fitted to."""
+
+PHASE_STEP = 0.03
+"""Radians by which the mode turns in a step of the solution, at most."""
+
+MOST_NEWTON_STEPS = 100
+
+
+def straight_beyond(parts, half_range_um):
+    """Displacements between which the polynomial of a force holds; it goes on straight beyond.
+
+    Parameters
+    ----------
+    parts : (4,) sequence of float
+        Force at the end of the range, as displacement in um, of the powers one to four.
+    half_range_um : float
+
+    Returns
+    -------
+    low, high : float
+        In half ranges from the middle of the range; low <= 0 <= high.
+    """
+    slope = np.arange(1.0, 5.0) * np.asarray(parts, dtype=float) / half_range_um
+    roots = np.roots([*slope[:0:-1], slope[0] + 1.0 - SOFTEST])
+    real = roots[np.abs(roots.imag) < 1e-9 * (1.0 + np.abs(roots))].real
+    if slope[0] + 1.0 <= SOFTEST:
+        return 0.0, 0.0
+    low = max([-FARTHEST, *real[real < 0.0]])
+    high = min([FARTHEST, *real[real > 0.0]])
+    return float(low), float(high)
+
+
+@njit(cache=True)
+def force_and_slope(x, parts, low, high):
+    """Force of the spring beside its linear one, and its slope, at a displacement in half ranges.
+
+    The slope of the whole spring is `SOFTEST` at least; see `straight_beyond`.
+    """
+    inside = min(max(x, low), high)
+    force = inside * (parts[0] + inside * (parts[1] + inside * (parts[2] + inside * parts[3])))
+    slope = parts[0] + inside * (
+        2.0 * parts[1] + inside * (3.0 * parts[2] + inside * 4.0 * parts[3]))
+    return force + slope * (x - inside), slope
+
+
+@njit(cache=True)
+def _balanced(load, part, first, centre, half_range, parts, low, high):
+    """The displacement y with y + part f(y) = load, by Newton steps within a bracket, and f(y)."""
+    y = first
+    force, slope = force_and_slope((y - centre) / half_range, parts, low, high)
+    excess = y + part * force - load
+    # The left side rises by so much at least: the solution lies no farther away than this.
+    steepest = 1.0 - part * (1.0 - SOFTEST)
+    reach = abs(excess) / steepest * (1.0 + 1e-9)
+    below, above = y - reach, y + reach
+    for _ in range(MOST_NEWTON_STEPS):
+        if excess > 0.0:
+            above = y
+        else:
+            below = y
+        step = excess / (1.0 + part * slope / half_range)
+        tried = y - step
+        if not below < tried < above:
+            tried = 0.5 * (below + above)
+        if tried == y or excess == 0.0:
+            break
+        moved = abs(tried - y)
+        y = tried
+        force, slope = force_and_slope((y - centre) / half_range, parts, low, high)
+        excess = y + part * force - load
+        if moved <= 4e-16 * (abs(y) + abs(centre) + half_range):
+            break
+    return y, force
+
+
+@njit(cache=True)
+def _static(loads, centre, half_range, parts, low, high):
+    balanced = np.empty(loads.size)
+    y = centre
+    for n in range(loads.size):
+        y, _ = _balanced(loads[n], 1.0, y, centre, half_range, parts, low, high)
+        balanced[n] = y
+    return balanced
+
+
+@njit(cache=True)
+def _swinging(loads, rest, centre, half_range, parts, low, high, step, begin, end, substeps):
+    """The mode of the spring under its own force; `step`, `begin` and `end` are of one substep."""
+    balanced = np.empty(loads.size)
+    # Taken off by the force: at rest all of it.
+    y, force = _balanced(rest, 1.0, rest, centre, half_range, parts, low, high)
+    taken, speed = force, 0.0
+    earliest, earlier, last = rest, rest, rest
+    for n in range(loads.size):
+        load = loads[n]
+        # The cubic through the last four samples, by differences at the newest.
+        first = load - last
+        second = first - last + earlier
+        third = second - last + 2.0 * earlier - earliest
+        for substep in range(1, substeps + 1):
+            x = substep / substeps - 1.0
+            between = load + x * (first + 0.5 * (x + 1.0) * (
+                second + (x + 2.0) / 3.0 * third))
+            free = step[0, 0] * taken + step[0, 1] * speed + begin[0] * force
+            free_speed = step[1, 0] * taken + step[1, 1] * speed + begin[1] * force
+            y, force = _balanced(
+                between - free, end[0], y, centre, half_range, parts, low, high)
+            taken, speed = free + end[0] * force, free_speed + end[1] * force
+        balanced[n] = y
+        earliest, earlier, last = earlier, last, load
+    return balanced
+
+
+@lru_cache(maxsize=256)
+def _mode_step(frequency_rad_per_s, damping_ratio, sample_period_s):
+    """Substeps of a sample, and matrices of one of them for a force that is straight within it."""
+    substeps = max(1, int(np.ceil(frequency_rad_per_s * sample_period_s / PHASE_STEP)))
+    w = frequency_rad_per_s * sample_period_s / substeps
+    # In time that runs by substeps, the numbers stay well scaled.
+    chain = np.zeros((4, 4))
+    chain[0, 1], chain[1, :3] = 1.0, (-w * w, -2.0 * damping_ratio * w, w * w)
+    chain[2, 3] = 1.0
+    step = expm(chain)
+    held, ramp = step[:2, 2], step[:2, 3]
+    return substeps, np.ascontiguousarray(step[:2, :2]), held - ramp, np.ascontiguousarray(ramp)
+
+
+def balance(
+    load_um, parts, centre_um, half_range_um, frequency_rad_per_s, damping_ratio, sample_period_s,
+    rest_um,
+):
+    """Displacement of a mode whose spring has a nonlinear force beside its linear one.
+
+    Solves y = x - G f(y): x is the displacement of the linear spring, G the mode with unit gain at
+    rest. That is the equation of motion y'' / w^2 + 2 zeta y' / w + y + f(y) = drive of a mode that
+    would reach x without f.
+
+    Parameters
+    ----------
+    load_um : (N,) array
+        x.
+    parts : (4,) sequence of float
+        f at the end of the range, as displacement in um, of the powers one to four.
+    centre_um, half_range_um : float
+        Of the range.
+    frequency_rad_per_s, damping_ratio : float
+        w and zeta; with w = 0, the spring acts at once.
+    sample_period_s : float
+    rest_um : float
+        x before the first sample.
+
+    Returns
+    -------
+    (N,) array
+        y: to rounding where the spring acts at once; else with an error of the order of the square
+        of `PHASE_STEP`.
+    """
+    load_um = np.ascontiguousarray(load_um, dtype=float)
+    parts = np.asarray(parts, dtype=float)
+    shape = float(centre_um), float(half_range_um), parts, *straight_beyond(parts, half_range_um)
+    if frequency_rad_per_s == 0.0:
+        return _static(load_um, *shape)
+    substeps, step, begin, end = _mode_step(frequency_rad_per_s, damping_ratio, sample_period_s)
+    return _swinging(load_um, float(rest_um), *shape, step, begin, end, substeps)

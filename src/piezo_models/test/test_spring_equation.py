@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The nonlinear spring beside a root finder and an integrator of differential equations."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from piezo_models.effects.spring_equation import (
+    FARTHEST,
+    SOFTEST,
+    force_and_slope,
+    straight_beyond,
+)
+from piezo_models.effects.stiffening import Stiffening
+
+CENTRE_UM, HALF_RANGE_UM = 2.0, 10.0
+SPRINGS = {
+    "hard": (0.5, 1.0, 20.0, 0.0),
+    "bent": (0.5, 3.0, 20.0, -3.0),
+    "soft": (-1.0, 0.0, -2.5, 0.0),
+}
+
+
+def spring(parts, frequency_rad_per_s=0.0, damping_ratio=1.0):
+    linear, square, cubic, quartic = parts
+    return Stiffening(linear, square, cubic, CENTRE_UM, HALF_RANGE_UM, frequency_rad_per_s,
+                      damping_ratio, quartic_um=quartic)
+
+
+def force(parts, y):
+    low, high = straight_beyond(parts, HALF_RANGE_UM)
+    return force_and_slope((y - CENTRE_UM) / HALF_RANGE_UM, np.array(parts), low, high)[0]
+
+
+@pytest.mark.parametrize("parts", SPRINGS.values(), ids=SPRINGS)
+def test_at_rest_the_displacement_is_the_root_of_the_springs_equation(parts):
+    load_um = np.linspace(-80.0, 80.0, 401)
+    found = spring(parts).apply(load_um, 1e-3)
+    roots = [brentq(lambda y, x=x: y + force(parts, y) - x, -1e4, 1e4, xtol=1e-13, rtol=1e-15)
+             for x in load_um]
+    np.testing.assert_allclose(found, roots, rtol=0.0, atol=1e-12 * np.abs(load_um).max())
+    assert (np.diff(found) > 0.0).all()
+
+
+def test_the_force_is_the_polynomial_within_the_range_and_goes_on_straight():
+    parts = SPRINGS["soft"]
+    low, high = straight_beyond(parts, HALF_RANGE_UM)
+    assert -FARTHEST < low < -1.0 and 1.0 < high < FARTHEST
+    x = 0.9 * high
+    assert force(parts, CENTRE_UM + HALF_RANGE_UM * x) == pytest.approx(
+        parts[0] * x + parts[2] * x**3)
+    ends = [force(parts, CENTRE_UM + HALF_RANGE_UM * (high + step)) for step in (0.0, 1.0, 2.0)]
+    assert np.diff(ends) == pytest.approx([(SOFTEST - 1.0) * HALF_RANGE_UM] * 2)
+
+
+@pytest.mark.parametrize(("phase", "tolerance"), [(0.72, 5e-3), (0.05, 3e-3)])
+def test_in_motion_it_is_the_solution_of_the_equation_of_motion(phase, tolerance):
+    """A force three times that of the linear spring, on coarse samples and on fine ones."""
+    parts, w, damping_ratio = SPRINGS["hard"], 440.0, 0.05
+    period_s = phase / w
+    time_s = np.arange(3000) * period_s
+
+    def drive(t):
+        return 15.0 * np.sin(0.15 * w * t) + 12.0 * np.sin(0.61 * w * t)
+
+    def motion(t, state, of_spring):
+        y, speed = state
+        return speed, w * w * (drive(t) - y - of_spring(y)) - 2.0 * damping_ratio * w * speed
+
+    def solved(of_spring, begin_um):
+        return solve_ivp(motion, (0.0, time_s[-1]), (begin_um, 0.0), "DOP853", time_s, rtol=1e-9,
+                         atol=1e-9, args=(of_spring,)).y[0]
+
+    rest_um = brentq(lambda y: y + force(parts, y), -100.0, 100.0)
+    linear_um = solved(lambda y: 0.0, 0.0)
+    expected_um = solved(partial(force, parts), rest_um)
+    found_um = spring(parts, w, damping_ratio).apply(linear_um, period_s, 0.0)
+    assert np.std(linear_um - expected_um) > np.std(expected_um)
+    assert np.std(found_um - expected_um) < tolerance * np.std(expected_um)
+
+
+def test_a_spring_that_gives_way_within_the_range_is_impossible():
+    assert spring(SPRINGS["hard"]).impossible(None) is None
+    assert spring(SPRINGS["soft"]).impossible(None) is None
+    assert "softer" in spring((0.0, 0.0, -4.0, 0.0)).impossible(None)
+    assert "softer" in spring((-9.5, 0.0, 0.0, 0.0)).impossible(None)
