@@ -2,10 +2,14 @@
 """What the tests of several packages share: CSV files, pages in a browser, pictures in grey."""
 
 import html
+import importlib.util
+import io
 import re
 import shutil
 import subprocess
+import sys
 from itertools import chain, combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,6 +52,34 @@ def save_csv():
         return path
 
     return save
+
+
+@pytest.fixture(scope="session")
+def under_each_kernel():
+    """Compute the same under each kernel of OpenBLAS that this processor runs.
+
+    Give it the source of a program that makes a dictionary ``result`` of arrays; it returns these
+    dictionaries by the kernel's name. Skips where there are fewer than three kernels to choose.
+    """
+    path = Path(__file__).parent / "tools" / "blas_kernels.py"
+    spec = importlib.util.spec_from_file_location("blas_kernels", path)
+    blas_kernels = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(blas_kernels)
+    kernels = blas_kernels.usable_kernels()
+    if len(kernels) < 3:
+        pytest.skip(f"this processor and its BLAS run the kernels {kernels} alone: three needed")
+
+    def compute(source):
+        write = "import sys, numpy; numpy.savez(sys.stdout.buffer, **result)"
+        results = {}
+        for kernel in kernels:
+            run = subprocess.run([sys.executable, "-c", f"{source}\n{write}\n"], timeout=300,
+                                 env=blas_kernels.environment(kernel), capture_output=True)
+            assert run.returncode == 0, run.stderr.decode()
+            results[kernel] = dict(np.load(io.BytesIO(run.stdout)))
+        return results
+
+    return compute
 
 
 @pytest.fixture(scope="session")

@@ -14,6 +14,7 @@ from piezo_controller.reach import (
     check_slew,
     unreachable,
 )
+from piezo_controller.repeated_input import mean_over_repeats
 from piezo_controller.smooth_rise import minimum_jerk
 from piezo_models.inversion import invert_linear_periodic
 from piezo_models.linear import simulate_linear, zoh
@@ -65,6 +66,10 @@ class FeedforwardPlan:
     def expected_um(self, first_sample, count):
         """Displacements to expect of `count` samples from `first_sample` on (um)."""
         return _play(self.reference_once_um, self.reference_period_um, first_sample, count)
+
+    def travel_um(self, samples):
+        """Largest minus smallest displacement of the first samples of the reference (um)."""
+        return float(np.ptp(self.reference_period_um[:samples]))
 
 
 def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v=(-20.0, 120.0),
@@ -149,8 +154,7 @@ class FeedforwardPlanner:
         self.rest_memory = rest.hysteresis
         self.rest_hysteresis_um = rest.hysteresis.hysteresis_um
         self.rest_displacement_um = float(self.sampled.C[0] @ rest.linear_state)
-        periods = max(round(duration_s / (period * sample_period_s)), 1)
-        self.mean_weights = self._mean_weights(periods * period)
+        self.periods = max(round(duration_s / (period * sample_period_s)), 1)
 
         low_um, high_um = self.hysteresis.output_range_um
         travel_v = self.hysteresis.voltage_max_v - self.hysteresis.voltage_min_v
@@ -158,12 +162,6 @@ class FeedforwardPlanner:
 
     def _aligned(self, time_s):
         return aligned_samples(time_s, self.sample_period_s)
-
-    def _mean_weights(self, window):
-        """Weights of the hysteresis outputs in the mean displacement after the once part."""
-        in_window = np.zeros(self.once + window)
-        in_window[self.once:] = 1 / window
-        return simulate_linear(self.sampled, in_window[::-1])[::-1]
 
     def plan(self, reference_um, correction_um=0.0):
         """The plan for one reference; raises `OutOfReach`.
@@ -181,7 +179,8 @@ class FeedforwardPlanner:
         """The plan for which the linear part's output is the target, period by period."""
         mean_um = target_um.mean()
         wave = self._wave(target_um - mean_um)
-        level, level_gain = mean_um, self.mean_weights[self.fade_start:].sum()
+        level, level_gain = mean_um, self._mean_over_run_um(
+            np.arange(self.once + self.period) >= self.fade_start)
         if self.mode == "open_loop":
             level = self.hysteresis.voltage_min_v + (
                 mean_um - self.hysteresis.output_range_um[0]) / self.gain_um_per_v
@@ -261,10 +260,14 @@ class FeedforwardPlanner:
 
     def _mean_displacement_um(self, hysteresis_um):
         """Of the model over the run, after the once part."""
-        repeats = len(self.mean_weights) // self.period
-        run_um = np.r_[hysteresis_um[:self.once], np.tile(hysteresis_um[self.once:], repeats)]
-        deviation_um = run_um[:len(self.mean_weights)] - self.rest_hysteresis_um
-        return self.rest_displacement_um + self.mean_weights @ deviation_um
+        return self.rest_displacement_um + self._mean_over_run_um(
+            hysteresis_um - self.rest_hysteresis_um)
+
+    def _mean_over_run_um(self, deviation_um):
+        """Mean deviation of the displacement in the repeated part from that of the hysteresis."""
+        deviation_um = np.asarray(deviation_um, dtype=float)
+        return mean_over_repeats(self.sampled, deviation_um[:self.once],
+                                 deviation_um[self.once:], self.periods)
 
     def _expected_once_um(self, hysteresis_um, reference_um):
         """What the model measures in the once part, led over to the reference by its end."""

@@ -106,6 +106,10 @@ class LearningFeedforward:
         """Displacements to expect of `count` samples from `first_sample` on (um)."""
         return self._expected_plan.expected_um(first_sample, count)
 
+    def travel_um(self, samples):
+        """Largest minus smallest displacement of the first samples of the reference (um)."""
+        return self._expected_plan.travel_um(samples)
+
     def take(self, displacement_um):
         """Take the samples that were measured next, from the run's first on."""
         first, window = self._taken, self._window

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import control
 import numpy as np
-from scipy.signal import lfilter, lfilter_zi, savgol_coeffs
+from numpy.polynomial import legendre
+from scipy.signal import lfilter, lfilter_zi
 
 from piezo_models.linear import zoh, zoh_response
 
@@ -25,6 +26,8 @@ GRID = 400
 POLYNOMIAL_DEGREE = 9
 # Zeros closer to the unit circle than this would ring for long if they were cancelled.
 LARGEST_CANCELLED_ZERO = 0.8
+# Newton's steps double the digits: one takes eight to all, the second confirms them.
+ZERO_REFINEMENTS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +122,7 @@ def _least_squares(system, sample_period_s, preview_samples):
 
 def _zero_phase(system, sample_period_s, preview_samples):
     sampled = zoh(system, sample_period_s)
-    poles, zeros = control.poles(sampled), control.zeros(sampled)
+    poles, zeros = control.poles(sampled), _exact_zeros(sampled)
     kept = zeros[np.abs(zeros) > LARGEST_CANCELLED_ZERO]
     cancelled = zeros[np.abs(zeros) <= LARGEST_CANCELLED_ZERO]
     uncancelled = np.real(np.poly(kept)) / np.real(np.prod(1 - kept))  # in falling powers of z
@@ -144,6 +147,19 @@ def _zero_phase(system, sample_period_s, preview_samples):
     return PreviewInverse(numerator, denominator, advance + len(series) // 2)
 
 
+def _exact_zeros(system):
+    """Zeros to the last digits: the series multiplies what an eigenvalue problem leaves of them."""
+    zeros = control.zeros(system).astype(complex)
+    identity = np.eye(system.nstates)
+    for _ in range(ZERO_REFINEMENTS):
+        for n, zero in enumerate(zeros):
+            once = np.linalg.solve(zero * identity - system.A, system.B)
+            twice = np.linalg.solve(zero * identity - system.A, once)
+            value, slope = (system.C @ once)[0, 0] + system.D[0, 0], -(system.C @ twice)[0, 0]
+            zeros[n] -= value / slope
+    return zeros
+
+
 def _rest_gain(sampled):
     return float(np.real(sampled(1.0)))
 
@@ -152,17 +168,39 @@ def _derivatives(system, sample_period_s, preview_samples):
     if control.zeros(system).size:
         raise ValueError("the inverse of dynamics with antiresonances is no polynomial of "
                          "derivatives: use least_squares or zero_phase")
-    # In rising powers of s: 1 / G, of gain one at rest over the gain at rest.
-    inverse = np.real(np.poly(control.poles(system)))[::-1]
-    inverse = inverse / (inverse[0] * np.real(system(0.0)))
     window = 2 * preview_samples + 1
     degree = min(POLYNOMIAL_DEGREE, window - 1)
-    if inverse.size - 1 > degree:
+    poles = control.poles(system)
+    if poles.size > degree:
         raise ValueError(f"a preview of {preview_samples} samples gives no derivative of order "
-                         f"{inverse.size - 1}: take more")
-    taps = sum(
-        gain * savgol_coeffs(window, degree, deriv=order, delta=sample_period_s,
-                             pos=preview_samples + 0.5, use="dot")
-        for order, gain in enumerate(inverse))
+                         f"{poles.size}: take more")
+    # With time in half windows both the polynomial of the inverse and the fit are of order one.
+    half_window_s = preview_samples * sample_period_s
+    inverse = np.real(np.poly(poles * half_window_s))[::-1]
+    at_half_sample = 0.5 / preview_samples
+    wanted = [sum(gain * legendre.legval(at_half_sample, legendre.legder(basis, order))
+                  for order, gain in enumerate(inverse / inverse[0]))
+              for basis in np.eye(degree + 1)]
+    taps = _projection_taps(preview_samples, degree, np.array(wanted))
     taps /= taps.sum() * np.real(system(0.0))  # exact at rest
     return PreviewInverse(taps[::-1], np.ones(1), preview_samples)
+
+
+def _projection_taps(half_window, degree, functional):
+    """Taps of a linear functional of the polynomial that fits a window best.
+
+    Parameters
+    ----------
+    half_window : int
+    degree : int
+    functional : ndarray, shape (degree + 1,)
+        Its value for each Legendre polynomial on the window. In powers of time the same least
+        squares have a condition of 1e12, and what is left of the taps depends on the processor.
+
+    Returns
+    -------
+    ndarray, shape (2 half_window + 1,)
+    """
+    grid = np.arange(-half_window, half_window + 1) / half_window
+    orthogonal, triangle = np.linalg.qr(legendre.legvander(grid, degree))
+    return orthogonal @ np.linalg.solve(triangle.T, functional)

@@ -7,7 +7,10 @@ from collections import deque
 
 import numpy as np
 
+from piezo_controller.answer_times import AnswerTimes
+
 ON_TARGET_SAMPLES = 400
+USUAL_PERCENT = 99
 TOLERANCE_OF_TRAVEL, LEAST_TOLERANCE_UM = 0.01, 0.03
 
 
@@ -35,12 +38,13 @@ class TrackingRun:
                  window_samples=4000):
         self._plan = plan
         self._tick_s = tick_s
-        self._answer_times_s = []
+        self._answer_times = AnswerTimes(tick_s)
         self._feedback = feedback
         self._run_samples = run_samples
-        self._travel_um = np.ptp(plan.expected_um(plan.begin_sample, run_samples))
+        self._planned_travel_um = plan.travel_um(run_samples)
+        self._lowest_um, self._highest_um = math.inf, -math.inf
         self.tolerance_um = tolerance_um or max(
-            TOLERANCE_OF_TRAVEL * self._travel_um, LEAST_TOLERANCE_UM)
+            TOLERANCE_OF_TRAVEL * self._planned_travel_um, LEAST_TOLERANCE_UM)
         self.samples = 0
         self._squares = self._counted = 0
         self.largest_error_um = math.nan
@@ -100,32 +104,33 @@ class TrackingRun:
         if not len(displacement_um):
             return 0.0
         expected_um = self._plan.expected_um(first, len(displacement_um))
-        self._account(first, expected_um - displacement_um)
+        self._account(max(self._plan.begin_sample - first, 0), expected_um, displacement_um)
         if self._feedback is None or first < self._plan.feedback_start_sample:
             return 0.0
         begin_s = time.perf_counter()
         voltage_v = self._feedback.step(expected_um, displacement_um)
-        self._answer_times_s.append(time.perf_counter() - begin_s)
+        self._answer_times.add(time.perf_counter() - begin_s)
         return voltage_v
 
     @property
     def lateness(self):
         """What to tell of answers that no stage at the wall clock could have waited for."""
-        if not self._answer_times_s:
+        times = self._answer_times
+        if 100 * times.late <= (100 - USUAL_PERCENT) * times.count:
             return ""
-        usual_s = float(np.percentile(self._answer_times_s, 99.0))
-        if usual_s <= self._tick_s:
-            return ""
-        late = int(np.count_nonzero(np.array(self._answer_times_s) > self._tick_s))
-        return (f"{late} of {len(self._answer_times_s)} answers of the feedback took longer to "
-                f"compute than the tick of {1e6 * self._tick_s:.0f} us: at the wall clock they "
-                f"would be late (99 % took {1e6 * usual_s:.0f} us or less)")
+        return (f"{times.late} of {times.count} answers of the feedback took longer to compute "
+                f"than the tick of {1e6 * self._tick_s:.0f} us: at the wall clock they would be "
+                f"late ({USUAL_PERCENT} % took {1e6 * times.percentile_s(USUAL_PERCENT):.0f} us "
+                "or less)")
 
-    def _account(self, first, error_um):
-        before = max(self._plan.begin_sample - first, 0)
-        error_um = error_um[before:]
-        if not error_um.size:
+    def _account(self, before, expected_um, displacement_um):
+        """Add a block to the account, except its samples before the part that counts."""
+        expected_um, displacement_um = expected_um[before:], displacement_um[before:]
+        if not expected_um.size:
             return
+        self._lowest_um = min(self._lowest_um, expected_um.min())
+        self._highest_um = max(self._highest_um, expected_um.max())
+        error_um = expected_um - displacement_um
         squares = float(error_um @ error_um)
         self._squares += squares
         self._counted += error_um.size
@@ -136,6 +141,11 @@ class TrackingRun:
             self._on_target_since = None
         elif self._on_target_since is None and self._target.full:
             self._on_target_since = self._counted - self._target.samples
+
+    @property
+    def _travel_um(self):
+        """Of the reference as far as it is known: of all that was expected, and of the plan."""
+        return max(self._planned_travel_um, self._highest_um - self._lowest_um)
 
     def e_rms_percent(self, running=False):
         """Error so far of the part that counts, (2.32); of its last samples if so asked.

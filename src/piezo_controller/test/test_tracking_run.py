@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The account of one run: what it answers to each block, and the error it reports."""
 
+import pickle
 import re
 import time
 
 import numpy as np
 import pytest
 
+from piezo_controller.answer_times import AnswerTimes
 from piezo_controller.feedforward import FeedforwardPlan
 from piezo_controller.offline_loop import play_run
 from piezo_controller.tracking_run import TrackingRun
@@ -135,3 +137,51 @@ def test_played_run_answers_with_the_timing_of_the_stage():
     answers[:2] = 0.0
     np.testing.assert_allclose(played.feedback_v.reshape(-1, BLOCK)[2:, 0], answers[:-2])
     np.testing.assert_allclose(played.voltage_v, played.feedback_v)
+
+
+def test_times_of_any_number_of_answers_are_counted_and_their_percentile_told_to_12_percent():
+    generator = np.random.default_rng(3)
+    taken_s = 10.0 ** generator.uniform(-5, -2, 20_000)
+    times = AnswerTimes(1e-3)
+    for taken in taken_s:
+        times.add(taken)
+    assert (times.count, times.late) == (20_000, np.count_nonzero(taken_s > 1e-3))
+    for percent in (50, 99):
+        assert 1.0 <= times.percentile_s(percent) / np.percentile(taken_s, percent) < 1.13
+    times.add(1e4)
+    assert times.percentile_s(100) == np.inf
+
+
+class CountingPlan:
+    """A plan that knows its reference, and how much of it is asked for at once."""
+
+    begin_sample, feedback_start_sample = 80, 80
+
+    def __init__(self):
+        self.largest = 0
+
+    def expected_um(self, first, count):
+        self.largest = max(self.largest, count)
+        return np.sin(np.arange(first, first + count) / 500)
+
+    def travel_um(self, samples):
+        return 1.0
+
+
+def kept_bytes(instance):
+    """Bytes of an object and of all that it refers to, as pickle counts them."""
+    return len(pickle.dumps(instance))
+
+
+def test_run_of_an_hour_keeps_no_more_than_one_of_a_second():
+    plan = CountingPlan()
+    run = TrackingRun(plan, 3600 * 40_000, Witness(), window_samples=4000)
+    sizes = []
+    for _ in range(2):
+        for _ in range(5000):
+            run.take(np.zeros(BLOCK))
+        sizes.append(kept_bytes(run))
+    assert sizes[1] - sizes[0] < 1000
+    assert plan.largest == BLOCK
+    # The travel that was planned is corrected by what has been played.
+    assert run.e_rms_percent() == pytest.approx(100 * np.sqrt(0.5) / 2.0, rel=1e-2)

@@ -207,7 +207,7 @@ class StageEngine:
                 raise StageRefusal("there is no streamed feedforward to append to: "
                                    "load one without a repeated part first")
             self._limits.check(once_voltage_v, self.sample_period_s,
-                               self._feedforward.sequence_v[-1])
+                               self._feedforward.last_v)
             self._feedforward.append(once_voltage_v)
             return
         self._require_ready()
@@ -238,8 +238,10 @@ class StageEngine:
         self._require_ready()
         if self._feedforward is None:
             raise StageRefusal("no feedforward is loaded: call load_feedforward first")
+        if self._feedforward.forgotten:
+            raise StageRefusal("the streamed feedforward has been played: load it again")
         self._limits.check_start(
-            self._feedforward.sequence_v[0], self.voltage_v, self._ramps.v_per_tick)
+            self._feedforward.first_v, self.voltage_v, self._ramps.v_per_tick)
         self._feedforward.rewind()
         self._feedback = None if not feedback else FeedbackHold(
             self.tick, self.lead_ticks, self._feedback_limits)

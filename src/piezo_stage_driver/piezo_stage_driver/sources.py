@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Where the voltage of the next samples comes from."""
 
+from collections import deque
+
 import numpy as np
 
 
@@ -46,11 +48,20 @@ class Waveform:
 
 
 class Feedforward:
-    """A part played once, which may grow while it plays, then a part that is repeated."""
+    """A part played once, which may grow while it plays, then a part that is repeated.
+
+    What is appended is forgotten once it has been played, so that a stream of any length takes
+    the time and the memory of what is loaded ahead.
+    """
 
     def __init__(self, once_voltage_v, period_voltage_v):
         self._once_v, self._period_v = once_voltage_v, period_voltage_v
-        self._at = 0
+        self._appended = deque()
+        self._last_v = once_voltage_v[-1] if len(once_voltage_v) else None
+        # Where the next sample lies: in the once part, then in the first of what was appended,
+        # then in the periods.
+        self._at = self._in_chunk = 0
+        self._appended_played = self._held = False
 
     @property
     def periodic(self):
@@ -59,30 +70,64 @@ class Feedforward:
 
     @property
     def sequence_v(self):
-        """Every voltage up to the first repetition, shape (n,), in V."""
+        """Every voltage of what was loaded first up to the first repetition, shape (n,), in V."""
         return np.r_[self._once_v, self._period_v, self._period_v[:1]]
 
     @property
+    def first_v(self):
+        """The voltage that is played first (V)."""
+        return self._once_v[0] if len(self._once_v) else self._period_v[0]
+
+    @property
+    def last_v(self):
+        """The voltage behind which the next part is appended (V)."""
+        return self._last_v
+
+    @property
     def exhausted(self):
-        """Whether nothing is left to play and the last voltage is held."""
-        return not self.periodic and self._at > len(self._once_v)
+        """Whether nothing was left for the last samples and the last voltage was held."""
+        return self._held
 
     def append(self, once_voltage_v):
         """Add samples behind the part that is played once."""
-        self._once_v = np.r_[self._once_v, once_voltage_v]
+        self._appended.append(once_voltage_v)
+        self._last_v = once_voltage_v[-1]
+
+    @property
+    def forgotten(self):
+        """Whether appended samples were played, so that it cannot begin anew."""
+        return self._appended_played
 
     def rewind(self):
-        """Begin anew with the first sample."""
-        self._at = 0
+        """Begin anew with the first sample, as long as nothing is forgotten."""
+        self._at, self._held = 0, False
 
     def take(self, count):
-        """Return the next samples, shape (count,), in V."""
-        position = np.arange(self._at, self._at + count)
+        """Return the next samples, shape (count,), in V.
+
+        A stream that ran dry goes on where it stopped: without a jump, and later than planned.
+        """
+        taken_v = self._once_v[self._at:self._at + count]
+        parts, missing = [taken_v], count - len(taken_v)
+        self._held = False
+        while missing and self._appended:
+            chunk_v = self._appended[0]
+            taken_v = chunk_v[self._in_chunk:self._in_chunk + missing]
+            parts.append(taken_v)
+            missing -= len(taken_v)
+            self._in_chunk += len(taken_v)
+            self._appended_played = True
+            if self._in_chunk == len(chunk_v):
+                self._appended.popleft()
+                self._in_chunk = 0
+        if missing:
+            parts.append(self._take_behind_once(missing))
         self._at += count
-        once = len(self._once_v)
+        return np.concatenate(parts)
+
+    def _take_behind_once(self, count):
         if not self.periodic:
-            return self._once_v[np.minimum(position, once - 1)]
-        samples = self._period_v[(position - once) % len(self._period_v)]
-        in_once = position < once
-        samples[in_once] = self._once_v[position[in_once]]
-        return samples
+            self._held = True
+            return np.full(count, self._last_v)
+        first = max(self._at - len(self._once_v), 0)
+        return self._period_v[np.arange(first, first + count) % len(self._period_v)]
