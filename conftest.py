@@ -4,6 +4,7 @@
 import html
 import importlib.util
 import io
+import os
 import re
 import shutil
 import subprocess
@@ -16,6 +17,7 @@ import pytest
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
+LONG = bool(os.environ.get("LONG_TESTS"))
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 WIDTHS_PX = {"phone": 390, "desk": 1280}
 # Each page is laid out in a frame of its width; what does not fit or load is written down.
@@ -41,6 +43,14 @@ LEAST_LIGHTNESS_DIFFERENCE = 20.0
 """Of L*, 0 to 100, between lines of the same dashes and marker."""
 COUNTS = re.compile("number|direction|correlation|with the voltage")
 """How labels of plain numbers begin; all others give a unit in brackets."""
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave out what is marked ``long``, unless LONG_TESTS is set."""
+    left_out = [item for item in items if item.get_closest_marker("long") and not LONG]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in set(left_out)]
 
 
 @pytest.fixture(scope="session")

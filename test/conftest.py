@@ -2,11 +2,13 @@
 """Start the real nodes as processes, and talk to them as any client would."""
 
 import array
+import fcntl
 import os
 import random
 import socket
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from itertools import count, pairwise
 
 import numpy as np
@@ -27,6 +29,8 @@ from piezo_node_tools.quality import FEEDBACK, SAMPLES
 
 TIMEOUT_S = 180.0
 DOMAINS = range(1, 100)
+CLAIMS = f"{tempfile.gettempdir()}/piezo_test_domain_{{number}}"
+"""Locked by the test process that uses a domain, until it ends."""
 
 
 class Samples:
@@ -279,13 +283,45 @@ class Nodes:
             assert "Traceback" not in text, f"{log.name}: {text}"
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the marks
+def pytest_collection_modifyitems(config, items):
+    """Give the tests of the suite that lives as long as the session to one worker of xdist."""
+    if config.pluginmanager.hasplugin("xdist"):
+        for item in items:
+            shared = "whole_suite" in getattr(item, "fixturenames", ())
+            item.add_marker(pytest.mark.xdist_group("suite" if shared else item.path.name))
+
+
 @pytest.fixture(scope="session", autouse=True)
 def domain():
     """A ROS domain of our own, which nobody else on this machine uses now."""
-    number = next(filter(_is_free, random.sample(DOMAINS, len(DOMAINS))))
-    os.environ.update(ROS_DOMAIN_ID=str(number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-    clean_shared_memory()
-    return number
+    with claimed_domain() as number:
+        os.environ.update(ROS_DOMAIN_ID=str(number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+        clean_shared_memory()
+        yield number
+
+
+@contextmanager
+def claimed_domain():
+    """Claim a free ROS domain, also against test processes that have started no node yet."""
+    for number in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
+        try:
+            claim = open(CLAIMS.format(number=number), "a", encoding="utf-8")
+        except PermissionError:  # of another user
+            continue
+        with claim:
+            if _is_locked(claim) and _is_free(number):
+                yield number
+                return
+    pytest.exit("every ROS domain of this machine is in use")
+
+
+def _is_locked(file):
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def _is_free(domain):

@@ -4,7 +4,6 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from piezo_models.model_file import load_model
 from piezo_recorder.reader import read_recording
 
 
@@ -92,7 +91,7 @@ class Identification:
 
     def model(self):
         """Read the model file: a `piezo_models.identified_model.IdentifiedModel`."""
-        return load_model(self.path)
+        return _load_model(self.path)
 
 
 @dataclass(frozen=True)
@@ -127,4 +126,11 @@ class Diagnosis:
 
     def model(self):
         """Read the extended model's file: a `piezo_models.identified_model.IdentifiedModel`."""
-        return load_model(self.path)
+        return _load_model(self.path)
+
+
+def _load_model(path):
+    # Its imports take seconds, which a client that only drives the stage need not wait for.
+    from piezo_models.model_file import load_model
+
+    return load_model(path)

@@ -24,6 +24,8 @@ from piezo_controller.robustness import check_robustness
 from piezo_controller.weights import load_weights
 from piezo_models.linear import simulate_linear, zoh
 
+pytestmark = pytest.mark.kernels
+
 TICK_S, CLOCK_PERIOD_S, SAMPLES = 1e-3, 25e-6, 40
 
 

@@ -13,6 +13,8 @@ from piezo_models.cascade import StageModel
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.preisach import PreisachModel
 
+pytestmark = pytest.mark.kernels
+
 SAMPLES = 40
 
 

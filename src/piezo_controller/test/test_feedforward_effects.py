@@ -26,6 +26,8 @@ from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
 from piezo_models.linear import CreepDynamics
 
+pytestmark = pytest.mark.kernels
+
 SAMPLE_PERIOD_S = 25e-6
 THIRD_MODE = VibrationMode(8796.0, 0.01, 0.05)
 

@@ -9,6 +9,8 @@ from piezo_controller.smooth_rise import minimum_jerk
 from piezo_models.cascade import StageModel
 from piezo_models.linear import CreepDynamics
 
+pytestmark = pytest.mark.kernels
+
 SAMPLE_PERIOD_S = 25e-6
 TRAJECTORIES = [(40.0, 40.0), (100.0, 40.0), (500.0, 21.0), (1000.0, 9.0)]
 

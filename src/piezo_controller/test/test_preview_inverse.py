@@ -7,6 +7,8 @@ import pytest
 from piezo_controller.preview_inverse import METHODS, preview_inverse
 from piezo_models.linear import ElectricVibrationDynamics, simulate_linear, zoh, zoh_response
 
+pytestmark = pytest.mark.kernels
+
 SAMPLE_PERIOD_S = 25e-6
 DYNAMICS = ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.68535, 0.081992))
 SYSTEM = DYNAMICS.state_space()

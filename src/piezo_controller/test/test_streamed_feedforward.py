@@ -18,6 +18,8 @@ from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
 from piezo_models.effects.slew_limit import SlewLimit
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 
+pytestmark = pytest.mark.kernels
+
 SAMPLE_PERIOD_S = 25e-6
 RANDOM = Reference("random", (500.0,), (30.0,), (), 50.0, seed=3)
 SAMPLES = 8000

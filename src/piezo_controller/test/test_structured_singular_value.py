@@ -18,6 +18,8 @@ from piezo_controller.structured_singular_value import (
     structured_singular_values,
 )
 
+pytestmark = pytest.mark.kernels
+
 TICK_S = 1e-3
 
 

@@ -16,6 +16,8 @@ from piezo_controller.ziegler_nichols import (
     ultimate_point_by_response,
 )
 
+pytestmark = pytest.mark.kernels
+
 TICK_S, CLOCK_PERIOD_S = 1e-3, 25e-6
 
 

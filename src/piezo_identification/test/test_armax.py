@@ -87,6 +87,7 @@ def test_the_subspace_finds_poles_without_a_guess():
     np.testing.assert_allclose(poles, truth, rtol=0.02)
 
 
+@pytest.mark.kernels
 def test_a_recording_gives_modes_and_the_order_by_the_data(plant, play):
     recording = play(experiments.dynamics(duration_s=0.8), 1)
     estimate = estimate_dynamics_armax(recording, plant.creep)

@@ -36,6 +36,7 @@ def test_creep_is_recovered_through_noise_and_hysteresis_offset(plant, record, s
     assert estimate.poles_rad_per_s[3] == pytest.approx(17.57, rel=0.02)
 
 
+@pytest.mark.kernels
 def test_creep_left_from_before_does_not_disturb(plant, record):
     memory = plant.memory()
     plant.simulate(np.full(40_000, 120.0), 1e-3, memory)

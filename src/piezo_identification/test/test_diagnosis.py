@@ -51,6 +51,7 @@ def test_noise_is_noise(plant, record):
     assert diagnosis.before == diagnosis.after
 
 
+@pytest.mark.kernels
 def test_a_missing_mode_is_found_and_its_parameters_are_those_of_the_plant(of_mode):
     assert of_mode.verdict == "explained"
     first = of_mode.effects[0]
@@ -68,6 +69,7 @@ def test_the_extended_model_is_better_on_another_recording(plant, of_mode, recor
     assert after < 0.3 * before
 
 
+@pytest.mark.kernels
 def test_two_effects_are_found_one_after_the_other(plant, record):
     diagnosis = diagnose(plant, [record(PeriodicDisturbance(333.3, 0.05, 0.02), Delay(8e-5))])
     assert diagnosis.verdict == "explained"

@@ -25,6 +25,7 @@ def test_time_constant_and_modes_are_recovered_through_noise(plant, play, seed):
     assert estimate.damping_ratios[1] == pytest.approx(0.082, rel=2e-3)
 
 
+@pytest.mark.kernels
 def test_creep_left_from_before_does_not_disturb(plant, play):
     memory = plant.memory()
     plant.simulate(np.full(40_000, 120.0), 1e-3, memory)

@@ -12,6 +12,8 @@ from piezo_identification.hysteresis import (
 )
 from piezo_identification.waveforms import played
 
+pytestmark = pytest.mark.kernels
+
 LEVELS = 28
 CLOCK_HZ = 4000.0
 

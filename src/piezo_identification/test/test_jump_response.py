@@ -11,6 +11,8 @@ from piezo_models.preisach import PreisachModel
 from piezo_recorder.recording import Recording
 from piezo_recorder.sample_block import Flag
 
+pytestmark = pytest.mark.kernels
+
 PERIOD_S = 2e-4
 NOISE_UM = 0.02
 ONE_MODE = ElectricVibrationDynamics(1.5e-4, (6000.0,), (0.03,))

@@ -23,6 +23,8 @@ from piezo_models.hysteretic_creep import HystereticCreep
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_file import load_model
 
+pytestmark = pytest.mark.kernels
+
 
 @pytest.fixture(scope="module")
 def recordings(play):

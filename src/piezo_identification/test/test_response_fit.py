@@ -40,6 +40,7 @@ def parameters(model):
         [model.gain, model.delay_s], numbers(vars(model.creep)), numbers(vars(model.dynamics))])
 
 
+@pytest.mark.kernels
 def test_modes_antiresonances_creep_and_delay_are_found_with_their_number():
     estimate = estimate_from_response(measured(1))
     assert estimate.order == ORDER

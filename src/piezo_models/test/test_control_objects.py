@@ -12,6 +12,8 @@ from piezo_models.control_objects import from_control, to_control
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.preisach import PreisachModel
 
+pytestmark = pytest.mark.kernels
+
 CREEP = CreepDynamics((0.0142, 0.31, 17.6), (0.0145, 0.33, 18.1))
 DYNAMICS = ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.6853, 0.082), (3900.0,), (0.1,))
 

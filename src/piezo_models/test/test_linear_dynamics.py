@@ -15,6 +15,8 @@ from piezo_models.linear import (
     zoh_response,
 )
 
+pytestmark = pytest.mark.kernels
+
 PERIOD_S = 25e-6
 
 
