@@ -13,6 +13,7 @@ from piezo_identification.estimate import (
     dynamics_vector,
     parameter_deviations,
 )
+from piezo_identification.response_hold import without_hold
 from piezo_models.effects import fitted_values, with_fitted_values
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
@@ -78,6 +79,7 @@ def diagnose_response(model, measured):
     ----------
     model : StageModel
     measured : FrequencyResponse
+        A hold in it is taken out.
 
     Returns
     -------
@@ -93,6 +95,7 @@ def diagnose_response(model, measured):
             f"{measured.path} has {measured.frequency_hz.size} frequencies, too few to hold some "
             f"out: measure at least {4 * BLOCK * HELD_OUT}"
         )
+    measured = without_hold(measured, model.linear())
     contest = _Contest(model, measured)
     start = current = contest.tuned(())
     effects, tried, not_decidable = [], [], {}
