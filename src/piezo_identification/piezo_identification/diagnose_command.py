@@ -8,6 +8,11 @@ from pathlib import Path
 from piezo_identification.diagnosis.report import verdict_sentence
 from piezo_identification.diagnosis.results import diagnose_files
 from piezo_identification.frequency_response import is_frequency_response
+from piezo_identification.response_options import (
+    add_response_options,
+    hold_s_of,
+    useless_response_options,
+)
 from piezo_identification.response_results import diagnose_response_file, response_sentence
 from piezo_identification.sensor_sign import sign_text
 from piezo_models.command_line import print_progress, run_command
@@ -39,6 +44,7 @@ def main(arguments=None):
                         help="another recording, on which the errors are measured")
     parser.add_argument("--output", metavar="DIR", type=Path, required=True,
                         help="directory for the results; made if it is missing")
+    add_response_options(parser)
     return run_command(parser, _diagnose, arguments)
 
 
@@ -46,10 +52,14 @@ def _diagnose(options):
     if is_frequency_response(options.data[0]):
         if len(options.data) > 1 or options.holdout:
             raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
-        diagnosis = diagnose_response_file(options.model, options.data[0], options.output)
+        diagnosis = diagnose_response_file(
+            options.model, options.data[0], options.output, hold_s_of(options))
         _print_table(diagnosis, response_sentence(diagnosis))
         print(f"written to {options.output}")
         return
+    for option in (name for name, given in useless_response_options(options).items() if given):
+        raise ValueError(f"{option} has nothing to act on: leave it out, or give a frequency "
+                         "response as --data")
     results = diagnose_files(
         options.model, options.data, options.holdout, options.output, print_progress)
     _print_table(results.diagnosis, verdict_sentence(results.diagnosis))

@@ -2,7 +2,7 @@
 """Measured frequency responses: the CSV file that holds one."""
 
 import csv
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +22,36 @@ class FrequencyResponse:
         Positive and increasing.
     gain : ndarray of complex, shape (N,)
         Displacement over voltage, in the unit in which it was measured.
+    hold_s : float
+        Sample period, where the gain is that from voltage samples that were held (zero-order hold)
+        to displacement samples; 0 where it is that of the stage alone, between continuous signals.
     """
 
     path: str
     frequency_hz: np.ndarray = field(repr=False)
     gain: np.ndarray = field(repr=False)
+    hold_s: float = 0.0
+
+    def held(self, hold_s):
+        """The same numbers, taken as those of a response from held samples to samples.
+
+        Parameters
+        ----------
+        hold_s : float
+            Sample period; 0 for no hold.
+
+        Raises
+        ------
+        ValueError
+            If a frequency is not below half the rate of such samples.
+        """
+        if self.frequency_hz[-1] * hold_s >= 0.5:
+            raise ValueError(
+                f"{self.path} goes up to {self.frequency_hz[-1]:g} Hz, but samples at "
+                f"{1.0 / hold_s:g} Hz show only what is below half of that: give the rate at "
+                "which the voltage was held"
+            )
+        return replace(self, hold_s=hold_s)
 
     def between(self, lowest_hz, highest_hz):
         """Part of the response, both ends included.
@@ -42,7 +67,7 @@ class FrequencyResponse:
                 f"{self.path} has no frequency from {lowest_hz:g} to {highest_hz:g} Hz: it covers "
                 f"{self.frequency_hz[0]:g} to {self.frequency_hz[-1]:g} Hz"
             )
-        return FrequencyResponse(self.path, self.frequency_hz[part], self.gain[part])
+        return replace(self, frequency_hz=self.frequency_hz[part], gain=self.gain[part])
 
 
 def is_frequency_response(path):

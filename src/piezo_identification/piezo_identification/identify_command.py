@@ -13,6 +13,11 @@ from piezo_identification.frequency_response import (
 from piezo_identification.identify import identify
 from piezo_identification.linear_dynamics import METHODS
 from piezo_identification.response_fit import ResponseOrder
+from piezo_identification.response_options import (
+    add_response_options,
+    hold_s_of,
+    useless_response_options,
+)
 from piezo_identification.sensor_sign import displacement_falls
 from piezo_models.command_line import print_progress, run_command
 from piezo_models.model_file import save_model
@@ -63,6 +68,7 @@ def main(arguments=None):
                             help=f"number of {what}; by default chosen from the data")
     parser.add_argument("--band", metavar=("LOW_HZ", "HIGH_HZ"), type=float, nargs=2,
                         help="part of a frequency response to fit; by default all of it")
+    add_response_options(parser)
     return run_command(parser, _identify, arguments)
 
 
@@ -81,6 +87,8 @@ def _identify(options):
     _check_options(data.get("dynamics"), options)
     if options.band is not None:
         data["dynamics"] = data["dynamics"].between(*options.band)
+    if isinstance(data.get("dynamics"), FrequencyResponse):
+        data["dynamics"] = data["dynamics"].held(hold_s_of(options))
     if displacement_falls(data["hysteresis"]):
         print("the displacement falls as the voltage rises: its sign is changed throughout")
     identified = identify(
@@ -102,6 +110,7 @@ def _check_options(dynamics, options):
         "--band": options.band is not None and not is_response,
         "--creep-pairs": options.creep_pairs is not None and options.creep is None
         and not is_response,
+        **({} if is_response else useless_response_options(options)),
     }
     for option in (option for option, is_useless in useless.items() if is_useless):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give the data it is of")

@@ -13,6 +13,7 @@ from piezo_identification.estimate import (
     dynamics_vector,
     parameter_deviations,
 )
+from piezo_identification.response_hold import without_hold
 from piezo_models.effects import Extent, fitted_values, with_fitted_values
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
@@ -81,6 +82,7 @@ def diagnose_response(model, measured):
     ----------
     model : StageModel
     measured : FrequencyResponse
+        A hold in it is taken out.
 
     Returns
     -------
@@ -96,6 +98,7 @@ def diagnose_response(model, measured):
             f"{measured.path} has {measured.frequency_hz.size} frequencies, too few to hold some "
             f"out: measure at least {4 * BLOCK * HELD_OUT}"
         )
+    measured = without_hold(measured, model.linear())
     is_reversed = _moves_against(model, measured)
     if is_reversed:
         measured = replace(measured, gain=-measured.gain)

@@ -15,6 +15,7 @@ from piezo_identification.estimate import (
     parameter_covariance,
     split_dynamics_vector,
 )
+from piezo_identification.response_hold import without_hold
 from piezo_identification.vector_fitting import residues_error, vector_fit
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
 
@@ -71,6 +72,10 @@ class ResponseModel:
     def states(self):
         """States of the rational part."""
         return len(self.creep.poles_rad_per_s) + 1 + 2 * len(self.dynamics.damping_ratios)
+
+    def linear(self):
+        """Continuous `control.StateSpace` without gain and delay."""
+        return self.creep.state_space() * self.dynamics.state_space()
 
     def response(self, frequency_hz):
         """Complex response at the given frequencies, in the shape of `frequency_hz`."""
@@ -129,7 +134,8 @@ def estimate_from_response(measured, order=ANY_ORDER, most_states=MOST_STATES):
     Parameters
     ----------
     measured : FrequencyResponse
-        Take the part in which the sensor shows more than noise (`between`).
+        Take the part in which the sensor shows more than noise (`between`). The model is that of
+        the stage alone: a hold in the response is taken out.
     order : ResponseOrder
         What it leaves open is what the Bayesian information criterion prefers.
     most_states : int
@@ -146,6 +152,16 @@ def estimate_from_response(measured, order=ANY_ORDER, most_states=MOST_STATES):
     ValueError
         If there are too few frequencies, or too few resonances for the order.
     """
+    estimate = _estimate(without_hold(measured), order, most_states)
+    if not measured.hold_s:
+        return estimate
+    # The model tells what sampling folds back.
+    free = without_hold(measured, estimate.model.linear(), estimate.model.delay_s)
+    again = _estimate(free, estimate.order, most_states)
+    return replace(again, trials=estimate.trials, order_given=estimate.order_given)
+
+
+def _estimate(measured, order, most_states):
     if measured.frequency_hz.size < LEAST_FREQUENCIES:
         raise ValueError(
             f"{measured.path} has {measured.frequency_hz.size} frequencies, too few: measure at "

@@ -14,7 +14,7 @@ PICTURE = "response.png"
 DOTS_PER_INCH = 120
 
 
-def diagnose_response_file(model, response, directory):
+def diagnose_response_file(model, response, directory, hold_s=0.0):
     """Diagnose a frequency response and write verdict, extended model, picture and report.
 
     Parameters
@@ -22,6 +22,8 @@ def diagnose_response_file(model, response, directory):
     model, response : path-like
     directory : path-like
         Made if it is missing.
+    hold_s : float
+        See `FrequencyResponse`.
 
     Returns
     -------
@@ -33,7 +35,7 @@ def diagnose_response_file(model, response, directory):
         If a file cannot be read or written, or the response cannot be used.
     """
     identified, directory = load_model(model), Path(directory)
-    measured = read_frequency_response(response)
+    measured = read_frequency_response(response).held(hold_s)
     directory.mkdir(parents=True, exist_ok=True)
     diagnosis = diagnose_response(identified.model, measured)
     write_verdict(directory / "verdict.json", diagnosis)
