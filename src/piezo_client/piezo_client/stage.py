@@ -152,7 +152,7 @@ class Stage:
         """
         result = self._client.track(
             reference, _absolute(model), mode, duration_s, _absolute(directory),
-            on_feedback=self._shown(f"track, {mode}"))
+            on_feedback=self._shown(f"track, {mode}: "))
         return Tracking(Path(result.recording), result.e_rms_percent, result.largest_error_um,
                         result.missed_feedback, result.message)
 
