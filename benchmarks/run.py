@@ -2,7 +2,8 @@
 """Run all benchmarks and print one table: python run.py [--rounds N].
 
 What is compared is measured side by side in each round; of the rounds the table tells the median
-and the spread. Identification is set beside its peers once, over many draws of the noise.
+and the spread. An hour of a stream is played once, and identification is set beside its peers once,
+over many draws of the noise.
 """
 
 import argparse
@@ -17,6 +18,8 @@ from diagnosis_speed import diagnosis_times_s
 from hysteresis_speed import samples_per_s
 from loop_speed import LOCKSTEP, closed_loop, ping_pong_round_trips, tick_round_trips
 from paced import paced_run
+from stream_length import TARGETS as STREAM_TARGETS
+from stream_length import measure as measure_streams
 from table import Measurements, show, write
 
 OUTPUT = Path(__file__).parents[1] / "runs" / "bench"
@@ -122,9 +125,11 @@ def main():
             print(f"round {number} of {rounds}: {measure.__name__.replace('_', ' ')} ...",
                   flush=True)
             measure(measured)
+    print("an hour of a stream ...", flush=True)
+    measure_streams(measured)
     print("identification beside its peers ...", flush=True)
     peers.measure(measured)
-    rows = measured.table(TARGETS)
+    rows = measured.table(TARGETS | STREAM_TARGETS)
     show(rows)
     write(rows, OUTPUT / "table.json")
     print(f"written to {OUTPUT / 'table.json'}")

@@ -150,7 +150,7 @@ class Stage:
         """
         result = self._client.track(
             reference, model, mode, duration_s, directory,
-            on_feedback=self._shown(f"track, {mode}"))
+            on_feedback=self._shown(f"track, {mode}: "))
         return Tracking(Path(result.recording), result.e_rms_percent, result.largest_error_um,
                         result.missed_feedback, result.message)
 

@@ -6,6 +6,7 @@ import functools
 import hashlib
 import json
 import math
+import time
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +94,7 @@ class ControllerNode(LifecycleNode):
         directory = self._data_root.writable(goal.directory or self._directory)
         self._locate_files(goal)
         model_text = _read_text(goal.model)
-        run, plan, feedback, save = self._plan(goal, model_text, directory)
+        run, plan, feedback, save = self._plan(goal, model_text, directory, progress)
         progress.check()
         result.recording = self._recorder.start(directory, f"track_{goal.mode}", {
             "model.json": model_text, "parameters.json": _parameters(goal)})
@@ -120,7 +121,7 @@ class ControllerNode(LifecycleNode):
         for reference in (goal.reference, *goal.then):
             reference.file = self._data_root.readable(reference.file)
 
-    def _plan(self, goal, model_text, directory):
+    def _plan(self, goal, model_text, directory, progress):
         if not 0.0 < goal.duration_s <= LONGEST_DURATION_S:
             raise ValueError(f"duration_s is {goal.duration_s:g}: "
                              f"give more than 0 and at most {LONGEST_DURATION_S:g} s")
@@ -129,13 +130,16 @@ class ControllerNode(LifecycleNode):
         model = load_model(goal.model).model
         durations_s = [goal.duration_s, *goal.then_duration_s]
         feedback = save = None
+        preparing = _Preparing(progress, goal.tolerance_um)
+        preparing.watch(0.0)
         if goal.mode == "learning":
             plan, feedback, save = self._plan_learning(goal, model, model_text, directory)
         else:
             plan = plan_references(
                 goal.mode, [_reference(message) for message in (goal.reference, *goal.then)],
-                durations_s, model, self._stage, goal.inversion)
+                durations_s, model, self._stage, goal.inversion, preparing.watch)
         if goal.mode in FEEDBACK_METHODS:
+            preparing.begin("design the feedback")
             feedback = self._feedback(goal.mode, model, model_text, plan)
         run = TrackingRun(plan, self._whole_ticks(sum(durations_s)), feedback, self._stage.tick_s,
                           goal.tolerance_um, round(REPORT_PERIOD_S * self._stage.sample_rate_hz))
@@ -219,12 +223,34 @@ class ControllerNode(LifecycleNode):
 
         def report():
             progress.report(
-                run.fraction, e_rms_percent=run.e_rms_percent(running=True),
+                run.fraction, stage="play", e_rms_percent=run.e_rms_percent(running=True),
                 on_target=run.on_target, tolerance_um=run.tolerance_um,
                 iteration=plan.iteration if learning else 0)
 
         self._tracker.run(plan.once_voltage_v, period_v, ticks, take, answering, shall_end,
                           report, more)
+
+
+class _Preparing:
+    """Tells what is done before the run, and lets it be cancelled."""
+
+    def __init__(self, progress, tolerance_um):
+        self._progress, self._tolerance_um = progress, tolerance_um
+        self._stage, self._told_s = "plan", -math.inf
+
+    def begin(self, stage):
+        """Tell that another stage begins."""
+        self._stage, self._told_s = stage, -math.inf
+        self.watch(0.0)
+
+    def watch(self, fraction):
+        """Tell how much of the present stage is done; raise ``Cancelled`` if it shall end."""
+        self._progress.check()
+        now_s = time.monotonic()
+        if now_s - self._told_s >= REPORT_PERIOD_S:
+            self._told_s = now_s
+            self._progress.report(fraction, stage=self._stage, e_rms_percent=math.nan,
+                                  tolerance_um=self._tolerance_um)
 
 
 def _sha256(text):

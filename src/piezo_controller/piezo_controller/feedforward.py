@@ -74,7 +74,7 @@ class FeedforwardPlan:
 
 def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v=(-20.0, 120.0),
                      slew_limit_v_per_s=2e6, sample_period_s=25e-6, start_voltage_v=0.0,
-                     duration_s=1.0):
+                     duration_s=1.0, watch=None):
     """Plan the voltage that makes a model at rest follow a periodic reference.
 
     The linear dynamics are inverted harmonic by harmonic on the sampled model (4.22), the
@@ -94,6 +94,8 @@ def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v
     slew_limit_v_per_s, sample_period_s, start_voltage_v : float
     duration_s : float
         How long the periodic part is to be played (s).
+    watch : callable, optional
+        Called now and then with the part that is done; may raise.
 
     Returns
     -------
@@ -114,7 +116,11 @@ def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v
     try:
         return planner.plan(reference_um)
     except OutOfReach as reason:
-        raise unreachable(planner, reference_um, reason) from None
+        def scaled(centre_um, scale):
+            return planner.plan(centre_um + scale * (reference_um - centre_um))
+
+        raise unreachable(scaled, reference_um, planner.hysteresis.output_range_um, reason,
+                          watch) from None
 
 
 class FeedforwardPlanner:

@@ -20,24 +20,35 @@ FLYBACK = 0.05
 """Lines that the slow axis' way back takes, as a part of those of the frame."""
 
 
-def fast_axis(samples_per_line):
-    """One line, forward and back, beginning in the middle of the way forward.
+def fast_axis(lines):
+    """Position of the axis that draws the lines, which begin in the middle of the way forward.
 
     Its speed is constant between the turns, where the displacement goes from -0.5 to 0.5; in the
     turns it overshoots.
 
+    Parameters
+    ----------
+    lines : (N,) array
+        Time, counted in lines.
+
     Returns
     -------
-    (samples_per_line,) array
+    (N,) array
     """
-    phase = (np.arange(samples_per_line) / samples_per_line + 0.25) % 1.0
-    since_begin = (phase + 0.5) % 1.0 - 0.5
-    speed = np.where(np.abs(since_begin) < 0.25,
-                     2.0 * smooth_rise(since_begin / TURN + 0.5) - 1.0,
-                     1.0 - 2.0 * smooth_rise((phase - 0.5) / TURN + 0.5))
-    position = np.cumsum((speed + np.roll(speed, 1)) / 2) / samples_per_line
-    position -= (position.max() + position.min()) / 2
+    # Integrals of a speed of one forward and back that changes its sign smoothly in the turns.
+    since_begin = (np.asarray(lines) + 0.75) % 1.0 - 0.5
+    since_middle = (np.asarray(lines) + 0.25) % 1.0 - 0.5
+    position = np.where(
+        np.abs(since_begin) < 0.25,
+        2 * TURN * _risen(since_begin / TURN + 0.5) - since_begin - 0.25,
+        since_middle - 2 * TURN * _risen(since_middle / TURN + 0.5) + 0.25)
     return position / (0.5 - TURN)
+
+
+def _risen(share):
+    """Integral of `smooth_rise`."""
+    within = np.clip(share, 0.0, 1.0)
+    return within**4 * (2.5 - 3 * within + within**2) + np.maximum(share - 1.0, 0.0)
 
 
 def flyback_lines(lines):
@@ -45,15 +56,22 @@ def flyback_lines(lines):
     return max(1, round(FLYBACK * lines))
 
 
-def slow_axis(samples_per_line, lines):
-    """One frame: a staircase from -0.5 to 0.5 in step with `fast_axis`, and the way back.
+def slow_axis(at_line, lines):
+    """Position of the axis that steps: a staircase from -0.5 to 0.5, and the way back.
+
+    Parameters
+    ----------
+    at_line : (N,) array
+        Time since the frame's beginning, counted in lines, within the frame and its flyback.
+    lines : int
+        Of a frame.
 
     Returns
     -------
-    (samples_per_line * (lines + flyback_lines(lines)),) array
+    (N,) array
     """
     back = flyback_lines(lines)
-    clock = np.arange(samples_per_line * (lines + back)) / samples_per_line + 0.25
+    clock = at_line + 0.25
     line = np.floor(clock)
     step = smooth_rise((clock - line - STEP_BEGINS) / (STEP_ENDS - STEP_BEGINS))
     staircase = np.minimum(line + step, lines - 1) / (lines - 1)

@@ -7,6 +7,7 @@ import numpy as np
 
 BISECTIONS = 14
 VOLTAGE = "voltages", "V"
+DISPLACEMENT = "displacements", "um"
 STATIC_DISPLACEMENT = "voltages that at rest would displace", "um"
 
 
@@ -17,7 +18,7 @@ class UnreachableReference(ValueError):
     ----------
     reachable_um : float
         Peak-to-peak amplitude within reach of the same reference scaled about its mean; zero if
-        its mean is out of reach already.
+        its mean is out of reach already; NaN where it was not searched for.
     """
 
     def __init__(self, message, reachable_um):
@@ -57,36 +58,43 @@ def check_slew(voltage_v, sample_period_s, slew_limit_v_per_s):
                          f"{slew_limit_v_per_s:.3g} V/s")
 
 
-def unreachable(planner, reference_um, reason):
+def unreachable(plan, reference_um, output_range_um, reason, watch=None):
     """The refusal that names the largest amplitude within reach, found by bisection.
 
     Parameters
     ----------
-    planner
-        Its ``plan(reference_um)`` raises `OutOfReach`; its ``hysteresis`` is a `PreisachModel`.
+    plan : callable
+        ``plan(centre_um, scale)`` plans the reference scaled about a centre; raises `OutOfReach`.
     reference_um : ndarray
+        The reference, or as much of it as shows its mean and its extremes.
+    output_range_um : tuple of float
+        Of the hysteresis.
     reason : OutOfReach
+    watch : callable, optional
+        Called now and then with the part that is done; may raise.
 
     Returns
     -------
     UnreachableReference
     """
     mean_um, travel_um = reference_um.mean(), np.ptp(reference_um)
+    watch = watch or (lambda fraction: None)
 
     def within_reach(scale):
         try:
-            planner.plan(mean_um + scale * (reference_um - mean_um))
+            plan(mean_um, scale)
         except OutOfReach:
             return False
         return True
 
     if not within_reach(0.0):
-        low_um, high_um = planner.hysteresis.output_range_um
+        low_um, high_um = output_range_um
         return UnreachableReference(
             f"the amplifier cannot hold the reference's mean of {mean_um:.4g} um: "
             f"the stage reaches about {low_um:.4g} to {high_um:.4g} um", 0.0)
     reachable, beyond = 0.0, 1.0
-    for _ in range(BISECTIONS):
+    for bisection in range(BISECTIONS):
+        watch(bisection / BISECTIONS)
         middle = (reachable + beyond) / 2
         if within_reach(middle):
             reachable = middle

@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A reference from a CSV file."""
 
-import csv
+import os
+import tempfile
+from itertools import islice
 
 import numpy as np
 
 COLUMNS = ["time_s", "displacement_um"]
+LINES_AT_ONCE = 100_000
 
 
-def read_samples(path, sample_rate_hz, longest_s):
+def read_samples(path, sample_rate_hz, longest_s, watch=None):
     """Read a reference that is sampled at the sample rate.
+
+    The samples are kept in a temporary file that is mapped: a long way takes no memory.
 
     Parameters
     ----------
@@ -17,6 +22,8 @@ def read_samples(path, sample_rate_hz, longest_s):
         CSV with the columns ``time_s,displacement_um``.
     sample_rate_hz : float
     longest_s : float
+    watch : callable, optional
+        Called now and then with the part that is read; may raise.
 
     Returns
     -------
@@ -27,34 +34,63 @@ def read_samples(path, sample_rate_hz, longest_s):
     ValueError
         Says what is wrong with the file.
     """
-    time_s, displacement_um = _read_columns(path)
-    if not 2 <= len(time_s) <= longest_s * sample_rate_hz:
-        raise ValueError(f"the reference file {path!r} has {len(time_s)} samples: give one "
-                         f"period of 2 samples to {longest_s:g} s")
-    expected_s = time_s[0] + np.arange(len(time_s)) / sample_rate_hz
-    if np.abs(time_s - expected_s).max() > 0.01 / sample_rate_hz:
-        raise ValueError(f"the reference file {path!r} is not sampled at "
-                         f"{sample_rate_hz:g} Hz: resample it to that rate")
-    return displacement_um
+    samples, begin_s = 0, 0.0
+    with tempfile.TemporaryFile() as kept:
+        for time_s, displacement_um in _pieces(path, watch or (lambda fraction: None)):
+            begin_s = begin_s if samples else time_s[0]
+            expected_s = begin_s + np.arange(samples, samples + time_s.size) / sample_rate_hz
+            if np.abs(time_s - expected_s).max() > 0.01 / sample_rate_hz:
+                raise ValueError(f"the reference file {path!r} is not sampled at "
+                                 f"{sample_rate_hz:g} Hz: resample it to that rate")
+            samples += time_s.size
+            if samples > longest_s * sample_rate_hz:
+                break
+            _keep(kept, displacement_um)
+        if not 2 <= samples <= longest_s * sample_rate_hz:
+            more = "more than " if samples > 2 else ""
+            count = int(longest_s * sample_rate_hz) if more else samples
+            raise ValueError(f"the reference file {path!r} has {more}{count} samples: give one "
+                             f"period of 2 samples to {longest_s:g} s")
+        return np.memmap(kept, dtype=float, mode="r", shape=(samples,))
 
 
-def _read_columns(path):
+def _keep(kept, displacement_um):
     try:
-        with open(path, newline="", encoding="utf-8") as stream:
-            rows = list(csv.reader(stream))
+        kept.write(displacement_um.tobytes())
+        kept.flush()
+    except OSError as error:
+        raise ValueError(f"the reference cannot be kept in {tempfile.gettempdir()}: "
+                         f"{error.strerror}; let TMPDIR name another directory") from None
+
+
+def _pieces(path, watch):
+    """Yield times and displacements of the file, some lines at a time."""
+    try:
+        with open(path, newline=None, encoding="utf-8") as stream:
+            length, read = max(os.fstat(stream.fileno()).st_size, 1), 0
+            header = next(stream, "")
+            if [name.strip() for name in header.split(",")] != COLUMNS:
+                raise ValueError(f"the reference file {path!r} does not begin with its header: "
+                                 f"make the first line {','.join(COLUMNS)}")
+            while lines := list(islice(stream, LINES_AT_ONCE)):
+                read += sum(map(len, lines))
+                watch(min(read / length, 1.0))
+                if any(line.strip() for line in lines):
+                    yield _numbers(path, lines)
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ValueError(f"the reference file {path!r} cannot be read: {reason}") from None
-    if not rows or [name.strip() for name in rows[0]] != COLUMNS:
-        raise ValueError(f"the reference file {path!r} does not begin with its header: "
-                         f"make the first line {','.join(COLUMNS)}")
+
+
+def _numbers(path, lines):
     try:
-        values = np.array([[float(time_s), float(displacement_um)]
-                           for time_s, displacement_um in filter(None, rows[1:])])
+        values = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
     except ValueError:
+        values = np.empty((1, 0))
+    if values.shape[1] != len(COLUMNS):
         raise ValueError(f"the reference file {path!r} has a row that is not two numbers: "
-                         "give time_s,displacement_um in every row") from None
+                         "give time_s,displacement_um in every row")
     if not np.isfinite(values).all():
         raise ValueError(f"the reference file {path!r} holds a value that is not finite: "
                          "remove or replace it")
-    return values.reshape(-1, 2).T
+    return values.T

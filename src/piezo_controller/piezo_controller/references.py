@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Reference trajectories of the displacement: one period of samples, or any stretch of them."""
+"""Reference trajectories of the displacement: one period of samples, or as long as one likes."""
 
 import math
 from dataclasses import dataclass
@@ -7,13 +7,15 @@ from fractions import Fraction
 
 import numpy as np
 
+from piezo_controller.random_trajectory import RandomTrajectory
 from piezo_controller.raster import fast_axis, flyback_lines, slow_axis
 from piezo_controller.reference_file import read_samples
+from piezo_controller.trajectory import FormulaTrajectory
+from piezo_controller.triangle import triangle_wave
 
 LONGEST_PERIOD_S = 20.0
 LONGEST_DURATION_S = 3600.0
 LOWEST_FREQUENCY_HZ = 0.001
-TRIANGLE_BANDWIDTH_HZ = 2000.0
 KINDS = ("harmonic", "multi_frequency", "triangle", "raster", "random", "file")
 AXES = ("fast", "slow")
 
@@ -33,9 +35,9 @@ class Reference:
         ``random`` or ``file``.
     frequency_hz, amplitude_um, phase_rad : tuple of float
         Of each sine ``amplitude_um / 2 * sin(2 pi frequency_hz t + phase_rad)``; the amplitude is
-        peak to peak. No phase means zero. Of a raster the rate of the lines, and the range of the
-        axis; of a random reference the edges of its band, the lower one 0 if there is only one.
-        Empty for ``file``.
+        peak to peak; a random reference stays within it, and comes close to it now and then. No
+        phase means zero. Of a raster the rate of the lines, and the range of the axis; of a random
+        reference the edges of its band, the lower one 0 if there is only one. Empty for ``file``.
     centre_um : float
         Mean displacement (um); for ``file`` it is added to the file's displacement.
     file : str
@@ -112,7 +114,8 @@ def sample_reference(reference, sample_rate_hz=40000.0):
     if reference.kind == "file":
         return reference.centre_um + _read(reference, sample_rate_hz, LONGEST_PERIOD_S)
     if reference.kind == "raster":
-        return _raster(reference, sample_rate_hz)
+        return _raster(reference, sample_rate_hz,
+                       np.arange(_frame_samples(reference, sample_rate_hz)))
 
     frequencies, amplitudes, phases = _components(reference, sample_rate_hz)
     cycles, length = _common_period(frequencies, sample_rate_hz)
@@ -125,43 +128,50 @@ def sample_reference(reference, sample_rate_hz=40000.0):
     return displacement_um
 
 
-def sample_trajectory(reference, samples, lead_in=0, sample_rate_hz=40000.0):
-    """Sample a reference from its start on, whether it has a period or not.
+def trajectory(reference, sample_rate_hz=40000.0, watch=None):
+    """Make the trajectory of a reference, whether it has a period or not.
+
+    Before its beginning it is what the reference would have been there; of a file that is not
+    repeated its first value, and behind it the last.
 
     Parameters
     ----------
     reference : Reference
-    samples : int
-    lead_in : int
-        Samples before the start: what the reference would have been there; of a file that is
-        not repeated its first value.
     sample_rate_hz : float
+    watch : callable, optional
+        Called now and then, with the part that is done, while a file is read; may raise.
 
     Returns
     -------
-    displacement_um : ndarray, shape (lead_in + samples,)
+    Trajectory
 
     Raises
     ------
     InvalidReference
     """
     _check_kind(reference)
-    at = np.arange(-lead_in, samples)
+    centre_um = float(reference.centre_um)
     if reference.kind == "random":
-        return reference.centre_um + _random(reference, lead_in, samples, sample_rate_hz)
+        return _random(reference, sample_rate_hz)
     if reference.kind == "file":
-        way_um = reference.centre_um + _read(
-            reference, sample_rate_hz, LONGEST_DURATION_S if reference.once else LONGEST_PERIOD_S)
-        return way_um[np.clip(at, 0, way_um.size - 1) if reference.once else at % way_um.size]
+        way_um = _read(reference, sample_rate_hz,
+                       LONGEST_DURATION_S if reference.once else LONGEST_PERIOD_S, watch)
+        last = way_um.size - 1
+        return FormulaTrajectory(lambda at: centre_um + way_um[
+            np.clip(at, 0, last) if reference.once else at % way_um.size])
     if reference.kind == "raster":
-        frame_um = _raster(reference, sample_rate_hz)
-        return frame_um[at % frame_um.size]
-    displacement_um = np.full(at.size, float(reference.centre_um))
-    for frequency_hz, amplitude_um, phase in zip(*_components(reference, sample_rate_hz),
-                                                 strict=True):
-        angle_rad = 2 * np.pi * (at * (frequency_hz / sample_rate_hz) % 1.0) + phase
-        displacement_um += amplitude_um / 2 * _SHAPES[reference.kind](angle_rad, frequency_hz)
-    return displacement_um
+        samples = _frame_samples(reference, sample_rate_hz)
+        return FormulaTrajectory(lambda at: _raster(reference, sample_rate_hz, at % samples))
+    components = list(zip(*_components(reference, sample_rate_hz), strict=True))
+
+    def formula(at):
+        displacement_um = np.full(at.size, centre_um)
+        for frequency_hz, amplitude_um, phase in components:
+            angle_rad = 2 * np.pi * (at * (frequency_hz / sample_rate_hz) % 1.0) + phase
+            displacement_um += amplitude_um / 2 * _SHAPES[reference.kind](angle_rad, frequency_hz)
+        return displacement_um
+
+    return FormulaTrajectory(formula)
 
 
 class NoPeriod(InvalidReference):
@@ -188,9 +198,9 @@ def _common_period(frequencies_hz, sample_rate_hz):
     return cycles, length
 
 
-def _read(reference, sample_rate_hz, longest_s):
+def _read(reference, sample_rate_hz, longest_s, watch=None):
     try:
-        return read_samples(reference.file, sample_rate_hz, longest_s)
+        return read_samples(reference.file, sample_rate_hz, longest_s, watch)
     except ValueError as error:
         raise InvalidReference(str(error)) from None
 
@@ -216,15 +226,13 @@ def _frame_samples(reference, sample_rate_hz):
     return samples * lines
 
 
-def _raster(reference, sample_rate_hz):
-    samples = _line_samples(reference, sample_rate_hz)
-    shape = (fast_axis(samples) if reference.axis == "fast"
-             else slow_axis(samples, reference.lines))
+def _raster(reference, sample_rate_hz, at):
+    lines = at / _line_samples(reference, sample_rate_hz)
+    shape = fast_axis(lines) if reference.axis == "fast" else slow_axis(lines, reference.lines)
     return reference.centre_um + reference.amplitude_um[0] * shape
 
 
-def _random(reference, lead_in, samples, sample_rate_hz):
-    """White noise cut to the band, scaled to its amplitude from the start on."""
+def _random(reference, sample_rate_hz):
     edges_hz, amplitude_um = tuple(reference.frequency_hz), tuple(reference.amplitude_um)
     if len(edges_hz) not in (1, 2) or len(amplitude_um) != 1:
         raise InvalidReference("a random reference has one or two frequencies, the edges of its "
@@ -234,19 +242,16 @@ def _random(reference, lead_in, samples, sample_rate_hz):
     if not 0 <= low_hz < high_hz < sample_rate_hz / 2:
         raise InvalidReference(f"the band from {low_hz:g} to {high_hz:g} Hz is not between 0 and "
                                f"half the sample rate of {sample_rate_hz:g} Hz: choose one that is")
+    if high_hz - low_hz < LOWEST_FREQUENCY_HZ:
+        raise InvalidReference(f"the band from {low_hz:g} to {high_hz:g} Hz is narrower than "
+                               f"{LOWEST_FREQUENCY_HZ:g} Hz: use a harmonic")
     if not 0 < amplitude_um[0] < math.inf:
         raise InvalidReference(f"amplitude_um {amplitude_um[0]:g} is not a positive number: "
                                "give it from peak to peak")
-    count = lead_in + samples
-    content = np.fft.rfft(np.random.default_rng(reference.seed).standard_normal(count))
-    frequency_hz = np.fft.rfftfreq(count, 1 / sample_rate_hz)
-    content[(frequency_hz < low_hz) | (frequency_hz > high_hz) | (frequency_hz == 0)] = 0
-    noise = np.fft.irfft(content, count)
-    low, high = noise[lead_in:].min(), noise[lead_in:].max()
-    if not low < high:
-        raise InvalidReference(f"{samples / sample_rate_hz:g} s is too short for a band from "
-                               f"{low_hz:g} to {high_hz:g} Hz: take longer")
-    return amplitude_um[0] * ((noise - low) / (high - low) - 0.5)
+    if reference.seed < 0:
+        raise InvalidReference(f"seed {reference.seed} is negative: give 0 or more")
+    return RandomTrajectory(low_hz, high_hz, amplitude_um[0], reference.centre_um, reference.seed,
+                            sample_rate_hz)
 
 
 def _components(reference, sample_rate_hz):
@@ -295,14 +300,4 @@ def _sine(angle_rad, _frequency_hz):
     return np.sin(angle_rad)
 
 
-def _triangle(angle_rad, frequency_hz):
-    """Fourier series of a unit triangle: the corners stay within what the stage can follow."""
-    orders = np.arange(1, max(TRIANGLE_BANDWIDTH_HZ / frequency_hz, 1) + 1e-9, 2)
-    signs = np.where(orders % 4 == 1, 1.0, -1.0)
-    wave = np.zeros_like(angle_rad)
-    for order, sign in zip(orders, signs, strict=True):
-        wave += sign * np.sin(order * angle_rad) / order**2
-    return wave / np.sum(1 / orders**2)
-
-
-_SHAPES = {"harmonic": _sine, "multi_frequency": _sine, "triangle": _triangle}
+_SHAPES = {"harmonic": _sine, "multi_frequency": _sine, "triangle": triangle_wave}

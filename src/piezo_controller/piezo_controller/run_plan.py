@@ -10,22 +10,18 @@ from piezo_controller.references import (
     InvalidReference,
     is_periodic,
     sample_reference,
-    sample_trajectory,
+    trajectory,
 )
-from piezo_controller.streamed_feedforward import (
-    join,
-    lead_in_samples,
-    plan_stream,
-    stream_margin,
-)
+from piezo_controller.streamed_feedforward import plan_stream
 from piezo_controller.tracking_modes import plan_mode
+from piezo_controller.trajectory import JoinedTrajectory
 from piezo_models.linear import zoh_response
 
 STREAMED_MODES = ("feedforward", "composite")
 TRANSITION_S = 0.05
 
 
-def plan_references(mode, references, durations_s, model, stage, inversion=""):
+def plan_references(mode, references, durations_s, model, stage, inversion="", watch=None):
     """Plan the feedforward of one reference, or of several that follow each other.
 
     Parameters
@@ -40,6 +36,8 @@ def plan_references(mode, references, durations_s, model, stage, inversion=""):
     inversion : str
         Empty for the exact inverse of one period where there is one; a method of
         `preview_inverse` for an online inverse.
+    watch : callable, optional
+        Called now and then with the part of the planning that is done; may raise.
 
     Returns
     -------
@@ -60,19 +58,16 @@ def plan_references(mode, references, durations_s, model, stage, inversion=""):
     rate_hz = stage.sample_rate_hz
     streamed = inversion or len(references) > 1 or not is_periodic(references[0], rate_hz)
     if not streamed:
-        return plan_mode(mode, references[0], model, stage, durations_s[0])
+        return plan_mode(mode, references[0], model, stage, durations_s[0], watch)
     if mode not in STREAMED_MODES:
         raise InvalidReference(f"{mode} plays one reference that has a period: use "
                                f"{' or '.join(STREAMED_MODES)} for others, and with an inversion")
-    margin, transition = stream_margin(model), round(TRANSITION_S * rate_hz)
-    last = len(references) - 1
-    trajectory_um = join([
-        sample_trajectory(
-            reference, round(duration_s * rate_hz) + (margin if n == last else transition),
-            0 if n else lead_in_samples(stage.sample_period_s), rate_hz)
-        for n, (reference, duration_s) in enumerate(zip(references, durations_s, strict=True))],
-        transition)
-    return plan_stream(trajectory_um, model, inversion or "least_squares", **_limits(stage))
+    ways = [trajectory(reference, rate_hz, watch) for reference in references]
+    durations = [round(duration_s * rate_hz) for duration_s in durations_s]
+    way = ways[0] if len(ways) == 1 else JoinedTrajectory(
+        ways, durations, round(TRANSITION_S * rate_hz))
+    return plan_stream(way, sum(durations), model, inversion or "least_squares",
+                       watch=watch, **_limits(stage))
 
 
 def plan_learning(reference, run_samples, model, controller, stage, iterations,

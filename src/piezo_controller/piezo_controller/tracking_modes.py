@@ -47,7 +47,7 @@ class StageClock:
         return self.samples_per_tick / self.sample_rate_hz
 
 
-def plan_mode(mode, reference, model, stage, duration_s):
+def plan_mode(mode, reference, model, stage, duration_s, watch=None):
     """Plan what the stage plays in a mode.
 
     Parameters
@@ -61,6 +61,8 @@ def plan_mode(mode, reference, model, stage, duration_s):
     stage : StageClock
     duration_s : float
         How long the periodic part is to be played (s).
+    watch : callable, optional
+        Called now and then with the part that is done; may raise.
 
     Returns
     -------
@@ -84,7 +86,7 @@ def plan_mode(mode, reference, model, stage, duration_s):
             wanted_um, model, kind, voltage_range_v=stage.voltage_range_v,
             slew_limit_v_per_s=stage.slew_limit_v_per_s,
             sample_period_s=samples_held / stage.sample_rate_hz,
-            start_voltage_v=stage.rest_voltage_v, duration_s=duration_s)
+            start_voltage_v=stage.rest_voltage_v, duration_s=duration_s, watch=watch)
 
     if mode in ("pid", "pi"):
         return _with_reference(plan(np.full(reference_um.size, reference_um.mean())),

@@ -11,7 +11,7 @@ from piezo_controller.references import (
     Reference,
     is_periodic,
     sample_reference,
-    sample_trajectory,
+    trajectory,
 )
 
 
@@ -112,14 +112,14 @@ def test_unusable_reference_file_is_refused_in_one_sentence(tmp_path, text, mess
 def test_trajectory_of_a_periodic_reference_is_its_period_repeated_before_the_start_too(reference):
     period_um = sample_reference(reference)
     assert is_periodic(reference)
-    np.testing.assert_allclose(sample_trajectory(reference, 6000, 500),
+    np.testing.assert_allclose(trajectory(reference).sample(-500, 6500),
                                period_um[np.arange(-500, 6000) % period_um.size], atol=1e-9)
 
 
 def test_slow_harmonic_has_no_period_to_upload_but_a_trajectory():
     reference = Reference("harmonic", (0.01,), (40.0,), (), 50.0)
     assert not is_periodic(reference)
-    trajectory_um = sample_trajectory(reference, 1_000_001)
+    trajectory_um = trajectory(reference).sample(0, 1_000_001)
     assert trajectory_um[-1] == pytest.approx(70.0)
     assert trajectory_um[0] == 50.0
 
@@ -127,15 +127,26 @@ def test_slow_harmonic_has_no_period_to_upload_but_a_trajectory():
 def test_random_reference_keeps_its_band_and_its_amplitude():
     reference = Reference("random", (50.0, 800.0), (30.0,), (), 50.0, seed=5)
     assert not is_periodic(reference)
-    trajectory_um = sample_trajectory(reference, 40_000, 4000)
-    assert np.ptp(trajectory_um[4000:]) == pytest.approx(30.0)
-    assert (trajectory_um[4000:].max() + trajectory_um[4000:].min()) / 2 == pytest.approx(50.0)
-    power = np.abs(np.fft.rfft(trajectory_um - trajectory_um.mean())) ** 2
+    trajectory_um = trajectory(reference).sample(-4000, 404_000)
+    assert np.abs(trajectory_um - 50.0).max() <= 15.0
+    assert np.ptp(trajectory_um) > 0.9 * 30.0
+    power = np.abs(np.fft.rfft(np.hanning(trajectory_um.size) * (trajectory_um - 50.0))) ** 2
     frequency_hz = np.fft.rfftfreq(trajectory_um.size, 25e-6)
     inside = (frequency_hz >= 50.0) & (frequency_hz <= 800.0)
-    assert power[~inside].sum() < 1e-15 * power.sum()
-    other = sample_trajectory(dataclasses.replace(reference, seed=6), 40_000, 4000)
-    assert np.corrcoef(other, trajectory_um)[0, 1] < 0.5
+    assert power[~inside].sum() < 1e-8 * power.sum()
+    parts = [power[(frequency_hz > low) & (frequency_hz < low + 100.0)].sum()
+             for low in range(100, 700, 100)]
+    assert max(parts) < 1.5 * min(parts)
+    other = trajectory(dataclasses.replace(reference, seed=6)).sample(0, 400_000)
+    assert abs(np.corrcoef(other, trajectory_um[4000:])[0, 1]) < 0.1
+
+
+def test_random_reference_has_no_period():
+    one = trajectory(Reference("random", (500.0,), (30.0,), (), 0.0, seed=2))
+    pieces = [one.sample(minute * 2_400_000, 40_000) for minute in range(60)]
+    correlated = np.corrcoef(pieces) - np.eye(60)
+    assert np.abs(correlated).max() < 0.2
+    assert np.std([np.std(piece) for piece in pieces]) < 0.15 * np.std(pieces)
 
 
 def test_raster_line_is_straight_over_the_range_and_smooth_where_it_turns():
@@ -166,7 +177,7 @@ def test_file_played_once_holds_its_ends(tmp_path):
     path.write_text("\n".join(["time_s,displacement_um", *rows]) + "\n")
     reference = Reference("file", centre_um=50.0, file=str(path), once=True)
     assert not is_periodic(reference)
-    trajectory_um = sample_trajectory(reference, 150, 10)
+    trajectory_um = trajectory(reference).sample(-10, 160)
     np.testing.assert_allclose(
         trajectory_um, 50.0 + np.clip(np.arange(-10, 150), 0, 99) / 100)
     with pytest.raises(InvalidReference, match="has no period"):
@@ -179,10 +190,11 @@ def test_file_played_once_holds_its_ends(tmp_path):
     (Reference("raster", (100.0,), (1.0,), axis="slow", lines=1), "1 lines: give at least 2"),
     (Reference("random", (), (1.0,)), "one or two frequencies"),
     (Reference("random", (300.0, 200.0), (1.0,)), "the band from 300 to 200 Hz"),
-    (Reference("random", (10.0, 11.0), (1.0,)), "is too short for a band"),
+    (Reference("random", (10.0, 10.0005), (1.0,)), "narrower than 0.001 Hz: use a harmonic"),
     (Reference("random", (300.0,), (0.0,)), "not a positive number"),
+    (Reference("random", (300.0,), (1.0,), seed=-1), "seed -1 is negative"),
 ])
 def test_trajectory_without_meaning_is_refused_in_one_sentence(reference, message):
     with pytest.raises(InvalidReference, match=message) as refusal:
-        sample_trajectory(reference, 100)
+        trajectory(reference)
     assert "\n" not in str(refusal.value)
