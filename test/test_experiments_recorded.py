@@ -13,7 +13,8 @@ from piezo_identification.relay import relay_oscillation
 from piezo_recorder.reader import read_recording
 
 
-@pytest.mark.parametrize("name", [*EXPERIMENTS, "multisine", "diagnostic"])
+@pytest.mark.parametrize("name", [
+    *EXPERIMENTS, "multisine", pytest.param("diagnostic", marks=pytest.mark.long)])
 def test_experiment_is_recorded_as_designed(suite, tmp_path, name):
     told = []
     result = suite.run_experiment(name, tmp_path, on_feedback=told.append)

@@ -44,7 +44,10 @@ def test_launch_file_keeps_discovery_here_and_has_an_argument_that_opens_it():
     assert '"ROS_AUTOMATIC_DISCOVERY_RANGE", LaunchConfiguration("discovery_range")' in text
 
 
-@pytest.mark.parametrize("node", EXECUTABLES)
+# All start by the same function; those that load the numerics first take seconds.
+@pytest.mark.parametrize("node", [
+    "stage", "recorder", *(pytest.param(node, marks=pytest.mark.long)
+                           for node in EXECUTABLES if node not in ("stage", "recorder"))])
 def test_node_that_is_asked_for_security_does_not_start_without_it(node, tmp_path):
     enclave = tmp_path / "enclaves" / "mine"
     enclave.mkdir(parents=True)

@@ -110,14 +110,15 @@ def scheduler(tmp_path):
             process.wait(timeout=20)
 
 
-def test_the_table_is_the_same_in_this_process_and_on_a_cluster(scheduler, tmp_path):
+@pytest.mark.parametrize("count", [1, pytest.param(COUNT, marks=pytest.mark.long)])
+def test_the_table_is_the_same_in_this_process_and_on_a_cluster(scheduler, count):
     with Client(processes=False, n_workers=1, threads_per_worker=1,
                 dashboard_address=None) as client:
-        here = run_suite(client, COUNT, SEED)
+        here = run_suite(client, count, SEED)
     with Client(scheduler) as client:
-        there = run_suite(client, COUNT, SEED)
+        there = run_suite(client, count, SEED)
     assert there == here
-    assert [entry["number"] for entry in here["results"]] == list(range(COUNT))
+    assert [entry["number"] for entry in here["results"]] == list(range(count))
 
 
 def test_a_case_that_is_refused_does_not_end_the_suite(monkeypatch):

@@ -3,7 +3,6 @@
 
 import pickle
 import re
-import time
 
 import numpy as np
 import pytest
@@ -100,24 +99,36 @@ def test_tolerance_is_a_part_of_the_travel_but_not_below_the_noise():
 
 
 class Slow:
-    """Feedback that takes its time."""
+    """Feedback that takes its time, by the clock that it is."""
 
     def __init__(self, seconds):
         self._seconds = seconds
+        self._now_s = 0.0
 
     def step(self, expected_um, displacement_um):
-        end = time.perf_counter() + self._seconds
-        while time.perf_counter() < end:
-            pass
+        self._now_s += self._seconds
         return 0.0
 
+    def perf_counter(self):
+        return self._now_s
 
-def test_answers_that_take_longer_than_a_tick_are_told():
+
+@pytest.fixture
+def slow(monkeypatch):
+    def slow(seconds):
+        feedback = Slow(seconds)
+        monkeypatch.setattr("piezo_controller.tracking_run.time", feedback)
+        return feedback
+
+    return slow
+
+
+def test_answers_that_take_longer_than_a_tick_are_told(slow):
     displacement_um = np.zeros(ONCE + RUN)
-    late = TrackingRun(PLAN, RUN, Slow(2e-3), tick_s=1e-3)
+    late = TrackingRun(PLAN, RUN, slow(2e-3), tick_s=1e-3)
     play(late, displacement_um)
     assert re.search(r"6 of 6 answers .* the tick of 1000 us", late.lateness)
-    in_time = TrackingRun(PLAN, RUN, Slow(0.0), tick_s=60.0)
+    in_time = TrackingRun(PLAN, RUN, slow(0.9e-3), tick_s=1e-3)
     play(in_time, displacement_um)
     assert in_time.lateness == ""
 

@@ -15,7 +15,8 @@ from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, simulate_linear, zoh
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("seed", [
+    1, 2, *(pytest.param(seed, marks=pytest.mark.long) for seed in (3, 4, 5))])
 def test_time_constant_and_modes_are_recovered_through_noise(plant, play, seed):
     estimate = estimate_dynamics(play(experiments.dynamics(), seed), plant.creep).model
     assert estimate.time_constant_s == pytest.approx(0.00049, rel=1e-3)

@@ -5,7 +5,6 @@ import random
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -38,15 +37,14 @@ for number, data in enumerate(blocks):
 """
 
 
-def kill_a_recorder(directory, inputs, after_s):
-    """Kill a recorder some time after its first message; return when it wrote each one."""
+def kill_a_recorder(directory, inputs, messages):
+    """Kill a recorder after some messages; return when it wrote each one."""
     process = subprocess.Popen(
         [sys.executable, "-c", RECORDER, directory, inputs], stdout=subprocess.PIPE,
         text=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})
-    first = process.stdout.readline()
-    time.sleep(after_s)
+    told = [process.stdout.readline() for _ in range(messages)]
     process.send_signal(signal.SIGKILL)
-    lines = [line.split() for line in [first, *process.stdout.read().splitlines()]]
+    lines = [line.split() for line in [*told, *process.stdout.read().splitlines()]]
     process.wait()
     return [float(line[1]) for line in lines if len(line) == 2]
 
@@ -63,9 +61,9 @@ def inputs(tmp_path_factory, sample_blocks):
 
 @pytest.mark.parametrize("kill", range(KILLS))
 def test_a_kill_at_any_moment_loses_at_most_one_second(tmp_path, inputs, kill):
-    # The first of them surely after a second.
-    after_s = random.Random(kill).uniform(0.0, 2.5) if kill else 1.3
-    written_at = kill_a_recorder(tmp_path / "run", inputs, after_s)
+    # A message takes a millisecond at least: the first kill is surely after a second.
+    messages = random.Random(kill).randint(1, 2000) if kill else 1300
+    written_at = kill_a_recorder(tmp_path / "run", inputs, messages)
     try:
         recording = read_recording(tmp_path / "run")
         kept = len(recording.voltage_v) // 40
