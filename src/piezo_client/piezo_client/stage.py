@@ -75,7 +75,8 @@ class Stage:
         try:
             last_sample = self._play("", voltage_v, sample_period_s, repeats).last_sample
         finally:
-            self._call("recorder/stop_recording", StopRecording, last_sample=last_sample)
+            self._call("recorder/stop_recording", StopRecording, last_sample=last_sample,
+                       client=self._name)
         return Played(Path(recording.path))
 
     def settle(self, lowest_voltage_v=-20.0, rest_s=60):
@@ -192,7 +193,7 @@ class Stage:
     def _play(self, step, voltage_v, sample_period_s, repeats=1):
         return self._client.goal(
             "play_waveform", self._shown(step), sample_period_s=float(sample_period_s),
-            voltage_v=_doubles(voltage_v), repeats=repeats, client=self._name)
+            voltage_v=_doubles(voltage_v), repeats=repeats)
 
     def _call(self, name, service_type, /, **fields):
         response = self._client.call(service_type, name, **fields)

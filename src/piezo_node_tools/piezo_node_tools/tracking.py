@@ -13,10 +13,16 @@ from std_srvs.srv import Trigger
 
 from piezo_node_tools.calls import CallFailed, call_service
 from piezo_node_tools.quality import FEEDBACK, SAMPLES
+from piezo_node_tools.stage_watch import StageWatch
 from piezo_node_tools.streaming import Stream
 
 REPORT_PERIOD_S = 0.1
 SILENCE_TIMEOUT_S = 10.0
+# Of a stage that was there a moment ago.
+APPEARANCE_S = 1.0
+STOP_TIMEOUT_S = 10.0
+# A node that ends may be gone before its last samples are read.
+LAST_BLOCK_S = 1.0
 
 
 class StageTracker:
@@ -37,6 +43,7 @@ class StageTracker:
     def __init__(self, node):
         self._take = self._stream = None
         self._client = node.get_fully_qualified_name()
+        self._stage = StageWatch(node)
         self._at_rest, self._awake = threading.Event(), threading.Event()
         self.last_sample = self.missed_feedback = 0
         self._feedback = node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
@@ -71,8 +78,9 @@ class StageTracker:
         Raises
         ------
         CallFailed
-            If the stage refuses, or falls silent.
+            If the stage refuses, falls silent, or is gone.
         """
+        self._stage.begin()
         self._at_rest.clear()
         self._awake.clear()
         self._blocks = self.last_sample = self.missed_feedback = 0
@@ -84,10 +92,15 @@ class StageTracker:
             if self._stream:
                 self._stream.feed()
             call_service(self._start, StartTracking.Request(
-                feedback=self._answering, ticks=ticks, client=self._client))
+                feedback=self._answering, ticks=ticks, client=self._client),
+                appearance_s=APPEARANCE_S)
             self._wait(cancelled, report)
         finally:
             self._take = self._stream = None
+
+    def why_ended(self):
+        """Say why the stage ended the last run before its time, as far as the stage tells."""
+        return self._stage.why_ended()
 
     def _load_voltages(self, once_voltage_v, period_voltage_v=b"", append=False):
         call_service(self._load, LoadFeedforward.Request(
@@ -114,7 +127,9 @@ class StageTracker:
             if (failure or cancelled()) and not stopping:
                 stopping = True
                 with suppress(CallFailed):  # the stage may just have stopped by itself
-                    call_service(self._stop, Trigger.Request())
+                    call_service(self._stop, Trigger.Request(), STOP_TIMEOUT_S, APPEARANCE_S)
+            if self._stage.gone and not self._at_rest.wait(LAST_BLOCK_S):
+                raise CallFailed(f"the stage stopped before the end: {self.why_ended()}")
             now_s = time.monotonic()
             if self._blocks != blocks_before:
                 blocks_before, heard_s = self._blocks, now_s

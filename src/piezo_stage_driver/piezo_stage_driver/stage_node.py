@@ -12,6 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
+from piezo_node_tools.clock_guard import keep_clock
 from piezo_node_tools.parameters import declare
 from piezo_node_tools.presence import ClientWatch
 from piezo_node_tools.quality import FEEDBACK
@@ -70,6 +71,7 @@ class StageNode(LifecycleNode):
         clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(CLIENT_WATCH_PERIOD_S, self._watch_client, clock=clock)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=clock)
+        keep_clock(self, lambda: "the stage is active" if self._active else "")
         autostart(self, default=False)
 
     # Lifecycle
@@ -251,7 +253,7 @@ class StageNode(LifecycleNode):
 
     def _watch_client(self):
         client = self._engine.client if self._active else ""
-        if client and self._client_watch.is_gone(client):
+        if self._client_watch.is_gone(client):
             self._stop(f"the client {client} is gone")
 
     def _stop(self, cause):
