@@ -23,6 +23,7 @@ CALL_TIMEOUT_S = 120.0
 # A node that ends may be gone before its answer is read.
 LAST_ANSWER_S = 1.0
 ALIVE_PERIOD_S = 1.0
+WATCH_PERIOD_S = 0.2
 ACTIONS = {
     "play_waveform": (PlayWaveform, "play_waveform"),
     "run_experiment": (RunExperiment, "identification/run_experiment"),
@@ -128,7 +129,7 @@ class Client:
             "track", reference=Reference(**reference), model=str(model), mode=mode,
             duration_s=float(duration_s), directory=str(directory), **options)
 
-    def goal(self, name, on_feedback=None, cancel_after_s=None, **fields):
+    def goal(self, name, on_feedback=None, cancel_after_s=None, why_stop=None, **fields):
         """Send a goal and wait for its end.
 
         Parameters
@@ -139,6 +140,9 @@ class Client:
             Called with each feedback message.
         cancel_after_s : float, optional
             Cancel the goal after this time.
+        why_stop : callable, optional
+            Asked now and then; any text but an empty one cancels the goal, which has failed for
+            that.
         **fields
             Of the goal; ``client`` is this node unless something else is given: whoever works on
             the goal cancels it once that node is gone.
@@ -161,7 +165,10 @@ class Client:
             if cancel_after_s is not None:
                 self.spin_until(result.done, cancel_after_s)
                 handle.cancel_goal_async()
+            cause = why_stop and self._stop_if(why_stop, handle, result)
             message = self.wait(result).result
+            if cause:
+                message.success, message.message = False, cause
         except KeyboardInterrupt:
             self._cancel(handle, result)
             raise
@@ -170,6 +177,15 @@ class Client:
         if not message.success:
             raise GoalFailed(name, message)
         return message
+
+    def _stop_if(self, why_stop, handle, result):
+        """Wait for the end of a goal, or cancel it for a cause, and return that."""
+        while not self.spin_until(result.done, WATCH_PERIOD_S):
+            self.check()
+            if cause := why_stop():
+                handle.cancel_goal_async()
+                return cause
+        return ""
 
     def send(self, name, on_feedback=None, **fields):
         """Send a goal and return its handle without waiting for the end.

@@ -90,8 +90,8 @@ class RunRecording:
                 self._note = f"{missing_samples} samples are missing in the recording"
 
 
-class RecorderCaller:
-    """Have runs recorded, one at a time.
+class RecorderNews:
+    """What the recorder of a node's namespace tells of one recording after the other.
 
     Parameters
     ----------
@@ -103,6 +103,31 @@ class RecorderCaller:
         self._recording = None
         self._recorder = f"{node.get_namespace().rstrip('/')}/recorder"
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def about(self, path, unrecorded=False, stop=None):
+        """Return the `RunRecording` of a path, which hears of its end from now on."""
+        self._recording = RunRecording(
+            path, Presence(self._node, self._recorder), unrecorded, stop)
+        return self._recording
+
+    def _on_diagnostics(self, message):
+        for status in message.status:
+            if (self._recording and status.level == DiagnosticStatus.ERROR
+                    and status.name == f"{self._recorder}: recording"):
+                values = {value.key: value.value for value in status.values}
+                self._recording.ended(values.get("path", ""), status.message)
+
+
+class RecorderCaller:
+    """Have runs recorded, one at a time.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    """
+
+    def __init__(self, node):
+        self._news = RecorderNews(node)
         self._client = node.get_fully_qualified_name()
         self._start = node.create_client(StartRecording, "recorder/start_recording")
         self._stop = node.create_client(StopRecording, "recorder/stop_recording")
@@ -127,25 +152,16 @@ class RecorderCaller:
         ------
         CallFailed
         """
-        recorder = Presence(self._node, self._recorder)
         path = call_service(self._start, StartRecording.Request(
             directory=str(Path(directory).absolute()), name=free_name(directory, name),
             attachment_names=list(attachments),
             attachment_contents=list(attachments.values()), client=self._client)).path
-        self._recording = RunRecording(path, recorder, unrecorded, self._close)
-        return self._recording
+        return self._news.about(path, unrecorded, self._close)
 
     def _close(self, last_sample):
         return call_service(
             self._stop, StopRecording.Request(last_sample=last_sample, client=self._client),
             STOP_TIMEOUT_S, STOP_APPEARANCE_S)
-
-    def _on_diagnostics(self, message):
-        for status in message.status:
-            if (self._recording and status.level == DiagnosticStatus.ERROR
-                    and status.name == f"{self._recorder}: recording"):
-                values = {value.key: value.value for value in status.values}
-                self._recording.ended(values.get("path", ""), status.message)
 
 
 def free_name(directory, name):
