@@ -19,8 +19,8 @@ demo: ## identify and control the simulated stage; report in runs/demo
 test: setup ## check the style, then run the unit and the integration tests
 	@$(in_environment) .venv/bin/ruff check . && .venv/bin/python -m mypy && tools/tests
 
-long: setup ## run the tests of bad files and killed recorders with their full numbers
-	@$(in_environment) LONG_TESTS=1 .venv/bin/python -m pytest test/test_bad_input.py src/piezo_recorder/test/test_recording_killed.py
+long: setup ## run the tests of bad files and killed processes with their full numbers
+	@$(in_environment) LONG_TESTS=1 .venv/bin/python -m pytest test/test_bad_input.py src/piezo_recorder/test/test_recording_killed.py test/test_who_dies.py
 
 SECONDS_OF_SOAK ?= 3600
 SEED ?= 1

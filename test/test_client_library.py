@@ -4,11 +4,15 @@
 import os
 import signal
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ament_index_python.packages import get_package_prefix
+from piezo_interfaces.msg import SampleBlock
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 
 from piezo_client.client import GoalFailed
 from piezo_client.stage import Stage
@@ -102,3 +106,19 @@ def test_command_that_is_interrupted_brings_the_stage_to_rest(suite, tmp_path):
     recording = read_recording(tmp_path / "hysteresis")
     assert recording.complete
     assert recording.voltage_v[-1] == 0.0
+
+
+def test_what_can_no_longer_be_recorded_is_stopped(stage, suite, tmp_path):
+    def fill_disk(megabytes):
+        parameter = Parameter("minimum_free_mb", value=megabytes).to_parameter_msg()
+        return suite.call(SetParameters, "recorder/set_parameters", parameters=[parameter])
+
+    with ThreadPoolExecutor(1) as thread:
+        played = thread.submit(stage.play, [30.0] * 400, 0.1, 100, tmp_path)
+        suite.until(lambda: suite.blocks and suite.blocks[-1].flags & SampleBlock.FLAG_PLAYING)
+        fill_disk(1_000_000_000)
+        suite.until(played.done)
+    fill_disk(1)
+    with pytest.raises(GoalFailed, match=f"{tmp_path}/waveform was closed early: only"):
+        played.result()
+    assert suite.samples().voltage_v[-1] == 0.0

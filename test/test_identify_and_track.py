@@ -192,7 +192,7 @@ def test_unreachable_amplitude_is_refused_and_the_one_named_instead_is_reached(
 
 def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, model, tmp_path):
     goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=2.0))
-    with pytest.raises(GoalFailed, match="controller is busy with another goal"):
+    with pytest.raises(GoalFailed, match="rejected the goal: it is busy"):
         suite.goal("track", **goal_fields(model, tmp_path))
     with pytest.raises(GoalFailed, match="is being recorded: stop it first"):
         suite.run_experiment("dynamics", tmp_path)
@@ -231,7 +231,7 @@ def test_emergency_stop_ends_a_track_whose_recording_stays_readable(suite, model
     assert suite.trigger("emergency_stop").success
     status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
-    assert "the stage stopped before the end" in result.message
+    assert result.message == "the stage stopped before the end: emergency stop"
     recording = read_recording(result.recording)
     assert recording.gaps == []
     assert recording.voltage_v[-1] == 0.0
@@ -255,7 +255,7 @@ def test_controller_that_is_ended_stops_the_stage_and_tells_its_client(
     controller.send_signal(signal.SIGINT)
     status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
-    assert result.message == "cancelled"
+    assert result.message == "cancelled: the node /left/controller was ended"
     suite.until(lambda: controller.poll() is not None)
     assert controller.returncode == 0
     recording = read_recording(result.recording)

@@ -22,7 +22,7 @@ setup(
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "controller = piezo_controller.controller_node:main",
+            "controller = piezo_controller.start_node:main",
             "design = piezo_controller.design_command:main",
         ],
     },

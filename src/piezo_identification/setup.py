@@ -22,7 +22,7 @@ setup(
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "identification = piezo_identification.identification_node:main",
+            "identification = piezo_identification.start_node:main",
             "measured = piezo_identification.measured_command:main",
             "diagnose = piezo_identification.diagnose_command:main",
             "identify = piezo_identification.identify_command:main",

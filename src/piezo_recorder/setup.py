@@ -22,7 +22,7 @@ setup(
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "recorder = piezo_recorder.recorder_node:main",
+            "recorder = piezo_recorder.start_node:main",
             "repair = piezo_recorder.repair:main",
             "report = piezo_recorder.report:main",
         ],

@@ -22,7 +22,7 @@ setup(
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "stage = piezo_stage_driver.stage_node:main",
+            "stage = piezo_stage_driver.start_node:main",
         ],
         "piezo_stage_driver.backends": [
             "nidaqmx = piezo_stage_driver.nidaqmx_stage:create",

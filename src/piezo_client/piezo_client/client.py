@@ -2,20 +2,29 @@
 """Ask the suite's actions from a script, and wait for what they return."""
 
 import time
+import uuid
 
 import rclpy
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment, Track
 from piezo_interfaces.msg import Reference
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.experimental import EventsExecutor
+from std_srvs.srv import Trigger
+from unique_identifier_msgs.msg import UUID
 
 from piezo_client.paths import with_absolute_paths
-from piezo_node_tools.discovery import prepare_discovery
+from piezo_node_tools.calls import number_request
+from piezo_node_tools.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 
 SERVER_TIMEOUT_S = 30.0
 LOST_RESPONSE_S = 10.0
 CANCEL_TIMEOUT_S = 10.0
+CALL_TIMEOUT_S = 120.0
+# A node that ends may be gone before its answer is read.
+LAST_ANSWER_S = 1.0
 ALIVE_PERIOD_S = 1.0
+WATCH_PERIOD_S = 0.2
 ACTIONS = {
     "play_waveform": (PlayWaveform, "play_waveform"),
     "run_experiment": (RunExperiment, "identification/run_experiment"),
@@ -31,6 +40,32 @@ class GoalFailed(RuntimeError):
     def __init__(self, name, result):
         super().__init__(f"{name}: {result.message}")
         self.result = result
+
+
+class ServiceFailed(GoalFailed):
+    """A service gave no answer.
+
+    Parameters
+    ----------
+    text : str
+    """
+
+    def __init__(self, text):
+        RuntimeError.__init__(self, text)
+        self.result = None
+
+
+class StoodStill(ServiceFailed):
+    """This process did nothing for so long that the nodes gave it up and ended what it asked for.
+
+    Parameters
+    ----------
+    standstill_s : float
+    """
+
+    def __init__(self, standstill_s):
+        super().__init__(f"this process stood still for {standstill_s:.1f} s, and the nodes have "
+                         "given it up: make a new client")
 
 
 class Client:
@@ -95,7 +130,7 @@ class Client:
             "track", reference=Reference(**reference), model=model, mode=mode,
             duration_s=float(duration_s), directory=directory, **options)
 
-    def goal(self, name, on_feedback=None, cancel_after_s=None, **fields):
+    def goal(self, name, on_feedback=None, cancel_after_s=None, why_stop=None, **fields):
         """Send a goal and wait for its end.
 
         Parameters
@@ -106,8 +141,12 @@ class Client:
             Called with each feedback message.
         cancel_after_s : float, optional
             Cancel the goal after this time.
+        why_stop : callable, optional
+            Asked now and then; any text but an empty one cancels the goal, which has failed for
+            that.
         **fields
-            Of the goal; relative paths are of the caller's folder.
+            Of the goal; relative paths are of the caller's folder. ``client`` is this node unless
+            something else is given: whoever works on the goal cancels it once that node is gone.
 
         Returns
         -------
@@ -116,7 +155,7 @@ class Client:
         Raises
         ------
         GoalFailed
-            If the goal was refused, aborted or cancelled, or nobody serves the action any more.
+            If the goal was rejected, aborted or cancelled, or nobody serves the action any more.
         KeyboardInterrupt
             Once the goal has been cancelled and the stage is back at rest.
         """
@@ -127,7 +166,10 @@ class Client:
             if cancel_after_s is not None:
                 self.spin_until(result.done, cancel_after_s)
                 handle.cancel_goal_async()
+            cause = why_stop and self._stop_if(why_stop, handle, result)
             message = self.wait(result).result
+            if cause:
+                message.success, message.message = False, cause
         except KeyboardInterrupt:
             self._cancel(handle, result)
             raise
@@ -137,29 +179,75 @@ class Client:
             raise GoalFailed(name, message)
         return message
 
+    def _stop_if(self, why_stop, handle, result):
+        """Wait for the end of a goal, or cancel it for a cause, and return that."""
+        while not self.spin_until(result.done, WATCH_PERIOD_S):
+            self.check()
+            if cause := why_stop():
+                handle.cancel_goal_async()
+                return cause
+        return ""
+
     def send(self, name, on_feedback=None, **fields):
-        """Send a goal and return its handle without waiting for the end."""
+        """Send a goal and return its handle without waiting for the end.
+
+        Raises
+        ------
+        GoalFailed
+            If nobody serves the action, or the goal was rejected.
+        """
         action_type, topic = ACTIONS[name]
         client = self._actions[name]
         if not self.spin_until(client.server_is_ready, SERVER_TIMEOUT_S):
             raise GoalFailed(name, action_type.Result(
                 message=f"nobody serves {topic}: start its node"))
+        goal = action_type.Goal(
+            **{"client": self.node.get_fully_qualified_name(), **with_absolute_paths(fields)})
+        number = UUID(uuid=list(uuid.uuid4().bytes))
 
         def ask():
+            # Under the same number: where only the answer was lost it does not act twice.
             return client.send_goal_async(
-                action_type.Goal(**with_absolute_paths(fields)),
-                feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None)
+                goal, lambda m: on_feedback(m.feedback) if on_feedback else None, number)
 
-        sent = ask()
+        sent = []
         try:
-            if not self.spin_until(sent.done, LOST_RESPONSE_S):
-                sent = ask()  # as in `call`
-            return self.wait(sent)
+            handle = self._accepted(client, sent, ask)
         except KeyboardInterrupt:
             # The goal is on its way, and must not run on alone.
-            if self.spin_until(sent.done, CANCEL_TIMEOUT_S):
-                self._cancel(sent.result(), sent.result().get_result_async())
+            self._withdraw(client, number, action_type)
             raise
+        if handle is None:
+            self._withdraw(client, number, action_type)
+            raise GoalFailed(name, action_type.Result(message=(
+                f"the node that serves {topic} did not say whether it took the goal: look at its "
+                "log, send the goal again")))
+        if not handle.accepted:
+            raise GoalFailed(name, action_type.Result(message=(
+                f"the node that serves {topic} rejected the goal: it is busy with another goal "
+                "or not active, its log tells which")))
+        return handle
+
+    def _accepted(self, client, sent, ask):
+        """Ask, a second time if need be; return the handle that tells, or None."""
+        def settled():
+            return (any(answer.done() and answer.result().accepted for answer in sent)
+                    or all(answer.done() for answer in sent))
+
+        for _ in range(2):
+            sent.append(ask())
+            if self.spin_until(settled, LOST_RESPONSE_S):
+                handles = [answer.result() for answer in sent if answer.done()]
+                return max(handles, key=lambda handle: handle.accepted)
+            if not client.server_is_ready():
+                break
+        return None
+
+    def _withdraw(self, client, number, action_type):
+        """Cancel a goal of which nobody knows whether it runs; wait for its end if it does."""
+        handle = ClientGoalHandle(
+            client, number, action_type.Impl.SendGoalService.Response(accepted=True))
+        self._cancel(handle, handle.get_result_async())
 
     def _cancel(self, handle, result):
         """Cancel a goal; wait for its end."""
@@ -167,18 +255,44 @@ class Client:
         self.spin_until(result.done, CANCEL_TIMEOUT_S)
 
     def call(self, service_type, name, /, **fields):
-        """Call a service and return its response."""
+        """Call a service and return its response.
+
+        A request that bears a number is sent again under the same where no response comes, and
+        acts once. So is one without a number only where acting twice does no harm.
+
+        Raises
+        ------
+        ServiceFailed
+            If nobody serves, or the node that serves ends before it answers.
+        """
         client = self.node.create_client(service_type, name)
-        if not self.spin_until(client.service_is_ready, SERVER_TIMEOUT_S):
-            raise RuntimeError(f"nobody serves {name}: start its node")
-        request = service_type.Request(**with_absolute_paths(fields))
-        answer = client.call_async(request)
-        if not self.spin_until(answer.done, LOST_RESPONSE_S):
-            # A response gets lost where the server has not met the client yet: ask once more.
-            answer = client.call_async(request)
-        response = self.wait(answer)
-        self.node.destroy_client(client)
-        return response
+        try:
+            if not self.spin_until(client.service_is_ready, SERVER_TIMEOUT_S):
+                raise ServiceFailed(f"nobody serves {name}: start its node")
+            return self._answer(
+                client, name, service_type.Request(**with_absolute_paths(fields)))
+        finally:
+            self.node.destroy_client(client)
+
+    def _answer(self, client, name, request):
+        repeatable = number_request(request) or isinstance(request, Trigger.Request)
+        answers = [client.call_async(request)]
+
+        def answered():
+            return any(answer.done() for answer in answers)
+
+        deadline = time.monotonic() + CALL_TIMEOUT_S
+        sent_at = time.monotonic()
+        while not self.spin_until(answered, ALIVE_PERIOD_S):
+            if not (client.service_is_ready() or self.spin_until(answered, LAST_ANSWER_S)):
+                raise ServiceFailed(f"the node that serves {name} has ended: start it again")
+            if time.monotonic() > deadline:
+                raise ServiceFailed(f"{name} did not answer within {CALL_TIMEOUT_S:g} s: "
+                                    "look at its node's log")
+            if repeatable and time.monotonic() - sent_at > LOST_RESPONSE_S:
+                sent_at = time.monotonic()
+                answers.append(client.call_async(request))
+        return next(answer for answer in answers if answer.done()).result()
 
     def wait(self, future):
         """Spin until a future is done; return its result."""
@@ -194,10 +308,20 @@ class Client:
                 message=f"the node that serves {topic} has ended: start it again"))
 
     def spin_until(self, condition, timeout_s):
-        """Spin until a condition holds or time is up; return whether it holds."""
+        """Spin until a condition holds or time is up; return whether it holds.
+
+        Raises
+        ------
+        StoodStill
+            If this process did nothing for so long, as after Ctrl-Z, that nodes gave it up.
+        """
         deadline = time.monotonic() + timeout_s
         while not condition():
-            if time.monotonic() > deadline:
+            now = time.monotonic()
+            if now > deadline:
                 return False
             self._executor.spin_once(timeout_sec=0.05)
+            standstill_s = time.monotonic() - now
+            if standstill_s > LONGEST_STANDSTILL_S:
+                raise StoodStill(standstill_s)
         return True

@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 
 from piezo_client.client import Client, GoalFailed
 from piezo_client.results import Diagnosis, Experiment, Identification, Played, Tracking
-from piezo_node_tools.recording import free_name
+from piezo_node_tools.recording import RecorderNews, free_name
 
 SAMPLE_PERIOD_S = 25e-6
 _numbers = itertools.count(1)
@@ -38,6 +38,7 @@ class Stage:
         # A name of its own: the stage stops when the node of this name is gone.
         self._client = Client(namespace, f"client_{os.getpid()}_{next(_numbers)}")
         self._name = self._client.node.get_fully_qualified_name()
+        self._news = RecorderNews(self._client.node)
         self._progress = progress
 
     def __enter__(self):
@@ -52,7 +53,7 @@ class Stage:
 
     def play(self, voltage_v, sample_period_s=SAMPLE_PERIOD_S, repeats=1, directory="runs",
              name="waveform"):
-        """Play a voltage and record it.
+        """Play a voltage and record it; what can no longer be recorded is stopped.
 
         Parameters
         ----------
@@ -67,15 +68,18 @@ class Stage:
         -------
         Played
         """
-        recording = self._call("recorder/start_recording", StartRecording,
-                               directory=directory, name=free_name(directory, name),
-                               client=self._name)
-        last_sample = 0
+        path = self._call("recorder/start_recording", StartRecording,
+                          directory=directory, name=free_name(directory, name),
+                          client=self._name).path
+        recording, last_sample = self._news.about(path), 0
         try:
-            last_sample = self._play("", voltage_v, sample_period_s, repeats).last_sample
+            last_sample = self._play("", voltage_v, sample_period_s, repeats,
+                                     lambda: recording.failure).last_sample
         finally:
-            self._call("recorder/stop_recording", StopRecording, last_sample=last_sample)
-        return Played(Path(recording.path))
+            if not recording.failure:
+                self._call("recorder/stop_recording", StopRecording, last_sample=last_sample,
+                           client=self._name)
+        return Played(Path(path))
 
     def settle(self, lowest_voltage_v=-20.0, rest_s=60):
         """Wipe out the past: go to the lowest voltage, then rest at 0 V while the creep dies out.
@@ -186,10 +190,11 @@ class Stage:
         """Release a latched stop."""
         self._call("reset", Trigger)
 
-    def _play(self, step, voltage_v, sample_period_s, repeats=1):
+    def _play(self, step, voltage_v, sample_period_s, repeats=1, why_stop=None):
         return self._client.goal(
-            "play_waveform", self._shown(step), sample_period_s=float(sample_period_s),
-            voltage_v=_doubles(voltage_v), repeats=repeats, client=self._name)
+            "play_waveform", self._shown(step), why_stop=why_stop,
+            sample_period_s=float(sample_period_s),
+            voltage_v=_doubles(voltage_v), repeats=repeats)
 
     def _call(self, name, service_type, /, **fields):
         response = self._client.call(service_type, name, **fields)

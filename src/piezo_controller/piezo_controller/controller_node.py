@@ -31,6 +31,7 @@ from piezo_node_tools.calls import CallFailed
 from piezo_node_tools.goals import GoalServers
 from piezo_node_tools.parameters import declare, declare_data_root
 from piezo_node_tools.recording import RecorderCaller
+from piezo_node_tools.run_account import RunAccount, declare_run_limits
 from piezo_node_tools.spinning import autostart, run_node
 from piezo_node_tools.tracking import REPORT_PERIOD_S, StageTracker
 
@@ -85,6 +86,7 @@ class ControllerNode(LifecycleNode):
         self._data_root = declare_data_root(self)
         self._directory = declare(
             self, "directory", "runs", "Where recordings go if a goal names no place.")
+        self._run_limits = declare_run_limits(self)
 
     def wind_down(self):
         """Cancel what runs; return whether it has ended."""
@@ -96,24 +98,33 @@ class ControllerNode(LifecycleNode):
         model_text = _read_text(goal.model)
         run, plan, feedback, save = self._plan(goal, model_text, directory, progress)
         progress.check()
-        result.recording = self._recorder.start(directory, f"track_{goal.mode}", {
-            "model.json": model_text, "parameters.json": _parameters(goal)})
-        try:
-            self._play(run, plan, feedback is not None, progress)
-        finally:
-            self._recorder.stop(self._tracker.last_sample)
-            result.missed_feedback = self._tracker.missed_feedback
-            if run.begun:
-                result.e_rms_percent = run.e_rms_percent()
-                result.largest_error_um = run.largest_error_um
-                result.settled_after_s = run.settled_after_sample * self._stage.sample_period_s
+        account = RunAccount(**self._run_limits, answered=feedback is not None,
+                             streamed=isinstance(plan, (StreamPlan, LearningFeedforward)))
+        with self._recorder.record(directory, f"track_{goal.mode}", {
+                "model.json": model_text, "parameters.json": _parameters(goal)},
+                goal.unrecorded) as recording:
+            result.recording = recording.path
+            try:
+                self._play(run, plan, account, feedback is not None, progress, recording)
+            finally:
+                recording.last_sample = self._tracker.last_sample
+                result.missed_feedback = self._tracker.missed_feedback
+                if run.begun:
+                    result.e_rms_percent = run.e_rms_percent()
+                    result.largest_error_um = run.largest_error_um
+                    result.settled_after_s = (
+                        run.settled_after_sample * self._stage.sample_period_s)
+            if not (run.complete or progress.cancelled or recording.must_stop):
+                raise CallFailed(
+                    f"the stage stopped before the end: {self._tracker.why_ended()}")
         progress.check()
-        if not run.complete:
-            raise CallFailed("the stage stopped before the end: its diagnostics tell why")
-        learned = save and save(result)
+        learned = save and not account.failure and save(result)
         left_alone = plan.left_alone and ("the feedforward leaves alone: "
                                           f'{", ".join(plan.left_alone)}')
-        result.message = "; ".join(filter(None, (learned, left_alone, run.lateness)))
+        notes = learned, left_alone, run.lateness, recording.note
+        if account.failure:
+            raise CallFailed("; ".join(filter(None, (account.failure, *notes))))
+        result.message = "; ".join(filter(None, (account.note, *notes)))
 
     def _locate_files(self, goal):
         """Take the relative paths of files to read from the data root."""
@@ -202,7 +213,7 @@ class ControllerNode(LifecycleNode):
                 model, weights, self._stage.sample_period_s, digest, method)
         return self._feedback_designs[digest, method]
 
-    def _play(self, run, plan, answering, progress):
+    def _play(self, run, plan, account, answering, progress, recording):
         ticks, more = math.ceil(run.total_samples / self._stage.samples_per_tick), None
         period_v = getattr(plan, "period_voltage_v", np.empty(0))
         learning = isinstance(plan, LearningFeedforward)
@@ -213,12 +224,14 @@ class ControllerNode(LifecycleNode):
 
         def take(block):
             displacement_um = np.frombuffer(block.displacement_um)
+            if not run.complete:
+                account.take(block.flags)
             if learning:
                 plan.take(displacement_um)
             return run.take(displacement_um)
 
         def shall_end():
-            return (progress.cancelled or self._recorder.closed_early
+            return (progress.cancelled or recording.must_stop
                     or (learning and run.complete))
 
         def report():

@@ -14,10 +14,11 @@ from piezo_identification.identify import IdentificationCancelled, identify
 from piezo_identification.relay import RelayExperiment, RelayRun, relay_oscillation
 from piezo_identification.response_fit import ResponseOrder
 from piezo_models.model_file import save_model
-from piezo_node_tools.calls import ActionCaller, CallFailed, Cancelled
+from piezo_node_tools.calls import ActionCaller, CallFailed, Cancelled, GoalAborted
 from piezo_node_tools.goals import GoalServers
 from piezo_node_tools.parameters import declare, declare_data_root
 from piezo_node_tools.recording import RecorderCaller
+from piezo_node_tools.run_account import RunAccount, declare_run_limits
 from piezo_node_tools.spinning import autostart, run_node
 from piezo_node_tools.tracking import StageTracker
 from piezo_recorder.reader import read_recording
@@ -49,6 +50,7 @@ class IdentificationNode(LifecycleNode):
             self, "directory", "runs", "Where recordings and models go if a goal names no place.")
         self._refine = declare(
             self, "refine", False, "Fit all components together at the end of identify.")
+        self._run_limits = declare_run_limits(self)
         self._player = ActionCaller(self, PlayWaveform, "play_waveform")
         self._tracker = StageTracker(self)
         self._recorder = RecorderCaller(self)
@@ -66,49 +68,67 @@ class IdentificationNode(LifecycleNode):
         directory = self._writable(goal)
         experiment = named_experiment(goal.experiment, self._limits)
         result.summary = f"{experiment.description}, {experiment.duration_s:g} s"
-        self._record(experiment, directory, result, lambda stage, fraction: progress.report(
-            fraction, stage=f"{experiment.name}: {stage}"), progress)
-        if isinstance(experiment, RelayExperiment):
+        note, recording = self._record(
+            experiment, directory, result, lambda stage, fraction: progress.report(
+                fraction, stage=f"{experiment.name}: {stage}"), progress, goal.unrecorded)
+        result.message = "; ".join(filter(None, (note, recording.note)))
+        if isinstance(experiment, RelayExperiment) and not recording.failure:
             oscillation = relay_oscillation(read_recording(result.recording), experiment)
             result.summary += f"\n{oscillation.summary}"
 
-    def _record(self, experiment, directory, result, report, progress):
-        """Run and record an experiment; its recording is in the result whatever happens."""
-        path = self._recorder.start(directory, experiment.name, {
-            "parameters.json": self._described(experiment)})
-        if hasattr(result, "recording"):
-            result.recording = path
-        else:
-            result.recordings.append(path)
+    def _record(self, experiment, directory, result, report, progress, unrecorded):
+        """Run and record an experiment; its recording is in the result whatever happens.
+
+        Returns what there is to tell of the run, and the recording.
+        """
         run = self._relay if isinstance(experiment, RelayExperiment) else self._play
-        last_sample = 0
-        try:
-            last_sample = run(experiment, report, progress)
-        finally:
-            self._recorder.stop(last_sample)
+        with self._recorder.record(directory, experiment.name, {
+                "parameters.json": self._described(experiment)}, unrecorded) as recording:
+            if hasattr(result, "recording"):
+                result.recording = recording.path
+            else:
+                result.recordings.append(recording.path)
+            note = run(experiment, report, progress, recording)
         progress.check()
+        return note, recording
 
-    def _play(self, experiment, report, progress):
-        """Play a waveform; return the last sample."""
-        return self._player.run(
-            PlayWaveform.Goal(voltage_v=experiment.voltage_v.tolist(),
-                              sample_period_s=experiment.sample_period_s,
-                              repeats=experiment.repeats,
-                              client=self.get_fully_qualified_name()),
-            lambda feedback: report(feedback.stage, feedback.fraction),
-            lambda: progress.cancelled or self._recorder.closed_early).last_sample
+    def _play(self, experiment, report, progress, recording):
+        """Play a waveform."""
+        try:
+            played = self._player.run(
+                PlayWaveform.Goal(voltage_v=experiment.voltage_v.tolist(),
+                                  sample_period_s=experiment.sample_period_s,
+                                  repeats=experiment.repeats,
+                                  client=self.get_fully_qualified_name()),
+                lambda feedback: report(feedback.stage, feedback.fraction),
+                lambda: progress.cancelled or recording.must_stop)
+        except GoalAborted as aborted:
+            recording.last_sample = aborted.result.last_sample
+            raise
+        recording.last_sample = played.last_sample
+        return ""
 
-    def _relay(self, experiment, report, progress):
-        """Answer the stage's blocks as a relay; return the last sample."""
-        run = RelayRun(experiment)
-        self._tracker.run(
-            experiment.feedforward_v, np.empty(0), experiment.ticks,
-            lambda block: run.take(np.frombuffer(block.displacement_um)), True,
-            lambda: progress.cancelled or self._recorder.closed_early,
-            lambda: report("feedback", run.fraction))
-        if not (run.fraction == 1.0 or progress.cancelled):
-            raise CallFailed("the stage stopped before the end: its diagnostics tell why")
-        return self._tracker.last_sample
+    def _relay(self, experiment, report, progress, recording):
+        """Answer the stage's blocks as a relay; return what there is to tell of it."""
+        run, account = RelayRun(experiment), RunAccount(**self._run_limits)
+
+        def take(block):
+            if run.fraction < 1.0:
+                account.take(block.flags)
+            return run.take(np.frombuffer(block.displacement_um))
+
+        try:
+            self._tracker.run(
+                experiment.feedforward_v, np.empty(0), experiment.ticks, take, True,
+                lambda: progress.cancelled or recording.must_stop,
+                lambda: report("feedback", run.fraction))
+        finally:
+            recording.last_sample = self._tracker.last_sample
+        if not (run.fraction == 1.0 or progress.cancelled or recording.must_stop):
+            raise CallFailed(f"the stage stopped before the end: {self._tracker.why_ended()}")
+        if account.failure and not (progress.cancelled or recording.must_stop):
+            raise CallFailed(account.failure)
+        return account.note
 
     def _described(self, experiment):
         return json.dumps({
@@ -121,7 +141,8 @@ class IdentificationNode(LifecycleNode):
         directory = self._writable(goal)
         _make(directory)
         given = [*map(self._data_root.readable, goal.recordings)]
-        result.recordings = given or self._run_all(directory, result, progress)
+        result.recordings = given or self._run_all(
+            directory, result, progress, goal.unrecorded)
         if len(result.recordings) != len(EXPERIMENTS):
             raise ValueError(
                 f"{len(result.recordings)} recordings are named: give those of "
@@ -144,7 +165,9 @@ class IdentificationNode(LifecycleNode):
         result.error_names = list(identified.errors)
         result.error_values = [float(value) for value in identified.errors.values()]
 
-    def _run_all(self, directory, result, progress):
+    def _run_all(self, directory, result, progress, unrecorded):
+        """Run every experiment; raise CallFailed at the end if one could not be recorded."""
+        unread = []
         durations_s = [named_experiment(name, self._limits).duration_s for name in EXPERIMENTS]
         for index, name in enumerate(EXPERIMENTS):
             begin = sum(durations_s[:index]) / sum(durations_s)
@@ -153,7 +176,12 @@ class IdentificationNode(LifecycleNode):
             def report(stage, fraction, name=name, begin=begin, share=share):
                 progress.report(EXPERIMENTS_FRACTION * (begin + share * fraction),
                                 stage=f"{name}: {stage}")
-            self._record(named_experiment(name, self._limits), directory, result, report, progress)
+            _, recording = self._record(named_experiment(name, self._limits), directory, result,
+                                        report, progress, unrecorded)
+            unread += [recording.note] if recording.failure else []
+        if unread:
+            raise CallFailed(f"{'; '.join(unread)}: run those experiments again, and give all "
+                             "recordings to identify")
         return result.recordings
 
     def _diagnose(self, goal, result, progress):

@@ -2,34 +2,77 @@
 """Call services and actions from a thread while the executor spins in another."""
 
 import queue
-import threading
+import secrets
+import time
 
 from rclpy.action import ActionClient
+from rclpy.impl.implementation_singleton import rclpy_implementation
+
+InvalidHandle = rclpy_implementation.InvalidHandle
 
 # Long enough for a stage that is still compiling its simulation.
 CALL_TIMEOUT_S = 60.0
 POLL_S = 0.05
 # A node that ends may be gone before its answer is read.
 LAST_ANSWER_S = 1.0
+# A response gets lost where the server has not met the client yet.
+RESEND_S = 10.0
 
 
 class CallFailed(ValueError):
     """A service or an action did not do what it was asked to."""
 
 
+class GoalAborted(CallFailed):
+    """A goal ended without success.
+
+    Parameters
+    ----------
+    result : message
+        What the action gave all the same.
+    """
+
+    def __init__(self, result):
+        super().__init__(result.message)
+        self.result = result
+
+
 class Cancelled(Exception):
     """The work was cancelled from outside."""
 
 
-def call_service(client, request, timeout_s=CALL_TIMEOUT_S):
+def number_request(request):
+    """Give a request a number of its own, if it can bear one and has none.
+
+    The server answers a number once: such a request may be sent again.
+
+    Parameters
+    ----------
+    request : message
+
+    Returns
+    -------
+    repeatable : bool
+        Whether the request bears a number.
+    """
+    if getattr(request, "request_id", None) == 0:
+        request.request_id = secrets.randbits(63) + 1
+    return hasattr(request, "request_id")
+
+
+def call_service(client, request, timeout_s=CALL_TIMEOUT_S, appearance_s=CALL_TIMEOUT_S):
     """Call a service whose response has ``success`` and ``message``.
+
+    A request that bears a number is sent again where no response came.
 
     Parameters
     ----------
     client : rclpy.client.Client
     request : message
     timeout_s : float
-        For the service to be there, and again for its response.
+        For the response.
+    appearance_s : float
+        For the service to be there.
 
     Returns
     -------
@@ -38,11 +81,14 @@ def call_service(client, request, timeout_s=CALL_TIMEOUT_S):
     Raises
     ------
     CallFailed
-        If nobody serves or answers, or if the response says so.
+        If nobody serves or answers, if the node that serves or this one ends meanwhile, or if
+        the response says so.
     """
-    if not client.wait_for_service(timeout_s):
+    repeatable = number_request(request)
+    if not client.wait_for_service(appearance_s):
         raise CallFailed(f"nobody serves {client.srv_name}: start its node")
-    response = _result(client.call_async(request), timeout_s, client.srv_name)
+    response = _await(lambda: client.call_async(request), client.context,
+                      client.service_is_ready, client.srv_name, timeout_s, repeatable)
     if not response.success:
         raise CallFailed(response.message)
     return response
@@ -82,46 +128,87 @@ class ActionCaller:
         Raises
         ------
         CallFailed
-            If nobody serves the action, or the goal was refused or aborted.
+            If nobody serves the action, the goal was rejected, or the node that serves or this
+            one ends meanwhile.
+        GoalAborted
+            If the goal ended without success.
         """
         if not self._client.wait_for_server(CALL_TIMEOUT_S):
             raise CallFailed(f"nobody serves {self._name}: start its node")
-        sent = self._in_executor(lambda: self._client.send_goal_async(
-            goal, feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None))
-        handle = _result(sent, CALL_TIMEOUT_S, self._name)
+        handle = self._await(lambda: self._client.send_goal_async(
+            goal, feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None),
+            CALL_TIMEOUT_S)
         if not handle.accepted:
-            raise CallFailed(f"{self._name} rejected the goal: send it again")
-        result = self._wait(handle, cancelled).result
+            raise CallFailed(f"{self._name} rejected the goal: its node is busy or not active, "
+                             "its log tells which")
+        result = self._end(handle, cancelled).result
         if not result.success and not cancelled():
-            raise CallFailed(result.message)
+            raise GoalAborted(result)
         return result
 
-    def _wait(self, handle, cancelled):
-        future, finished = self._in_executor(handle.get_result_async), threading.Event()
-        future.add_done_callback(lambda _: finished.set())
+    def _end(self, handle, cancelled):
         asked = False
-        while not finished.wait(POLL_S):
-            if not self._client.server_is_ready() and not finished.wait(LAST_ANSWER_S):
-                raise CallFailed(f"the node that serves {self._name} has ended: start it again")
-            if cancelled() and not asked:
-                self._in_executor(handle.cancel_goal_async)
-                asked = True
-        return future.result()
 
-    def _in_executor(self, send):
-        """Send from the executor's thread, between two callbacks.
+        def look():
+            nonlocal asked
+            if cancelled() and not asked:
+                asked = True
+                self._in_executor(handle.cancel_goal_async)
+
+        return self._await(handle.get_result_async, None, look)
+
+    def _await(self, send, timeout_s, look=lambda: None):
+        """Send from the executor's thread, between two callbacks, and wait for the answer.
 
         From another thread the answer may come before rclpy has noted what it answers.
         """
         sent = queue.SimpleQueue()
-        self._node.executor.create_task(lambda: sent.put(send()))
-        return sent.get()
+        self._in_executor(lambda: sent.put(send()))
+        context, begin_s = self._node.context, time.monotonic()
+        while sent.empty():
+            _check_alive(context, self._name)
+            if time.monotonic() - begin_s > CALL_TIMEOUT_S:
+                raise CallFailed(f"{self._name} was not asked within {CALL_TIMEOUT_S:g} s: this "
+                                 "node hangs, start it again")
+            time.sleep(POLL_S / 10)
+        return _await(sent.get, context, self._client.server_is_ready, self._name, timeout_s,
+                      look=look)
+
+    def _in_executor(self, work):
+        self._node.executor.create_task(work)
 
 
-def _result(future, timeout_s, name):
-    finished = threading.Event()
-    future.add_done_callback(lambda _: finished.set())
-    if not finished.wait(timeout_s):
-        raise CallFailed(f"{name} did not answer within {timeout_s:g} s: "
-                         "look at its node's log")
-    return future.result()
+def _await(send, context, is_served, name, timeout_s, repeatable=False, look=lambda: None):
+    """Send, and return the first answer; look at what goes on while there is none."""
+    answers = queue.SimpleQueue()
+    sent_s = begin_s = served_s = time.monotonic()
+    send().add_done_callback(answers.put)
+    while True:
+        try:
+            return answers.get(timeout=POLL_S).result()
+        except queue.Empty:
+            now_s = time.monotonic()
+        _check_alive(context, name)
+        if _holds(is_served):
+            served_s = now_s
+        elif now_s - served_s > LAST_ANSWER_S:
+            raise CallFailed(f"the node that serves {name} has ended: start it again")
+        if timeout_s is not None and now_s - begin_s > timeout_s:
+            raise CallFailed(f"{name} did not answer within {timeout_s:g} s: "
+                             "look at its node's log")
+        if repeatable and now_s - sent_s > RESEND_S:
+            sent_s = now_s
+            send().add_done_callback(answers.put)
+        look()
+
+
+def _check_alive(context, name):
+    if not context.ok():
+        raise CallFailed(f"this node ended before {name} answered: start it again")
+
+
+def _holds(is_served):
+    try:
+        return is_served()
+    except InvalidHandle:  # of a node that is being destroyed
+        return False

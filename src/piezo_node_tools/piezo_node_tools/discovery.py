@@ -6,6 +6,11 @@ from pathlib import Path
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+# As participant.xml says: how long others wait for a sign of life, and how often one is given.
+LEASE_S = 3.0
+ANNOUNCEMENT_S = 0.5
+# The last sign of life may be old already, and the next come late.
+LONGEST_STANDSTILL_S = LEASE_S - 2.0 * ANNOUNCEMENT_S
 
 
 def prepare_discovery():

@@ -12,7 +12,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
-from piezo_node_tools.discovery import prepare_discovery
+from piezo_node_tools.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_node_tools.parameters import declare
 from piezo_node_tools.responses import answer_patiently
 
@@ -20,7 +20,42 @@ RCLError = rclpy_implementation.RCLError
 SPIN_TIMEOUT_S = 0.2
 WIND_DOWN_TIMEOUT_S = 10.0
 LAST_WORDS_S = 0.2
+FAILED_STATUS = 1
 BAD_INPUT_STATUS = 2
+
+
+class Ending:
+    """Whether the node is to end: on SIGINT or SIGTERM, or because nobody sees it any more.
+
+    Others give up a process that stands still, as after Ctrl-Z, and the middleware does not
+    introduce it to them again: when it goes on, it hears them, but they do not hear it.
+
+    Attributes
+    ----------
+    stood_still_s : float
+        How long the process stood still; 0 unless it ends for that.
+    """
+
+    def __init__(self):
+        self._requested = False
+        self.stood_still_s = 0.0
+        self._alive_s = time.monotonic()
+        # Own handlers: rclpy's would shut ROS down before the node can close in order.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._end)
+        signal.signal(signal.SIGCONT, self._go_on)
+
+    def __bool__(self):
+        self._alive_s = time.monotonic()
+        return self._requested
+
+    def _end(self, *_):
+        self._requested = True
+
+    def _go_on(self, *_):
+        standstill_s = time.monotonic() - self._alive_s
+        if standstill_s > LONGEST_STANDSTILL_S:
+            self._requested, self.stood_still_s = True, standstill_s
 
 
 def autostart(node, default=True):
@@ -45,7 +80,7 @@ def autostart(node, default=True):
 
 
 def run_node(create_node, args=None):
-    """Run one node until SIGINT or SIGTERM.
+    """Run one node until SIGINT or SIGTERM, or until it has stood still for too long.
 
     The node may have methods of its own: ``step() -> float`` is called between two
     callbacks and returns how long to wait for the next one (s); ``wind_down() -> bool``
@@ -63,25 +98,29 @@ def run_node(create_node, args=None):
     Raises
     ------
     SystemExit
-        With status 2 where the node cannot start with what it was given.
+        With status 2 where the node cannot start with what it was given, and 1 where it stood
+        still for so long that the other nodes gave it up.
     """
-    # Own handlers: rclpy's would shut ROS down before the node can close in order.
-    stop_requested = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop_requested.append(True))
+    ending = Ending()
     node = _start(create_node, args)
     executor = EventsExecutor()
     executor.add_node(node)
     try:
         try:
-            _spin(executor, getattr(node, "step", lambda: SPIN_TIMEOUT_S), stop_requested)
+            _spin(executor, getattr(node, "step", lambda: SPIN_TIMEOUT_S), ending)
         finally:
+            if ending.stood_still_s:
+                node.get_logger().error(
+                    f"this process stood still for {ending.stood_still_s:.1f} s, and the other "
+                    "nodes have given it up: it ends, start it again")
             _wind_down(executor, getattr(node, "wind_down", lambda: True))
     finally:
         getattr(node, "close", lambda: None)()
         executor.remove_node(node)
         node.destroy_node()
         rclpy.try_shutdown()
+    if ending.stood_still_s:
+        sys.exit(FAILED_STATUS)
 
 
 def _start(create_node, args):
@@ -104,8 +143,8 @@ def _refuse(reason):
     sys.exit(BAD_INPUT_STATUS)
 
 
-def _spin(executor, step, stop_requested):
-    while not stop_requested and rclpy.ok():
+def _spin(executor, step, ending):
+    while not ending and rclpy.ok():
         executor.spin_once(timeout_sec=step())
 
 

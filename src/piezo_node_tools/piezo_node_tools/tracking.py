@@ -13,10 +13,16 @@ from std_srvs.srv import Trigger
 
 from piezo_node_tools.calls import CallFailed, call_service
 from piezo_node_tools.quality import FEEDBACK, SAMPLES
+from piezo_node_tools.stage_watch import StageWatch
 from piezo_node_tools.streaming import Stream
 
 REPORT_PERIOD_S = 0.1
 SILENCE_TIMEOUT_S = 10.0
+# Of a stage that was there a moment ago.
+APPEARANCE_S = 1.0
+STOP_TIMEOUT_S = 10.0
+# A node that ends may be gone before its last samples are read.
+LAST_BLOCK_S = 1.0
 
 
 class StageTracker:
@@ -39,6 +45,7 @@ class StageTracker:
         # Answers to the first blocks wait here until the number of their run is known.
         self._early_answers, self._run, self._numbering = [], None, threading.Lock()
         self._client = node.get_fully_qualified_name()
+        self._stage = StageWatch(node)
         self._at_rest, self._awake = threading.Event(), threading.Event()
         self.last_sample = self.missed_feedback = 0
         self._feedback = node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
@@ -73,8 +80,9 @@ class StageTracker:
         Raises
         ------
         CallFailed
-            If the stage refuses, or falls silent.
+            If the stage refuses, falls silent, or is gone.
         """
+        self._stage.begin()
         self._at_rest.clear()
         self._awake.clear()
         self._blocks = self.last_sample = self.missed_feedback = 0
@@ -87,10 +95,15 @@ class StageTracker:
                 self._stream.feed()
             self._run, self._early_answers = None, []
             self._begin_answers(call_service(self._start, StartTracking.Request(
-                feedback=self._answering, ticks=ticks, client=self._client)).run)
+                feedback=self._answering, ticks=ticks, client=self._client),
+                appearance_s=APPEARANCE_S).run)
             self._wait(cancelled, report)
         finally:
             self._take = self._stream = None
+
+    def why_ended(self):
+        """Say why the stage ended the last run before its time, as far as the stage tells."""
+        return self._stage.why_ended()
 
     def _load_voltages(self, once_voltage_v, period_voltage_v=b"", append=False):
         call_service(self._load, LoadFeedforward.Request(
@@ -127,7 +140,9 @@ class StageTracker:
             if (failure or cancelled()) and not stopping:
                 stopping = True
                 with suppress(CallFailed):  # the stage may just have stopped by itself
-                    call_service(self._stop, Trigger.Request())
+                    call_service(self._stop, Trigger.Request(), STOP_TIMEOUT_S, APPEARANCE_S)
+            if self._stage.gone and not self._at_rest.wait(LAST_BLOCK_S):
+                raise CallFailed(f"the stage stopped before the end: {self.why_ended()}")
             now_s = time.monotonic()
             if self._blocks != blocks_before:
                 blocks_before, heard_s = self._blocks, now_s

@@ -13,14 +13,16 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.task import Future
 
+from piezo_node_tools.clock_guard import keep_clock
 from piezo_node_tools.data_root import DataRootError, check_file_name
 from piezo_node_tools.diagnostics import diagnostic
 from piezo_node_tools.parameters import declare, declare_data_root
-from piezo_node_tools.presence import ClientWatch
+from piezo_node_tools.presence import Presence
 from piezo_node_tools.quality import SAMPLES
 from piezo_node_tools.spinning import autostart, run_node
 from piezo_recorder import sample_block
 from piezo_recorder.message_definition import installed_definition
+from piezo_recorder.quality_profiles import offered_profile
 from piezo_recorder.session import RecordingSession
 from piezo_recorder.writer import FLUSH_PERIOD_S, RecordingWriter
 
@@ -51,7 +53,6 @@ class Recorder(LifecycleNode):
                 0, 1_000_000_000, read_only=False)
         self._data_root = declare_data_root(self)
         self._session = None
-        self._client_watch = ClientWatch(self)
         self._client_gone_at = None
         self._definitions = {}
         self._subscriptions_by_topic = {}
@@ -62,6 +63,7 @@ class Recorder(LifecycleNode):
             StartRecording, "recorder/start_recording", self._start_recording)
         self._create_waiting_service(
             StopRecording, "recorder/stop_recording", self._stop_recording)
+        keep_clock(self, lambda: "a recording runs" if self._recording else "")
         autostart(self)
 
     # Lifecycle
@@ -196,7 +198,11 @@ class Recorder(LifecycleNode):
     def _new_session(self, request):
         sample_rate_hz = self.get_parameter("sample_rate_hz").value
         writer = RecordingWriter(self._path(request), sample_rate_hz)
-        session = RecordingSession(writer, self._definitions, sample_rate_hz, request.client)
+        session = RecordingSession(
+            writer, self._definitions, sample_rate_hz, Presence(self, request.client),
+            {topic: [offered_profile(publisher.qos_profile)
+                     for publisher in self.get_publishers_info_by_topic(topic)]
+             for topic in self._definitions})
         self._client_gone_at = None
         for name, content in zip(
                 request.attachment_names, request.attachment_contents, strict=True):
@@ -207,6 +213,12 @@ class Recorder(LifecycleNode):
         session = self._session
         if session is None:
             response.message = "Nothing is being recorded: start a recording first."
+            return response
+        owner = session.client.name
+        if not session.closed and owner and request.client != owner:
+            response.message = (f"{session.path} is recorded for {owner}: only that node stops "
+                                "it, or give its name in client.")
+            self.get_logger().warning(response.message)
             return response
         late = 0
         if request.last_sample:
@@ -275,12 +287,8 @@ class Recorder(LifecycleNode):
                               clock=self._steady_clock)]
 
     def _client_is_gone(self):
-        """Whether the recording's client went away as long ago as the stage moves on.
-
-        One that came back since has started anew and knows nothing of the recording.
-        """
-        client = self._session.client
-        if client and self._client_gone_at is None and self._client_watch.is_gone(client):
+        """Whether the recording's client went away as long ago as the stage moves on."""
+        if self._client_gone_at is None and self._session.client.gone:
             self._client_gone_at = time.monotonic()
         gone_at = self._client_gone_at
         return gone_at is not None and time.monotonic() - gone_at > AFTERMATH_S
@@ -289,7 +297,7 @@ class Recorder(LifecycleNode):
         if not self._recording:  # ended after this callback was due
             return
         if self._client_is_gone():
-            self._end(f"its client {self._session.client} is gone")
+            self._end(f"its client {self._session.client.name} is gone")
             return
         free_mb = _free_mb(self._session.writer.path)
         if free_mb < self._minimum_free_mb:
@@ -352,9 +360,9 @@ def _sentence(error):
     return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
 
 
-def main():
+def main(args=None):
     """Run the node ``recorder``."""
-    run_node(Recorder)
+    run_node(Recorder, args)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import mcap.records
 from mcap.stream_reader import StreamReader
 
 from piezo_recorder.message_definition import MessageDefinition
+from piezo_recorder.quality_profiles import profiles_from_text
 from piezo_recorder.reader import data_files, was_cut_short
 from piezo_recorder.recording import RecordingError
 from piezo_recorder.writer import STAGE_METADATA, RecordingWriter
@@ -78,7 +79,8 @@ class _Copy:
         elif isinstance(record, mcap.records.Channel) and record.id not in self._channels:
             schema = self._schemas[record.schema_id]
             self._channels[record.id] = self.writer.add_topic(record.topic, MessageDefinition(
-                schema.name, schema.data.decode(), record.metadata.get("topic_type_hash", "")))
+                schema.name, schema.data.decode(), record.metadata.get("topic_type_hash", "")),
+                profiles_from_text(record.metadata.get("offered_qos_profiles", "")))
         elif isinstance(record, mcap.records.Attachment):
             self.writer.attach(record.name, record.data)
         elif isinstance(record, mcap.records.Metadata) and record.name == STAGE_METADATA:

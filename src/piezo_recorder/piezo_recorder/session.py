@@ -20,18 +20,20 @@ class RecordingSession:
         By topic.
     sample_rate_hz : float
         Rate of the sample clock.
-    client : str
-        Full name of the node it is made for; empty where nobody watches that.
+    client : Presence
+        Of the node it is made for.
+    quality_profiles : dict of str to sequence of dict
+        What the publishers of each topic offer.
     """
 
-    def __init__(self, writer, definitions, sample_rate_hz, client=""):
+    def __init__(self, writer, definitions, sample_rate_hz, client, quality_profiles):
         self.writer = writer
         self.client = client
         self.ended_early = ""
         self.closed = False
         self._received_at = 0.0
         self._channels = {
-            topic: writer.add_topic(topic, definition)
+            topic: writer.add_topic(topic, definition, quality_profiles[topic])
             for topic, definition in definitions.items()}
         self._counts = {
             topic: SampleCount(sample_rate_hz) for topic, definition in definitions.items()

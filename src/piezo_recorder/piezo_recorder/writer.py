@@ -9,6 +9,8 @@ from pathlib import Path
 import mcap.writer
 import yaml
 
+from piezo_recorder.quality_profiles import profiles_to_text
+
 METADATA_VERSION = 9
 CHUNK_BYTES = 1024 * 1024
 # Half of what a killed recorder may lose.
@@ -75,7 +77,7 @@ class RecordingWriter:
         """Keep facts of the stage, a dict of str to str, for the reader."""
         self._mcap.add_metadata(STAGE_METADATA, metadata)
 
-    def add_topic(self, topic, definition):
+    def add_topic(self, topic, definition, quality_profiles=()):
         """Announce a topic.
 
         Parameters
@@ -83,6 +85,9 @@ class RecordingWriter:
         topic : str
             Full name.
         definition : MessageDefinition
+        quality_profiles : sequence of dict
+            What its publishers offer, see `quality_profiles.offered_profile`: a replay offers
+            the same.
 
         Returns
         -------
@@ -94,8 +99,9 @@ class RecordingWriter:
                 definition.type_name, "ros2msg", definition.text.encode())
         channel = self._mcap.register_channel(
             topic, "cdr", self._schemas[definition.type_name],
-            {"offered_qos_profiles": "[]", "topic_type_hash": definition.type_hash})
-        self._topics[channel] = (topic, definition)
+            {"offered_qos_profiles": profiles_to_text(quality_profiles),
+             "topic_type_hash": definition.type_hash})
+        self._topics[channel] = (topic, definition, list(quality_profiles))
         self._counts[channel] = 0
         self._write_metadata()
         return channel
@@ -163,8 +169,8 @@ class RecordingWriter:
             "storage_identifier": "mcap",
             **span,
             "topics_with_message_count": [
-                _topic_metadata(topic, definition, self._counts[channel])
-                for channel, (topic, definition) in self._topics.items()],
+                _topic_metadata(*topic, self._counts[channel])
+                for channel, topic in self._topics.items()],
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [file_name],
@@ -178,13 +184,13 @@ class RecordingWriter:
         os.replace(complete, self.path / "metadata.yaml")
 
 
-def _topic_metadata(topic, definition, count):
+def _topic_metadata(topic, definition, quality_profiles, count):
     return {
         "topic_metadata": {
             "name": topic,
             "type": definition.type_name,
             "serialization_format": "cdr",
-            "offered_qos_profiles": [],
+            "offered_qos_profiles": quality_profiles,
             "type_description_hash": definition.type_hash,
         },
         "message_count": count,

@@ -9,6 +9,7 @@ from piezo_interfaces.msg import FeedbackVoltage
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
+from piezo_node_tools.clock_guard import keep_clock
 from piezo_node_tools.parameters import declare
 from piezo_node_tools.presence import ClientWatch
 from piezo_node_tools.quality import FEEDBACK
@@ -71,6 +72,7 @@ class StageNode(LifecycleNode):
         self.create_timer(WATCH_PERIOD_S, self._watch, clock=clock)
         self.create_timer(CLIENT_WATCH_PERIOD_S, self._watch_client, clock=clock)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=clock)
+        keep_clock(self, lambda: "the stage is active" if self._active else "")
         autostart(self, default=False)
 
     # Lifecycle
@@ -281,7 +283,7 @@ class StageNode(LifecycleNode):
 
     def _watch_client(self):
         client = self._engine.client if self._active else ""
-        if client and self._client_watch.is_gone(client):
+        if self._client_watch.is_gone(client):
             self.stop(f"the client {client} is gone")
 
     def _tell_stop(self):

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Keep the clock of a node while something runs that reads it."""
+
+from rcl_interfaces.msg import SetParametersResult
+
+PARAMETER = "use_sim_time"
+
+
+def keep_clock(node, why_busy):
+    """Refuse a change of the parameter ``use_sim_time`` while the node is busy.
+
+    Stamps before and after such a change are of two clocks, which may be decades apart.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    why_busy : callable
+        Returns what runs, such as ``"a goal runs"``; empty if nothing does.
+    """
+    def examine(parameters):
+        changes = any(parameter.name == PARAMETER
+                      and parameter.value != node.get_parameter(PARAMETER).value
+                      for parameter in parameters)
+        reason = changes and why_busy()
+        if not reason:
+            return SetParametersResult(successful=True)
+        return SetParametersResult(successful=False, reason=(
+            f"{PARAMETER} cannot be changed while {reason}: wait for its end, or end it first"))
+
+    node.add_on_set_parameters_callback(examine)

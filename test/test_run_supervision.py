@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A run that did not do what it was asked to says why; nobody else ends or changes it."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from action_msgs.msg import GoalStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from mcap.reader import make_reader
+from piezo_interfaces.msg import Reference
+from piezo_interfaces.srv import StartRecording, StopRecording
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+
+from piezo_client.client import GoalFailed
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_file import save_model
+from piezo_recorder.reader import read_recording
+
+NO_DISK_HOLDS_THAT_MB = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def model_file(plain_model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("model") / "model.json"
+    save_model(path, IdentifiedModel(plain_model, (-20.0, 120.0)))
+    return path
+
+
+@pytest.fixture
+def fields(model_file, tmp_path):
+    """Of a goal of track that goes on for a while."""
+    return {"reference": Reference(kind="harmonic", frequency_hz=[10.0], amplitude_um=[10.0],
+                                   centre_um=30.0),
+            "model": str(model_file), "mode": "pi", "duration_s": 2.0,
+            "directory": str(tmp_path)}
+
+
+def set_parameter(suite, node, name, value):
+    parameter = Parameter(name, value=value).to_parameter_msg()
+    return suite.call(SetParameters, f"{node}/set_parameters", parameters=[parameter]).results[0]
+
+
+@pytest.fixture
+def disk_that_is_filled(suite):
+    """Makes the recorder close its recording because the disk is full."""
+    yield lambda: set_parameter(suite, "recorder", "minimum_free_mb", NO_DISK_HOLDS_THAT_MB)
+    assert set_parameter(suite, "recorder", "minimum_free_mb", 1).successful
+
+
+def end_recording_of(suite, fields, disk_that_is_filled, **options):
+    """Track, fill the disk meanwhile; return the goal's status and result."""
+    goal = suite.begin("track", **fields, **options)
+    disk_that_is_filled()
+    return suite.result(goal)
+
+
+def test_run_whose_recording_ends_stops_and_says_why(suite, fields, disk_that_is_filled):
+    fields["duration_s"] = 60.0
+    status, result = end_recording_of(suite, fields, disk_that_is_filled)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert "was closed early: only" in result.message
+    assert suite.samples().voltage_v[-1] == 0.0
+    assert read_recording(result.recording).complete
+
+
+def test_run_that_may_go_on_unrecorded_does_and_says_so(suite, fields, disk_that_is_filled):
+    status, result = end_recording_of(suite, fields, disk_that_is_filled, unrecorded=True)
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    assert "the run went on unrecorded: " in result.message
+    assert "was closed early: only" in result.message
+
+
+@pytest.mark.parametrize(("service", "cause"), [
+    ("emergency_stop", "the stage stopped before the end: emergency stop"),
+    ("stop_tracking", "the stage stopped before the end: somebody else called stop_tracking"),
+])
+def test_result_holds_the_cause_of_a_stop(suite, fields, service, cause):
+    goal = suite.begin("track", **{**fields, "duration_s": 60.0})
+    assert suite.trigger(service).success
+    status, result = suite.result(goal)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert result.message == cause
+    suite.until(lambda: suite.trigger("reset").success)
+
+
+def test_stranger_does_not_stop_the_recording_of_a_run(suite, fields):
+    goal = suite.begin("track", **fields)
+    for stranger in "", "/left/somebody":
+        refused = suite.call(StopRecording, "recorder/stop_recording", client=stranger)
+        assert not refused.success
+        assert "is recorded for /left/controller: only that node stops it" in refused.message
+    status, result = suite.result(goal)
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    assert read_recording(result.recording).gaps == []
+
+
+def test_recording_that_names_no_client_is_stopped_by_anybody(suite, tmp_path):
+    assert suite.call(StartRecording, "recorder/start_recording", directory=str(tmp_path),
+                      name="free").success
+    last_sample = suite.play([0.0]).last_sample
+    assert suite.call(StopRecording, "recorder/stop_recording", last_sample=last_sample,
+                      client="/left/somebody").success
+
+
+def test_clock_of_a_node_is_not_changed_while_it_matters(suite, fields):
+    goal = suite.begin("track", **fields)
+    for node, reason in [("stage", "the stage is active"), ("controller", "a goal runs"),
+                         ("recorder", "a recording runs")]:
+        refused = set_parameter(suite, node, "use_sim_time", True)
+        assert not refused.successful
+        assert refused.reason == (f"use_sim_time cannot be changed while {reason}: "
+                                  "wait for its end, or end it first")
+        assert set_parameter(suite, node, "use_sim_time", False).successful  # as it is
+    status, result = suite.result(goal)
+    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
+    for value in True, False:
+        assert set_parameter(suite, "controller", "use_sim_time", value).successful
+
+
+def test_node_that_is_not_active_rejects_goals(suite, tmp_path):
+    def change(transition):
+        return suite.call(ChangeState, "identification/change_state",
+                          transition=Transition(id=transition)).success
+
+    assert change(Transition.TRANSITION_DEACTIVATE)
+    with pytest.raises(GoalFailed, match="rejected the goal"):
+        suite.run_experiment("dynamics", tmp_path)
+    assert "goal rejected: identification is not active: activate it first" in suite.logs()
+    assert change(Transition.TRANSITION_ACTIVATE)
+    assert suite.run_experiment("dynamics", tmp_path).success
+
+
+def test_node_that_is_deactivated_cancels_its_goal_and_says_so(suite, fields):
+    goal = suite.begin("track", **{**fields, "duration_s": 60.0})
+    for transition in Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE:
+        assert suite.call(ChangeState, "controller/change_state",
+                          transition=Transition(id=transition)).success
+        if transition == Transition.TRANSITION_DEACTIVATE:
+            status, result = suite.result(goal)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert result.message == "cancelled: the node /left/controller was deactivated"
+
+
+def test_recording_bears_the_quality_of_its_topics(suite, fields):
+    path = suite.goal("track", **fields).recording
+    with open(f"{path}/metadata.yaml", encoding="utf-8") as stream:
+        metadata = yaml.safe_load(stream)["rosbag2_bagfile_information"]
+    offered = {topic["topic_metadata"]["name"]: topic["topic_metadata"]["offered_qos_profiles"]
+               for topic in metadata["topics_with_message_count"]}
+    for topic in "samples", "feedback", "ground_truth":
+        profiles = offered[f"/left/{topic}"]
+        assert profiles
+        assert {(profile["reliability"], profile["durability"]) for profile in profiles} == {
+            ("reliable", "volatile")}
+    with open(next(Path(path).glob("*.mcap")), "rb") as stream:
+        channels = make_reader(stream).get_summary().channels.values()
+    assert {channel.topic: yaml.safe_load(channel.metadata["offered_qos_profiles"])
+            for channel in channels} == offered
+

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whoever is killed or hangs in a run, the rest ends it in order, and the next run works."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from itertools import product
+
+import pytest
+from piezo_interfaces.msg import Reference, SampleBlock
+from piezo_interfaces.srv import StopRecording
+
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_file import save_model
+from piezo_recorder.reader import read_recording
+
+# Asks for one goal as any client of ours does, and leaves what became of it in a file.
+OPERATOR = """
+import json, sys
+from pathlib import Path
+from piezo_client.client import Client, GoalFailed
+from piezo_interfaces.msg import Reference
+namespace, outcome, name, fields = sys.argv[1:]
+fields = json.loads(fields)
+if "reference" in fields:
+    fields["reference"] = Reference(**fields["reference"])
+with Client(namespace, "operator") as client:
+    try:
+        message = client.goal(name, **fields).message
+        success = True
+    except GoalFailed as failure:
+        success, message = False, str(failure)
+Path(outcome + ".new").write_text(json.dumps([success, message]))
+Path(outcome + ".new").rename(outcome)
+"""
+REFERENCE = {"kind": "harmonic", "frequency_hz": [10.0], "amplitude_um": [10.0], "centre_um": 30.0}
+WORKERS = {"track": "controller", "run_experiment": "identification"}
+TIMINGS = ("lockstep", "paced")
+# A late answer is not what these tests are about.
+PATIENT = {"max_missed_feedback": 10_000}
+PATIENT_NODES = {"controller": {"max_late_percent": 100.0}}
+
+# What the operator is told, by who went away; the worker's own end cannot come from it.
+CAUSES = {
+    "recorder": "the recorder {namespace}/recorder is gone",
+    "worker": "the node that serves .* has ended",
+}
+STAGE_CAUSES = {
+    "track": "the stage stopped before the end: the stage {namespace}/stage is gone",
+    "run_experiment": "the node that serves play_waveform has ended",
+}
+# More than the recording's head, which is there before the first sample.
+SAMPLES_BYTES = 100_000
+VICTIMS = ("stage", "recorder", "worker", "operator")
+CASES = list(product(TIMINGS, WORKERS, VICTIMS, (signal.SIGKILL, signal.SIGSTOP)))
+# The rest differ from these in what they have in common with another one.
+MOST_IMPORTANT = {
+    ("lockstep", "track", "recorder", signal.SIGKILL),
+    ("paced", "track", "worker", signal.SIGKILL),
+    ("lockstep", "track", "operator", signal.SIGKILL),
+    ("paced", "run_experiment", "stage", signal.SIGKILL),
+    ("paced", "run_experiment", "recorder", signal.SIGSTOP),
+}
+if not os.environ.get("LONG_TESTS"):
+    CASES = [case for case in CASES if case in MOST_IMPORTANT]
+
+
+@pytest.fixture(scope="module")
+def model_file(plain_model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("model") / "model.json"
+    save_model(path, IdentifiedModel(plain_model, (-20.0, 120.0)))
+    return path
+
+
+class Suite:
+    """All the nodes of a stage, and an operator who works with them from a process of his own."""
+
+    def __init__(self, client, model_file):
+        self.client, self.processes = client, client.processes
+        self.namespace = client.node.get_namespace()
+        self._model_file = model_file
+
+    def fields(self, name, directory, duration_s=600.0):
+        if name == "run_experiment":
+            return {"experiment": "diagnostic" if duration_s > 1.0 else "dynamics",
+                    "directory": str(directory)}
+        return {"reference": REFERENCE, "model": str(self._model_file), "mode": "pi",
+                "duration_s": duration_s, "directory": str(directory)}
+
+    def begin(self, name, directory, outcome, **options):
+        """Let an operator ask for a goal; return his process once the stage moves."""
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
+        self.client.forget()
+        operator = subprocess.Popen(
+            [sys.executable, "-c", OPERATOR, self.namespace, str(outcome), name,
+             json.dumps({**self.fields(name, directory), **options})], env=environment)
+        moves = SampleBlock.FLAG_PLAYING | SampleBlock.FLAG_TRACKING
+        # A paced stage has sent thousands of blocks until then: only the last one is looked at.
+        self.client.until(lambda: self.client.blocks and self.client.blocks[-1].flags & moves)
+        self.client.forget()
+        return operator
+
+    def process(self, victim, operator, name):
+        if victim == "operator":
+            return operator
+        return self.processes.process(self.node(victim, name))
+
+    @staticmethod
+    def node(victim, name):
+        return WORKERS[name] if victim == "worker" else victim
+
+    def revive(self, process, number, victim, name):
+        """Let a process that hung go on, and end by itself; start anew what is a node."""
+        if number == signal.SIGSTOP:
+            process.send_signal(signal.SIGCONT)
+        self.client.until(lambda: process.poll() is not None)
+        if victim != "operator":
+            self.processes.start(self.node(victim, name), {
+                "stage": {"timing": self.timing, "autostart": True, **PATIENT},
+                **PATIENT_NODES}.get(self.node(victim, name)), self.namespace)
+
+    def wait_until_whole(self):
+        """Until every node is seen by every other, and a waveform is recorded without gaps."""
+        self.client.until(lambda: {"stage", "recorder", *WORKERS.values()}
+                          <= self.client.node_names())
+
+    def run(self, name, directory):
+        """Run one short goal to its end, as another client."""
+        fields = self.fields(name, directory, 0.1)
+        if "reference" in fields:
+            fields["reference"] = Reference(**REFERENCE)
+        return self.client.goal(name, **fields)
+
+
+@pytest.fixture(scope="module")
+def whole(request, nodes, model_file):
+    client = nodes.start("recorder", "identification", "controller",
+                         namespace=f"/dies_{request.param}", timing=request.param,
+                         node_parameters=PATIENT_NODES, **PATIENT)
+    suite = Suite(client, model_file)
+    suite.timing = request.param
+    return suite
+
+
+def recorded(directory):
+    """The only recording of a directory."""
+    path, = directory.iterdir()
+    return read_recording(path)
+
+
+def kept_bytes(directory):
+    """How much has been recorded in a directory, as far as it is on the disk."""
+    return sum(path.stat().st_size for path in directory.glob("*/*.mcap"))
+
+
+@pytest.mark.parametrize(("whole", "name", "victim", "number"), CASES, indirect=["whole"])
+def test_whoever_goes_away_the_rest_ends_in_order(whole, tmp_path, name, victim, number):
+    client, outcome = whole.client, tmp_path / "outcome.json"
+    operator = whole.begin(name, tmp_path / "first", outcome)
+    client.until(lambda: kept_bytes(tmp_path / "first") > SAMPLES_BYTES)
+    process = whole.process(victim, operator, name)
+    process.send_signal(number)
+    try:
+        if victim != "operator":
+            client.until(outcome.exists)
+            success, message = json.loads(outcome.read_text())
+            assert not success
+            cause = STAGE_CAUSES[name] if victim == "stage" else CAUSES[victim]
+            assert re.search(cause.format(namespace=whole.namespace), message)
+        else:
+            client.until(lambda: f"the client {whole.namespace}/operator is gone"
+                         in whole.processes.log(WORKERS[name]).read_text())
+        if victim != "stage":
+            assert client.samples().voltage_v[-1] == 0.0
+    finally:
+        whole.revive(process, number, victim, name)
+        operator.kill()
+        operator.wait()
+    if victim in ("worker", "operator"):
+        client.until(lambda: whole.client.call(StopRecording, "recorder/stop_recording").message
+                     .startswith(("Nothing is being", "The recording was closed early")))
+        assert recorded(tmp_path / "first").voltage_v[-1] == 0.0
+    assert len(recorded(tmp_path / "first").voltage_v) > 0
+
+    whole.wait_until_whole()
+    client.until(lambda: client.trigger("reset").success)
+    assert whole.run(name, tmp_path / "next").success
