@@ -17,9 +17,9 @@ from piezo_stage_driver.blocks import (
     BlockCollector,
 )
 from piezo_stage_driver.feedback_hold import FeedbackHold
-from piezo_stage_driver.safety.guards import StopLatch, Stretch
 from piezo_stage_driver.program import Phase, Program, StageRefusal
 from piezo_stage_driver.ramps import Ramps
+from piezo_stage_driver.safety.guards import StopLatch, Stretch
 from piezo_stage_driver.sources import Feedforward, Waveform
 from piezo_stage_driver.ticks import Ticks
 

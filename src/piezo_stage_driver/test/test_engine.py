@@ -16,13 +16,13 @@ from piezo_stage_driver.blocks import (
 )
 from piezo_stage_driver.engine import StageEngine
 from piezo_stage_driver.feedback_hold import FeedbackError
+from piezo_stage_driver.program import StageRefusal
 from piezo_stage_driver.safety.limits import (
     FLAG_RANGE_LIMITED,
     FLAG_SLEW_LIMITED,
     LimitError,
     VoltageLimits,
 )
-from piezo_stage_driver.program import StageRefusal
 
 PERIOD_S = 1 / 40000.0
 

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 
 from piezo_stage_driver.blocks import FLAG_STOPPED
 from piezo_stage_driver.engine import StageEngine
+from piezo_stage_driver.program import StageRefusal
 from piezo_stage_driver.safety.guards import (
     FeedbackOscillation,
     SensorNoise,
@@ -18,7 +19,6 @@ from piezo_stage_driver.safety.guards import (
     Stretch,
 )
 from piezo_stage_driver.safety.limits import VoltageLimits
-from piezo_stage_driver.program import StageRefusal
 
 TICK = 40
 PERIOD_S = 1 / 40000.0

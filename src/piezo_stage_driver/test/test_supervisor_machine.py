@@ -30,7 +30,8 @@ LEAD_TICKS = 2
 HANG_S, EXCHANGE_TIMEOUT_S, COMMAND_TIMEOUT_S = 10.0, 2.0, 5.0
 EXAMPLES = 2000 if "LONG_TESTS" in os.environ else 150
 
-asked = st.sampled_from(["play", "play and hold", "load", "append", "track", "end tracking", "reset"])
+asked = st.sampled_from(
+    ["play", "play and hold", "load", "append", "track", "end tracking", "reset"])
 meanwhile = st.lists(st.one_of(asked, st.sampled_from(
     ["stop", "leave", "watch", "give up", "activate", "answer", "wait"])), max_size=5)
 answers = st.tuples(
