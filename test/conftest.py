@@ -253,6 +253,12 @@ class StageClient(Client):
         self.blocks.clear()
 
 
+@pytest.fixture(scope="session")
+def stage_client(domain):
+    """Makes a client of a stage that a test has started by itself."""
+    return StageClient
+
+
 class Nodes:
     """Starts nodes; ends them together, and looks whether one of them broke."""
 

@@ -10,6 +10,7 @@ import control
 import numpy as np
 import pytest
 import yaml
+from piezo_interfaces.msg import SampleBlock
 
 from piezo_controller.controller_file import (
     ControllerFileError,
@@ -90,6 +91,21 @@ def test_file_of_the_page_is_refused_at_another_tick_and_for_a_stage_that_change
         plain_model.creep, plain_model.dynamics)
     with pytest.raises(ControllerFileError, match="does not stabilise the model"):
         load_stabilising_controller(made, grown, STAGE.tick_s, STAGE.sample_period_s)
+
+
+def test_node_of_the_page_holds_a_displacement_and_gives_the_number_of_its_run():
+    scope, answers = {}, []
+    exec(re.search(r"```python\n(# hold_controller.py\n.*?)```", PAGE, re.S)[1], scope)
+    controller = scope["HoldController"](run=7, target_um=3.0, publish=answers.append)
+    tracking, displacement_um = SampleBlock.FLAG_TRACKING, 0.0
+    controller.take(SampleBlock(tick=1, displacement_um=[9.0]))
+    for tick in range(200):
+        controller.take(SampleBlock(
+            tick=tick, flags=tracking, displacement_um=[displacement_um] * 40))
+        displacement_um = answers[-1].voltage_v  # of a stage of 1 um/V
+    assert displacement_um == pytest.approx(3.0, abs=1e-3)
+    assert {answer.run for answer in answers} == {7}
+    assert [answer.tick for answer in answers] == list(range(200))
 
 
 def test_fields_of_the_file_are_those_of_the_page(made):

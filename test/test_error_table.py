@@ -52,7 +52,7 @@ def test_text_is_parted_into_problem_and_cure(error_table, text, problem, cure):
 def test_trips_of_the_guards_and_of_the_feedback_are_told(page):
     trips = page.split("## piezo_")[0]
     assert "the sensor is stuck" in trips
-    assert trips.count("| `guards` |") >= 4
+    assert trips.count("| `safety.guards` |") >= 4
 
 
 def test_page_has_a_row_for_most_of_what_is_raised(error_table, page):

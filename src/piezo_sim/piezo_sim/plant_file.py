@@ -11,7 +11,7 @@ import yaml
 
 from piezo_sim.amplifier import VoltageAmplifier
 from piezo_sim.effect import Effect, PlantConfigError
-from piezo_sim.faults.device_failure import DeviceFailure, DeviceHang
+from piezo_sim.faults.device_failure import DeviceFailure
 from piezo_sim.faults.sensor_faults import NoisySensor, OffScaleSensor, SilentSensor, StuckSensor
 from piezo_sim.hysteresis import PreisachHysteresis
 from piezo_sim.linear import Creep, ElectricLag, VibrationMode
@@ -65,8 +65,7 @@ EFFECTS = {
 # What breaks down, and when; in the section sensor, behind what is to break.
 FAULTS = {
     fault.name: fault
-    for fault in (
-        StuckSensor, SilentSensor, OffScaleSensor, NoisySensor, DeviceFailure, DeviceHang)
+    for fault in (StuckSensor, SilentSensor, OffScaleSensor, NoisySensor, DeviceFailure)
 }
 
 

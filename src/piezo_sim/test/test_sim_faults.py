@@ -8,8 +8,7 @@ import pytest
 
 from piezo_sim.backend import SimulatedStage
 from piezo_sim.effect import PlantConfigError
-from piezo_sim.faults import device_failure
-from piezo_sim.faults.device_failure import DeviceFailure, DeviceHang
+from piezo_sim.faults.device_failure import DeviceFailure
 from piezo_sim.faults.sensor_faults import NoisySensor, OffScaleSensor, SilentSensor, StuckSensor
 from piezo_sim.plant_file import read_plant
 from piezo_stage_driver.backend import BackendFault
@@ -59,13 +58,6 @@ def test_device_that_has_failed_plays_nothing_before_it_is_opened_again():
     stage.close()
     stage.open()
     assert len(stage.exchange(VOLTAGE_V[:40])) == 40
-
-
-def test_device_that_hangs_goes_on_where_it_was(monkeypatch):
-    waited_s = []
-    monkeypatch.setattr(device_failure.time, "sleep", waited_s.append)
-    assert np.array_equal(readings_um(DeviceHang(*TIMES_S, 7.0), stretch=40), readings_um())
-    assert waited_s == [7.0]
 
 
 def test_window_that_ends_before_it_begins_is_refused():

@@ -30,9 +30,9 @@ class StageBackend(Protocol):
     """An amplifier and a displacement sensor on one sample clock.
 
     The stage node calls ``open``, then ``exchange`` again and again from one thread, then
-    ``close``. After a `BackendFault` of ``exchange`` it calls ``close`` once and nothing else, until
-    the stage is activated again, which begins with ``open``. Any other exception counts as a fault
-    that left the amplifier where it was.
+    ``close``. After a `BackendFault` of ``exchange`` it calls ``close`` once and nothing else,
+    until the stage is activated again, which begins with ``open``. Any other exception counts as a
+    fault that left the amplifier where it was.
 
     A backend may also have a method ``emergency_rest() -> None``: its own way to rest, which the
     node calls from another thread while ``exchange`` hangs. It returns once the amplifier is at

@@ -225,7 +225,7 @@ class StageEngine:
         ticks : int
             How long; 0 until a stop.
         client : str
-            Who asks; told to others who are refused meanwhile.
+            As in `play`.
 
         Returns
         -------
@@ -268,7 +268,6 @@ class StageEngine:
         Raises
         ------
         StageRefusal
-            If the stage does not track.
         """
         if self.phase_name != "track":
             raise StageRefusal(f"the stage does not track ({self.phase_name})")
@@ -315,7 +314,9 @@ class StageEngine:
             self.return_to_rest()
         feedback_v, flags = self._next_feedback()
         phase = self._program.phase(self.voltage_v)
-        count = self._stretch_samples(phase)
+        decimation = self._blocks.decimation
+        count = self._ticks.stretch(min(SAMPLES_PER_BLOCK * decimation, phase.samples),
+                                    decimation, self._longest_stretch_samples)
         flags |= phase.flag | (FLAG_STOPPED if self.stop_cause else 0)
         wanted_v = phase.source.take(count)
         if phase.name == "track":
@@ -342,9 +343,8 @@ class StageEngine:
             return 0.0, 0
         held = self._feedback.begin(self.tick)
         feedback_v = self._feedback.voltage_v
-        cause = self._feedback.cause
-        if self._feedback_guard and not cause:
-            cause = self._feedback_guard.examine(feedback_v)
+        guard = self._feedback_guard
+        cause = self._feedback.cause or (guard.examine(feedback_v) if guard else "")
         if cause:
             self.stop(cause)
         return feedback_v, FLAG_FEEDBACK_HELD if held else 0
@@ -389,12 +389,6 @@ class StageEngine:
     def _ramp(self, name, end_v):
         return self._ramps.phase(name, self.voltage_v, end_v, self._blocks.pending_samples,
                                  self._blocks.decimation)
-
-    def _stretch_samples(self, phase):
-        decimation = self._blocks.decimation
-        return self._ticks.stretch(
-            min(SAMPLES_PER_BLOCK * decimation, phase.samples), decimation,
-            self._longest_stretch_samples)
 
     def _collect(self, voltage_v, displacement_um, flags, ends):
         samples, voltage_v, displacement_um, flags = self._blocks.add(

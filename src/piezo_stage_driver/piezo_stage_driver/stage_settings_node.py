@@ -92,8 +92,11 @@ class StageSettings:
         LimitError
             If the limits contradict each other.
         """
+        # In lockstep time stands still after the last block, which tells that all is over.
+        lead_ticks = getattr(backend, "lead_samples", 0) // self.samples_per_tick
         return StageSupervisor(backend, self.create_engine, latch, self.max_foreign_feedback,
-                               self.exchange_timeout_s)
+                               self.exchange_timeout_s,
+                               closing_ticks=lead_ticks + 1 if self.lockstep else 0)
 
     def create_engine(self, backend, latch):
         """Return an engine that drives the backend within the limits, under every guard.

@@ -30,7 +30,8 @@ LEAD_TICKS = 2
 HANG_S, EXCHANGE_TIMEOUT_S, COMMAND_TIMEOUT_S = 10.0, 2.0, 5.0
 EXAMPLES = 2000 if "LONG_TESTS" in os.environ else 150
 
-asked = st.sampled_from(["play", "play and hold", "load", "append", "track", "end tracking", "reset"])
+asked = st.sampled_from(
+    ["play", "play and hold", "load", "append", "track", "end tracking", "reset"])
 meanwhile = st.lists(st.one_of(asked, st.sampled_from(
     ["stop", "leave", "watch", "give up", "activate", "answer", "wait"])), max_size=5)
 answers = st.tuples(
@@ -168,13 +169,15 @@ class Stage(RuleBasedStateMachine):
         self.backend = ScriptedBackend(self)
         self.supervisor = self.make_supervisor()
 
+    closing_ticks = 0
+
     def make_supervisor(self):
         return StageSupervisor(
             self.backend, lambda backend, latch: StageEngine(
                 backend, LIMITS, 0.0, RAMP_V_PER_S, TICK, latch=latch, max_missed_feedback=3,
                 feedback_limits=FEEDBACK_LIMITS, longest_stretch_samples=TICK),
             exchange_timeout_s=EXCHANGE_TIMEOUT_S, command_timeout_s=COMMAND_TIMEOUT_S,
-            clock=lambda: self.now_s)
+            closing_ticks=self.closing_ticks, clock=lambda: self.now_s)
 
     # What clients, operators and the node do
 
@@ -346,3 +349,13 @@ class Stage(RuleBasedStateMachine):
 Stage.TestCase.settings = settings(
     max_examples=EXAMPLES, stateful_step_count=40, deadline=None)
 TestStage = Stage.TestCase
+
+
+class StageInLockstep(Stage):
+    """The same where a goal ends one tick after its way back."""
+
+    closing_ticks = LEAD_TICKS + 1
+
+
+StageInLockstep.TestCase.settings = Stage.TestCase.settings
+TestStageInLockstep = StageInLockstep.TestCase

@@ -63,6 +63,9 @@ class StageSupervisor:
         A backend that has not returned for longer hangs (s).
     command_timeout_s : float
         A command that the loop has not come to for longer never acts (s).
+    closing_ticks : int
+        Ticks that a goal lasts beyond its way back: where time then stands still, they tell
+        everybody that all is over.
     clock : callable
         Returns the time (s).
 
@@ -76,6 +79,7 @@ class StageSupervisor:
                  create_engine: Callable[[StageBackend, StopLatch], StageEngine],
                  latch: StopLatch | None = None, max_foreign_feedback: int = 0,
                  exchange_timeout_s: float = 2.0, command_timeout_s: float = 5.0,
+                 closing_ticks: int = 0,
                  clock: Callable[[], float] = time.monotonic):
         self._backend, self._create_engine = backend, create_engine
         self._latch = latch or StopLatch()
@@ -86,6 +90,7 @@ class StageSupervisor:
         self._state = State.INACTIVE
         self._leaving = ""
         self._goal: Goal | None = None
+        self._closing_ticks, self._idle_ticks = closing_ticks, 0
         self._rest_is_known = True
         self._session = BackendSession(backend, clock)
         self.engine = create_engine(self._session, self._latch)
@@ -258,6 +263,7 @@ class StageSupervisor:
         self.attend()
         if not self._prepare():
             return None
+        was_idle = self.engine.idle
         try:
             block = self.engine.advance()
         except SessionOver:
@@ -270,6 +276,7 @@ class StageSupervisor:
                 return None
             if self._goal:
                 self._goal.attend(self.engine)
+            self._idle_ticks = self._idle_ticks + 1 if was_idle else 0
             self._follow()
         return block
 
@@ -292,7 +299,9 @@ class StageSupervisor:
                 value = getattr(self.engine, name)(*command.arguments)
                 if event is Event.TRACK:
                     value = self._gate.begin(), value
-                self._goal = command.goal or self._goal
+                if event is Event.PLAY:
+                    self._end_goal()
+                    self._goal, self._idle_ticks = command.goal, 0
                 self._go(event)
         except ValueError as error:
             command.finish(error=error)
@@ -314,7 +323,8 @@ class StageSupervisor:
             elif engine.phase_name == "return":
                 self._go(Event.RETURN)
         if engine.idle:
-            self._end_goal()
+            if self._idle_ticks >= self._closing_ticks:
+                self._end_goal()
             if self._state is State.STOPPING:
                 self._come_to_rest()
 
@@ -330,6 +340,7 @@ class StageSupervisor:
 
     def _close(self):
         self._rest_is_known = True
+        self._end_goal()
         try:
             self._session.close()
         except Exception as error:  # the stage is at rest: there is nothing left but to tell

@@ -110,7 +110,8 @@ TRANSITIONS = {
 
 FAULTS = (
     ("a guard of the sensor or the feedback; answers missed in a row", "stop"),
-    ("answers beyond max_feedback_v or max_feedback_step_v in a row; answers of a stranger", "stop"),
+    ("answers beyond max_feedback_v or max_feedback_step_v in a row", "stop"),
+    ("answers of others than the client of the run", "stop"),
     ("the client is gone", "stop"),
     ("emergency_stop", "stop"),
     ("the backend does not return from exchange within exchange_timeout_s",
