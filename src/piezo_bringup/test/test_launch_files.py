@@ -68,3 +68,12 @@ def test_every_file_of_a_package_is_there(path):
             r"FindPackageShare\('(\w+)'\), '(\w+)', '([\w.]+)'", ast.unparse(
                 ast.parse(path.read_text()))):
         assert SOURCE.joinpath(*match).is_file()
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.stem)
+def test_every_node_of_a_parameter_file_gets_the_data_root_before_it(path):
+    """What the file says of it counts more, as it comes later."""
+    lists = re.findall(r"parameters[\"=: ]+\[(.*?)\]", path.read_text())
+    assert lists
+    assert set(lists) == {'data_root, LaunchConfiguration("parameters")'}
+    assert "data_root" in declared(path)
