@@ -71,7 +71,7 @@ def isolated(signal, voltage_v, answer_per_v=None, noise=0.0):
     if signal.size < 2 * AROUND:
         return np.zeros(signal.size, dtype=bool)
     if answer_per_v is None:
-        answer_per_v = _answer_per_v(signal, voltage_v)
+        answer_per_v = typical_answer_per_v(signal, voltage_v)
     good = np.arange(signal.size)
     for longest in LENGTHS:
         for way in (slice(None), slice(None, None, -1)):
@@ -92,8 +92,17 @@ def isolated(signal, voltage_v, answer_per_v=None, noise=0.0):
     return wrong
 
 
-def _answer_per_v(signal, voltage_v):
-    """By how much the signal may move from one sample to the next for a step of 1 V."""
+def typical_answer_per_v(signal, voltage_v):
+    """By how much a signal may move from one sample to the next for a step of 1 V.
+
+    Parameters
+    ----------
+    signal, voltage_v : (N,) array
+
+    Returns
+    -------
+    float
+    """
     span_v = typical_range(voltage_v)
     most = ANSWERED * typical_range(signal) / max(span_v, 1e-300)
     changes_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
