@@ -6,7 +6,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from piezo_models.effects.isolated_samples import isolated, typical_range
+from piezo_models.effects.isolated_samples import (
+    isolated,
+    typical_answer_per_v,
+    typical_range,
+)
 from piezo_models.effects.outliers import FEWEST
 
 OUTLIER = "outlier_um"
@@ -15,9 +19,6 @@ zero elsewhere. A CSV file may bring its own, which is taken as it is."""
 
 SMALL = 1e-4
 """Part of the travel that counts as noise, at least."""
-
-ANSWER_OF_A_RESIDUAL = 0.25
-"""Part of the mean gain by which what a model leaves may move with a step of the voltage."""
 
 MOST_TOLD = 5
 """Places that are told; the others are counted."""
@@ -81,9 +82,9 @@ def outliers_of_residual(residual_um, measured_um, voltage_v, noise_um=0.0):
     -------
     (N,) array of bool
     """
-    travel_um, span_v = typical_range(measured_um), typical_range(voltage_v)
-    return isolated(residual_um, voltage_v, ANSWER_OF_A_RESIDUAL * travel_um / max(span_v, 1e-300),
-                    max(noise_um, SMALL * travel_um))
+    # Model and stage may answer at different times: what is left moves as fast as the stage.
+    return isolated(residual_um, voltage_v, typical_answer_per_v(measured_um, voltage_v),
+                    max(noise_um, SMALL * typical_range(measured_um)))
 
 
 def outlier_text(path, wrong, time_s):

@@ -36,6 +36,9 @@ RETURN = 0.3
 SUDDEN = 0.3
 """Part of the height of a run by which it begins and ends at once."""
 
+PREDICTED_FROM, MOST_LEARNT = 8, 20_000
+"""Samples on each side that foretell one, and examples from which it is learnt how."""
+
 MOST = 0.1
 """Part of the samples: where more stand out, it is the signal that does."""
 
@@ -68,7 +71,7 @@ def isolated(signal, voltage_v, answer_per_v=None, noise=0.0):
     if signal.size < 2 * AROUND:
         return np.zeros(signal.size, dtype=bool)
     if answer_per_v is None:
-        answer_per_v = _answer_per_v(signal, voltage_v)
+        answer_per_v = typical_answer_per_v(signal, voltage_v)
     good = np.arange(signal.size)
     for longest in LENGTHS:
         for way in (slice(None), slice(None, None, -1)):
@@ -83,13 +86,23 @@ def isolated(signal, voltage_v, answer_per_v=None, noise=0.0):
             good = good[~wrong[way]]
     wrong = np.ones(signal.size, dtype=bool)
     wrong[good] = False
+    wrong = _surprising(signal, wrong, noise)
     if wrong.mean() > MOST:
         return np.zeros(signal.size, dtype=bool)
     return wrong
 
 
-def _answer_per_v(signal, voltage_v):
-    """By how much the signal may move from one sample to the next for a step of 1 V."""
+def typical_answer_per_v(signal, voltage_v):
+    """By how much a signal may move from one sample to the next for a step of 1 V.
+
+    Parameters
+    ----------
+    signal, voltage_v : (N,) array
+
+    Returns
+    -------
+    float
+    """
     span_v = typical_range(voltage_v)
     most = ANSWERED * typical_range(signal) / max(span_v, 1e-300)
     changes_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
@@ -123,6 +136,41 @@ def _limits(signal, voltage_v, good, answer_per_v, noise):
         SPREAD * np.maximum(spread, noise), STEPS * _beside(steps),
         np.full(left.size, ROUNDINGS * rounding), answer_per_v * lately_v[good],
     ])
+
+
+def _surprising(signal, wrong, noise):
+    """Those of the runs that the samples around do not foretell as they foretell all others.
+
+    Each sample is predicted from some before and some behind it, with weights from least squares
+    over all samples far from any run: a tone that swings within few samples is predicted, too.
+    """
+    if not wrong.any():
+        return wrong
+    around = np.delete(np.arange(-PREDICTED_FROM, PREDICTED_FROM + 1), PREDICTED_FROM)
+    inside = np.arange(PREDICTED_FROM, signal.size - PREDICTED_FROM)
+    near = maximum_filter1d(wrong, 2 * PREDICTED_FROM + 1)
+    usable = inside[~near[inside]]
+    if usable.size < 10 * around.size:
+        return wrong
+    learnt = usable[:: max(1, usable.size // MOST_LEARNT)]
+    level = signal[usable].mean()
+    weights = np.linalg.lstsq(
+        signal[learnt[:, None] + around] - level, signal[learnt] - level, rcond=1e-10)[0]
+    filter_ = np.insert(weights, PREDICTED_FROM, -1.0)
+    bridged = np.interp(np.arange(signal.size), np.flatnonzero(~wrong), signal[~wrong])
+    missed, usual = (
+        np.abs(np.convolve(each - level, filter_[::-1], mode="same")) for each in (signal, bridged)
+    )
+    # At the ends nothing foretells.
+    missed[:PREDICTED_FROM] = missed[-PREDICTED_FROM:] = np.inf
+    usual[:PREDICTED_FROM] = usual[-PREDICTED_FROM:] = 0.0
+    spread = SPREAD * np.maximum(noise, 1.4826 * _beside(usual))
+    edges = np.flatnonzero(np.diff(wrong.astype(int), prepend=0, append=0))
+    kept = np.zeros(wrong.size, dtype=bool)
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        seen = slice(max(0, begin - 1), end + 1)
+        kept[begin:end] = np.any(missed[seen] > spread[seen])
+    return kept
 
 
 def _beside(sizes):
