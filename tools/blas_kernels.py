@@ -1,4 +1,3 @@
-#!/usr/bin/env python
 # SPDX-License-Identifier: BSD-3-Clause
 """Run numerics under several kernels of OpenBLAS, as other processors would choose them.
 

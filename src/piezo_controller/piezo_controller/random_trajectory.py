@@ -2,6 +2,7 @@
 """Random displacements within a band of frequencies that go on for as long as one likes."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -48,7 +49,8 @@ class RandomTrajectory(Trajectory):
         self._fade = max(math.ceil(FADE * self._samples), 1)
         self._amplitude_um, self._centre_um, self._seed = amplitude_um, centre_um, seed
         self._row = _turns(self._lines, np.arange(ROW_SAMPLES))
-        self._drawn = {}
+        # Two threads ask for neighbours.
+        self._coefficients = lru_cache(maxsize=8)(self._draw)
 
     def sample(self, first, count):
         """See `Trajectory`."""
@@ -78,18 +80,13 @@ class RandomTrajectory(Trajectory):
         begin = first - rows[0] * ROW_SAMPLES
         return table.ravel()[begin:begin + count]
 
-    def _coefficients(self, number):
-        """Complex amplitudes of the lines (um), shape (LINES,)."""
-        if number not in self._drawn:
-            generator = np.random.default_rng([self._seed, FIRST_SEQUENCE + number])
-            drawn = generator.standard_normal(LINES) + 1j * generator.standard_normal(LINES)
-            envelope = np.abs(np.fft.fft(drawn, ENVELOPE_POINTS * LINES)).max()
-            bound = envelope / math.cos(math.pi / (2 * ENVELOPE_POINTS))
-            # Of one thread or two, and neighbours: no more than a few are asked for in turn.
-            if len(self._drawn) > 8:
-                self._drawn.pop(next(iter(self._drawn)), None)
-            self._drawn[number] = self._amplitude_um / 2 / bound * drawn
-        return self._drawn[number]
+    def _draw(self, number):
+        """Complex amplitudes of the lines of a block (um), shape (LINES,)."""
+        generator = np.random.default_rng([self._seed, FIRST_SEQUENCE + number])
+        drawn = generator.standard_normal(LINES) + 1j * generator.standard_normal(LINES)
+        envelope = np.abs(np.fft.fft(drawn, ENVELOPE_POINTS * LINES)).max()
+        bound = envelope / math.cos(math.pi / (2 * ENVELOPE_POINTS))
+        return self._amplitude_um / 2 / bound * drawn
 
 
 def _turns(lines, samples):

@@ -130,10 +130,13 @@ class KeptTrajectory(Trajectory):
 
     def _block(self, number):
         with self._lock:
-            if number not in self._blocks:
-                self._blocks[number] = self._trajectory.sample(
-                    number * BLOCK_SAMPLES, BLOCK_SAMPLES)
-                if len(self._blocks) > KEPT_BLOCKS:
-                    self._blocks.popitem(last=False)
-            self._blocks.move_to_end(number)
-            return self._blocks[number]
+            if number in self._blocks:
+                self._blocks.move_to_end(number)
+                return self._blocks[number]
+        # Without the lock: who asks for a block that is there does not wait for another.
+        block = self._trajectory.sample(number * BLOCK_SAMPLES, BLOCK_SAMPLES)
+        with self._lock:
+            self._blocks[number] = block
+            if len(self._blocks) > KEPT_BLOCKS:
+                self._blocks.popitem(last=False)
+        return block

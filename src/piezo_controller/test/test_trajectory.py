@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A reference is the same in whatever pieces it is sampled."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -78,6 +81,28 @@ def test_kept_trajectory_computes_a_block_once_and_forgets_the_oldest():
     assert asked == list(range(0, 400_000, 4000))
     kept.sample(0, 1)
     assert asked[-1] == 0
+
+
+def test_kept_block_is_given_while_another_thread_computes_the_next():
+    begun, go_on = threading.Event(), threading.Event()
+
+    def formula(at):
+        if at[0] == 4000:
+            begun.set()
+            assert go_on.wait(60.0)
+        return at.astype(float)
+
+    kept = KeptTrajectory(FormulaTrajectory(formula))
+    kept.sample(0, 40)
+    with ThreadPoolExecutor(2) as threads:
+        computing = threads.submit(kept.sample, 4000, 40)
+        assert begun.wait(60.0)
+        try:
+            given = threads.submit(kept.sample, 40, 40).result(60.0)
+        finally:
+            go_on.set()
+        np.testing.assert_array_equal(given, np.arange(40.0, 80.0))
+        np.testing.assert_array_equal(computing.result(60.0), np.arange(4000.0, 4040.0))
 
 
 @pytest.mark.parametrize("frequency_hz", [0.1, 1.7, 1.99, 2.01, 700.0])
