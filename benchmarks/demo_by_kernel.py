@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run the demo under each BLAS kernel and print how far its figures agree: python kernels.py.
+"""Run the demo under each BLAS kernel and print how far its figures agree.
+
+    python benchmarks/demo_by_kernel.py [--summaries FILE...]
 
 Under which kernels, tools/kernels.py decides. The status is 1 if a figure agrees less than the docs
 state.
@@ -113,7 +115,11 @@ def main(arguments=None):
             return 0
         print(f"kernels: {', '.join(names)}", flush=True)
         summaries = [run_demo(kernel) for kernel in names]
-    rows = compare(summaries)
+    try:
+        rows = compare(summaries)
+    except ValueError as error:
+        print(f"kernels: {error}", file=sys.stderr)
+        return 1
     print(ROW.format("figure", "smallest", "largest", "digits"))
     for name, low, high in rows:
         print(ROW.format(name, f"{low:.6g}", f"{high:.6g}", agreeing_digits(low, high)))
