@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test long soak bench reproduce measured diagnose-suite docs api clean
+.PHONY: help setup demo test quick long kernels soak bench reproduce measured diagnose-suite docs api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -19,8 +19,14 @@ demo: ## identify and control the simulated stage; report in runs/demo
 test: setup ## check the style, then run the unit and the integration tests
 	@$(in_environment) .venv/bin/ruff check . && .venv/bin/python -m mypy && tools/tests
 
-long: setup ## run the tests of bad files and killed processes with their full numbers
-	@$(in_environment) LONG_TESTS=1 .venv/bin/python -m pytest test/test_bad_input.py src/piezo_recorder/test/test_recording_killed.py test/test_who_dies.py
+quick: setup ## run the numerics of the unit tests, in less than a minute
+	@$(in_environment) tools/tests quick
+
+long: setup ## run the tests of many draws, and all unit tests under three BLAS kernels
+	@$(in_environment) tools/tests long
+
+kernels: setup ## compare the demo's figures under three BLAS kernels; in runs/kernels
+	@$(in_environment) .venv/bin/python benchmarks/demo_by_kernel.py
 
 SECONDS_OF_SOAK ?= 3600
 SEED ?= 1

@@ -296,6 +296,7 @@ class Nodes:
             assert "Traceback" not in text, f"{log.name}: {text}"
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Give the files that use the suite of the session to one worker, which starts it once."""
     from xdist.scheduler import LoadScopeScheduling

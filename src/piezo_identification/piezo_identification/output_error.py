@@ -34,6 +34,10 @@ SEARCH_WIDTH = np.log(3.0)
 ANTIRESONANCE_SPAN = 3.0
 """Factor beyond the modes within which an antiresonance is taken for one."""
 
+COLLINEAR = 1e-9
+"""Singular value, of the largest one, below which columns that are fitted linearly count as one:
+far above rounding, far below what the noise of any record leaves of them."""
+
 
 @dataclass(frozen=True)
 class ModeOrder:
@@ -115,7 +119,8 @@ class _Record:
     """An output, and the response of models to its input."""
 
     def __init__(self, respond, measured_um, fixed):
-        self._respond, self._measured_um, self._fixed = respond, measured_um, fixed
+        self._respond, self._measured_um = respond, measured_um
+        self._fixed = independent(fixed)
 
     def fit(self, start):
         """The dynamics of least output error near others, with as many modes and zeros."""
@@ -195,5 +200,25 @@ class _Record:
         """What parts and fixed columns leave of the measured output, and their gains."""
         check_cancelled()
         basis = np.column_stack([*parts, self._fixed])
-        gains = np.linalg.lstsq(basis, self._measured_um, rcond=1e-12)[0]
+        gains = np.linalg.lstsq(basis, self._measured_um, rcond=COLLINEAR)[0]
         return self._measured_um - basis @ gains, gains
+
+
+def independent(columns):
+    """Return orthonormal columns of the same span, without what only rounding tells apart.
+
+    Slow exponentials look alike in a short record. Were they kept as they are, the least error
+    would be as rough as the rounding of the processor, and a search would end anywhere on it.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (N, K)
+
+    Returns
+    -------
+    ndarray, shape (N, L)
+        With L up to K.
+    """
+    left, values, _ = np.linalg.svd(
+        columns / np.linalg.norm(columns, axis=0), full_matrices=False)
+    return left[:, values > COLLINEAR * values[0]]

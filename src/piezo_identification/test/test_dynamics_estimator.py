@@ -114,3 +114,21 @@ def test_a_square_wave_that_halts_is_refused(play):
     voltage_v = np.where(halted, np.roll(recording.voltage_v, 7), recording.voltage_v)
     with pytest.raises(ValueError, match="not periodic"):
         estimate_dynamics(replace(recording, voltage_v=voltage_v), CreepDynamics())
+
+
+def test_rounding_of_the_record_does_not_show_in_the_estimate(plant, play):
+    # Over so short a record the decays of slow creep differ by hardly more than the rounding.
+    creep = CreepDynamics((0.0035, 0.017, 0.11, 0.25, 1.2, 15.0), (0.0036, 0.0173, 0.115, 0.26,
+                                                                  1.21, 15.7))
+    stage = replace(plant, creep=creep, effects=(VibrationMode(8796.0, 0.01, 0.004),))
+    recording = play(experiments.dynamics(), 1, stage=stage)
+    generator = np.random.default_rng(1)
+    rounding = 1e-15 * generator.normal(size=(4, recording.displacement_um.size))
+    estimates = [estimate_dynamics(
+        replace(recording, displacement_um=recording.displacement_um * (1.0 + part)), creep, 2,
+    ).model for part in rounding]
+    for estimate in estimates[1:]:
+        assert estimate.time_constant_s == pytest.approx(estimates[0].time_constant_s, rel=1e-6)
+        assert estimate.mode_frequencies_rad_per_s == pytest.approx(
+            estimates[0].mode_frequencies_rad_per_s, rel=1e-6)
+        assert estimate.damping_ratios == pytest.approx(estimates[0].damping_ratios, rel=1e-6)
