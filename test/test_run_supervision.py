@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A run that did not do what it was asked to says why; nobody else ends or changes it."""
 
+import re
+import signal
 from pathlib import Path
 
 import pytest
@@ -9,7 +11,7 @@ from action_msgs.msg import GoalStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from mcap.reader import make_reader
-from piezo_interfaces.msg import Reference
+from piezo_interfaces.msg import Reference, SampleBlock
 from piezo_interfaces.srv import StartRecording, StopRecording
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -17,8 +19,10 @@ from rclpy.parameter import Parameter
 from piezo_client.client import GoalFailed
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
+from piezo_node_tools.run_account import MAX_LATE_PERCENT
 from piezo_recorder.reader import read_recording
 
+TICK_S = 1e-3
 NO_DISK_HOLDS_THAT_MB = 1_000_000_000
 
 
@@ -142,6 +146,28 @@ def test_node_that_is_deactivated_cancels_its_goal_and_says_so(suite, fields):
             status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
     assert result.message == "cancelled: the node /left/controller was deactivated"
+
+
+def test_run_whose_answers_came_late_fails_and_says_how_many(nodes, fields):
+    stage = nodes.start("recorder", "controller", namespace="/late", timing="paced",
+                        max_missed_feedback=10_000)
+    fields["duration_s"] = 8.0
+    goal = stage.send_goal("track", **fields)
+    stage.until(lambda: stage.blocks and stage.blocks[-1].flags & SampleBlock.FLAG_TRACKING)
+    controller = stage.processes.process("controller")
+    # For less long than others wait for a sign of life.
+    controller.send_signal(signal.SIGSTOP)
+    late = 2 * MAX_LATE_PERCENT / 100.0 * fields["duration_s"] / TICK_S
+    begin = stage.blocks[-1].missed_feedback
+    stage.until(lambda: stage.blocks[-1].missed_feedback - begin > late)
+    controller.send_signal(signal.SIGCONT)
+    status, result = stage.result(goal)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert re.search(r"^\d+ of \d+ answers came late, more than max_late_percent, 1: ",
+                     result.message)
+    assert result.missed_feedback > late
+    assert result.e_rms_percent > 0.0
+    assert read_recording(result.recording).complete
 
 
 def test_recording_bears_the_quality_of_its_topics(suite, fields):

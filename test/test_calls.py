@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Calls survive a lost answer, and end when a node does."""
+
+import threading
+
+import pytest
+import rclpy
+from piezo_interfaces.action import PlayWaveform
+from piezo_interfaces.srv import LoadFeedforward, StartRecording
+from rclpy.experimental import EventsExecutor
+
+from piezo_client import client as client_module
+from piezo_client.client import Client, ServiceFailed
+from piezo_node_tools import calls
+from piezo_node_tools.calls import ActionCaller, CallFailed, call_service, number_request
+
+NAMESPACE = "/calls"
+TIMEOUT_S = 60.0
+
+
+class Spinning:
+    """A node of a context of its own, spun by a thread."""
+
+    def __init__(self, name):
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node(name, namespace=NAMESPACE, context=self.context)
+        self._executor = EventsExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._spin)
+        self._thread.start()
+
+    def _spin(self):
+        while not self._ends.is_set():
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def stop_executor(self):
+        self._ends.set()
+        self._thread.join()
+
+    def close(self):
+        if not self.context.ok():
+            return
+        self.stop_executor()
+        self._executor.remove_node(self.node)
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def spinning():
+    """Makes nodes that are spun in threads."""
+    made = []
+
+    def make(name):
+        made.append(Spinning(name))
+        return made[-1]
+
+    yield make
+    for one in reversed(made):
+        one.close()
+
+
+@pytest.fixture
+def forgetful(spinning):
+    """A server of two services that loses its first response to each; the requests it got."""
+    server, requests = spinning("server"), []
+
+    def serve(service_type, name):
+        def answer(request, response):
+            requests.append(request)
+            response.success = True
+            return response
+
+        service = server.node.create_service(service_type, name, answer)
+        send = service.send_response
+
+        def lose_the_first(response, header):
+            service.send_response = send
+
+        service.send_response = lose_the_first
+
+    serve(LoadFeedforward, "load_feedforward")
+    serve(StartRecording, "recorder/start_recording")
+    return requests
+
+
+@pytest.fixture
+def soon(monkeypatch):
+    """Let a lost answer be noticed soon."""
+    monkeypatch.setattr(calls, "RESEND_S", 0.2)
+    monkeypatch.setattr(client_module, "LOST_RESPONSE_S", 0.2)
+    monkeypatch.setattr(client_module, "CALL_TIMEOUT_S", 3.0)
+
+
+def assert_repeated_under_one_number(requests):
+    assert len(requests) == 2
+    assert requests[0].request_id == requests[1].request_id != 0
+
+
+def test_numbered_request_is_sent_again_under_its_number_by_a_node(spinning, forgetful, soon):
+    asking = spinning("asking")
+    client = asking.node.create_client(LoadFeedforward, "load_feedforward")
+    assert call_service(client, LoadFeedforward.Request(append=True)).success
+    assert_repeated_under_one_number(forgetful)
+
+
+def test_numbered_request_is_sent_again_under_its_number_by_a_client(forgetful, soon):
+    with Client(NAMESPACE, "asking") as client:
+        assert client.call(LoadFeedforward, "load_feedforward", append=True).success
+    assert_repeated_under_one_number(forgetful)
+
+
+def test_request_without_a_number_is_never_sent_twice(forgetful, soon):
+    with Client(NAMESPACE, "asking") as client:
+        with pytest.raises(ServiceFailed, match="did not answer within 3 s"):
+            client.call(StartRecording, "recorder/start_recording")
+    assert len(forgetful) == 1
+
+
+def test_each_request_has_a_number_of_its_own():
+    requests = [LoadFeedforward.Request() for _ in range(100)]
+    assert all(map(number_request, requests))
+    assert len({request.request_id for request in requests} - {0}) == 100
+    assert not number_request(StartRecording.Request())
+
+
+def outcome_of(work):
+    """Do work in a thread; return the thread, and the list that gets its exception."""
+    failures = []
+
+    def run():
+        try:
+            work()
+        except CallFailed as failure:
+            failures.append(str(failure))
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread, failures
+
+
+def test_call_ends_when_the_node_that_serves_is_gone(spinning):
+    asked = threading.Event()
+    server, asking = spinning("server"), spinning("asking")
+
+    def never(request, response):
+        asked.set()
+        return response
+
+    service = server.node.create_service(LoadFeedforward, "load_feedforward", never)
+    service.send_response = lambda *_: None
+    client = asking.node.create_client(LoadFeedforward, "load_feedforward")
+    thread, failures = outcome_of(lambda: call_service(client, LoadFeedforward.Request()))
+    assert asked.wait(TIMEOUT_S)
+    server.close()
+    thread.join(TIMEOUT_S)
+    assert failures == ["the node that serves load_feedforward has ended: start it again"]
+
+
+def test_goal_of_a_node_whose_executor_stopped_fails_once_the_node_ends(spinning, monkeypatch):
+    asking = spinning("asking")
+    caller = ActionCaller(asking.node, PlayWaveform, "play_waveform")
+    monkeypatch.setattr(caller._client, "wait_for_server", lambda timeout_s: True)
+    asking.stop_executor()
+    thread, failures = outcome_of(lambda: caller.run(PlayWaveform.Goal()))
+    asking.context.try_shutdown()
+    thread.join(TIMEOUT_S)
+    assert failures == ["this node ended before play_waveform answered: start it again"]
