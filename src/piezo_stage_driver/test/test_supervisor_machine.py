@@ -186,7 +186,7 @@ class Stage(RuleBasedStateMachine):
         request = Asked(self, name, name.startswith("play"))
         self.asked.append(request)
         method, arguments = {
-            "play": ("play", ([20.0, 24.0, 60.0 - 32.0], 1 / RATE_HZ, 40)),
+            "play": ("play", ([60.0, 62.0, 61.0], 1 / RATE_HZ, 200)),
             "play and hold": ("play", ([60.0], 1 / RATE_HZ, 100, True)),
             "load": ("load_feedforward", (np.linspace(0.0, 40.0, 120), [], False)),
             "append": ("append_feedforward", (np.linspace(40.0, 60.0, 40), [], True)),
