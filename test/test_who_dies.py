@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Whoever is killed or hangs in a run, the rest ends it in order, and the next run works."""
 
+import functools
 import json
 import os
 import re
@@ -78,8 +79,8 @@ def model_file(plain_model, tmp_path_factory):
 class Suite:
     """All the nodes of a stage, and an operator who works with them from a process of his own."""
 
-    def __init__(self, client, model_file):
-        self.client, self.processes = client, client.processes
+    def __init__(self, client, timing, model_file):
+        self.client, self.processes, self.timing = client, client.processes, timing
         self.namespace = client.node.get_namespace()
         self._model_file = model_file
 
@@ -137,13 +138,16 @@ class Suite:
 
 
 @pytest.fixture(scope="module")
-def whole(request, nodes, model_file):
-    client = nodes.start("recorder", "identification", "controller",
-                         namespace=f"/dies_{request.param}", timing=request.param,
-                         node_parameters=PATIENT_NODES, **PATIENT)
-    suite = Suite(client, model_file)
-    suite.timing = request.param
-    return suite
+def suite_of(nodes, model_file):
+    """Returns the suite of a timing, which is started once."""
+    @functools.cache
+    def suite_of(timing):
+        client = nodes.start("recorder", "identification", "controller",
+                             namespace=f"/dies_{timing}", timing=timing,
+                             node_parameters=PATIENT_NODES, **PATIENT)
+        return Suite(client, timing, model_file)
+
+    return suite_of
 
 
 def recorded(directory):
@@ -157,8 +161,10 @@ def kept_bytes(directory):
     return sum(path.stat().st_size for path in directory.glob("*/*.mcap"))
 
 
-@pytest.mark.parametrize(("whole", "name", "victim", "number"), CASES, indirect=["whole"])
-def test_whoever_goes_away_the_rest_ends_in_order(whole, tmp_path, name, victim, number):
+@pytest.mark.parametrize(("timing", "name", "victim", "number"), CASES)
+def test_whoever_goes_away_the_rest_ends_in_order(
+        suite_of, tmp_path, timing, name, victim, number):
+    whole = suite_of(timing)
     client, outcome = whole.client, tmp_path / "outcome.json"
     operator = whole.begin(name, tmp_path / "first", outcome)
     client.until(lambda: kept_bytes(tmp_path / "first") > SAMPLES_BYTES)

@@ -20,6 +20,8 @@ RCLError = rclpy_implementation.RCLError
 SPIN_TIMEOUT_S = 0.2
 WIND_DOWN_TIMEOUT_S = 10.0
 LAST_WORDS_S = 0.2
+# How much later than it goes on a process may be told that it does.
+SIGNAL_DELAY_S = 1.0
 FAILED_STATUS = 1
 BAD_INPUT_STATUS = 2
 
@@ -40,20 +42,27 @@ class Ending:
         self._requested = False
         self.stood_still_s = 0.0
         self._alive_s = time.monotonic()
+        self._pause_s = self._pause_end_s = 0.0
         # Own handlers: rclpy's would shut ROS down before the node can close in order.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._end)
         signal.signal(signal.SIGCONT, self._go_on)
 
     def __bool__(self):
-        self._alive_s = time.monotonic()
+        now_s = time.monotonic()
+        if now_s - self._alive_s > LONGEST_STANDSTILL_S:
+            self._pause_s, self._pause_end_s = now_s - self._alive_s, now_s
+        self._alive_s = now_s
         return self._requested
 
     def _end(self, *_):
         self._requested = True
 
     def _go_on(self, *_):
-        standstill_s = time.monotonic() - self._alive_s
+        now_s = time.monotonic()
+        standstill_s = now_s - self._alive_s
+        if now_s - self._pause_end_s < SIGNAL_DELAY_S:  # the loop went on before the signal came
+            standstill_s = max(standstill_s, self._pause_s)
         if standstill_s > LONGEST_STANDSTILL_S:
             self._requested, self.stood_still_s = True, standstill_s
 
