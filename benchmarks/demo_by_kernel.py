@@ -22,7 +22,7 @@ from kernels import VARIABLE, kernels_that_work  # noqa: E402
 
 OUTPUT = ROOT / "runs" / "kernels"
 # As README.md and docs/first_run.md state it: the errors of tracking, in percent of the reference.
-LARGEST_DIFFERENCE_PERCENT = 0.001
+LARGEST_DIFFERENCE_PERCENT = 0.03
 # Taken by the clock, or told by the thesis.
 NOT_COMPARED = ("wall_s", "lockstep_ratio", "thesis_e_rms_percent")
 TRACKING = ("tracking", "tracking_after")
