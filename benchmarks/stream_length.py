@@ -13,7 +13,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from piezo_stage_driver.limits import VoltageLimits
 from stage_model import SAMPLE_RATE_HZ, stage_model
 from table import Measurements, show
 
@@ -21,6 +20,7 @@ from piezo_controller.references import Reference, trajectory
 from piezo_controller.streamed_feedforward import plan_stream
 from piezo_controller.tracking_run import TrackingRun
 from piezo_stage_driver.engine import StageEngine
+from piezo_stage_driver.safety.limits import VoltageLimits
 
 MINUTES = (1, 10, 60)
 SAMPLES_PER_TICK = 40

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from piezo_stage_driver.limits import VoltageLimits
 
 from piezo_stage_driver.engine import StageEngine
 from piezo_stage_driver.program import StageRefusal
+from piezo_stage_driver.safety.limits import VoltageLimits
 from piezo_stage_driver.sources import Feedforward
 
 CHUNK = 400

@@ -50,6 +50,20 @@ def force_and_slope(x, parts, low, high):
     """Force of the spring beside its linear one, and its slope, at a displacement in half ranges.
 
     The slope of the whole spring is `SOFTEST` at least; see `straight_beyond`.
+
+    Parameters
+    ----------
+    x : float
+        Displacement in half ranges.
+    parts : (4,) sequence of float
+        As for `straight_beyond`.
+    low, high : float
+        Between which the polynomial holds.
+
+    Returns
+    -------
+    force, slope : float
+        In half ranges, and per half range.
     """
     inside = min(max(x, low), high)
     force = inside * (parts[0] + inside * (parts[1] + inside * (parts[2] + inside * parts[3])))
