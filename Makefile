@@ -42,7 +42,7 @@ measured: ## identify from measured data in DATA, beside its published figures; 
 	@./run piezo_identification measured --data "$(DATA)" --output runs/measured
 
 reproduce: setup ## run the studies of the thesis' chapters 2 to 5; writes docs/reproduction.md
-	@$(in_environment) .venv/bin/python -m piezo_bringup.reproduction
+	@$(in_environment) .venv/bin/python -m piezo_studies.thesis
 
 CASES ?= 260
 diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite

@@ -6,11 +6,11 @@ import time
 import numpy as np
 from stage_model import stage_model
 
-from piezo_controller.feedback_design import design_feedback
-from piezo_controller.feedback_loop import MultirateFeedback
-from piezo_controller.feedforward import plan_feedforward
-from piezo_controller.tracking_run import TrackingRun
-from piezo_controller.weights import load_weights
+from piezo_controller.feedback.feedback_design import design_feedback
+from piezo_controller.feedback.multirate_feedback import MultirateFeedback
+from piezo_controller.feedback.synthesis.weights import load_weights
+from piezo_controller.feedforward.periodic import plan_feedforward
+from piezo_controller.tracking.tracking_run import TrackingRun
 
 SAMPLES_PER_TICK = 40
 TICKS = 5000

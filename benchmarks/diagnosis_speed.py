@@ -9,7 +9,7 @@ from stage_model import SAMPLE_RATE_HZ, stage_model
 
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_models.effects.vibration_mode import VibrationMode
-from piezo_recorder.recording import Recording
+from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 SAMPLES = 1_000_000

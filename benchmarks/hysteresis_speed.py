@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from stage_model import VOLTAGE_RANGE_V, preisach_model
 
-from piezo_models.relay_grid import cell_centre_relays, simulate_relays
+from piezo_studies.baselines.relay_grid import cell_centre_relays, simulate_relays
 
 SAMPLES = 200_000
 # The relay grids take longer per sample, so they get fewer.

@@ -7,9 +7,9 @@ import time
 import numpy as np
 from stage_model import ModelStage
 
-from piezo_node_tools.parameters import declare
-from piezo_node_tools.spinning import run_node
-from piezo_stage_driver.stage_node import StageNode
+from piezo_ros.parameters import declare
+from piezo_ros.spinning import run_node
+from piezo_stage_driver.node.stage_node import StageNode
 
 SAMPLES_PER_TICK = 40
 

@@ -6,8 +6,8 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from stage_model import ModelStage
 
-from piezo_controller.controller_node import ControllerNode
-from piezo_stage_driver.stage_node import StageNode
+from piezo_controller.node.controller_node import ControllerNode
+from piezo_stage_driver.node.stage_node import StageNode
 
 
 def main():

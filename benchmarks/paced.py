@@ -16,7 +16,7 @@ from piezo_interfaces.srv import LoadFeedforward, StartTracking
 
 from piezo_bringup.processes import Processes
 from piezo_client.client import Client
-from piezo_node_tools.quality import FEEDBACK, PACED_SAMPLES
+from piezo_ros.quality import FEEDBACK, PACED_SAMPLES
 
 TICKS_PER_S = 1000
 SAMPLES_PER_TICK = 40

@@ -18,12 +18,17 @@ from peer_dynamics import METHODS
 from stage_model import VOLTAGE_RANGE_V, preisach_model
 from table import Measurements, show
 
-from piezo_identification.armax import fit_armax
-from piezo_identification.input_designs import stair_amplitudes, stair_harmonics
-from piezo_identification.smoothed_density import smoothed_density
-from piezo_identification.waveforms import sample_by_voltage
-from piezo_models.linear import ElectricVibrationDynamics, simulate_linear, zoh, zoh_response
-from piezo_models.relay_grid import activation_matrix
+from piezo_identification.conditioning.waveforms import sample_by_voltage
+from piezo_identification.estimators.dynamics.armax import fit_armax
+from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
+from piezo_identification.experiments.input_designs import stair_amplitudes, stair_harmonics
+from piezo_models.linear.dynamics import (
+    ElectricVibrationDynamics,
+    simulate_linear,
+    zoh,
+    zoh_response,
+)
+from piezo_studies.baselines.relay_grid import activation_matrix
 
 ROOT = Path(__file__).parents[1]
 OUTPUT = ROOT / "runs" / "bench" / "peers"

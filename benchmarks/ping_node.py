@@ -9,9 +9,9 @@ import numpy as np
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from rclpy.node import Node
 
-from piezo_node_tools.parameters import declare
-from piezo_node_tools.quality import FEEDBACK, SAMPLES
-from piezo_node_tools.spinning import run_node
+from piezo_ros.parameters import declare
+from piezo_ros.quality import FEEDBACK, SAMPLES
+from piezo_ros.spinning import run_node
 
 SAMPLES_PER_TICK = 40
 TICK_S = 1e-3

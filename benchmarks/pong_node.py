@@ -4,8 +4,8 @@
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from rclpy.node import Node
 
-from piezo_node_tools.quality import FEEDBACK, SAMPLES
-from piezo_node_tools.spinning import run_node
+from piezo_ros.quality import FEEDBACK, SAMPLES
+from piezo_ros.spinning import run_node
 
 
 class PongNode(Node):

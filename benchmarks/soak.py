@@ -28,9 +28,9 @@ from std_srvs.srv import Trigger
 
 from piezo_bringup.processes import Processes, clean_shared_memory
 from piezo_client.client import Client, GoalFailed
-from piezo_node_tools.quality import SAMPLES
-from piezo_recorder.reader import read_recording
-from piezo_recorder.recording import RecordingError
+from piezo_recorder.reading.reader import read_recording
+from piezo_recorder.reading.recording import RecordingError
+from piezo_ros.quality import SAMPLES
 
 OUTPUT = Path(__file__).parents[1] / "runs" / "soak"
 EXPERIMENTS = ("dynamics", "multisine", "validation")

@@ -4,15 +4,15 @@
 import numpy as np
 
 from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.linear import (
+from piezo_models.linear.dynamics import (
     CreepDynamics,
     ElectricVibrationDynamics,
     continue_linear,
     zoh,
 )
 from piezo_models.model_file import save_model
-from piezo_models.preisach import PreisachModel
 
 VOLTAGE_RANGE_V = (-20.0, 120.0)
 SAMPLE_RATE_HZ = 40000.0
@@ -61,7 +61,7 @@ class ModelStage:
         self._memory = self._model.memory()
 
     def exchange(self, voltage_v):
-        """Play voltages; see ``piezo_stage_driver.backend.StageBackend``."""
+        """Play voltages; see ``piezo_stage_driver.backends.backend.StageBackend``."""
         hysteresis_um = self._model.hysteresis.simulate(voltage_v, self._memory.hysteresis)
         displacement_um, self._memory.linear_state = continue_linear(
             self._discrete, hysteresis_um, self._memory.linear_state)

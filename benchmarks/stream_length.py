@@ -16,10 +16,10 @@ import numpy as np
 from stage_model import SAMPLE_RATE_HZ, stage_model
 from table import Measurements, show
 
-from piezo_controller.references import Reference, trajectory
-from piezo_controller.streamed_feedforward import plan_stream
-from piezo_controller.tracking_run import TrackingRun
-from piezo_stage_driver.engine import StageEngine
+from piezo_controller.feedforward.streamed import plan_stream
+from piezo_controller.references.reference import Reference, trajectory
+from piezo_controller.tracking.tracking_run import TrackingRun
+from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.safety.limits import VoltageLimits
 
 MINUTES = (1, 10, 60)

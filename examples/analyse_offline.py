@@ -11,8 +11,8 @@ import numpy as np
 
 from piezo_models.control_objects import from_control, to_control
 from piezo_models.model_file import load_model
-from piezo_recorder.frames import read_frame
-from piezo_recorder.reader import read_recording
+from piezo_recorder.reading.frames import read_frame
+from piezo_recorder.reading.reader import read_recording
 
 path, model_file = sys.argv[1:]
 

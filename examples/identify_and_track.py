@@ -8,9 +8,9 @@ import sys
 
 from rclpy.utilities import remove_ros_args
 
-from piezo_client.progress_line import ProgressLine
 from piezo_client.references import harmonic
 from piezo_client.stage import Stage
+from piezo_common.progress_line import ProgressLine
 
 directory, *recordings = remove_ros_args(sys.argv)[1:]
 

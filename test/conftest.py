@@ -24,9 +24,9 @@ from piezo_bringup.processes import Processes, clean_shared_memory
 from piezo_client.client import Client, GoalFailed
 from piezo_client.stage import Stage
 from piezo_models.cascade import StageModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.preisach import PreisachModel
-from piezo_node_tools.quality import FEEDBACK, SAMPLES
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_ros.quality import FEEDBACK, SAMPLES
 
 TIMEOUT_S = 180.0
 OF_THE_SUITE = {

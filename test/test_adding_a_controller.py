@@ -12,23 +12,23 @@ import pytest
 import yaml
 from piezo_interfaces.msg import SampleBlock
 
-from piezo_controller.controller_file import (
+from piezo_controller.feedback.controller_file import (
     ControllerFileError,
     load_controller,
     load_stabilising_controller,
 )
-from piezo_controller.feedback_before_inverse import FeedbackBeforeInverse
-from piezo_controller.feedback_design import design_feedback, feedback_from_control
-from piezo_controller.feedback_loop import MultirateFeedback
-from piezo_controller.offline_loop import play_run
-from piezo_controller.references import Reference
-from piezo_controller.tracking_modes import StageClock, plan_mode
-from piezo_controller.tracking_run import TrackingRun
-from piezo_controller.weights import load_weights
+from piezo_controller.feedback.feedback_before_inverse import FeedbackBeforeInverse
+from piezo_controller.feedback.feedback_design import design_feedback, feedback_from_control
+from piezo_controller.feedback.multirate_feedback import MultirateFeedback
+from piezo_controller.feedback.synthesis.weights import load_weights
+from piezo_controller.references.reference import Reference
+from piezo_controller.tracking.offline_loop import play_run
+from piezo_controller.tracking.tracking_modes import StageClock, plan_mode
+from piezo_controller.tracking.tracking_run import TrackingRun
 from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
-from piezo_models.preisach import PreisachModel
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "adding_a_controller.md").read_text(encoding="utf-8")
@@ -116,7 +116,7 @@ def test_fields_of_the_file_are_those_of_the_page(made):
 
 def test_parameter_file_of_the_page_fits_the_node():
     given, = yaml.safe_load(block("yaml")).values()
-    node = (ROOT / "src/piezo_controller/piezo_controller/controller_node.py").read_text()
+    node = (ROOT / "src/piezo_controller/piezo_controller/node/controller_node.py").read_text()
     assert all(f'"{name}"' in node for name in given["ros__parameters"])
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezo_identification.experiments import validation
+from piezo_identification.experiments.catalogue import validation
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_document import ModelFileError
 from piezo_models.model_file import load_model, save_model
@@ -50,7 +50,7 @@ def test_an_effect_from_outside_is_found_and_kept_in_the_model_file(
     save_csv(tmp_path / "data.csv", 25e-6 * np.arange(voltage_v.size), voltage_v, displacement_um)
 
     run = subprocess.run(
-        [sys.executable, "-m", "piezo_identification.diagnose_command",
+        [sys.executable, "-m", "piezo_identification.commands.diagnose_command",
          "--model", "model.json", "--data", "data.csv", "--output", "diagnosis"],
         cwd=tmp_path, capture_output=True, text=True,
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(outside), *sys.path])})

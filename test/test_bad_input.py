@@ -13,19 +13,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from piezo_controller.controller_file import load_controller, save_controller
-from piezo_controller.feedback_design import FeedbackController
-from piezo_controller.weights import BUILT_IN, load_weights
+from piezo_controller.feedback.controller_file import load_controller, save_controller
+from piezo_controller.feedback.feedback_design import FeedbackController
+from piezo_controller.feedback.synthesis.weights import BUILT_IN, load_weights
 from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_file import load_model, save_model
-from piezo_models.preisach import PreisachModel
-from piezo_recorder.message_definition import installed_definition
-from piezo_recorder.reader import read_recording
+from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.sample_block import TYPE_NAME
-from piezo_recorder.writer import RecordingWriter
-from piezo_stage_driver.calibration import load_calibration
+from piezo_recorder.writing.message_definition import installed_definition
+from piezo_recorder.writing.writer import RecordingWriter
+from piezo_stage_driver.backends.calibration import load_calibration
 
 INPUTS = 10_000 if os.environ.get("LONG_TESTS") else 500
 LONGEST_SENTENCE = 1000

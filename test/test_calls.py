@@ -11,8 +11,8 @@ from rclpy.experimental import EventsExecutor
 
 from piezo_client import client as client_module
 from piezo_client.client import Client, ServiceFailed
-from piezo_node_tools import calls
-from piezo_node_tools.calls import ActionCaller, CallFailed, call_service, number_request
+from piezo_ros import calls
+from piezo_ros.calls import ActionCaller, CallFailed, call_service, number_request
 
 NAMESPACE = "/calls"
 TIMEOUT_S = 60.0

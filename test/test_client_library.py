@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 
 from piezo_client.client import GoalFailed
 from piezo_client.stage import Stage
-from piezo_recorder.reader import read_recording
+from piezo_recorder.reading.reader import read_recording
 
 
 @pytest.fixture

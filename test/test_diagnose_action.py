@@ -12,7 +12,7 @@ from action_msgs.msg import GoalStatus
 
 from piezo_client.client import GoalFailed
 from piezo_client.stage import Stage
-from piezo_identification.experiments import validation
+from piezo_identification.experiments.catalogue import validation
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model, save_model

@@ -8,9 +8,9 @@ import pytest
 from action_msgs.msg import GoalStatus
 
 from piezo_client.client import GoalFailed
-from piezo_identification.experiments import EXPERIMENTS, named_experiment
-from piezo_identification.relay import relay_oscillation
-from piezo_recorder.reader import read_recording
+from piezo_identification.experiments.catalogue import EXPERIMENTS, named_experiment
+from piezo_identification.experiments.relay_feedback import relay_oscillation
+from piezo_recorder.reading.reader import read_recording
 
 
 @pytest.mark.parametrize("name", [

@@ -8,14 +8,14 @@ import pytest
 from piezo_interfaces.msg import Reference
 
 from piezo_client.client import GoalFailed
-from piezo_controller.controller_file import save_controller
-from piezo_controller.feedback_design import design_feedback
-from piezo_controller.weights import load_weights
+from piezo_controller.feedback.controller_file import save_controller
+from piezo_controller.feedback.feedback_design import design_feedback
+from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_file import save_model
-from piezo_models.preisach import PreisachModel
 
 CELLS = 50
 REFERENCE = {"kind": "harmonic", "frequency_hz": [40.0], "amplitude_um": [20.0], "centre_um": 50.0}

@@ -9,7 +9,7 @@ import pytest
 from piezo_interfaces.msg import Reference
 
 from piezo_client.client import GoalFailed
-from piezo_recorder.reader import read_recording
+from piezo_recorder.reading.reader import read_recording
 
 CENTRE_UM = 57.0
 

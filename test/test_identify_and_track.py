@@ -12,7 +12,7 @@ from action_msgs.msg import GoalStatus
 from piezo_interfaces.msg import Reference
 
 from piezo_client.client import GoalFailed
-from piezo_recorder.reader import read_recording, sha256_of
+from piezo_recorder.reading.reader import read_recording, sha256_of
 
 CENTRE_UM = 57.0
 

@@ -17,13 +17,13 @@ NUMERICS = {
     "piezo_sim": {"piezo_models", "piezo_stage_driver"},
     "piezo_identification": {"piezo_models", "piezo_recorder"},
     "piezo_controller": {"piezo_models", "piezo_recorder"},
-    "piezo_node_tools": set(),
+    "piezo_ros": set(),
     "piezo_client": {"piezo_models", "piezo_recorder"},
 }
 # Packages that are of the node layer as a whole.
-NODE_PACKAGES = {"piezo_node_tools", "piezo_client"}
-NODE_LAYER = {"piezo_interfaces", "piezo_node_tools"}
-ROS = re.compile(r"rclpy|rosidl_\w+|\w+_msgs|std_srvs|piezo_interfaces|piezo_node_tools")
+NODE_PACKAGES = {"piezo_ros", "piezo_client"}
+NODE_LAYER = {"piezo_interfaces", "piezo_ros"}
+ROS = re.compile(r"rclpy|rosidl_\w+|\w+_msgs|std_srvs|piezo_interfaces|piezo_ros")
 
 
 def imported_names(path, package):
@@ -98,22 +98,22 @@ def write_module(source, package, module, code):
     ("package", "module", "code"),
     [
         ("piezo_models", "preisach.py", "import rclpy.node"),
-        ("piezo_models", "preisach.py", "from piezo_controller.weights import load"),
+        ("piezo_models", "preisach.py", "from piezo_controller.feedback.synthesis.weights import load"),
         ("piezo_identification", "creep.py", "def f():\n    from rclpy import spin"),
-        ("piezo_identification", "creep.py", "from piezo_sim.plant import Plant"),
+        ("piezo_identification", "creep.py", "from piezo_sim.plant.plant import Plant"),
         ("piezo_identification", "a_node.py", "import piezo_sim"),
         ("piezo_identification", "test_creep.py", "from piezo_sim import plant"),
         ("piezo_identification", "creep.py", "from piezo_interfaces import msg"),
         ("piezo_identification", "creep.py", "import std_srvs.srv"),
         ("piezo_controller", "design.py", "from . import controller_node"),
         ("piezo_controller", "design.py", "from .controller_node import Controller"),
-        ("piezo_controller", "design.py", "import_module('piezo_sim.plant')"),
-        ("piezo_controller", "design.py", "import piezo_identification.creep"),
-        ("piezo_controller", "design.py", "from piezo_node_tools import spinning"),
+        ("piezo_controller", "design.py", "import_module('piezo_sim.plant.plant')"),
+        ("piezo_controller", "design.py", "import piezo_identification.estimators.creep"),
+        ("piezo_controller", "design.py", "from piezo_ros import spinning"),
         ("piezo_recorder", "reader.py", "from piezo_models import measures"),
         ("piezo_stage_driver", "engine.py", "from piezo_recorder import reader"),
         ("piezo_sim", "creep.py", "from piezo_identification import creep"),
-        ("piezo_node_tools", "goals.py", "from piezo_controller import weights"),
+        ("piezo_ros", "goals.py", "from piezo_controller import weights"),
         ("piezo_client", "stage.py", "from piezo_controller import weights"),
         ("piezo_controller", "a_node.py", "from piezo_client import stage"),
         ("piezo_bringup", "report.py", "import rclpy"),
@@ -130,12 +130,12 @@ def test_forbidden_import_is_found(tmp_path, package, module, code):
         ("piezo_models", "cascade.py", "from .preisach import PreisachModel"),
         ("piezo_models", "cascade.py", "import numpy, scipy.signal, control"),
         ("piezo_identification", "a_node.py", "import rclpy"),
-        ("piezo_identification", "a_node.py", "from piezo_node_tools import spinning"),
+        ("piezo_identification", "a_node.py", "from piezo_ros import spinning"),
         ("piezo_identification", "creep.py", "from piezo_models import linear"),
-        ("piezo_node_tools", "spinning.py", "import rclpy"),
+        ("piezo_ros", "spinning.py", "import rclpy"),
         ("piezo_client", "stage.py", "from piezo_recorder import reader"),
         ("piezo_sim", "stage_sim_node.py", "from piezo_stage_driver import stage_node"),
-        ("piezo_bringup", "demo_node.py", "import rclpy, piezo_sim.plant"),
+        ("piezo_bringup", "demo_node.py", "import rclpy, piezo_sim.plant.plant"),
     ],
 )
 def test_allowed_import_is_not_objected_to(tmp_path, package, module, code):

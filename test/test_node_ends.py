@@ -8,7 +8,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from piezo_interfaces.srv import StartRecording, StopRecording
 
-from piezo_recorder.reader import read_recording
+from piezo_recorder.reading.reader import read_recording
 
 
 @pytest.mark.parametrize(("number", "timing"), [

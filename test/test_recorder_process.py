@@ -19,9 +19,9 @@ from rosbags.highlevel import AnyReader
 
 from piezo_bringup.processes import Processes
 from piezo_client.client import Client
-from piezo_node_tools.quality import SAMPLES
-from piezo_recorder.reader import read_recording
-from piezo_recorder.writer import FLUSH_PERIOD_S
+from piezo_recorder.reading.reader import read_recording
+from piezo_recorder.writing.writer import FLUSH_PERIOD_S
+from piezo_ros.quality import SAMPLES
 
 TIMEOUT_S = 60.0
 NAMESPACE = "/recorded"

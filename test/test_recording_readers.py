@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from piezo_recorder.message_definition import installed_definition
 from piezo_recorder.sample_block import TYPE_NAME
-from piezo_recorder.writer import RecordingWriter
+from piezo_recorder.writing.message_definition import installed_definition
+from piezo_recorder.writing.writer import RecordingWriter
 
 PACKAGES = ["rosbags", "mcap", "numpy"]
 READER = """

@@ -19,8 +19,8 @@ from rclpy.parameter import Parameter
 from piezo_client.client import GoalFailed
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
-from piezo_node_tools.run_account import MAX_LATE_PERCENT
-from piezo_recorder.reader import read_recording
+from piezo_recorder.reading.reader import read_recording
+from piezo_ros.stage_runs.run_account import MAX_LATE_PERCENT
 
 TICK_S = 1e-3
 NO_DISK_HOLDS_THAT_MB = 1_000_000_000

@@ -29,7 +29,7 @@ def executable(node):
 @pytest.mark.parametrize(("given", "used"), [(None, "LOCALHOST"), ("SUBNET", "SUBNET")])
 def test_discovery_stays_on_this_machine_unless_the_environment_opens_it(given, used):
     program = ("import os\n"
-               "from piezo_node_tools.discovery import prepare_discovery\n"
+               "from piezo_ros.discovery import prepare_discovery\n"
                "prepare_discovery()\n"
                "print(os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'])")
     said = subprocess.run(["python3", "-c", program], capture_output=True, text=True, check=True,

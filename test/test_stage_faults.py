@@ -17,7 +17,7 @@ from piezo_interfaces.msg import SampleBlock
 from piezo_interfaces.srv import StartRecording, StopRecording
 
 from piezo_client.client import GoalFailed
-from piezo_recorder.reader import read_recording
+from piezo_recorder.reading.reader import read_recording
 
 RATE_HZ = 40_000
 # Over before the stage is at rest.

@@ -7,7 +7,7 @@ from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from piezo_interfaces.msg import SampleBlock
 
-from piezo_node_tools.quality import SAMPLES
+from piezo_ros.quality import SAMPLES
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from piezo_interfaces.srv import LoadFeedforward, StartTracking
 from std_srvs.srv import Trigger
 
 from piezo_bringup.processes import Processes
-from piezo_node_tools.quality import FEEDBACK
+from piezo_ros.quality import FEEDBACK
 
 MAX_STEP_V, MAX_FEEDBACK_V = 2.0, 20.0
 # A stage that hangs at 50 V until a file is there.
@@ -23,8 +23,8 @@ HANGING_STAGE = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from piezo_node_tools.spinning import run_node
-from piezo_stage_driver.stage_node import StageNode
+from piezo_ros.spinning import run_node
+from piezo_stage_driver.node.stage_node import StageNode
 
 class Hanging:
     sample_rate_hz = 40000.0

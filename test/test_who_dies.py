@@ -16,7 +16,7 @@ from piezo_interfaces.srv import StopRecording
 
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
-from piezo_recorder.reader import read_recording
+from piezo_recorder.reading.reader import read_recording
 
 # Asks for one goal as any client of ours does, and leaves what became of it in a file.
 OPERATOR = """

@@ -23,8 +23,8 @@ setup(
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "demo = piezo_bringup.demo_node:main",
-            "diagnose_suite = piezo_bringup.diagnose_suite.command:main",
+            "demo = piezo_studies.demo.demo_node:main",
+            "diagnose_suite = piezo_studies.diagnosis_benchmark.command:main",
             "suite = piezo_bringup.suite_command:main",
         ],
     },

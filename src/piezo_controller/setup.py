@@ -22,8 +22,8 @@ setup(
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "controller = piezo_controller.start_node:main",
-            "design = piezo_controller.design_command:main",
+            "controller = piezo_controller.node.start:main",
+            "design = piezo_controller.commands.design_command:main",
         ],
     },
 )

@@ -22,11 +22,11 @@ setup(
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "identification = piezo_identification.start_node:main",
-            "measured = piezo_identification.measured_command:main",
-            "diagnose = piezo_identification.diagnose_command:main",
-            "identify = piezo_identification.identify_command:main",
-            "simulate = piezo_identification.simulate_command:main",
+            "identification = piezo_identification.node.start:main",
+            "measured = piezo_studies.measured_devices.measured_command:main",
+            "diagnose = piezo_identification.commands.diagnose_command:main",
+            "identify = piezo_identification.commands.identify_command:main",
+            "simulate = piezo_identification.commands.simulate_command:main",
         ],
     },
 )

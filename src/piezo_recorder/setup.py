@@ -22,9 +22,9 @@ setup(
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "recorder = piezo_recorder.start_node:main",
-            "repair = piezo_recorder.repair:main",
-            "report = piezo_recorder.report:main",
+            "recorder = piezo_recorder.node.start:main",
+            "repair = piezo_recorder.writing.repair:main",
+            "report = piezo_recorder.reading.sample_account:main",
         ],
     },
 )

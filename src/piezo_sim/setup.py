@@ -22,7 +22,7 @@ setup(
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "stage_sim = piezo_sim.start_node:main",
+            "stage_sim = piezo_sim.node.start:main",
         ],
     },
 )

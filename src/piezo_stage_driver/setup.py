@@ -22,10 +22,10 @@ setup(
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "stage = piezo_stage_driver.start_node:main",
+            "stage = piezo_stage_driver.node.start:main",
         ],
         "piezo_stage_driver.backends": [
-            "nidaqmx = piezo_stage_driver.nidaqmx_stage:create",
+            "nidaqmx = piezo_stage_driver.backends.nidaqmx_stage:create",
         ],
     },
 )

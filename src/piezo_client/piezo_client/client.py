@@ -14,8 +14,8 @@ from std_srvs.srv import Trigger
 from unique_identifier_msgs.msg import UUID
 
 from piezo_client.paths import with_absolute_paths
-from piezo_node_tools.calls import number_request
-from piezo_node_tools.discovery import LONGEST_STANDSTILL_S, prepare_discovery
+from piezo_ros.calls import number_request
+from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 
 SERVER_TIMEOUT_S = 30.0
 LOST_RESPONSE_S = 10.0

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from piezo_recorder.reader import read_recording
+from piezo_recorder.reading.reader import read_recording
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class _Run:
         return str(self.path)
 
     def recording(self):
-        """Read the samples: a `piezo_recorder.recording.Recording`."""
+        """Read the samples: a `piezo_recorder.reading.recording.Recording`."""
         return read_recording(self.path)
 
 

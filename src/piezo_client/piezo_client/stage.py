@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 
 from piezo_client.client import Client, GoalFailed
 from piezo_client.results import Diagnosis, Experiment, Identification, Played, Tracking
-from piezo_node_tools.recording import RecorderNews, free_name
+from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
 
 SAMPLE_PERIOD_S = 25e-6
 _numbers = itertools.count(1)

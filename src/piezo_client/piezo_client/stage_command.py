@@ -9,9 +9,9 @@ from pathlib import Path
 from rclpy.utilities import remove_ros_args
 
 from piezo_client.client import GoalFailed
-from piezo_client.progress_line import ProgressLine
 from piezo_client.references import harmonic, triangle
 from piezo_client.stage import Stage
+from piezo_common.progress_line import ProgressLine
 
 FAILED, INTERRUPTED = 1, 130
 SHAPES = {"harmonic": harmonic, "triangle": triangle}

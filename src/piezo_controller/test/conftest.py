@@ -2,11 +2,16 @@
 import numpy as np
 import pytest
 
-from piezo_controller.feedback_design import design_feedback
-from piezo_controller.weights import load_weights
+from piezo_controller.feedback.feedback_design import design_feedback
+from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.cascade import StageModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, continue_linear, zoh
-from piezo_models.preisach import PreisachModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import (
+    CreepDynamics,
+    ElectricVibrationDynamics,
+    continue_linear,
+    zoh,
+)
 
 
 @pytest.fixture(scope="session")

@@ -3,24 +3,24 @@
 
 from dataclasses import replace
 
-from piezo_identification import refinement
-from piezo_identification.cancellation import checking
-from piezo_identification.estimate import untold_parameters
-from piezo_identification.frequency_response import FrequencyResponse
-from piezo_identification.hysteresis import estimate_density
-from piezo_identification.linear_dynamics import METHODS, estimate_linear_dynamics
-from piezo_identification.outlier_samples import (
+from piezo_common.cancellation import checking
+from piezo_identification.conditioning.outlier_samples import (
     good_samples,
     outlier_text,
     with_outliers_marked,
 )
+from piezo_identification.conditioning.sensor_sign import displacement_falls, reversed_displacement
+from piezo_identification.estimators.estimate import untold_parameters
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.estimators.frequency_response.response_fit import ANY_ORDER
+from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.estimators.linear_dynamics import METHODS, estimate_linear_dynamics
+from piezo_identification.estimators.refinement import joint_fit as refinement
 from piezo_identification.prediction import unseen_errors
-from piezo_identification.response_fit import ANY_ORDER
-from piezo_identification.sensor_sign import displacement_falls, reversed_displacement
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.identified_model import IdentifiedModel
-from piezo_recorder.reader import sha256_of
+from piezo_recorder.reading.reader import sha256_of
 
 
 class IdentificationCancelled(Exception):

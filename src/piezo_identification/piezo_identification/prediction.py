@@ -6,21 +6,25 @@ from itertools import product
 
 import numpy as np
 
-from piezo_identification.everett_regression import NEAR_THE_END
-from piezo_identification.outlier_samples import (
+from piezo_identification.conditioning.outlier_samples import (
     good_samples,
     outliers_of_residual,
     with_outliers_marked,
 )
-from piezo_identification.sampled_response import behind_lags, leading_lags, respond
-from piezo_identification.sensor_sign import moves_against, reversed_displacement
-from piezo_identification.settling import first_settled
-from piezo_identification.waveforms import (
+from piezo_identification.conditioning.sensor_sign import moves_against, reversed_displacement
+from piezo_identification.conditioning.settling import first_settled
+from piezo_identification.conditioning.waveforms import (
     played,
     samples_per_mean,
     turning_points,
     with_voltage_before,
 )
+from piezo_identification.estimators.frequency_response.sampled_response import (
+    behind_lags,
+    leading_lags,
+    respond,
+)
+from piezo_identification.estimators.hysteresis.everett_regression import NEAR_THE_END
 from piezo_models.effects.outliers import FEWEST
 from piezo_models.measures import e_y_percent
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of measured and simulated displacement."""
 
-from piezo_models.picture_style import (
+from piezo_common.picture_style import (
     DIFFERENCE,
     MEASURED,
     MODELLED,

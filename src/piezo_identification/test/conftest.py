@@ -4,11 +4,11 @@
 import numpy as np
 import pytest
 
-from piezo_identification.waveforms import played
+from piezo_identification.conditioning.waveforms import played
 from piezo_models.cascade import StageModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.preisach import PreisachModel
-from piezo_recorder.recording import Recording
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 NOISE_UM = 0.009

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification import experiments
+from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.prediction import predict, slow_branches, unseen_errors
 
 

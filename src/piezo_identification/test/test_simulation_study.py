@@ -4,12 +4,12 @@
 import numpy as np
 import pytest
 
-from piezo_identification.creep import estimate_creep
-from piezo_identification.dynamics import estimate_dynamics
+from piezo_identification.estimators.creep import estimate_creep
+from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
 from piezo_models.cascade import StageModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.preisach import PreisachModel
-from piezo_recorder.recording import Recording
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 NOISE_UM = 0.07

@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from piezo_models.hysteretic_creep import HystereticCreep, HystereticCreepMemory
-from piezo_models.linear import (
+from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
+from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel
+from piezo_models.linear.dynamics import (
     CreepDynamics,
     ElectricVibrationDynamics,
     continue_linear,
     equilibrium_state,
     zoh,
 )
-from piezo_models.preisach import PreisachMemory, PreisachModel
 
 
 @dataclass(eq=False)

@@ -4,7 +4,7 @@
 import control
 import numpy as np
 
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics, zoh
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics, zoh
 
 # Relative: two eigenvalues that differ by less are taken as real, or as one pair.
 ROUNDING = 1e-9

@@ -4,14 +4,14 @@
 import json
 from pathlib import Path
 
-from piezo_models.model_document import FORMAT, ModelFileError, document_of, rendered
-from piezo_models.model_reader import identified_model_of
-from piezo_models.text_file import (
+from piezo_common.text_file import (
     UnreadableFile,
     is_something_else,
     read_bounded_text,
     replace_text,
 )
+from piezo_models.model_document import FORMAT, ModelFileError, document_of, rendered
+from piezo_models.model_reader import identified_model_of
 
 # A density of 1000 x 1000 cells fits.
 _LARGEST_FILE_BYTES = 32 * 2**20

@@ -8,11 +8,11 @@ import numpy as np
 
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
-from piezo_models.hysteretic_creep import HystereticCreep
+from piezo_models.hysteresis.hysteretic_creep import HystereticCreep
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_document import FORMAT, VERSION, ModelFileError
-from piezo_models.preisach import PreisachModel
 
 
 def identified_model_of(document, path):

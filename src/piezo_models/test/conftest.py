@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 from piezo_models.cascade import StageModel
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.preisach import PreisachModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from piezo_models.cascade import StageModel
 from piezo_models.control_objects import from_control, to_control
-from piezo_models.linear import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.preisach import PreisachModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 pytestmark = pytest.mark.kernels
 

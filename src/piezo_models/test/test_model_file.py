@@ -5,13 +5,13 @@ import os
 import numpy as np
 import pytest
 
-from piezo_models import text_file
+from piezo_common import text_file
 from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.linear import ElectricVibrationDynamics
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
 from piezo_models.model_document import ModelFileError
 from piezo_models.model_file import load_model, save_model
-from piezo_models.preisach import PreisachModel
 
 
 @pytest.fixture

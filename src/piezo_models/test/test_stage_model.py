@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from piezo_models.linear import simulate_linear, zoh
+from piezo_models.linear.dynamics import simulate_linear, zoh
 
 PERIOD_S = 25e-6
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from piezo_recorder.message_definition import MessageDefinition
 from piezo_recorder.sample_block import TYPE_NAME, Flag
-from piezo_recorder.writer import RecordingWriter
+from piezo_recorder.writing.message_definition import MessageDefinition
+from piezo_recorder.writing.writer import RecordingWriter
 
 MESSAGE_FILE = Path(__file__).parents[2] / "piezo_interfaces" / "msg" / "SampleBlock.msg"
 

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from piezo_sim.backend import SimulatedStage
+from piezo_sim.simulated_stage import SimulatedStage
 
 
 def opened(**options):

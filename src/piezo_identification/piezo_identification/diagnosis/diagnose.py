@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from piezo_identification.diagnosis.contest import Contest
+from piezo_identification.diagnosis.comparison import Contest
 from piezo_identification.diagnosis.held_out import HeldOut
 from piezo_identification.diagnosis.outliers import found_outliers, left_out
 from piezo_identification.diagnosis.residual import dependences, spectrum, whiteness

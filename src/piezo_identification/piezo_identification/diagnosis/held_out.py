@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from piezo_identification.outlier_samples import outlier_text
+from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.prediction import predict
 from piezo_models.measures import e_y_percent
 

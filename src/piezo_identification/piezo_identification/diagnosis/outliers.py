@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.diagnosis.selection import NOTICEABLE
-from piezo_identification.outlier_samples import outlier_text
 from piezo_models.effects.outliers import FEWEST, THRESHOLD, Outliers
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import csd, welch
 
-from piezo_identification.waveforms import turning_points
+from piezo_identification.conditioning.waveforms import turning_points
 
 BAND_99 = 2.576
 """Standard deviations within which 99 % of a normal distribution lie."""

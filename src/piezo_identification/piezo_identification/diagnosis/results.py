@@ -6,10 +6,10 @@ from datetime import datetime
 from pathlib import Path
 
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
-from piezo_identification.diagnosis.report import render_report
+from piezo_identification.diagnosis.diagnosis_report import render_report
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_models.model_file import load_model
-from piezo_recorder.reader import read_recording, sha256_of
+from piezo_recorder.reading.reader import read_recording, sha256_of
 
 READ_FRACTION, REPORT_FRACTION = 0.05, 0.9
 """Of the whole: what is done before the diagnosis and before the report."""

@@ -5,7 +5,7 @@ import json
 from dataclasses import dataclass, replace
 
 from piezo_models.model_file import save_model
-from piezo_recorder.reader import sha256_of
+from piezo_recorder.reading.reader import sha256_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from piezo_models.effects.effect import Effect, parameter
 from piezo_models.effects.filtering import filtered, filtered_on
-from piezo_models.linear import simulate_linear, zoh
+from piezo_models.linear.dynamics import simulate_linear, zoh
 
 SCANNED_EXPONENTS = (0.02, 0.5)
 SCANNED_ONSETS = np.geomspace(3e-3, 1.0, 5)

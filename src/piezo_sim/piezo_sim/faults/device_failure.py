@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from piezo_sim.effect import Surroundings, parameter
 from piezo_sim.faults.window import FaultWindow, require_window
-from piezo_stage_driver.backend import BackendFault
+from piezo_sim.plant.plant_effect import Surroundings, parameter
+from piezo_stage_driver.backends.backend import BackendFault
 
 
 @dataclass(frozen=True)

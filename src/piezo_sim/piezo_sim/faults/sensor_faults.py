@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from piezo_sim.effect import Surroundings, parameter, require
 from piezo_sim.faults.window import FaultWindow, require_window
-from piezo_sim.random_stream import NormalStream, bits_for
+from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.random_stream import NormalStream, bits_for
 
 
 @dataclass(frozen=True)

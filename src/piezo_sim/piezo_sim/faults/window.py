@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from piezo_sim.effect import Effect, Surroundings, require
+from piezo_sim.plant.plant_effect import Effect, Surroundings, require
 
 
 class FaultWindow:
@@ -11,7 +11,7 @@ class FaultWindow:
 
     Parameters
     ----------
-    effect : piezo_sim.effect.Effect
+    effect : piezo_sim.plant.plant_effect.Effect
         Has the two times.
     surroundings : Surroundings
     """

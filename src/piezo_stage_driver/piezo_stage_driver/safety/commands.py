@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from piezo_stage_driver.program import StageRefusal
+from piezo_stage_driver.engine.program import StageRefusal
 
 
 class Command:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from piezo_stage_driver.backend import BackendFault, StageBackend
+from piezo_stage_driver.backends.backend import BackendFault, StageBackend
 
 
 class SessionOver(BackendFault):

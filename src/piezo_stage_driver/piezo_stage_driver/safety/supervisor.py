@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from piezo_stage_driver.backend import BackendFault, StageBackend
-from piezo_stage_driver.blocks import Block
-from piezo_stage_driver.engine import StageEngine
-from piezo_stage_driver.feedback_hold import FeedbackError
-from piezo_stage_driver.program import StageRefusal
+from piezo_stage_driver.backends.backend import BackendFault, StageBackend
+from piezo_stage_driver.engine.blocks import Block
+from piezo_stage_driver.engine.feedback_hold import FeedbackError
+from piezo_stage_driver.engine.program import StageRefusal
+from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.safety.answer_gate import AnswerGate
 from piezo_stage_driver.safety.commands import Command, CommandQueue
 from piezo_stage_driver.safety.guards import StopLatch

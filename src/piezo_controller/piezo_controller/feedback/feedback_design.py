@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Design of the feedback at the tick's rate: H-infinity (thesis 5.2.4), PID and PI."""
+
+from dataclasses import dataclass, replace
+
+import control
+import numpy as np
+
+from piezo_controller.feedback.loop_measures import measure_loop
+from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
+from piezo_controller.feedback.synthesis.dk_iteration import iterate, scale, tick_frequencies
+from piezo_controller.feedback.synthesis.generalised_plant import (
+    UNCERTAINTIES,
+    design_plant,
+    generalised_plant,
+    hysteresis_gain_range,
+)
+from piezo_controller.feedback.synthesis.h_infinity import close, is_stable
+from piezo_controller.feedback.synthesis.structured_singular_value import (
+    sampled_response,
+    structured_singular_values,
+)
+from piezo_controller.feedback.synthesis.ziegler_nichols import (
+    pid,
+    proportional_integral,
+    ultimate_point_by_relay,
+    ultimate_point_by_response,
+)
+
+METHODS = ("h_infinity", "pid", "pi")
+SCALINGS = ("constant", "dynamic")
+
+# Damps the controller's resonance at 270 Hz, and lowers the sensitivity's peak.
+SLACK = 0.1
+# Part of the norm with the scalings that a lower order may cost.
+REDUCTION_COST = 0.01
+FREQUENCIES = 200
+
+
+class UnstableLoop(ValueError):
+    """A feedback that does not stabilise the model it is to be used with."""
+
+
+@dataclass(frozen=True)
+class FeedbackController:
+    """State space of the feedback, and what is known of the loop it closes.
+
+    Attributes
+    ----------
+    A, B, C, D : ndarray
+        From the mean tracking error of the last tick (um) to the voltage of the next (V).
+    sample_period_s : float
+        The tick (s).
+    report : dict
+        Plain numbers and texts, see `design_feedback`.
+    weights : dict
+        The weights that it was designed with, in the layout of the weights file; empty for PID.
+    model_sha256 : str
+        Of the model file that it was designed for; empty if the model came from no file.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    sample_period_s: float
+    report: dict
+    weights: dict
+    model_sha256: str = ""
+
+    def state_space(self):
+        """The controller as a ``control.StateSpace``."""
+        return control.ss(self.A, self.B, self.C, self.D, self.sample_period_s)
+
+
+def design_feedback(model, weights, clock_period_s=25e-6, model_sha256="", method="h_infinity",
+                    scaling="constant", at_once=False, reduce=True):
+    """Design the feedback for a model of the stage.
+
+    Parameters
+    ----------
+    model : piezo_models.cascade.StageModel
+    weights : DesignWeights
+        PID and PI take no more than the tick from it.
+    clock_period_s : float
+        Period of the sample clock (s).
+    model_sha256 : str
+        Hash of the model's file, kept with the controller.
+    method : str
+        ``h_infinity``; ``pid``, by a relay that oscillates with the model; ``pi``, by the
+        ultimate gain of the linear dynamics, corrected for the hysteresis.
+    scaling : str
+        ``constant`` or ``dynamic``: D of the D-K iteration.
+    at_once : bool
+        For a loop without averaging and computing time, see `design_plant`.
+    reduce : bool
+        Whether to lower the order where that costs next to nothing.
+
+    Returns
+    -------
+    FeedbackController
+        Its report holds ``method``, ``at_once``, ``order``, ``hysteresis_gain_um_per_v``,
+        ``hysteresis_gain_spread`` and the measures of `measure_loop` at that spread; for
+        ``h_infinity`` ``scaling``, ``gamma``, ``mu``, ``mu_history`` (of the iteration) and
+        ``order_before_reduction``; else ``ultimate_gain_v_per_um`` and ``ultimate_period_s``.
+
+    Raises
+    ------
+    NoController
+        The weights ask for too much.
+    NoOscillation
+        The model has no ultimate gain.
+    UnstableLoop
+        The rules of Ziegler and Nichols give an unstable loop.
+    ValueError
+        `method` or `scaling` is unknown.
+    """
+    if method not in METHODS:
+        raise ValueError(f'unknown method {method!r} of the feedback: use one of '
+                         f'{", ".join(METHODS)}')
+    if scaling not in SCALINGS:
+        raise ValueError(f'unknown scaling {scaling!r}: use one of {", ".join(SCALINGS)}')
+    tick_s = weights.sample_period_s
+    plant, gain_um_per_v = design_plant(model, tick_s, clock_period_s, at_once)
+    if method == "h_infinity":
+        controller, found = _h_infinity(plant, gain_um_per_v, weights, scaling, reduce)
+    else:
+        controller, found = _ziegler_nichols(method, model, plant, tick_s, clock_period_s)
+    report = {"method": method, "at_once": at_once, **found,
+              **_measures(controller, model, plant, gain_um_per_v)}
+    if not report["stable_within_gain_spread"]:
+        raise UnstableLoop(f"{method} gives a loop that is not stable for every gain of the "
+                           "hysteresis: use h_infinity, or another tick")
+    return FeedbackController(controller.A, controller.B, controller.C, controller.D, tick_s,
+                              report, weights.as_dict() if method == "h_infinity" else {},
+                              model_sha256)
+
+
+def feedback_from_control(system, model, clock_period_s=25e-6, model_sha256="", method="own"):
+    """Take a feedback of any origin, and measure the loop that it closes.
+
+    Parameters
+    ----------
+    system : control.StateSpace or control.TransferFunction
+        Discrete, its period that of the tick: from the mean tracking error of the last tick (um)
+        to the voltage of the next (V).
+    model : piezo_models.cascade.StageModel
+    clock_period_s : float
+        Period of the sample clock (s).
+    model_sha256 : str
+        Hash of the model's file, kept with the controller.
+    method : str
+        What the report is to call it.
+
+    Returns
+    -------
+    FeedbackController
+        Its report holds ``method``, ``order``, ``hysteresis_gain_um_per_v``,
+        ``hysteresis_gain_spread`` and the measures of `measure_loop` at that spread.
+
+    Raises
+    ------
+    UnstableLoop
+        See `check_stabilises`.
+    ValueError
+        The system has no period, a period that is no multiple of the sample clock's, no state, or
+        more than one input or output.
+    """
+    system = control.ss(system)
+    if (system.ninputs, system.noutputs) != (1, 1):
+        raise ValueError(f"the feedback has {system.ninputs} inputs and {system.noutputs} outputs: "
+                         "give one from an error to a voltage")
+    if not system.isdtime(strict=True) or system.dt is True:
+        raise ValueError("the feedback has no sample period: give a discrete system with that of "
+                         "the tick, as by control.sample_system(system, 1e-3)")
+    if not system.nstates:
+        raise ValueError("the feedback has no state, so an error stays: add an integration")
+    controller = FeedbackController(
+        system.A, system.B, system.C, system.D, float(system.dt), {}, {}, model_sha256)
+    check_stabilises(controller, model, clock_period_s)
+    measures = _measures(system, model, *design_plant(model, system.dt, clock_period_s))
+    return replace(controller, report={"method": method, **measures})
+
+
+def check_stabilises(controller, model, clock_period_s=25e-6):
+    """Refuse a controller that does not stabilise a model in the loop of the stage.
+
+    Parameters
+    ----------
+    controller : FeedbackController
+    model : piezo_models.cascade.StageModel
+    clock_period_s : float
+        Period of the sample clock (s).
+
+    Raises
+    ------
+    UnstableLoop
+        The loop is not stable at the lowest, the nominal or the highest gain of the hysteresis at
+        mid-travel.
+    """
+    plant, nominal = design_plant(model, controller.sample_period_s, clock_period_s)
+    for gain_um_per_v in (nominal, *hysteresis_gain_range(model)):
+        loop = gain_um_per_v * plant * controller.state_space()
+        if not is_stable(control.feedback(loop, 1)):
+            raise UnstableLoop(
+                "the controller does not stabilise the model at a hysteresis gain of "
+                f"{gain_um_per_v:.3g} um/V: design one for this model")
+
+
+def structured_singular_value(problem, controller):
+    """Structured singular value of a closed loop over frequency.
+
+    Parameters
+    ----------
+    problem : control.StateSpace
+        From `generalised_plant`.
+    controller : control.StateSpace
+
+    Returns
+    -------
+    frequency_hz, mu : ndarray, shape (F,)
+    """
+    frequency_hz = tick_frequencies(problem.dt, FREQUENCIES)
+    responses = sampled_response(close(problem, controller),
+                                 np.exp(2j * np.pi * frequency_hz * problem.dt))
+    return frequency_hz, structured_singular_values(responses, UNCERTAINTIES)[0]
+
+
+def _measures(controller, model, plant, gain_um_per_v):
+    """The part of a report that every controller has."""
+    spread = hysteresis_gain_range(model)[1] / gain_um_per_v - 1
+    return {"order": controller.nstates, "hysteresis_gain_um_per_v": gain_um_per_v,
+            "hysteresis_gain_spread": spread,
+            **measure_loop(gain_um_per_v * plant, controller, spread)}
+
+
+def _h_infinity(plant, gain_um_per_v, weights, scaling, reduce):
+    problem = generalised_plant(plant, gain_um_per_v, weights)
+    synthesis = iterate(problem, UNCERTAINTIES, scaling == "dynamic", SLACK)
+    controller = synthesis.controller
+    if reduce:
+        scaled = scale(problem, synthesis.scalings)
+        limit = (1 + REDUCTION_COST) * control.linfnorm(close(scaled, controller))[0]
+        controller = reduce_order(controller, lambda candidate: (
+            is_stable(close(scaled, candidate))
+            and control.linfnorm(close(scaled, candidate))[0] <= limit))
+    return controller, {
+        "scaling": scaling, "gamma": float(synthesis.gamma),
+        "mu": float(structured_singular_value(problem, controller)[1].max()),
+        "mu_history": synthesis.history,
+        "order_before_reduction": synthesis.controller.nstates,
+    }
+
+
+def _ziegler_nichols(method, model, plant, tick_s, clock_period_s):
+    if method == "pid":
+        ultimate = ultimate_point_by_relay(model, round(tick_s / clock_period_s), clock_period_s)
+        controller = pid(ultimate, tick_s)
+    else:
+        ultimate = ultimate_point_by_response(plant, hysteresis_gain_range(model)[1])
+        controller = proportional_integral(ultimate, tick_s)
+    return controller, {"ultimate_gain_v_per_um": ultimate.gain,
+                        "ultimate_period_s": ultimate.period_s}

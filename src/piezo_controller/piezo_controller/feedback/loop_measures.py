@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a feedback loop is worth: bandwidth, margins, settling."""
+
+import control
+import numpy as np
+
+from piezo_controller.feedback.synthesis.h_infinity import is_stable
+
+BAND_EDGE = 1 / np.sqrt(2)
+SETTLED = 0.05
+LONGEST_SETTLING_TICKS = 2000
+LEAST_CROSSING = 1e-12
+"""Size of a loop on the real axis that is rounding."""
+
+
+def loop_responses(plant, controller, frequency_hz):
+    """Responses of the open loop and of its sensitivity.
+
+    Parameters
+    ----------
+    plant, controller : control.StateSpace
+        Discrete, one input, one output.
+    frequency_hz : ndarray
+
+    Returns
+    -------
+    loop, sensitivity : ndarray of complex
+        ``L = G K`` and ``1 / (1 + L)``.
+    """
+    points = np.exp(2j * np.pi * np.asarray(frequency_hz) * plant.dt)
+    loop = (plant(points, squeeze=False) * controller(points, squeeze=False))[0, 0]
+    return loop, 1 / (1 + loop)
+
+
+def measure_loop(plant, controller, gain_spread):
+    """Measure a closed loop.
+
+    Parameters
+    ----------
+    plant, controller : control.StateSpace
+        Discrete; negative feedback of the plant's output to the controller.
+    gain_spread : float
+        The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
+
+    Returns
+    -------
+    dict
+        ``bandwidth_hz`` (where the sensitivity first reaches -3 dB), ``crossover_hz`` (where the
+        open loop first falls to 1), ``peak_sensitivity`` and its ``peak_frequency_hz``,
+        ``gain_margin`` and ``phase_margin_deg`` with ``_at_lowest_gain`` and
+        ``_at_highest_gain``, ``settling_to_5_percent_s`` (after a step disturbance of the output),
+        ``stable_within_gain_spread``. None stands for what the loop does not have: it crosses
+        nothing from 0.1 Hz on, or has not settled after `LONGEST_SETTLING_TICKS`.
+    """
+    frequency_hz = np.geomspace(0.1, 0.5 / plant.dt, 8000)
+    loop, sensitivity = loop_responses(plant, controller, frequency_hz)
+    size = np.abs(sensitivity)
+    gains = np.linspace(1 - gain_spread, 1 + gain_spread, 5)
+    measures = {
+        "bandwidth_hz": _first_rise_hz(frequency_hz, size > BAND_EDGE),
+        "crossover_hz": _first_rise_hz(frequency_hz, np.abs(loop) < 1),
+        "peak_sensitivity": float(size.max()),
+        "peak_frequency_hz": float(frequency_hz[size.argmax()]),
+        "settling_to_5_percent_s": _settling_s(plant, controller),
+        "stable_within_gain_spread": all(
+            is_stable(control.feedback(gain * plant * controller, 1)) for gain in gains),
+    }
+    for where, gain in (("", 1.0), ("_at_lowest_gain", gains[0]), ("_at_highest_gain", gains[-1])):
+        gain_margin, phase_margin_deg = _margins(gain * loop)
+        measures["gain_margin" + where] = gain_margin
+        measures["phase_margin_deg" + where] = phase_margin_deg
+    return measures
+
+
+def _first_rise_hz(frequency_hz, holds):
+    """The first frequency at which something begins to hold; None if it never begins to."""
+    begins = np.flatnonzero(~holds[:-1] & holds[1:])
+    return float(frequency_hz[begins[0] + 1]) if begins.size else None
+
+
+def _margins(loop):
+    """Gain margin (factor) and phase margin (degrees) from a dense frequency response.
+
+    The gain margin is that towards higher gains: only crossings between -1 and 0 count. None where
+    the response does not cross the axis there, or the unit circle.
+    """
+    real, imaginary, size = loop.real, loop.imag, np.abs(loop)
+    crossing = imaginary[:-1] * imaginary[1:] < 0
+    unity = (size[:-1] - 1) * (size[1:] - 1) < 0
+    # At half the tick's rate, the last frequency, the response is real.
+    on_axis = np.append(real[:-1][crossing], real[-1])
+    nearest = on_axis[on_axis > -1].min(initial=0.0)
+    gain_margin = float(-1 / nearest) if nearest < -LEAST_CROSSING else None
+    if not unity.any():
+        return gain_margin, None
+    phase_margin = np.pi - np.abs(np.angle(loop[:-1][unity])).max()
+    return gain_margin, float(np.degrees(phase_margin))
+
+
+def _settling_s(plant, controller):
+    sensitivity = control.feedback(1, plant * controller)
+    time_s = np.arange(LONGEST_SETTLING_TICKS) * plant.dt
+    error = np.abs(control.step_response(sensitivity, time_s).outputs)
+    outside = np.flatnonzero(error > SETTLED)
+    if outside.size and outside[-1] == error.size - 1:
+        return None
+    return float((outside[-1] + 1) * plant.dt) if outside.size else 0.0

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whether a feedback endures what the model does not know: sampled, and at its worst."""
+
+from dataclasses import dataclass, replace
+
+import control
+import numpy as np
+
+from piezo_controller.feedback.loop_measures import loop_responses
+from piezo_controller.feedback.synthesis.generalised_plant import design_plant
+from piezo_controller.feedback.synthesis.h_infinity import is_stable
+from piezo_models.linear.creep_errors import with_creep_errors
+
+SAMPLES = 200
+SWEEPS = 2
+FREQUENCIES = 100
+DYNAMICS = ("time_constant_s", "mode_frequencies_rad_per_s", "damping_ratios",
+            "antiresonance_frequencies_rad_per_s", "antiresonance_damping_ratios")
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """What a feedback endures.
+
+    Attributes
+    ----------
+    samples, unstable_samples : int
+        Loops with random errors, and how many of them are unstable.
+    worst_peak_sensitivity : float
+        At the worst errors found; infinite if the loop is unstable there.
+    """
+
+    samples: int
+    unstable_samples: int
+    worst_peak_sensitivity: float
+
+    @property
+    def stable(self):
+        """Whether every loop that was looked at is stable."""
+        return self.unstable_samples == 0 and np.isfinite(self.worst_peak_sensitivity)
+
+
+def check_robustness(model, controller, clock_period_s, gain_spread, parameter_error=0.05,
+                     samples=SAMPLES, seed=0, at_once=False):
+    """Close the loop over models with errors in every parameter, and over gains.
+
+    The worst case is sought among the extremes of all errors: one after the other is turned to
+    where the peak of the sensitivity is higher, until none makes it so.
+
+    Parameters
+    ----------
+    model : piezo_models.cascade.StageModel
+    controller : control.StateSpace
+        Discrete, from error (um) to voltage (V).
+    clock_period_s : float
+    gain_spread : float
+        The hysteresis' gain lies within ``1 +- gain_spread`` of its nominal value.
+    parameter_error : float
+        Relative error of rate and size of every creep pair, and of every parameter of the
+        dynamics, of either sign.
+    samples : int
+    seed : int
+    at_once : bool
+        See `design_plant`.
+
+    Returns
+    -------
+    Robustness
+    """
+    frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
+    count = 1 + _parameters(model)
+
+    def peak(errors):
+        plant, gain_um_per_v = design_plant(
+            _with_errors(model, parameter_error * errors[1:]), controller.dt, clock_period_s,
+            at_once)
+        plant = gain_um_per_v * (1 + gain_spread * errors[0]) * plant
+        if not is_stable(control.feedback(plant * controller, 1)):
+            return np.inf
+        return np.abs(loop_responses(plant, controller, frequency_hz)[1]).max()
+
+    draws = np.random.default_rng(seed).uniform(-1, 1, (samples, count))
+    peaks = np.array([peak(errors) for errors in draws])
+    worst, errors = -np.inf, np.sign(draws[np.argmax(peaks)])
+    for _ in range(SWEEPS):
+        for index in range(count):
+            turned = errors.copy()
+            turned[index] = -turned[index]
+            for candidate in (errors, turned):
+                value = peak(candidate)
+                if value > worst:
+                    worst, errors = value, candidate
+    return Robustness(samples, int(np.isinf(peaks).sum()), float(worst))
+
+
+def _parameters(model):
+    return 2 * len(model.creep.poles_rad_per_s) + sum(
+        np.size(getattr(model.dynamics, name)) for name in DYNAMICS)
+
+
+def _with_errors(model, errors):
+    """The model with relative errors in the parameters of its linear dynamics."""
+    first, fields = 2 * len(model.creep.poles_rad_per_s), {}
+    creep = with_creep_errors(model.creep, errors[:first])
+    for name in DYNAMICS:
+        values = np.asarray(getattr(model.dynamics, name), dtype=float)
+        fields[name] = values * (1 + np.reshape(errors[first:first + values.size], values.shape))
+        first += values.size
+    return replace(model, creep=creep, dynamics=replace(model.dynamics, **fields))

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fewer states for the same loop: balanced truncation of a controller."""
+
+import control
+from slycot import ab09ad
+
+from piezo_controller.feedback.synthesis.h_infinity import is_stable
+
+
+def reduce_order(controller, acceptable):
+    """The controller of lowest order that is still acceptable.
+
+    The order is lowered step by step until one is not.
+
+    Parameters
+    ----------
+    controller : control.StateSpace
+        Discrete and stable.
+    acceptable : callable
+        Takes a controller and tells whether it will do.
+
+    Returns
+    -------
+    control.StateSpace
+        `controller` itself if no lower order will do.
+    """
+    best = controller
+    for order in range(controller.nstates - 1, 0, -1):
+        candidate = _truncate(controller, order)
+        if not (is_stable(candidate) and acceptable(candidate)):
+            break
+        best = candidate
+    return best
+
+
+def _truncate(system, order):
+    _, a, b, c, _ = ab09ad("D", "B", "N", system.nstates, 1, 1, system.A, system.B, system.C,
+                           nr=order)
+    return control.ss(a, b, c, system.D, system.dt)

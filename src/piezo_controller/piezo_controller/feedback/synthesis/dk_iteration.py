@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""D-K iteration: the controller of smallest structured singular value (thesis 5.3.1)."""
+
+from dataclasses import dataclass
+
+import control
+import numpy as np
+from scipy.optimize import least_squares, minimize
+from scipy.signal import zpk2ss
+
+from piezo_controller.feedback.synthesis.h_infinity import NoController, close, synthesise
+from piezo_controller.feedback.synthesis.structured_singular_value import (
+    sampled_response,
+    structured_singular_values,
+)
+
+ITERATIONS = 3
+SEARCHED = 30
+COARSE = 1e-3
+FREQUENCIES = 60
+LOWEST_HZ = 1e-3
+SCALING_ORDER = 1
+# A scaling matters where the structured singular value is near its peak.
+IMPORTANCE = 4
+
+
+@dataclass(frozen=True)
+class RobustSynthesis:
+    """The best iterate.
+
+    Attributes
+    ----------
+    controller : control.StateSpace
+    gamma : float
+        Norm of the closed loop with the scalings that the controller was found with.
+    scalings : sequence of float or control.StateSpace
+        D for each scalar uncertainty.
+    history : list of float
+        Peak of the structured singular value after each synthesis: the first without scalings,
+        the last that of the controller.
+    """
+
+    controller: control.StateSpace
+    gamma: float
+    scalings: tuple
+    history: list
+
+
+def iterate(plant, scalars, dynamic=False, slack=0.0, iterations=ITERATIONS):
+    """Alternate between synthesis (K) and scaling (D), and keep the best controller.
+
+    The iteration creeps: an optimal K levels what the next D could lower. Constant scalings are
+    therefore searched for with the synthesis inside, from where the iteration has come to. Dynamic
+    ones are iterated from there.
+
+    Parameters
+    ----------
+    plant : control.StateSpace
+        Generalised plant; see `structured_singular_values` for the order of its inputs and
+        outputs, `synthesise` for the last of each.
+    scalars : int
+        Number of scalar uncertainties.
+    dynamic : bool
+        Whether the scalings depend on frequency; they add to the controller's order.
+    slack : float
+        Given up at the end, see `synthesise`.
+    iterations : int
+
+    Returns
+    -------
+    RobustSynthesis
+
+    Raises
+    ------
+    NoController
+        There is none even without scalings.
+    """
+    iteration = _Iteration(plant, scalars)
+    iteration.synthesise(np.ones(scalars))
+    for _ in range(iterations - 1):
+        iteration.synthesise(constant_scaling(iteration.responses, scalars))
+    iteration.search()
+    if dynamic:
+        for _ in range(iterations):
+            iteration.synthesise(iteration.fitted_scalings())
+    return iteration.best(slack)
+
+
+class _Iteration:
+    """Where an iteration stands, and the best that it has met."""
+
+    def __init__(self, plant, scalars):
+        self._plant = plant
+        self._scalars = scalars
+        self._frequency_hz = tick_frequencies(plant.dt)
+        self._points = np.exp(2j * np.pi * self._frequency_hz * plant.dt)
+        self._history = []
+        self._best = np.inf, None
+
+    def synthesise(self, scalings):
+        """K-step."""
+        controller, _ = synthesise(scale(self._plant, scalings), tolerance=COARSE)
+        self._take(scalings, controller)
+
+    def _take(self, scalings, controller):
+        self.responses = sampled_response(close(self._plant, controller), self._points)
+        self.mu, self._profiles = structured_singular_values(self.responses, self._scalars)
+        self._history.append(float(self.mu.max()))
+        self._best = min(self._best, (self._history[-1], scalings), key=lambda pair: pair[0])
+
+    def search(self):
+        """Search the constant scalings of smallest norm, beginning with the best so far."""
+        def norm(log_d):
+            try:
+                return synthesise(scale(self._plant, np.exp(log_d)), largest_norm=10.0,
+                                  tolerance=COARSE)[1]
+            except NoController:
+                return np.inf
+
+        start = np.log(self._best[1])
+        simplex = start + 0.4 * np.vstack([np.zeros(self._scalars), np.eye(self._scalars)])
+        found = minimize(norm, start, method="Nelder-Mead", options={
+            "initial_simplex": simplex, "maxfev": SEARCHED, "xatol": 1e-2, "fatol": COARSE})
+        self.synthesise(np.exp(found.x))
+
+    def fitted_scalings(self):
+        """Dynamic D-step."""
+        importance = (self.mu / self.mu.max()) ** IMPORTANCE
+        return [fit_scaling(self._frequency_hz, profile, importance, self._plant.dt)
+                for profile in self._profiles.T]
+
+    def best(self, slack):
+        """The synthesis with the best scalings, relaxed by the slack."""
+        controller, gamma = synthesise(scale(self._plant, self._best[1]), slack)
+        self._take(self._best[1], controller)
+        return RobustSynthesis(controller, gamma, tuple(self._best[1]), self._history)
+
+
+def tick_frequencies(tick_s, count=FREQUENCIES):
+    """Zero and frequencies up to half the rate, evenly spaced on a logarithmic axis (Hz)."""
+    return np.r_[0.0, np.geomspace(LOWEST_HZ, 0.5 / tick_s, count)]
+
+
+def constant_scaling(responses, scalars):
+    """Positive numbers d that make the peak of the largest singular value of D M D^-1 smallest.
+
+    Parameters
+    ----------
+    responses : ndarray of complex, shape (F, outputs, inputs)
+    scalars : int
+
+    Returns
+    -------
+    ndarray, shape (scalars,)
+    """
+    _, outputs, inputs = responses.shape
+
+    def peak(log_d):
+        left, right = np.ones(outputs), np.ones(inputs)
+        left[:scalars], right[:scalars] = np.exp(log_d), np.exp(-log_d)
+        return np.linalg.norm(left[:, None] * responses * right, ord=2, axis=(1, 2)).max()
+
+    # The peak is convex in the logarithms, but has kinks.
+    found = minimize(peak, np.zeros(scalars), method="Nelder-Mead",
+                     options={"xatol": 1e-3, "fatol": 1e-5})
+    return np.exp(found.x)
+
+
+def fit_scaling(frequency_hz, magnitude, importance, tick_s, order=SCALING_ORDER):
+    """Fit a stable system with a stable inverse to a magnitude.
+
+    Parameters
+    ----------
+    frequency_hz, magnitude, importance : ndarray, shape (F,)
+    tick_s : float
+    order : int
+
+    Returns
+    -------
+    control.StateSpace
+        With real zeros and poles.
+    """
+    points = np.exp(2j * np.pi * frequency_hz * tick_s)
+    target = np.log(magnitude)
+
+    def roots(parameters):
+        # From corner frequencies, whatever they are, to the inside of the unit circle.
+        return np.exp(-np.exp(parameters[:order])), np.exp(-np.exp(parameters[order:2 * order]))
+
+    def residual(parameters):
+        zeros, poles = roots(parameters)
+        fitted = parameters[-1] + sum(
+            np.log(np.abs(points - zero) / np.abs(points - pole))
+            for zero, pole in zip(zeros, poles, strict=True))
+        return importance * (fitted - target)
+
+    corners = np.log(2 * np.pi * tick_s * np.geomspace(1.0, 0.2 / tick_s, order + 2)[1:-1])
+    start = np.r_[corners + 0.1, corners - 0.1, np.average(target, weights=importance)]
+    limits = np.r_[np.full(2 * order, 6.0), np.inf]
+    found = least_squares(residual, start, bounds=(-limits - 6.0, limits - 4.0)).x
+    zeros, poles = roots(found)
+    return control.ss(*zpk2ss(zeros, poles, np.exp(found[-1])), tick_s)
+
+
+def scale(plant, scalings):
+    """Scale the outputs of the uncertainties by D, their inputs by the inverse.
+
+    Parameters
+    ----------
+    plant : control.StateSpace
+    scalings : sequence of float or control.StateSpace
+        One for each scalar uncertainty; a system with a stable inverse.
+
+    Returns
+    -------
+    control.StateSpace
+    """
+    systems = [scaling if isinstance(scaling, control.StateSpace)
+               else control.ss([], [], [], [[scaling]], plant.dt) for scaling in scalings]
+    others_out, others_in = (
+        control.ss([], [], [], np.eye(count - len(systems)), plant.dt)
+        for count in (plant.noutputs, plant.ninputs))
+    inverses = [_inverse(system) for system in systems]
+    return control.append(*systems, others_out) * plant * control.append(*inverses, others_in)
+
+
+def _inverse(system):
+    """Inverse of a system with direct feedthrough."""
+    d = np.linalg.inv(system.D)
+    return control.ss(system.A - system.B @ d @ system.C, system.B @ d, -d @ system.C, d,
+                      system.dt)

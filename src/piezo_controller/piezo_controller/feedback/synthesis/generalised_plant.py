@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The design problem of the H-infinity feedback: plant, uncertainties, weights (thesis 5.2.4)."""
+
+import control
+import numpy as np
+
+from piezo_controller.feedback.synthesis.lifted_plant import lift
+from piezo_models.linear.dynamics import zoh
+
+UNCERTAINTIES = 2
+"""Scalar uncertainties of `generalised_plant`, which are its first inputs and outputs."""
+
+
+def design_plant(model, tick_s, clock_period_s, at_once=False):
+    """The linear plant that the feedback is designed on.
+
+    Parameters
+    ----------
+    model : piezo_models.cascade.StageModel
+    tick_s, clock_period_s : float
+        Periods of the feedback and of the sample clock (s); the one a multiple of the other.
+    at_once : bool
+        Sampled when the tick begins and answered in no time, as the thesis has it; not with the
+        averaging and the tick of computing time of the stage.
+
+    Returns
+    -------
+    plant : control.StateSpace
+        From the hysteresis' output decided in a tick to the displacement known in it (um per um),
+        with the hold, and behind what delays the sensor.
+    hysteresis_gain_um_per_v : float
+        Nominal gain k_h: the middle of `hysteresis_gain_range`.
+    """
+    samples_per_tick = round(tick_s / clock_period_s)
+    if samples_per_tick < 1 or abs(samples_per_tick * clock_period_s / tick_s - 1) > 1e-9:
+        raise ValueError(f"the tick of {tick_s:g} s is no multiple of the sample clock's period "
+                         f"of {clock_period_s:g} s")
+    linear = model.linear()
+    for effect in (*model.effects_at("displacement"), *model.effects_at("sensor")):
+        linear = (effect.lag() or 1.0) * linear
+    plant = zoh(linear, tick_s) if at_once else lift(zoh(linear, clock_period_s), samples_per_tick)
+    return plant, float(np.mean(hysteresis_gain_range(model)))
+
+
+def hysteresis_gain_range(model):
+    """Smallest and largest secant gain (3.16) of a model's hysteresis at mid-travel (um/V)."""
+    hysteresis = model.hysteresis
+    middle_v = (hysteresis.voltage_min_v + hysteresis.voltage_max_v) / 2
+    return hysteresis.gain_um_per_v([middle_v])
+
+
+def generalised_plant(plant, hysteresis_gain_um_per_v, weights):
+    """The design problem of thesis figs. 5.2 and 5.5.
+
+    Two complex numbers of at most 1 are unknown: the hysteresis' gain varies by ``w_u`` times the
+    first about its nominal value, and the feedforward leaves ``w_delta`` times the second of the
+    reference (5.12). What remains is the performance.
+
+    Parameters
+    ----------
+    plant, hysteresis_gain_um_per_v
+        From `design_plant`.
+    weights : DesignWeights
+
+    Returns
+    -------
+    control.StateSpace
+        Inputs: outputs of the two uncertainties, reference, disturbance, noise, control. Outputs:
+        inputs of the two uncertainties, weighted error, weighted control, measured error.
+    """
+    dt = plant.dt
+
+    def named(system, name, source, sink):
+        return control.ss(system.A, system.B, system.C, system.D, dt, name=name,
+                          inputs=[source], outputs=[sink])
+
+    def gain(value, name, source, sink):
+        return control.ss([], [], [], [[value]], dt, name=name, inputs=[source], outputs=[sink])
+
+    def weight(name, source, sink):
+        return named(getattr(weights, name).state_space(dt), name, source, sink)
+
+    return control.interconnect(
+        [
+            gain(weights.hysteresis_uncertainty, "uncertain_gain", "u", "gain_in"),
+            control.summing_junction(["u", "gain_out"], "u_total", name="input", dt=dt),
+            named(hysteresis_gain_um_per_v * plant, "plant", "u_total", "y"),
+            weight("reference", "r", "feedforward_in"),
+            gain(weights.feedforward_error, "uncertain_feedforward", "feedforward_out",
+                 "feedforward_error"),
+            weight("disturbance", "d", "offset"),
+            control.summing_junction(["-feedforward_error", "-offset", "-y"], "e", name="error",
+                                     dt=dt),
+            weight("performance", "e", "weighted_error"),
+            weight("control", "u", "weighted_control"),
+            weight("noise", "n", "sensor_noise"),
+            control.summing_junction(["e", "-sensor_noise"], "m", name="measurement", dt=dt),
+        ],
+        inputs=["gain_out", "feedforward_out", "r", "d", "n", "u"],
+        outputs=["gain_in", "feedforward_in", "weighted_error", "weighted_control", "m"])

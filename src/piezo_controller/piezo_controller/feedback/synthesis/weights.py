@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Weights of the feedback design: what is asked of the loop, at which frequency."""
+
+import math
+from dataclasses import asdict, dataclass, fields, replace
+from importlib.resources import files
+from pathlib import Path
+
+import control
+import yaml
+from scipy.signal import zpk2ss
+
+from piezo_common.text_file import UnreadableFile, read_bounded_text
+
+DISTURBANCE_HZ = 20.0
+"""Bandwidth of the disturbances that the weights are made for, section 5.3.1."""
+
+DEFAULT = "default"
+BUILT_IN = {DEFAULT: files(__package__) / "weights.yaml",
+            "thesis": files(__package__) / "weights_thesis.yaml"}
+
+
+class WeightsError(ValueError):
+    """A weights file that does not describe a design."""
+
+
+@dataclass(frozen=True)
+class Weight:
+    """``gain * prod(z - zero) / prod(z - pole)`` at the tick's rate."""
+
+    gain: float
+    zeros: tuple = ()
+    poles: tuple = ()
+
+    def state_space(self, sample_period_s):
+        """The weight as a discrete ``control.StateSpace``."""
+        if not self.poles:
+            return control.ss([], [], [], [[self.gain]], sample_period_s)
+        return control.ss(*zpk2ss(self.zeros, self.poles, self.gain), sample_period_s)
+
+    def stretched(self, factor):
+        """The same weight with its frequencies, as Tustin's rule counts them, times `factor`."""
+        if factor == 1:
+            return self
+
+        def moved(z):
+            # -1 is infinite frequency, and stays where it is.
+            return ((z + 1) + factor * (z - 1)) / ((z + 1) - factor * (z - 1))
+
+        # Zeros at infinity, of which there are as many as zeros are missing, come to lie here.
+        missing = (1 + factor) / (1 - factor)
+        zeros = (*map(moved, self.zeros), *(missing,) * (len(self.poles) - len(self.zeros)))
+        poles = tuple(map(moved, self.poles))
+        # The value is kept at a point where no real root lies.
+        gain = self.gain * abs(_product(1j, self.zeros, self.poles)
+                               / _product(moved(1j), zeros, poles))
+        return Weight(gain, zeros, poles)
+
+
+@dataclass(frozen=True)
+class DesignWeights:
+    """Weights of the generalised plant (thesis fig. 5.5).
+
+    Attributes
+    ----------
+    sample_period_s : float
+        The tick (s).
+    performance, control, reference, noise, disturbance : Weight
+        ``w1``, ``w2``, ``w_r``, ``w_n``, ``w_d``; the thesis' are (5.15) and (5.16).
+    feedforward_error : float
+        ``w_delta`` of (5.12).
+    hysteresis_uncertainty : float
+        ``w_u``: the hysteresis' gain lies within ``1 +- w_u`` of its nominal value.
+    """
+
+    sample_period_s: float
+    performance: Weight
+    control: Weight
+    reference: Weight
+    noise: Weight
+    disturbance: Weight
+    feedforward_error: float
+    hysteresis_uncertainty: float
+
+    def at_tick(self, sample_period_s):
+        """The same demands at another tick."""
+        return self._stretched(("performance", "control", "reference", "noise", "disturbance"),
+                               sample_period_s / self.sample_period_s,
+                               sample_period_s=sample_period_s)
+
+    def for_disturbances(self, bandwidth_hz):
+        """Disturbances of another bandwidth, rejected as well: ``w1`` and ``w_d`` are moved."""
+        return self._stretched(("performance", "disturbance"), bandwidth_hz / DISTURBANCE_HZ)
+
+    def _stretched(self, names, factor, **changes):
+        return replace(self, **{name: getattr(self, name).stretched(factor) for name in names},
+                       **changes)
+
+    def as_dict(self):
+        """Plain numbers and lists, in the layout of the weights file."""
+        return {name: {key: list(item) if isinstance(item, tuple) else item
+                       for key, item in value.items()} if isinstance(value, dict) else value
+                for name, value in asdict(self).items()}
+
+
+def load_weights(path=DEFAULT):
+    """Read a weights file.
+
+    Parameters
+    ----------
+    path : path-like
+        YAML, or the name of weights that come with the package: ``default`` or ``thesis``.
+
+    Returns
+    -------
+    DesignWeights
+
+    Raises
+    ------
+    WeightsError
+        Names the file, the entry and what it should be.
+    """
+    source = BUILT_IN.get(str(path), Path(path))
+    try:
+        entries = yaml.safe_load(read_bounded_text(source))
+    except (UnreadableFile, yaml.YAMLError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise WeightsError(f"the weights file {source} cannot be read: {reason}") from None
+    names = [field.name for field in fields(DesignWeights)]
+    if not isinstance(entries, dict) or set(entries) != set(names):
+        raise WeightsError(f"the weights file {source} must have exactly the entries "
+                           f'{", ".join(names)}')
+    return DesignWeights(**{
+        field.name: (_weight if field.type is Weight else _positive)(
+            entries[field.name], field.name, source)
+        for field in fields(DesignWeights)})
+
+
+def _product(point, zeros, poles):
+    return math.prod(point - zero for zero in zeros) / math.prod(point - pole for pole in poles)
+
+
+def _positive(value, name, source):
+    if not _is_number(value) or value <= 0:
+        raise WeightsError(f"{name} in the weights file {source} is {value!r}: "
+                           "give a positive number")
+    return float(value)
+
+
+def _weight(entry, name, source):
+    where = f"{name} in the weights file {source}"
+    if not isinstance(entry, dict) or set(entry) != {"gain", "zeros", "poles"}:
+        raise WeightsError(f"{where} must have exactly gain, zeros and poles")
+    roots = entry["zeros"], entry["poles"]
+    if not all(isinstance(r, list) and all(_is_number(x) for x in r) for r in roots):
+        raise WeightsError(f"zeros and poles of {where} must be lists of real numbers")
+    if len(entry["zeros"]) > len(entry["poles"]):
+        raise WeightsError(f"{where} has more zeros than poles: give as many poles")
+    if any(abs(pole) >= 1 for pole in entry["poles"]):
+        raise WeightsError(f"{where} has a pole on or outside the unit circle, for which no "
+                           "controller exists: use 0.9995 for integral action")
+    gain = _positive(entry["gain"], f"gain of {name}", source)
+    return Weight(gain, *(tuple(float(x) for x in r) for r in roots))
+
+
+def _is_number(value):
+    return (isinstance(value, (int, float)) and not isinstance(value, bool)
+            and math.isfinite(value))

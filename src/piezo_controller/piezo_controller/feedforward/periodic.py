@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Voltage that makes the model of a stage follow a periodic reference (thesis 5.2.2)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezo_controller.feedforward.approach import (
+    FADE_S,
+    RAMP_S,
+    aligned_samples,
+    check_amplifier_range,
+)
+from piezo_controller.feedforward.feasibility import (
+    STATIC_DISPLACEMENT,
+    VOLTAGE,
+    OutOfReach,
+    check_range,
+    check_slew,
+    unreachable,
+)
+from piezo_controller.feedforward.repeated_input import mean_over_repeats
+from piezo_controller.references.smooth_rise import minimum_jerk
+from piezo_models.linear.dynamics import simulate_linear, zoh
+from piezo_models.linear.periodic_inversion import invert_linear_periodic
+
+MODES = ("open_loop", "feedforward")
+
+SETTLE_S = 0.1
+# Above it the stage passes too little for an inverse; what a reference holds there is left out.
+BANDWIDTH_HZ = 2500.0
+# What the compensation of an effect adds at reversals is cut off lower where it takes too much.
+COMPENSATION_BANDWIDTHS_HZ = BANDWIDTH_HZ, 1200.0, 600.0, 300.0
+NEGLIGIBLE_CONTENT = 1e-3
+CORRECTIONS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class FeedforwardPlan:
+    """Voltage to play and displacement to expect, sample by sample.
+
+    Attributes
+    ----------
+    once_voltage_v, reference_once_um : ndarray, shape (n,)
+        Played first: from the start voltage down to the model's lowest voltage, which wipes out
+        the hysteresis' past, up to the reference's centre, then fading the reference in.
+    period_voltage_v, reference_period_um : ndarray, shape (m,)
+        Repeated from then on.
+    feedback_start_sample : int
+        Where feedback may begin: before it the stage's past is not the model's.
+    left_alone : tuple of str
+        Effects of the model that come from outside at times of their own, and stay in the error.
+    """
+
+    once_voltage_v: np.ndarray
+    period_voltage_v: np.ndarray
+    reference_once_um: np.ndarray
+    reference_period_um: np.ndarray
+    feedback_start_sample: int
+    left_alone: tuple = ()
+
+    @property
+    def begin_sample(self):
+        """Where the reference begins: what is played once has ended."""
+        return len(self.once_voltage_v)
+
+    def voltage_v(self, first_sample, count):
+        """Voltages of `count` samples from `first_sample` on (V)."""
+        return _play(self.once_voltage_v, self.period_voltage_v, first_sample, count)
+
+    def expected_um(self, first_sample, count):
+        """Displacements to expect of `count` samples from `first_sample` on (um)."""
+        return _play(self.reference_once_um, self.reference_period_um, first_sample, count)
+
+    def travel_um(self, samples):
+        """Largest minus smallest displacement of the first samples of the reference (um)."""
+        return float(np.ptp(self.reference_period_um[:samples]))
+
+
+def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v=(-20.0, 120.0),
+                     slew_limit_v_per_s=2e6, sample_period_s=25e-6, start_voltage_v=0.0,
+                     duration_s=1.0, watch=None):
+    """Plan the voltage that makes a model at rest follow a periodic reference.
+
+    The linear dynamics are inverted harmonic by harmonic on the sampled model (4.22), the
+    hysteresis exactly and with its memory. Creep does not end within a run: the mean is chosen
+    such that the displacement has the reference's mean over `duration_s`. Further effects of the
+    model are compensated at their places, so that it is what the sensor measures that follows.
+
+    Parameters
+    ----------
+    reference_um : ndarray, shape (m,)
+        One period of the displacement.
+    model : piezo_models.cascade.StageModel
+    mode : str
+        ``feedforward``; or ``open_loop``, which knows no more than the gain of the whole range
+        and the mean, and compensates nothing.
+    voltage_range_v : tuple of float
+    slew_limit_v_per_s, sample_period_s, start_voltage_v : float
+    duration_s : float
+        How long the periodic part is to be played (s).
+    watch : callable, optional
+        Called now and then with the part that is done; may raise.
+
+    Returns
+    -------
+    FeedforwardPlan
+
+    Raises
+    ------
+    UnreachableReference
+        The voltage would leave the range or exceed the slew limit; names what is reachable.
+    ValueError
+        The model's range does not fit the amplifier's, or `mode` is unknown.
+    """
+    reference_um = np.asarray(reference_um, dtype=float)
+    planner = FeedforwardPlanner(
+        len(reference_um), model, mode, voltage_range_v=voltage_range_v,
+        slew_limit_v_per_s=slew_limit_v_per_s, sample_period_s=sample_period_s,
+        start_voltage_v=start_voltage_v, duration_s=duration_s)
+    try:
+        return planner.plan(reference_um)
+    except OutOfReach as reason:
+        def scaled(centre_um, scale):
+            return planner.plan(centre_um + scale * (reference_um - centre_um))
+
+        raise unreachable(scaled, reference_um, planner.hysteresis.output_range_um, reason,
+                          watch) from None
+
+
+class FeedforwardPlanner:
+    """Plans references of one period length (samples) for one model; see `plan_feedforward`."""
+
+    def __init__(self, period, model, mode="feedforward", *, voltage_range_v=(-20.0, 120.0),
+                 slew_limit_v_per_s=2e6, sample_period_s=25e-6, start_voltage_v=0.0,
+                 duration_s=1.0):
+        if mode not in MODES:
+            raise ValueError(
+                f'unknown mode {mode!r} of the feedforward: use one of {", ".join(MODES)}')
+        check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
+        self.model = replace(model, effects=tuple(
+            effect for effect in model.effects if effect.follows_voltage))
+        self.left_alone = tuple(
+            effect.name for effect in model.effects if not effect.follows_voltage)
+        self.hysteresis = model.hysteresis
+        self.period = period
+        self.mode = mode
+        self.highest_v = voltage_range_v[1]
+        self.slew_limit_v_per_s = slew_limit_v_per_s
+        self.sample_period_s = sample_period_s
+        self.start_voltage_v = start_voltage_v
+        self.linear = model.linear()
+        self.sampled = zoh(self.linear, sample_period_s)
+
+        ramp, fade = self._aligned(RAMP_S), self._aligned(FADE_S)
+        # The hysteresis repeats itself once a whole period has been played.
+        settle = self._aligned(max(SETTLE_S, period * sample_period_s))
+        self.ramp = minimum_jerk(ramp)
+        self.fade_start = 2 * ramp
+        self.once = self.fade_start + fade + settle
+        self.fade = np.r_[minimum_jerk(fade), np.ones(settle + period)]
+        self.fade_phase = np.arange(self.fade_start - self.once, period) % period
+
+        rest = model.memory(start_voltage_v)
+        self.rest_memory = rest.hysteresis
+        self.rest_hysteresis_um = rest.hysteresis.hysteresis_um
+        self.rest_displacement_um = float(self.sampled.C[0] @ rest.linear_state)
+        self.periods = max(round(duration_s / (period * sample_period_s)), 1)
+
+        low_um, high_um = self.hysteresis.output_range_um
+        travel_v = self.hysteresis.voltage_max_v - self.hysteresis.voltage_min_v
+        self.gain_um_per_v = (high_um - low_um) / travel_v
+
+    def _aligned(self, time_s):
+        return aligned_samples(time_s, self.sample_period_s)
+
+    def plan(self, reference_um, correction_um=0.0):
+        """The plan for one reference; raises `OutOfReach`.
+
+        A correction is played on top of the reference, but not expected.
+        """
+        for target_um in self._behind_linear(reference_um):
+            try:
+                return self._plan_target(target_um + correction_um, reference_um)
+            except OutOfReach as error:
+                reason = error
+        raise reason
+
+    def _plan_target(self, target_um, reference_um):
+        """The plan for which the linear part's output is the target, period by period."""
+        mean_um = target_um.mean()
+        wave = self._wave(target_um - mean_um)
+        level, level_gain = mean_um, self._mean_over_run_um(
+            np.arange(self.once + self.period) >= self.fade_start)
+        if self.mode == "open_loop":
+            level = self.hysteresis.voltage_min_v + (
+                mean_um - self.hysteresis.output_range_um[0]) / self.gain_um_per_v
+            level_gain *= self.gain_um_per_v
+        for _ in range(CORRECTIONS):
+            _, hysteresis_um = self._play(level, wave)
+            level += (mean_um - self._mean_displacement_um(hysteresis_um)) / level_gain
+        voltage_v, hysteresis_um = self._play(level, wave)
+        check_slew(np.append(voltage_v, voltage_v[self.once]), self.sample_period_s,
+                   self.slew_limit_v_per_s)
+        return FeedforwardPlan(voltage_v[:self.once], voltage_v[self.once:],
+                               self._expected_once_um(hysteresis_um, reference_um),
+                               reference_um.copy(), self.fade_start, self.left_alone)
+
+    def _behind_linear(self, reference_um):
+        """Periods of the linear part's output for which the sensor measures the reference.
+
+        The best first; the further ones take less of the amplifier.
+        """
+        effects = self.model.effects_at("displacement") + self.model.effects_at("sensor")
+        if self.mode == "open_loop" or not effects:
+            return [reference_um]
+        added_um = np.fft.rfft(
+            self._compensated(reference_um, ("sensor", "displacement")) - reference_um)
+        content = np.abs(np.fft.rfft(reference_um - reference_um.mean()))
+        frequency_hz = np.fft.rfftfreq(self.period, self.sample_period_s)
+        highest_hz = frequency_hz[content >= NEGLIGIBLE_CONTENT * content.max()][-1]
+        return [reference_um + np.fft.irfft(np.where(frequency_hz <= cut_hz, added_um, 0.0),
+                                            self.period)
+                for cut_hz in COMPENSATION_BANDWIDTHS_HZ
+                if cut_hz >= min(highest_hz, BANDWIDTH_HZ)]
+
+    def _compensated(self, wanted, places):
+        """One period in front of the effects at places, the last first, for one behind them."""
+        for effect in (effect for place in places
+                       for effect in reversed(self.model.effects_at(place))):
+            try:
+                wanted = effect.compensate(wanted, self.sample_period_s)
+            except ValueError as error:
+                raise OutOfReach(str(error)) from None
+        return wanted
+
+    def _wave(self, alternating_um):
+        """One period of what drives the reference without its mean: um, or V in open loop."""
+        if self.mode == "open_loop":
+            return alternating_um / self.gain_um_per_v
+        harmonics = np.fft.rfft(alternating_um)
+        frequency_hz = np.fft.rfftfreq(self.period, self.sample_period_s)
+        harmonics[(frequency_hz > BANDWIDTH_HZ) | (frequency_hz == 0)] = 0
+        within_um = np.fft.irfft(harmonics, self.period)
+        return invert_linear_periodic(within_um, self.linear, self.sample_period_s)
+
+    def _play(self, level, wave):
+        """Voltage, and the model's hysteresis output, of the once part and one period."""
+        lowest_v = self.hysteresis.voltage_min_v
+        target = level + self.fade * wave[self.fade_phase]
+        if self.mode == "open_loop":
+            check_range(target, lowest_v, self.highest_v, VOLTAGE)
+            centre_v = level
+        else:
+            check_range(target, *self.hysteresis.output_range_um, STATIC_DISPLACEMENT)
+            centre_v = self.hysteresis.invert([level])[0]
+        voltage_v = np.r_[self.start_voltage_v + (lowest_v - self.start_voltage_v) * self.ramp,
+                          lowest_v + (centre_v - lowest_v) * self.ramp]
+        memory = self.rest_memory.copy()
+        hysteresis_um = self.hysteresis.simulate(
+            self.model.amplified(voltage_v, self.sample_period_s), memory)
+        if self.mode == "open_loop":
+            played_v, played_um = target, self.hysteresis.simulate(target, memory)
+        else:
+            played_v, played_um = self.hysteresis.invert(target, memory), target
+            period_v = played_v[-self.period:]
+            ahead_v = self._compensated(period_v, ("voltage",)) - period_v
+            played_v = played_v + self.fade * ahead_v[self.fade_phase]
+        check_range(played_v, lowest_v, self.highest_v, VOLTAGE)
+        return np.r_[voltage_v, played_v], np.r_[hysteresis_um, played_um]
+
+    def _mean_displacement_um(self, hysteresis_um):
+        """Of the model over the run, after the once part."""
+        return self.rest_displacement_um + self._mean_over_run_um(
+            hysteresis_um - self.rest_hysteresis_um)
+
+    def _mean_over_run_um(self, deviation_um):
+        """Mean deviation of the displacement in the repeated part from that of the hysteresis."""
+        deviation_um = np.asarray(deviation_um, dtype=float)
+        return mean_over_repeats(self.sampled, deviation_um[:self.once],
+                                 deviation_um[self.once:], self.periods)
+
+    def _expected_once_um(self, hysteresis_um, reference_um):
+        """What the model measures in the once part, led over to the reference by its end."""
+        deviation_um = hysteresis_um[:self.once] - self.rest_hysteresis_um
+        expected_um = self.model.sensed(
+            self.rest_displacement_um + simulate_linear(self.sampled, deviation_um),
+            self.sample_period_s)
+        creep_um = reference_um.mean() - expected_um[-self.period:].mean()
+        lead = self.fade[:self.once - self.fade_start]
+        expected_um[self.fade_start:] += lead * creep_um
+        return expected_um
+
+
+def _play(once, period, first, count):
+    sample = np.arange(first, first + count)
+    repeated = period[(sample - len(once)) % len(period)]
+    return np.where(sample < len(once), once[np.minimum(sample, len(once) - 1)], repeated)

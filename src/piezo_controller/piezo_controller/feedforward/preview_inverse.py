@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Inverses of the electric and vibration dynamics that need no more than a short preview.
+
+The sampled dynamics have zeros outside the unit circle, so that no causal inverse is stable
+(thesis 6.2 asks for one online). Each of these knows the next samples of the reference, and is a
+filter ``sum_k a[k] v[n - k] = sum_k b[k] r[n + preview - k]`` with a stable denominator.
+"""
+
+from dataclasses import dataclass
+
+import control
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.signal import lfilter, lfilter_zi
+
+from piezo_models.linear.dynamics import zoh, zoh_response
+
+METHODS = ("least_squares", "zero_phase", "derivatives")
+
+PREVIEW_SAMPLES = 20
+BANDWIDTH_HZ = 2500.0
+# Weight of the taps in the least squares: bounds what the filter makes of noise.
+TAP_WEIGHT = 1e-6
+GRID = 400
+# Of the polynomial through the samples around one; its slope and curvatures are the derivatives.
+POLYNOMIAL_DEGREE = 9
+# Zeros closer to the unit circle than this would ring for long if they were cancelled.
+LARGEST_CANCELLED_ZERO = 0.8
+# Newton's steps double the digits: one takes eight to all, the second confirms them.
+ZERO_REFINEMENTS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class PreviewInverse:
+    """A filter from reference to the input of the dynamics.
+
+    Attributes
+    ----------
+    numerator, denominator : ndarray
+    preview_samples : int
+        How far ahead of the sample that it gives it looks.
+    """
+
+    numerator: np.ndarray
+    denominator: np.ndarray
+    preview_samples: int
+
+    def response(self, frequency_hz, sample_period_s):
+        """Complex response, the preview counted as an advance."""
+        z = np.exp(2j * np.pi * np.asarray(frequency_hz) * sample_period_s)
+        return (z**self.preview_samples * np.polyval(self.numerator[::-1], 1 / z)
+                / np.polyval(self.denominator[::-1], 1 / z))
+
+    def state(self, rest):
+        """Memory of the filter after a long rest at a level of the reference."""
+        return rest * lfilter_zi(self.numerator, self.denominator)
+
+    def apply(self, reference, state):
+        """Filter the next samples.
+
+        Parameters
+        ----------
+        reference : ndarray, shape (N,)
+            From `preview_samples` after the first sample of the result on.
+        state : ndarray
+
+        Returns
+        -------
+        result : ndarray, shape (N,)
+        state : ndarray
+        """
+        return lfilter(self.numerator, self.denominator, reference, zi=state)
+
+
+def preview_inverse(system, sample_period_s, method="least_squares",
+                    preview_samples=PREVIEW_SAMPLES):
+    """Design an inverse of continuous dynamics behind a hold.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous, strictly proper, without creep.
+    sample_period_s : float
+    method : str
+        ``least_squares``: a finite filter that fits the inverse up to `BANDWIDTH_HZ`.
+        ``zero_phase``: zero phase error tracking (Tomizuka), whose gain error is taken off by as
+        many powers of its series as the preview allows (extended bandwidth).
+        ``derivatives``: the polynomial in s of the inverse on the derivatives of the polynomial
+        that fits the samples around best; these average noise (Savitzky and Golay), for measured
+        or operator-given references. Half a sample of advance makes up for the hold.
+    preview_samples : int
+
+    Returns
+    -------
+    PreviewInverse
+
+    Raises
+    ------
+    ValueError
+        The method is unknown or does not fit these dynamics or this preview.
+    """
+    if method not in METHODS:
+        raise ValueError(f'unknown inversion {method!r}: use one of {", ".join(METHODS)}')
+    design = {"least_squares": _least_squares, "zero_phase": _zero_phase,
+              "derivatives": _derivatives}[method]
+    return design(system, sample_period_s, preview_samples)
+
+
+def _least_squares(system, sample_period_s, preview_samples):
+    frequency_hz = np.linspace(0.0, BANDWIDTH_HZ, GRID)
+    response = zoh_response(system, frequency_hz, sample_period_s)
+    lag = np.arange(-preview_samples, preview_samples + 1)
+    turns = np.exp(-2j * np.pi * sample_period_s * np.outer(frequency_hz, lag))
+    rows = response[:, None] * turns
+    dc = np.sqrt(GRID) * rows[:1].real
+    matrix = np.vstack([rows.real, rows.imag, dc, TAP_WEIGHT * np.eye(lag.size)])
+    wanted = np.concatenate([np.ones(GRID), np.zeros(GRID), [np.sqrt(GRID)], np.zeros(lag.size)])
+    taps = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    taps /= taps.sum() * response[0].real  # exact at rest
+    return PreviewInverse(taps, np.ones(1), preview_samples)
+
+
+def _zero_phase(system, sample_period_s, preview_samples):
+    sampled = zoh(system, sample_period_s)
+    poles, zeros = control.poles(sampled), _exact_zeros(sampled)
+    kept = zeros[np.abs(zeros) > LARGEST_CANCELLED_ZERO]
+    cancelled = zeros[np.abs(zeros) <= LARGEST_CANCELLED_ZERO]
+    uncancelled = np.real(np.poly(kept)) / np.real(np.prod(1 - kept))  # in falling powers of z
+    # B(z) B(1/z): symmetric, of size one at rest.
+    zero_phase = np.convolve(uncancelled, uncancelled[::-1])
+    # 1 / x as the series of (1 - x)^k.
+    rest = -zero_phase
+    rest[len(kept)] += 1.0
+    relative_degree = poles.size - zeros.size
+    advance = relative_degree + len(kept)
+    terms = (preview_samples - advance) // len(kept) if len(kept) else 0
+    if advance > preview_samples:
+        raise ValueError(f"zero phase tracking needs {advance} samples of preview, not "
+                         f"{preview_samples}: take more, or use least_squares")
+    series = np.ones(1)
+    for _ in range(terms):
+        series = np.convolve(series, rest)
+        series[len(series) // 2] += 1.0
+    numerator = np.convolve(np.convolve(np.real(np.poly(poles)), uncancelled[::-1]), series)
+    denominator = np.real(np.poly(cancelled))
+    numerator = numerator * denominator.sum() / numerator.sum() / _rest_gain(sampled)
+    return PreviewInverse(numerator, denominator, advance + len(series) // 2)
+
+
+def _exact_zeros(system):
+    """Zeros to the last digits: the series multiplies what an eigenvalue problem leaves of them."""
+    zeros = control.zeros(system).astype(complex)
+    identity = np.eye(system.nstates)
+    for _ in range(ZERO_REFINEMENTS):
+        for n, zero in enumerate(zeros):
+            once = np.linalg.solve(zero * identity - system.A, system.B)
+            twice = np.linalg.solve(zero * identity - system.A, once)
+            value, slope = (system.C @ once)[0, 0] + system.D[0, 0], -(system.C @ twice)[0, 0]
+            zeros[n] -= value / slope
+    return zeros
+
+
+def _rest_gain(sampled):
+    return float(np.real(sampled(1.0)))
+
+
+def _derivatives(system, sample_period_s, preview_samples):
+    if control.zeros(system).size:
+        raise ValueError("the inverse of dynamics with antiresonances is no polynomial of "
+                         "derivatives: use least_squares or zero_phase")
+    window = 2 * preview_samples + 1
+    degree = min(POLYNOMIAL_DEGREE, window - 1)
+    poles = control.poles(system)
+    if poles.size > degree:
+        raise ValueError(f"a preview of {preview_samples} samples gives no derivative of order "
+                         f"{poles.size}: take more")
+    # With time in half windows both the polynomial of the inverse and the fit are of order one.
+    half_window_s = preview_samples * sample_period_s
+    inverse = np.real(np.poly(poles * half_window_s))[::-1]
+    at_half_sample = 0.5 / preview_samples
+    wanted = [sum(gain * legendre.legval(at_half_sample, legendre.legder(basis, order))
+                  for order, gain in enumerate(inverse / inverse[0]))
+              for basis in np.eye(degree + 1)]
+    taps = _projection_taps(preview_samples, degree, np.array(wanted))
+    taps /= taps.sum() * np.real(system(0.0))  # exact at rest
+    return PreviewInverse(taps[::-1], np.ones(1), preview_samples)
+
+
+def _projection_taps(half_window, degree, functional):
+    """Taps of a linear functional of the polynomial that fits a window best.
+
+    Parameters
+    ----------
+    half_window : int
+    degree : int
+    functional : ndarray, shape (degree + 1,)
+        Its value for each Legendre polynomial on the window. In powers of time the same least
+        squares have a condition of 1e12, and what is left of the taps depends on the processor.
+
+    Returns
+    -------
+    ndarray, shape (2 half_window + 1,)
+    """
+    grid = np.arange(-half_window, half_window + 1) / half_window
+    orthogonal, triangle = np.linalg.qr(legendre.legvander(grid, degree))
+    return orthogonal @ np.linalg.solve(triangle.T, functional)

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The mean output of a linear system whose input repeats itself, without playing every period."""
+
+import numpy as np
+
+from piezo_models.linear.dynamics import continue_linear
+
+
+def mean_over_repeats(system, once: np.ndarray, period: np.ndarray, repeats: int) -> float:
+    """Mean output while an input is repeated, after one that is played once.
+
+    The states at the beginnings of the periods, and the sum of the outputs so far, go from one
+    period to the next by one affine map; a power of its matrix is all of the periods.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Discrete, one input and one output, n states; it begins with all of them zero.
+    once : ndarray, shape (N,)
+    period : ndarray, shape (m,)
+    repeats : int
+
+    Returns
+    -------
+    float
+        Of ``repeats * m`` samples.
+    """
+    n = system.nstates
+    _, first_state = continue_linear(system, once, np.zeros(n))
+    output, driven = continue_linear(system, period, np.zeros(n))
+    # Of the state at a period's beginning, on that at its end and on the sum of its outputs.
+    free = np.linalg.matrix_power(
+        np.block([[system.A, np.zeros((n, 1))], [system.C, np.ones((1, 1))]]), len(period))
+    step = np.zeros((n + 2, n + 2))
+    step[:n, :n], step[:n, n] = free[:n, :n], driven
+    step[n, n] = step[n + 1, n + 1] = 1.0
+    step[n + 1, :n], step[n + 1, n] = free[n, :n], output.sum()
+    end = np.linalg.matrix_power(step, repeats) @ np.r_[first_state, 1.0, 0.0]
+    return float(end[-1] / (repeats * len(period)))

@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Voltage for a general reference, computed chunk by chunk while the stage plays."""
+
+import math
+from dataclasses import dataclass
+
+import control
+import numpy as np
+
+from piezo_controller.feedforward.approach import (
+    ALIGNMENT_SAMPLES,
+    FADE_S,
+    RAMP_S,
+    aligned_samples,
+    check_amplifier_range,
+)
+from piezo_controller.feedforward.feasibility import (
+    DISPLACEMENT,
+    VOLTAGE,
+    OutOfReach,
+    UnreachableReference,
+    check_range,
+    check_slew,
+    unreachable,
+)
+from piezo_controller.feedforward.online_inverse import (
+    EFFECT_MARGIN_SAMPLES,
+    OnlineInverse,
+    compensated_effects,
+)
+from piezo_controller.feedforward.preview_inverse import PREVIEW_SAMPLES, preview_inverse
+from piezo_controller.references.smooth_rise import minimum_jerk, smooth_rise
+from piezo_controller.references.trajectory import KeptTrajectory, Trajectory
+from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh
+
+REST_S = 0.02
+LEAD_IN_S = 0.15
+CHUNK_SAMPLES = 4000
+# As long as the longest period: of what repeats itself as fast all is checked before the run.
+CHECKED_S = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class StreamPlan:
+    """What to play first, and where the voltages of the reference come from.
+
+    Attributes
+    ----------
+    once_voltage_v : ndarray, shape (n,)
+        Down to the model's lowest voltage, which wipes out the hysteresis' past, and up to the
+        first value of the reference.
+    expected : Trajectory
+        Displacement to expect, from the run's first sample on.
+    reference : Trajectory
+    samples : int
+        Of the reference that are played.
+    begin_sample : int
+        Where the lead-in has ended and the reference begins.
+    left_alone : tuple of str
+        Effects of the model that are not compensated.
+    inverse : OnlineInverse
+        As it is when `once_voltage_v` has been played.
+    limits : StreamLimits
+    margin_samples : int
+        How far ahead the inverse looks.
+    """
+
+    once_voltage_v: np.ndarray
+    expected: Trajectory
+    reference: Trajectory
+    samples: int
+    begin_sample: int
+    left_alone: tuple
+    inverse: OnlineInverse
+    limits: "StreamLimits"
+    margin_samples: int
+
+    @property
+    def feedback_start_sample(self):
+        """Where feedback may begin."""
+        return len(self.once_voltage_v)
+
+    def expected_um(self, first_sample, count):
+        """Displacements to expect of `count` samples from `first_sample` on (um)."""
+        return self.expected.sample(first_sample, count)
+
+    def travel_um(self, samples):
+        """Largest minus smallest displacement of the first samples of the reference (um).
+
+        Of a long one as far as a survey tells.
+        """
+        return float(np.ptp(self.reference.survey(samples)))
+
+    def chunks(self, chunk_samples=CHUNK_SAMPLES):
+        """Yield the voltages behind `once_voltage_v`, chunk by chunk.
+
+        A chunk is computed from the reference up to its end and the preview, no further; its time
+        and its memory do not depend on how long the stream has gone on.
+
+        Raises
+        ------
+        UnreachableReference
+            Instead of a chunk that would leave the range or exceed the slew limit; names its time.
+        """
+        computed = self.feedback_start_sample
+        try:
+            for voltage_v in self._chunks(self.begin_sample + self.samples, chunk_samples):
+                yield voltage_v
+                computed += voltage_v.size
+        except OutOfReach as reason:
+            begin_s, end_s = (self.limits.sample_period_s * max(at - self.begin_sample, 0)
+                              for at in (computed, computed + chunk_samples))
+            raise UnreachableReference(
+                f"the amplifier cannot follow the reference between {begin_s:.4g} and {end_s:.4g} "
+                f"s after its beginning: {reason}; the run ends before: ask for less there",
+                math.nan) from None
+
+    def check(self, end, watch):
+        """Compute the voltages up to a sample; raise `OutOfReach` if one is beyond the limits."""
+        start = computed = self.feedback_start_sample
+        for voltage_v in self._chunks(end, CHUNK_SAMPLES):
+            computed += voltage_v.size
+            watch((computed - start) / (end - start))
+
+    def _chunks(self, end, chunk_samples):
+        """Yield the voltages up to a sample, each chunk within the limits."""
+        start, margin = self.feedback_start_sample, self.margin_samples
+        inverse, last_v = self.inverse.copy(), self.once_voltage_v[-1:]
+        inverse.look_ahead(self.expected_um(start, margin))
+        for first in range(start, end, chunk_samples):
+            count = min(chunk_samples, end - first)
+            voltage_v = inverse.continue_with(self.expected_um(first + margin, count))
+            self.limits.check(last_v, voltage_v)
+            last_v = voltage_v[-1:]
+            yield voltage_v
+
+
+@dataclass(frozen=True)
+class StreamLimits:
+    """What the voltages of a stream must keep to.
+
+    Attributes
+    ----------
+    lowest_v, highest_v, slew_limit_v_per_s, sample_period_s : float
+    """
+
+    lowest_v: float
+    highest_v: float
+    slew_limit_v_per_s: float
+    sample_period_s: float
+
+    def check(self, last_v, voltage_v):
+        """Raise `OutOfReach` for voltages beyond the limits, behind those played last."""
+        check_range(voltage_v, self.lowest_v, self.highest_v, VOLTAGE)
+        check_slew(np.r_[last_v, voltage_v], self.sample_period_s, self.slew_limit_v_per_s)
+
+
+def plan_stream(reference, samples, model, method="least_squares", *,
+                voltage_range_v=(-20.0, 120.0), slew_limit_v_per_s=2e6, sample_period_s=25e-6,
+                start_voltage_v=0.0, preview_samples=PREVIEW_SAMPLES, watch=None):
+    """Plan the voltage that makes a model at rest follow any reference, with a short preview.
+
+    The first `CHECKED_S` are computed before, to know that they stay within the limits, and the
+    extremes of the whole are looked at; what comes later is checked chunk by chunk.
+
+    Parameters
+    ----------
+    reference : Trajectory
+        Displacement. `lead_in_samples` before its beginning it is faded in.
+    samples : int
+        How much of it is played.
+    model : piezo_models.cascade.StageModel
+    method : str
+        Of `preview_inverse`.
+    voltage_range_v : tuple of float
+    slew_limit_v_per_s, sample_period_s, start_voltage_v : float
+    preview_samples : int
+    watch : callable, optional
+        Called now and then with the part that is done; may raise.
+
+    Returns
+    -------
+    StreamPlan
+
+    Raises
+    ------
+    UnreachableReference
+        The voltage would leave the range or exceed the slew limit; names what is reachable.
+    ValueError
+        The model's range does not fit the amplifier's, or `method` does not fit the model.
+    """
+    check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
+    limits = StreamLimits(model.hysteresis.voltage_min_v, voltage_range_v[1], slew_limit_v_per_s,
+                          sample_period_s)
+    planner = _StreamPlanner(model, method, limits, start_voltage_v, preview_samples,
+                             watch or (lambda fraction: None))
+    try:
+        return planner.plan(reference, samples)
+    except OutOfReach as reason:
+        refused = reason
+    raise planner.refusal(reference, samples, refused)
+
+
+def lead_in_samples(sample_period_s=25e-6):
+    """Samples of a reference before its beginning that `plan_stream` takes."""
+    return aligned_samples(LEAD_IN_S, sample_period_s)
+
+
+class _StreamPlanner:
+    """Plans general references for one model; see `plan_stream`."""
+
+    def __init__(self, model, method, limits, start_voltage_v, preview_samples, watch):
+        self.model = model
+        self.hysteresis = model.hysteresis
+        self.limits = limits
+        self.sample_period_s = limits.sample_period_s
+        self.start_voltage_v = start_voltage_v
+        self.watch = watch
+        self.preview = preview_inverse(model.dynamics.state_space(model.effects_at("modes")),
+                                       self.sample_period_s, method, preview_samples)
+        self.slow = model.creep.state_space()
+        for effect in model.effects_at("linear"):
+            self.slow = effect.state_space() * self.slow
+        self.sampled_slow = zoh(self.slow, self.sample_period_s)
+        compensated = compensated_effects(model)
+        self.margin = self.preview.preview_samples + (EFFECT_MARGIN_SAMPLES if compensated else 0)
+        self.left_alone = tuple(
+            effect.name for effect in model.effects
+            if effect not in compensated and effect.place not in ("modes", "linear"))
+
+    def plan(self, reference, samples):
+        """The plan for one reference; raises `OutOfReach`."""
+        lead_in = lead_in_samples(self.sample_period_s)
+        once_v, memory, slow_um, slow_state = self._lead_in(reference.sample(-lead_in, 1)[0])
+        rest_um = slow_um[-1]
+        level_um = self.model.sensed(np.full(ALIGNMENT_SAMPLES, rest_um), self.sample_period_s)[-1]
+        inverse = OnlineInverse(
+            self.model, self.preview, _inverse(self.sampled_slow), self.sample_period_s,
+            self.preview.state(rest_um), slow_state, memory,
+            np.full(2 * EFFECT_MARGIN_SAMPLES, level_um))
+        expected = _FadedIn(slow_um, level_um, reference, lead_in,
+                            aligned_samples(FADE_S, self.sample_period_s))
+        plan = StreamPlan(once_v, KeptTrajectory(expected), reference, samples,
+                          once_v.size + lead_in, self.left_alone, inverse, self.limits, self.margin)
+        self._check_extremes(reference.survey(samples))
+        checked = round(CHECKED_S / self.sample_period_s)
+        plan.check(plan.begin_sample + min(samples, checked), self.watch)
+        return plan
+
+    def refusal(self, reference, samples, reason):
+        """What is told of a reference that is out of reach."""
+        checked = min(samples, round(CHECKED_S / self.sample_period_s))
+
+        def scaled(centre_um, scale):
+            return self.plan(_Scaled(reference, centre_um, scale), samples)
+
+        return unreachable(
+            scaled, reference.survey(checked), self.hysteresis.output_range_um, reason)
+
+    def _check_extremes(self, reference_um):
+        """Refuse displacements that no past of the hysteresis and no creep brings about."""
+        if compensated_effects(self.model):
+            return
+        gains = np.array([1.0, float(np.real(self.slow(0.0)))])
+        reached_um = np.outer(gains, self.hysteresis.output_range_um)
+        check_range(reference_um, reached_um.min(), reached_um.max(), DISPLACEMENT)
+
+    def _lead_in(self, first_um):
+        """Voltages from rest to the lowest and up to the first displacement, and what they leave.
+
+        That is the memory of the hysteresis, and displacement and state of the slow part.
+        """
+        lowest_v = self.hysteresis.voltage_min_v
+        reachable_um = np.clip(first_um, *self.hysteresis.output_range_um)
+        first_v = self.hysteresis.invert([reachable_um])[0]
+        check_range(np.array([first_v]), lowest_v, self.limits.highest_v, VOLTAGE)
+        ramp = minimum_jerk(aligned_samples(RAMP_S, self.sample_period_s))
+        voltage_v = np.r_[self.start_voltage_v + (lowest_v - self.start_voltage_v) * ramp,
+                          lowest_v + (first_v - lowest_v) * ramp,
+                          np.full(aligned_samples(REST_S, self.sample_period_s), first_v)]
+        memory = self.model.memory(self.start_voltage_v).hysteresis
+        before = equilibrium_state(self.slow, memory.hysteresis_um)
+        hysteresis_um = self.hysteresis.simulate(
+            self.model.amplified(voltage_v, self.sample_period_s), memory)
+        return voltage_v, memory, *continue_linear(self.sampled_slow, hysteresis_um, before)
+
+
+class _FadedIn(Trajectory):
+    """What a run displaces: its beginning, and then a reference that is faded in from a level."""
+
+    def __init__(self, once_um, level_um, reference, lead_in, fade_samples):
+        self._once_um, self._level_um, self._reference = once_um, level_um, reference
+        self._lead_in, self._fade_samples = lead_in, fade_samples
+
+    def sample(self, first, count):
+        """See `Trajectory`."""
+        once_um = self._once_um[max(first, 0):max(first + count, 0)]
+        at = first + once_um.size - self._once_um.size
+        reference_um = self._reference.sample(at - self._lead_in, count - once_um.size)
+        if at < self._fade_samples:
+            fade = smooth_rise(np.arange(at, at + reference_um.size) / self._fade_samples)
+            reference_um = self._level_um + fade * (reference_um - self._level_um)
+        return np.r_[once_um, reference_um]
+
+    def survey(self, samples):
+        """See `Trajectory`."""
+        return self._reference.survey(samples)
+
+
+class _Scaled(Trajectory):
+    """A trajectory, larger or smaller about a centre."""
+
+    def __init__(self, trajectory, centre_um, scale):
+        self._trajectory, self._centre_um, self._scale = trajectory, centre_um, scale
+
+    def sample(self, first, count):
+        """See `Trajectory`."""
+        return self._scaled(self._trajectory.sample(first, count))
+
+    def survey(self, samples):
+        """See `Trajectory`."""
+        return self._scaled(self._trajectory.survey(samples))
+
+    def _scaled(self, displacement_um):
+        return self._centre_um + self._scale * (displacement_um - self._centre_um)
+
+
+def _inverse(system):
+    """Inverse of a discrete system that passes its input on at once, in the same states."""
+    a, b, c, d = system.A, system.B, system.C, system.D
+    return control.ss(a - b @ c / d, b / d, -c / d, 1 / d, system.dt)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Feedforward that learns from the errors of earlier periods."""

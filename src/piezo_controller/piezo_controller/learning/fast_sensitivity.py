@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the slow feedback leaves of an error of the fast feedforward."""
+
+import numpy as np
+
+from piezo_controller.feedback.synthesis.generalised_plant import design_plant
+from piezo_models.linear.dynamics import zoh_response
+
+
+def fast_sensitivity(model, controller, frequency_hz, clock_period_s=25e-6):
+    """Response from the displacement without feedback to that with it, at the sample clock.
+
+    The feedback sees the mean of a tick and answers with a held voltage: of what it answers, this
+    is the part at the frequency itself, not its images at other multiples of the tick.
+
+    Parameters
+    ----------
+    model : piezo_models.cascade.StageModel
+    controller : FeedbackController
+    frequency_hz : (F,) array
+    clock_period_s : float
+
+    Returns
+    -------
+    (F,) array of complex
+    """
+    frequency_hz = np.asarray(frequency_hz, dtype=float)
+    tick_s = controller.sample_period_s
+    plant, gain_um_per_v = design_plant(model, tick_s, clock_period_s)
+    samples = round(tick_s / clock_period_s)
+    at_tick = np.exp(2j * np.pi * frequency_hz * tick_s)
+    answer = controller.state_space()(at_tick, squeeze=False)[0, 0]
+    loop = gain_um_per_v * plant(at_tick, squeeze=False)[0, 0] * answer
+    # Known in a tick is the mean of the one before; the answer is held over the one after.
+    turns = np.exp(-2j * np.pi * clock_period_s * np.outer(frequency_hz, np.arange(samples)))
+    mean = turns.conj().mean(axis=1) / at_tick
+    held = turns.mean(axis=1) / at_tick
+    through = gain_um_per_v * zoh_response(model.linear(), frequency_hz, clock_period_s)
+    return 1.0 - through * held * answer * mean / (1.0 + loop)

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A feedforward that learns while the stage plays it: iterations first, then the best of them."""
+
+import math
+
+import numpy as np
+
+from piezo_controller.feedforward.feasibility import OutOfReach, UnreachableReference
+from piezo_controller.references.smooth_rise import minimum_jerk
+
+FADE_S = 0.01
+SETTLE_S = 0.04
+MEASURE_S = 0.05
+# Between the end of the measurement and that of what is loaded: what loading takes, paced.
+SPARE_S = 0.1
+SPARE_AT_THE_END_S = 1.0
+HALVINGS = 6
+
+
+class LearningFeedforward:
+    """Voltages of a learning run, part by part, and the displacement to expect.
+
+    Each part plays one iterate, faded in from the one before: it settles, is measured, and goes on
+    while the next is computed. The last part plays the best.
+
+    Parameters
+    ----------
+    planner : FeedforwardPlanner
+    reference_um : (P,) array
+        One period.
+    learner : PeriodicLearner
+        Of the same reference.
+    iterations : int
+        At most.
+    run_samples : int
+        How long to play the best.
+    samples_per_tick : int
+
+    Attributes
+    ----------
+    begin_sample : int
+        Where the best has settled; the latest that is possible as long as it is not known.
+    iteration : int
+        The present one; 0 once the best is played.
+    left_alone : tuple of str
+        Effects of the model that are not compensated.
+
+    Raises
+    ------
+    UnreachableReference
+        The amplifier cannot follow half of the reference's amplitude by the model.
+    """
+
+    def __init__(self, planner, reference_um, learner, iterations, run_samples,
+                 samples_per_tick=40):
+        self._planner, self._learner = planner, learner
+        self._reference_um = np.asarray(reference_um, dtype=float)
+        self._iterations = iterations
+        self._run_samples = run_samples
+        rate_hz = 1.0 / planner.sample_period_s
+        # Whole ticks and whole periods: the feedback repeats itself with both.
+        repeat = math.lcm(self._reference_um.size, samples_per_tick)
+        self._fade = round(FADE_S * rate_hz)
+        self._measure = max(2, math.ceil(MEASURE_S * rate_hz / repeat)) * repeat
+        self._settled = math.ceil((FADE_S + SETTLE_S) * rate_hz / repeat) * repeat
+        self._part = (self._settled + self._measure
+                      + math.ceil(SPARE_S * rate_hz / repeat) * repeat)
+        plan = self._plan_first()
+        self.once_voltage_v = plan.once_voltage_v
+        self.feedback_start_sample = plan.feedback_start_sample
+        self.left_alone = plan.left_alone
+        self._expected_plan = plan
+        self._period_v = plan.period_voltage_v
+        self._loaded = plan.begin_sample
+        self.begin_sample = plan.begin_sample + iterations * self._part + self._settled
+        self.iteration = 0
+        self._taken_um, self._taken = [], 0
+        self._window = None
+        self._left_samples = None
+
+    def _plan_first(self):
+        """Plan the correction to begin with, or with as much of the reference as is in reach."""
+        alternating_um = self._reference_um - self._reference_um.mean()
+        correction_um = self._learner.correction_um
+        for step in range(HALVINGS):
+            part = 1.0 - 0.1 * step
+            played_um = part * correction_um - (1.0 - part) * alternating_um
+            try:
+                plan = self._planner.plan(self._reference_um, played_um)
+            except OutOfReach as error:
+                reason = error
+                continue
+            self._correction_um = played_um
+            self._learner.limit_to(played_um)
+            return plan
+        raise UnreachableReference(
+            f"the amplifier cannot follow half of the reference of "
+            f"{np.ptp(self._reference_um):.4g} um peak to peak: {reason}", 0.0)
+
+    @property
+    def learning(self):
+        """Whether the best is not known yet."""
+        return self._left_samples is None
+
+    def expected_um(self, first_sample, count):
+        """Displacements to expect of `count` samples from `first_sample` on (um)."""
+        return self._expected_plan.expected_um(first_sample, count)
+
+    def travel_um(self, samples):
+        """Largest minus smallest displacement of the first samples of the reference (um)."""
+        return self._expected_plan.travel_um(samples)
+
+    def take(self, displacement_um):
+        """Take the samples that were measured next, from the run's first on."""
+        first, window = self._taken, self._window
+        self._taken += len(displacement_um)
+        if window is not None and self._taken > window[0] and first < window[1]:
+            self._taken_um.append(np.array(
+                displacement_um[max(window[0] - first, 0):window[1] - first]))
+
+    def next_voltage_v(self):
+        """The next voltages behind `once_voltage_v`.
+
+        Returns
+        -------
+        ndarray or None
+            Empty at the end; None while what they depend on is not measured.
+        """
+        if self._left_samples is not None:
+            return self._go_on()
+        if self._window is None:
+            self.iteration = 1
+            return self._load(self._part, self._period_v)
+        if self._taken < self._window[1]:
+            return None
+        self._learner.learn(np.concatenate(self._taken_um))
+        if self._learner.finished or self._learner.iterations >= self._iterations:
+            self.iteration = 0
+            self._learner.finished = self._learner.finished or "no further iteration was allowed"
+            self._left_samples = self._run_samples + round(
+                SPARE_AT_THE_END_S / self._planner.sample_period_s)
+            self.begin_sample = self._loaded + self._settled
+            return self._load(self._settled, self._plan(self._learner.best_um))
+        self.iteration += 1
+        voltage_v = self._plan(self._learner.correction_um)
+        self._learner.limit_to(self._correction_um)
+        return self._load(self._part, voltage_v)
+
+    def _go_on(self):
+        """Some more of the best."""
+        count = min(self._left_samples, self._part)
+        self._left_samples -= count
+        return self._load(count, self._period_v)
+
+    def _plan(self, correction_um):
+        """A period of voltages for a correction, or for as much of its change as is in reach."""
+        before_um, part = self._correction_um, 1.0
+        for _ in range(HALVINGS):
+            wanted_um = before_um + part * (correction_um - before_um)
+            try:
+                plan = self._planner.plan(self._reference_um, wanted_um)
+            except OutOfReach:
+                part /= 2
+                continue
+            self._correction_um = wanted_um
+            return plan.period_voltage_v
+        return self._period_v
+
+    def _load(self, count, period_v):
+        """The next voltages, faded over from the last period to a new one."""
+        phase = np.arange(self._loaded, self._loaded + count) - self._expected_plan.begin_sample
+        phase %= period_v.size
+        voltage_v = period_v[phase]
+        fade = min(self._fade, count)
+        old_v = self._period_v[phase[:fade]]
+        voltage_v[:fade] = old_v + minimum_jerk(self._fade)[:fade] * (voltage_v[:fade] - old_v)
+        self._taken_um = []
+        begin = self._loaded + self._settled
+        self._window = begin, begin + self._measure
+        self._loaded += count
+        self._period_v = period_v
+        return voltage_v

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Learn the feedforward of a periodic reference from its own errors.
+
+The correction is a Fourier series that is added to the reference before it is inverted. An
+iteration plays some periods, takes their mean error apart into harmonics, and changes each of them
+by the error over the response that is expected of it (iterative learning); what a change has
+brought about corrects that response (adaptive Fourier coefficients).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_controller.feedforward.periodic import BANDWIDTH_HZ
+
+GAIN = 1.0
+# With less than this over the noise of the mean there is nothing to learn.
+FLOOR_RATIO = 1.5
+# An error that grew by this is none of the noise.
+GROWTH, DIVERGED_RATIO = 1.5, 3.0
+DIVERGENCES = 2
+# Iterations without an error lower by a twentieth.
+PATIENCE = 3
+IMPROVEMENT = 0.95
+# How wrong the expected response may be, how far it may change in an iteration, and what part of
+# the largest harmonic's change the hysteresis may add to the others.
+RESPONSE_UNCERTAINTY = 0.3
+RESPONSE_DRIFT = 0.03
+COUPLING = 0.1
+# Noise of a harmonic that would take more than this part of the reference's drive is left alone:
+# near the reversals the hysteresis turns such ripples into errors of their own.
+LARGEST_RIPPLE = 5e-4
+NEGLIGIBLE_CONTENT = 1e-3
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Error of the mean period.
+
+    Attributes
+    ----------
+    harmonics_um : (H,) array of complex
+        Of reference minus displacement; amplitude, phase that of a cosine at the period's start.
+    noise_um : float
+        Standard deviation of each of them (of real and imaginary part together).
+    """
+
+    harmonics_um: np.ndarray
+    noise_um: float
+
+    @property
+    def rms_um(self):
+        """Of the harmonics together."""
+        return float(np.sqrt(np.sum(np.abs(self.harmonics_um) ** 2) / 2))
+
+    @property
+    def floor_um(self):
+        """What noise alone would make of `rms_um`."""
+        return float(np.sqrt(self.harmonics_um.size / 2) * self.noise_um)
+
+
+class PeriodicLearner:
+    """Corrects a periodic reference iteration by iteration.
+
+    Parameters
+    ----------
+    reference_um : (P,) array
+        One period.
+    response : callable
+        Expected response from a correction to the displacement, complex, at frequencies in Hz: the
+        sensitivity of the feedback, where there is one.
+    effort : callable
+        Expected size of what must drive the stage for a displacement of one, at frequencies in Hz.
+    sample_period_s : float
+    correction_um : (P,) array, optional
+        To begin with.
+
+    Attributes
+    ----------
+    iterations : int
+        Measured so far.
+    finished : str
+        Why there is nothing more to learn; empty as long as there is.
+    best_rms_um : float
+    """
+
+    def __init__(self, reference_um, response, effort, sample_period_s, correction_um=None):
+        self._reference_um = np.asarray(reference_um, dtype=float)
+        self._period = self._reference_um.size
+        count = min(int(BANDWIDTH_HZ * self._period * sample_period_s + 1e-9),
+                    (self._period - 1) // 2)
+        if count < 1:
+            raise ValueError("the reference has no harmonic that can be learned")
+        self._orders = np.arange(1, count + 1)
+        frequency_hz = self._orders / (self._period * sample_period_s)
+        self._response = np.asarray(response(frequency_hz), dtype=complex)
+        self._effort = np.abs(effort(frequency_hz))
+        self._forget_responses()
+        self._correction = self._harmonics(
+            np.zeros(self._period) if correction_um is None else correction_um)
+        self._best = self._correction.copy()
+        self._last = None
+        self._gain = GAIN
+        self._since_better = self._divergences = 0
+        self.iterations = 0
+        self.finished = ""
+        self.best_rms_um = np.inf
+
+    @property
+    def correction_um(self):
+        """One period of the correction to play next."""
+        return self._wave(self._correction)
+
+    @property
+    def best_um(self):
+        """One period of the correction with the smallest error."""
+        return self._wave(self._best)
+
+    def limit_to(self, correction_um):
+        """Say what was played in place of `correction_um`, where that was out of reach."""
+        self._correction = self._harmonics(correction_um)
+
+    def measure(self, displacement_um):
+        """Take the mean error of some periods apart.
+
+        Parameters
+        ----------
+        displacement_um : (n P,) array
+            Measured over whole periods, two at least; their linear drift is taken off.
+
+        Returns
+        -------
+        Measured
+        """
+        error_um = np.resize(self._reference_um, displacement_um.size) - displacement_um
+        periods = error_um.reshape(-1, self._period)
+        means = periods.mean(axis=1)
+        drift = np.polyfit(np.arange(means.size), means, 1)[0] / self._period
+        periods = (error_um - drift * np.arange(error_um.size)).reshape(-1, self._period)
+        harmonics = np.array([self._harmonics(period) for period in periods])
+        mean = harmonics.mean(axis=0)
+        scatter = np.sum(np.abs(harmonics - mean) ** 2) / (means.size - 1)
+        return Measured(mean, float(np.sqrt(scatter / (mean.size * means.size))))
+
+    def learn(self, displacement_um):
+        """Take the periods that were measured under `correction_um`, and set the next.
+
+        Parameters
+        ----------
+        displacement_um : (n P,) array
+            See `measure`.
+
+        Returns
+        -------
+        Measured
+        """
+        measured = self.measure(displacement_um)
+        self.iterations += 1
+        rms_um = measured.rms_um
+        improved = rms_um < IMPROVEMENT * self.best_rms_um
+        diverged = rms_um > max(GROWTH * self.best_rms_um, DIVERGED_RATIO * measured.floor_um)
+        if rms_um < self.best_rms_um:
+            self.best_rms_um, self._best = rms_um, self._correction.copy()
+        self._since_better = 0 if improved else self._since_better + 1
+        if rms_um <= FLOOR_RATIO * measured.floor_um:
+            self.finished = "the noise floor is reached"
+        elif diverged:
+            self._return_to_best()
+        elif self._since_better >= PATIENCE:
+            self.finished = "the error does not fall any more"
+        if not diverged:
+            self._adapt(measured)
+            self._last = self._correction.copy(), measured
+            self._step(measured)
+        return measured
+
+    def _return_to_best(self):
+        self._divergences += 1
+        self._gain /= 2
+        self._forget_responses()
+        self._correction, self._last = self._best.copy(), None
+        if self._divergences >= DIVERGENCES:
+            self.finished = "the iteration diverged: the best is kept"
+
+    def _forget_responses(self):
+        """Expect what the model says: each harmonic turned and scaled, as a real matrix."""
+        real, imaginary = self._response.real, self._response.imag
+        self._expected = np.moveaxis(np.array([[real, -imaginary], [imaginary, real]]), -1, 0)
+        self._scale = np.abs(self._response)[:, None, None] ** 2 * np.eye(2)
+        self._variance = RESPONSE_UNCERTAINTY**2 * self._scale
+
+    def _adapt(self, measured):
+        """Correct the expected responses by what the last change has brought about (Kalman).
+
+        Around a large oscillation the hysteresis, and the feedback around it, answers to a change
+        of the amplitude otherwise than to one of the phase: a response is a real matrix.
+        """
+        if self._last is None:
+            return
+        before, last = self._last
+        change = _parts(self._correction - before)
+        effect = _parts(last.harmonics_um - measured.harmonics_um)
+        spread = (last.noise_um**2 + measured.noise_um**2
+                  + (COUPLING * np.abs(effect).max()) ** 2)
+        self._variance = self._variance + RESPONSE_DRIFT**2 * self._scale
+        seen = np.einsum("hij,hj->hi", self._variance, change)
+        weight = seen / (np.sum(change * seen, axis=1) + spread)[:, None]
+        surprise = effect - np.einsum("hij,hj->hi", self._expected, change)
+        self._expected = self._expected + surprise[:, :, None] * weight[:, None, :]
+        self._variance = self._variance - weight[:, :, None] * seen[:, None, :]
+
+    def _step(self, measured):
+        """Change each harmonic by the part of its error that is not noise."""
+        power = np.abs(measured.harmonics_um) ** 2
+        real = np.clip(1 - measured.noise_um**2 / np.maximum(power, 1e-30), 0.0, 1.0)
+        real[self._too_fine(measured.noise_um)] = 0.0
+        change = np.linalg.solve(
+            self._expected, _parts(real * measured.harmonics_um)[:, :, None])[:, :, 0]
+        self._correction = self._correction + self._gain * (change[:, 0] + 1j * change[:, 1])
+
+    def _too_fine(self, noise_um):
+        """Harmonics of which the reference has none, and noise would take much of the drive."""
+        content = np.abs(self._harmonics(self._reference_um))
+        drive_um = np.max(content * self._effort)
+        return ((content < NEGLIGIBLE_CONTENT * content.max())
+                & (noise_um * self._effort > LARGEST_RIPPLE * drive_um))
+
+    def _harmonics(self, wave_um):
+        return 2 * np.fft.rfft(wave_um)[self._orders] / self._period
+
+    def _wave(self, harmonics):
+        content = np.zeros(self._period // 2 + 1, dtype=complex)
+        content[self._orders] = harmonics * self._period / 2
+        return np.fft.irfft(content, self._period)
+
+
+def _parts(harmonics):
+    return np.stack([harmonics.real, harmonics.imag], axis=1)

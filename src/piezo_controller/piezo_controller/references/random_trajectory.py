@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Random displacements within a band of frequencies that go on for as long as one likes."""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from piezo_controller.references.smooth_rise import smooth_rise
+from piezo_controller.references.trajectory import Trajectory
+
+LINES = 512
+"""Sines of a block, at equal distances in the band; a block is one period of that distance."""
+FADE = 1 / 8
+"""Part of a block in which the one before fades out."""
+# The fade widens each line; within this part of the band at its edges none lies.
+EDGE = 0.05
+ROW_SAMPLES = 64
+# The envelope of the sines on so many points for each of them misses its peak by 2 % at most.
+ENVELOPE_POINTS = 8
+SURVEYED_BLOCKS, SURVEYED_PIECES, SURVEYED_SAMPLES = 8, 1000, 100
+# Sequences of random numbers are counted from 0, blocks from before the beginning.
+FIRST_SEQUENCE = 2**40
+
+
+class RandomTrajectory(Trajectory):
+    """Noise with a flat spectrum from one frequency to another, never beyond its amplitude.
+
+    Blocks of sines of random amplitude and phase are faded into one another. Each is drawn from
+    the seed and its number, so that any piece is computed by itself, and scaled by its envelope.
+
+    Parameters
+    ----------
+    low_hz, high_hz : float
+        Edges of the band.
+    amplitude_um : float
+        Peak-to-peak range that is used and not left.
+    centre_um : float
+    seed : int
+    sample_rate_hz : float
+    """
+
+    def __init__(self, low_hz, high_hz, amplitude_um, centre_um=0.0, seed=0,
+                 sample_rate_hz=40000.0):
+        width_hz = high_hz - low_hz
+        self._lines = low_hz + width_hz * np.linspace(EDGE, 1 - EDGE, LINES)
+        self._lines /= sample_rate_hz  # in cycles per sample
+        self._samples = max(round(1 / (self._lines[1] - self._lines[0])), 2)
+        self._fade = max(math.ceil(FADE * self._samples), 1)
+        self._amplitude_um, self._centre_um, self._seed = amplitude_um, centre_um, seed
+        self._row = _turns(self._lines, np.arange(ROW_SAMPLES))
+        # Two threads ask for neighbours.
+        self._coefficients = lru_cache(maxsize=8)(self._draw)
+
+    def sample(self, first, count):
+        """See `Trajectory`."""
+        values, hop = np.zeros(count), self._samples - self._fade
+        for number in range((first - self._fade) // hop, (first + count - 1) // hop + 1):
+            begin = number * hop
+            low, high = max(first, begin), min(first + count, begin + self._samples)
+            if low < high:
+                at = np.arange(low - begin, high - begin)
+                weight = smooth_rise(at / self._fade) - smooth_rise((at - hop) / self._fade)
+                values[low - first:high - first] += weight * self._block(number, at[0], at.size)
+        return self._centre_um + values
+
+    def survey(self, samples):
+        """See `Trajectory`: pieces of its first blocks; longer runs come closer to the range."""
+        if samples <= SURVEYED_PIECES * SURVEYED_SAMPLES:
+            return self.sample(0, samples)
+        end = min(samples, SURVEYED_BLOCKS * self._samples) - SURVEYED_SAMPLES
+        begins = np.linspace(0, end, SURVEYED_PIECES).astype(np.int64)
+        return np.concatenate([self.sample(int(begin), SURVEYED_SAMPLES) for begin in begins])
+
+    def _block(self, number, first, count):
+        """Samples of a block, computed row by row of a table: sines of sums are products."""
+        rows = np.arange(first // ROW_SAMPLES, (first + count - 1) // ROW_SAMPLES + 1)
+        columns = self._coefficients(number) * _turns(self._lines, rows * ROW_SAMPLES)
+        table = columns.real @ self._row.real.T - columns.imag @ self._row.imag.T
+        begin = first - rows[0] * ROW_SAMPLES
+        return table.ravel()[begin:begin + count]
+
+    def _draw(self, number):
+        """Complex amplitudes of the lines of a block (um), shape (LINES,)."""
+        generator = np.random.default_rng([self._seed, FIRST_SEQUENCE + number])
+        drawn = generator.standard_normal(LINES) + 1j * generator.standard_normal(LINES)
+        envelope = np.abs(np.fft.fft(drawn, ENVELOPE_POINTS * LINES)).max()
+        bound = envelope / math.cos(math.pi / (2 * ENVELOPE_POINTS))
+        return self._amplitude_um / 2 / bound * drawn
+
+
+def _turns(lines, samples):
+    """Unit vectors of each line at each sample, shape (samples, lines)."""
+    return np.exp(2j * np.pi * (np.outer(samples, lines) % 1.0))

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Raster scan of a microscope: the fast axis draws lines, the slow axis steps from one to the next.
+
+Both axes share one clock: a line goes forward, on which the picture is taken, and back. The fast
+axis turns at the beginning and in the middle of the line's period; the slow axis steps while the
+fast one goes back, and after the last line it flies back to the first.
+"""
+
+import numpy as np
+
+from piezo_controller.references.smooth_rise import smooth_rise
+
+TURN = 0.1
+"""Part of a line's period that each turn of the fast axis takes."""
+
+STEP_BEGINS, STEP_ENDS = 0.55, 0.95
+"""Part of a line's period in which the slow axis steps."""
+
+FLYBACK = 0.05
+"""Lines that the slow axis' way back takes, as a part of those of the frame."""
+
+
+def fast_axis(lines):
+    """Position of the axis that draws the lines, which begin in the middle of the way forward.
+
+    Its speed is constant between the turns, where the displacement goes from -0.5 to 0.5; in the
+    turns it overshoots.
+
+    Parameters
+    ----------
+    lines : (N,) array
+        Time, counted in lines.
+
+    Returns
+    -------
+    (N,) array
+    """
+    # Integrals of a speed of one forward and back that changes its sign smoothly in the turns.
+    since_begin = (np.asarray(lines) + 0.75) % 1.0 - 0.5
+    since_middle = (np.asarray(lines) + 0.25) % 1.0 - 0.5
+    position = np.where(
+        np.abs(since_begin) < 0.25,
+        2 * TURN * _risen(since_begin / TURN + 0.5) - since_begin - 0.25,
+        since_middle - 2 * TURN * _risen(since_middle / TURN + 0.5) + 0.25)
+    return position / (0.5 - TURN)
+
+
+def _risen(share):
+    """Integral of `smooth_rise`."""
+    within = np.clip(share, 0.0, 1.0)
+    return within**4 * (2.5 - 3 * within + within**2) + np.maximum(share - 1.0, 0.0)
+
+
+def flyback_lines(lines):
+    """Lines that the way back of a frame takes."""
+    return max(1, round(FLYBACK * lines))
+
+
+def slow_axis(at_line, lines):
+    """Position of the axis that steps: a staircase from -0.5 to 0.5, and the way back.
+
+    Parameters
+    ----------
+    at_line : (N,) array
+        Time since the frame's beginning, counted in lines, within the frame and its flyback.
+    lines : int
+        Of a frame.
+
+    Returns
+    -------
+    (N,) array
+    """
+    back = flyback_lines(lines)
+    clock = at_line + 0.25
+    line = np.floor(clock)
+    step = smooth_rise((clock - line - STEP_BEGINS) / (STEP_ENDS - STEP_BEGINS))
+    staircase = np.minimum(line + step, lines - 1) / (lines - 1)
+    # The way back begins when the last line has been drawn and ends before the frame does.
+    way = smooth_rise((clock - (lines - 1 + STEP_BEGINS)) / (back + STEP_ENDS - STEP_BEGINS))
+    # What lies behind the frame's end on the common clock belongs to the next first line.
+    return np.where(clock < lines + back, staircase * (1.0 - way), 0.0) - 0.5

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Displacements over time that can be sampled anywhere, in pieces of any length."""
+
+import threading
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+
+import numpy as np
+
+from piezo_controller.references.smooth_rise import smooth_rise
+
+SURVEYED_SAMPLES = 20_000
+BLOCK_SAMPLES = 4000
+# What a stream has loaded ahead, and the block that is answered.
+KEPT_BLOCKS = 12
+
+
+class Trajectory(ABC):
+    """A displacement over time; its samples do not depend on the pieces they are asked for in."""
+
+    @abstractmethod
+    def sample(self, first: int, count: int) -> np.ndarray:
+        """Displacements of `count` samples from `first` on, shape (count,), in um.
+
+        Sample 0 is where the trajectory begins; negative ones lie before.
+        """
+
+    @abstractmethod
+    def survey(self, samples: int) -> np.ndarray:
+        """Some displacements (um) of the first samples, for their extremes; no more than enough."""
+
+
+class FormulaTrajectory(Trajectory):
+    """A displacement that a formula gives at any time.
+
+    Parameters
+    ----------
+    formula : callable
+        Displacements (um) of sample numbers, shape (N,).
+    """
+
+    def __init__(self, formula):
+        self._formula = formula
+
+    def sample(self, first, count):
+        """See `Trajectory`."""
+        return self._formula(np.arange(first, first + count))
+
+    def survey(self, samples):
+        """See `Trajectory`: all of a short one, of a long one samples at irregular distances."""
+        if samples <= SURVEYED_SAMPLES:
+            return self.sample(0, samples)
+        # A sample of each of as many stretches: a regular distance might meet one phase only.
+        edges = np.linspace(0, samples, SURVEYED_SAMPLES + 1).astype(np.int64)
+        drawn = np.random.default_rng(0).random(SURVEYED_SAMPLES)
+        return self._formula(edges[:-1] + (drawn * np.diff(edges)).astype(np.int64))
+
+
+class JoinedTrajectory(Trajectory):
+    """Trajectories that follow each other, each faded into the next without a jump.
+
+    Parameters
+    ----------
+    parts : list of Trajectory
+    durations : list of int
+        Samples of each; the last goes on.
+    transition : int
+        Samples in which the next takes over from its beginning on, while the one before goes on:
+        no derivative up to the second jumps.
+    """
+
+    def __init__(self, parts, durations, transition):
+        self._parts, self._durations, self._transition = parts, durations, transition
+        self._begins = np.r_[0, np.cumsum(durations[:-1], dtype=np.int64)]
+
+    def sample(self, first, count):
+        """See `Trajectory`."""
+        joined = np.empty(count)
+        ends = np.r_[self._begins[1:], np.iinfo(np.int64).max]
+        for n, (begin, end) in enumerate(zip(self._begins, ends, strict=True)):
+            low = first if n == 0 else max(first, begin)
+            high = min(first + count, end)
+            if low >= high:
+                continue
+            piece = self._parts[n].sample(int(low - begin), int(high - low))
+            fading = min(high, begin + self._transition) - low if n else 0
+            if fading > 0:
+                before = self._parts[n - 1].sample(int(low - self._begins[n - 1]), int(fading))
+                rise = smooth_rise((np.arange(low, low + fading) - begin) / self._transition)
+                piece[:fading] = before + rise * (piece[:fading] - before)
+            joined[low - first:high - first] = piece
+        return joined
+
+    def survey(self, samples):
+        """See `Trajectory`."""
+        left = np.clip(samples - self._begins, 0, self._durations)
+        left[-1] = max(samples - self._begins[-1], 0)
+        return np.concatenate([part.survey(int(count)) for part, count in
+                               zip(self._parts, left, strict=True) if count])
+
+
+class KeptTrajectory(Trajectory):
+    """A trajectory whose last blocks are kept: what is asked for again is not computed again.
+
+    It may be asked from several threads.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    """
+
+    def __init__(self, trajectory):
+        self._trajectory = trajectory
+        self._blocks = OrderedDict()
+        self._lock = threading.Lock()
+
+    def sample(self, first, count):
+        """See `Trajectory`."""
+        at, last, pieces = first, first + count, [np.empty(0)]
+        while at < last:
+            number, offset = divmod(at, BLOCK_SAMPLES)
+            piece = self._block(number)[offset:offset + last - at]
+            pieces.append(piece)
+            at += piece.size
+        return np.concatenate(pieces)
+
+    def survey(self, samples):
+        """See `Trajectory`."""
+        return self._trajectory.survey(samples)
+
+    def _block(self, number):
+        with self._lock:
+            if number in self._blocks:
+                self._blocks.move_to_end(number)
+                return self._blocks[number]
+        # Without the lock: who asks for a block that is there does not wait for another.
+        block = self._trajectory.sample(number * BLOCK_SAMPLES, BLOCK_SAMPLES)
+        with self._lock:
+            self._blocks[number] = block
+            if len(self._blocks) > KEPT_BLOCKS:
+                self._blocks.popitem(last=False)
+        return block

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which way a goal's references are played: as a period, streamed, or learned."""
+
+from piezo_controller.feedforward.periodic import FeedforwardPlanner
+from piezo_controller.feedforward.streamed import plan_stream
+from piezo_controller.learning.fast_sensitivity import fast_sensitivity
+from piezo_controller.learning.learning_feedforward import LearningFeedforward
+from piezo_controller.learning.periodic_learner import PeriodicLearner
+from piezo_controller.references.reference import (
+    LONGEST_DURATION_S,
+    InvalidReference,
+    is_periodic,
+    sample_reference,
+    trajectory,
+)
+from piezo_controller.references.trajectory import JoinedTrajectory
+from piezo_controller.tracking.tracking_modes import plan_mode
+from piezo_models.linear.dynamics import zoh_response
+
+STREAMED_MODES = ("feedforward", "composite")
+TRANSITION_S = 0.05
+
+
+def plan_references(mode, references, durations_s, model, stage, inversion="", watch=None):
+    """Plan the feedforward of one reference, or of several that follow each other.
+
+    Parameters
+    ----------
+    mode : str
+        Of `plan_mode`.
+    references : list of Reference
+    durations_s : list of float
+        Of each; a transition begins where the one before has ended, and is part of the next.
+    model : StageModel
+    stage : StageClock
+    inversion : str
+        Empty for the exact inverse of one period where there is one; a method of
+        `preview_inverse` for an online inverse.
+    watch : callable, optional
+        Called now and then with the part of the planning that is done; may raise.
+
+    Returns
+    -------
+    FeedforwardPlan or StreamPlan
+
+    Raises
+    ------
+    ValueError
+        Of the references, or of the planners.
+    """
+    if len(references) != len(durations_s):
+        raise InvalidReference(f"then has {len(references) - 1} references and then_duration_s "
+                               f"{len(durations_s) - 1} times: give one for each")
+    for duration_s in durations_s:
+        if not TRANSITION_S <= duration_s <= LONGEST_DURATION_S and len(durations_s) > 1:
+            raise InvalidReference(f"a reference of {duration_s:g} s cannot be joined to others: "
+                                   f"give {TRANSITION_S:g} to {LONGEST_DURATION_S:g} s")
+    rate_hz = stage.sample_rate_hz
+    streamed = inversion or len(references) > 1 or not is_periodic(references[0], rate_hz)
+    if not streamed:
+        return plan_mode(mode, references[0], model, stage, durations_s[0], watch)
+    if mode not in STREAMED_MODES:
+        raise InvalidReference(f"{mode} plays one reference that has a period: use "
+                               f"{' or '.join(STREAMED_MODES)} for others, and with an inversion")
+    ways = [trajectory(reference, rate_hz, watch) for reference in references]
+    durations = [round(duration_s * rate_hz) for duration_s in durations_s]
+    way = ways[0] if len(ways) == 1 else JoinedTrajectory(
+        ways, durations, round(TRANSITION_S * rate_hz))
+    return plan_stream(way, sum(durations), model, inversion or "least_squares",
+                       watch=watch, **_limits(stage))
+
+
+def plan_learning(reference, run_samples, model, controller, stage, iterations,
+                  correction_um=None):
+    """Plan to learn the feedforward of a periodic reference, and to play the best for a while.
+
+    Parameters
+    ----------
+    reference : Reference
+    run_samples : int
+        How long to play the best; whole ticks.
+    model : StageModel
+    controller : FeedbackController
+        That acts meanwhile.
+    stage : StageClock
+    iterations : int
+        At most.
+    correction_um : (P,) array, optional
+        To begin with.
+
+    Returns
+    -------
+    feedforward : LearningFeedforward
+    learner : PeriodicLearner
+
+    Raises
+    ------
+    ValueError
+        The reference has no period, or is out of reach by far.
+    """
+    reference_um = sample_reference(reference, stage.sample_rate_hz)
+    if correction_um is not None and correction_um.size != reference_um.size:
+        raise InvalidReference(f"the learned correction has {correction_um.size} samples, the "
+                               f"reference {reference_um.size}: learn anew")
+    linear, period_s = model.linear(), stage.sample_period_s
+    learner = PeriodicLearner(
+        reference_um,
+        lambda frequency_hz: fast_sensitivity(model, controller, frequency_hz, period_s),
+        lambda frequency_hz: 1 / zoh_response(linear, frequency_hz, period_s),
+        period_s, correction_um)
+    planner = FeedforwardPlanner(reference_um.size, model, duration_s=run_samples * period_s,
+                                 **_limits(stage))
+    feedforward = LearningFeedforward(planner, reference_um, learner, iterations, run_samples,
+                                      stage.samples_per_tick)
+    return feedforward, learner
+
+
+def _limits(stage):
+    return {"voltage_range_v": stage.voltage_range_v,
+            "slew_limit_v_per_s": stage.slew_limit_v_per_s,
+            "sample_period_s": stage.sample_period_s, "start_voltage_v": stage.rest_voltage_v}

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What each mode of tracking plays ahead, and which feedback it adds."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezo_controller.feedforward.approach import FADE_S
+from piezo_controller.feedforward.periodic import plan_feedforward
+from piezo_controller.references.reference import sample_reference
+from piezo_controller.references.smooth_rise import minimum_jerk
+
+MODES = ("open_loop", "pid", "pi", "feedforward", "composite", "composite_single_rate",
+         "learning")
+FEEDBACK_METHODS = {"pid": "pid", "pi": "pi", "composite": "h_infinity",
+                    "composite_single_rate": "h_infinity"}
+"""Method of `design_feedback` for each mode that has feedback."""
+
+
+@dataclass(frozen=True)
+class StageClock:
+    """Limits and clock of the stage that a plan is made for.
+
+    Attributes
+    ----------
+    voltage_range_v : tuple of float
+    slew_limit_v_per_s : float
+    rest_voltage_v : float
+    sample_rate_hz : float
+    samples_per_tick : int
+    """
+
+    voltage_range_v: tuple = (-20.0, 120.0)
+    slew_limit_v_per_s: float = 2e6
+    rest_voltage_v: float = 0.0
+    sample_rate_hz: float = 40000.0
+    samples_per_tick: int = 40
+
+    @property
+    def sample_period_s(self):
+        """Period of the sample clock (s)."""
+        return 1.0 / self.sample_rate_hz
+
+    @property
+    def tick_s(self):
+        """Period of the feedback (s)."""
+        return self.samples_per_tick / self.sample_rate_hz
+
+
+def plan_mode(mode, reference, model, stage, duration_s, watch=None):
+    """Plan what the stage plays in a mode.
+
+    Parameters
+    ----------
+    mode : str
+        One of `MODES`. ``pid`` and ``pi`` hold the voltage of the reference's mean and leave all
+        else to the feedback. ``composite_single_rate`` updates the feedforward once a tick, as
+        often as the feedback. ``learning`` begins with the feedforward.
+    reference : Reference
+    model : piezo_models.cascade.StageModel
+    stage : StageClock
+    duration_s : float
+        How long the periodic part is to be played (s).
+    watch : callable, optional
+        Called now and then with the part that is done; may raise.
+
+    Returns
+    -------
+    FeedforwardPlan
+
+    Raises
+    ------
+    InvalidReference
+        The reference has no period of whole samples, or of whole ticks at a single rate.
+    UnreachableReference
+        See `plan_feedforward`.
+    ValueError
+        The mode is unknown.
+    """
+    if mode not in MODES:
+        raise ValueError(f"unknown mode {mode!r}: use one of {', '.join(MODES)}")
+    reference_um = sample_reference(reference, stage.sample_rate_hz)
+
+    def plan(wanted_um, kind="feedforward", samples_held=1):
+        return plan_feedforward(
+            wanted_um, model, kind, voltage_range_v=stage.voltage_range_v,
+            slew_limit_v_per_s=stage.slew_limit_v_per_s,
+            sample_period_s=samples_held / stage.sample_rate_hz,
+            start_voltage_v=stage.rest_voltage_v, duration_s=duration_s, watch=watch)
+
+    if mode in ("pid", "pi"):
+        return _with_reference(plan(np.full(reference_um.size, reference_um.mean())),
+                               reference_um, stage.sample_period_s)
+    if mode == "composite_single_rate":
+        held = stage.samples_per_tick
+        slow = plan(sample_reference(reference, stage.sample_rate_hz / held), samples_held=held)
+        return _held(slow, held, reference_um)
+    return plan(reference_um, "open_loop" if mode == "open_loop" else "feedforward")
+
+
+def _with_reference(plan, reference_um, sample_period_s):
+    """A plan that holds the mean, but expects the reference; it is faded in."""
+    once = plan.reference_once_um.size
+    fade_start = plan.feedback_start_sample
+    fading = min(round(FADE_S / sample_period_s), once - fade_start)
+    fade = np.r_[minimum_jerk(fading), np.ones(once - fade_start - fading)]
+    expected_um = plan.reference_once_um.copy()
+    phase = np.arange(fade_start - once, 0) % reference_um.size
+    expected_um[fade_start:] += fade * (reference_um - reference_um.mean())[phase]
+    return replace(plan, reference_once_um=expected_um, reference_period_um=reference_um)
+
+
+def _held(plan, samples, reference_um):
+    """A plan at the tick's rate, played by the sample clock."""
+    once = plan.reference_once_um.size
+    expected_um = np.interp(np.arange(once * samples) / samples, np.arange(once),
+                            plan.reference_once_um)
+    repeats = plan.period_voltage_v.size * samples // reference_um.size
+    return replace(
+        plan, once_voltage_v=np.repeat(plan.once_voltage_v, samples),
+        period_voltage_v=np.repeat(plan.period_voltage_v, samples),
+        reference_once_um=expected_um, reference_period_um=np.tile(reference_um, repeats),
+        feedback_start_sample=plan.feedback_start_sample * samples)
+
+
+def feedback_room_v(plan, voltage_range_v):
+    """How far a feedback may go from a plan, of either sign, without leaving the range (V)."""
+    played_v = plan.period_voltage_v
+    lowest_v, highest_v = voltage_range_v
+    return float(min(played_v.min() - lowest_v, highest_v - played_v.max()))

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One run of the loop: answers every block, and keeps the account of the error."""
+
+import math
+import time
+from collections import deque
+
+import numpy as np
+
+from piezo_controller.tracking.answer_times import AnswerTimes
+
+ON_TARGET_SAMPLES = 400
+USUAL_PERCENT = 99
+TOLERANCE_OF_TRAVEL, LEAST_TOLERANCE_UM = 0.01, 0.03
+
+
+class TrackingRun:
+    """Follow a plan block by block.
+
+    Parameters
+    ----------
+    plan : FeedforwardPlan, StreamPlan or LearningFeedforward
+        What the stage plays from the run's first sample on.
+    run_samples : int
+        How long the reference is to be followed after the lead-in; the error is that of this part.
+    feedback : MultirateFeedback, optional
+        Answers the blocks; None where only the feedforward acts.
+    tick_s : float
+        Period of the feedback (s).
+    tolerance_um : float
+        On target is a displacement whose rms error over 10 ms at 40 kHz is at most this; 0 for
+        1 % of the travel, but at least 0.03 um.
+    window_samples : int
+        Of the running error.
+    """
+
+    def __init__(self, plan, run_samples, feedback=None, tick_s=1e-3, tolerance_um=0.0,
+                 window_samples=4000):
+        self._plan = plan
+        self._tick_s = tick_s
+        self._answer_times = AnswerTimes(tick_s)
+        self._feedback = feedback
+        self._run_samples = run_samples
+        self._planned_travel_um = plan.travel_um(run_samples)
+        self._lowest_um, self._highest_um = math.inf, -math.inf
+        self.tolerance_um = tolerance_um or max(
+            TOLERANCE_OF_TRAVEL * self._planned_travel_um, LEAST_TOLERANCE_UM)
+        self.samples = 0
+        self._squares = self._counted = 0
+        self.largest_error_um = math.nan
+        self._window = RunningSquares(window_samples)
+        self._target = RunningSquares(ON_TARGET_SAMPLES)
+        self._on_target_since = None
+
+    @property
+    def total_samples(self):
+        """Samples of the lead-in and of the part that counts."""
+        return self._plan.begin_sample + self._run_samples
+
+    @property
+    def complete(self):
+        """Whether every sample that counts has been taken."""
+        return self.samples >= self.total_samples
+
+    @property
+    def begun(self):
+        """Whether a sample that counts has been taken."""
+        return self._counted > 0
+
+    @property
+    def fraction(self):
+        """Done of the whole, 0 to 1."""
+        return min(1.0, self.samples / self.total_samples)
+
+    @property
+    def on_target(self):
+        """Whether the error is within the tolerance now."""
+        return self._on_target_since is not None
+
+    @property
+    def settled_after_sample(self):
+        """Sample of the part that counts from which on the error was within the tolerance.
+
+        NaN if it is not.
+        """
+        return math.nan if self._on_target_since is None else self._on_target_since
+
+    def take(self, displacement_um):
+        """Take the next block of samples.
+
+        Parameters
+        ----------
+        displacement_um : ndarray, shape (n,)
+            Measured.
+
+        Returns
+        -------
+        feedback_v : float
+            The answer to the block (V); zero where there is no feedback or not yet.
+        """
+        first, total = self.samples, self.total_samples
+        self.samples += len(displacement_um)
+        displacement_um = displacement_um[:max(total - first, 0)]
+        if not len(displacement_um):
+            return 0.0
+        expected_um = self._plan.expected_um(first, len(displacement_um))
+        self._account(max(self._plan.begin_sample - first, 0), expected_um, displacement_um)
+        if self._feedback is None or first < self._plan.feedback_start_sample:
+            return 0.0
+        begin_s = time.perf_counter()
+        voltage_v = self._feedback.step(expected_um, displacement_um)
+        self._answer_times.add(time.perf_counter() - begin_s)
+        return voltage_v
+
+    @property
+    def lateness(self):
+        """What to tell of answers that no stage at the wall clock could have waited for."""
+        times = self._answer_times
+        if 100 * times.late <= (100 - USUAL_PERCENT) * times.count:
+            return ""
+        return (f"{times.late} of {times.count} answers of the feedback took longer to compute "
+                f"than the tick of {1e6 * self._tick_s:.0f} us: at the wall clock they would be "
+                f"late ({USUAL_PERCENT} % took {1e6 * times.percentile_s(USUAL_PERCENT):.0f} us "
+                "or less)")
+
+    def _account(self, before, expected_um, displacement_um):
+        """Add a block to the account, except its samples before the part that counts."""
+        expected_um, displacement_um = expected_um[before:], displacement_um[before:]
+        if not expected_um.size:
+            return
+        self._lowest_um = min(self._lowest_um, expected_um.min())
+        self._highest_um = max(self._highest_um, expected_um.max())
+        error_um = expected_um - displacement_um
+        squares = float(error_um @ error_um)
+        self._squares += squares
+        self._counted += error_um.size
+        self.largest_error_um = float(np.fmax(self.largest_error_um, np.abs(error_um).max()))
+        self._window.add(squares, error_um.size)
+        self._target.add(squares, error_um.size)
+        if self._target.rms > self.tolerance_um:
+            self._on_target_since = None
+        elif self._on_target_since is None and self._target.full:
+            self._on_target_since = self._counted - self._target.samples
+
+    @property
+    def _travel_um(self):
+        """Of the reference as far as it is known: of all that was expected, and of the plan."""
+        return max(self._planned_travel_um, self._highest_um - self._lowest_um)
+
+    def e_rms_percent(self, running=False):
+        """Error so far of the part that counts, (2.32); of its last samples if so asked.
+
+        Returns
+        -------
+        float
+            NaN before that part begins.
+        """
+        if running:
+            return 100.0 * self._window.rms / self._travel_um
+        if not self._counted:
+            return math.nan
+        return 100.0 * math.sqrt(self._squares / self._counted) / self._travel_um
+
+
+class RunningSquares:
+    """Root mean square of the last samples, block by block.
+
+    Parameters
+    ----------
+    samples : int
+        At least so many are kept, if there are, and less than a block more.
+    """
+
+    def __init__(self, samples):
+        self._wanted = samples
+        self._blocks = deque()
+        self.samples = 0
+
+    def add(self, squares, samples):
+        """Take the sum of squares of a block."""
+        self._blocks.append((squares, samples))
+        self.samples += samples
+        while self.samples - self._blocks[0][1] >= self._wanted:
+            self.samples -= self._blocks.popleft()[1]
+
+    @property
+    def full(self):
+        """Whether there are as many samples as wanted."""
+        return self.samples >= self._wanted
+
+    @property
+    def rms(self):
+        """NaN before the first block."""
+        # Copied at once: one thread asks while another adds.
+        blocks = tuple(self._blocks)
+        if not blocks:
+            return math.nan
+        return math.sqrt(sum(squares for squares, _ in blocks) / sum(count for _, count in blocks))

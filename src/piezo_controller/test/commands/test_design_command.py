@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: BSD-3-Clause
+from hashlib import sha256
+from importlib.resources import files
+
+import pytest
+import yaml
+
+from piezo_controller.commands.design_command import main
+from piezo_controller.feedback.controller_file import load_controller
+from piezo_controller.feedback.synthesis.weights import WeightsError, load_weights
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_file import save_model
+
+
+@pytest.fixture
+def model_path(stage_model, tmp_path):
+    path = tmp_path / "model.json"
+    save_model(path, IdentifiedModel(stage_model, (-20.0, 120.0)))
+    return path
+
+
+def default_weights():
+    return yaml.safe_load((files("piezo_controller") / "weights.yaml").read_text())
+
+
+def test_command_writes_the_controller_and_pictures_and_prints_the_report(model_path, tmp_path,
+                                                                          capsys,
+                                                                          picture_faults):
+    output = tmp_path / "controller.json"
+    assert picture_faults(main, ["--model", str(model_path), "--output", str(output)]) == []
+    controller = load_controller(output)
+    assert controller.model_sha256 == sha256(model_path.read_bytes()).hexdigest()
+    for name in "bode", "nyquist", "weights", "mu":
+        picture = (tmp_path / f"controller_{name}.png").read_bytes()
+        assert picture.startswith(b"\x89PNG") and len(picture) > 10000
+    printed = capsys.readouterr().out
+    assert f"{controller.report['bandwidth_hz']:.1f} Hz" in printed
+    assert f"{controller.report['gamma']:.3f}" in printed
+    assert f"{controller.report['mu']:.3f}" in printed
+    assert "1000 Hz, 40 samples a tick; by (5.10) " in printed
+    assert "200 of 200 drawn" in printed
+
+
+@pytest.mark.parametrize("method", ["pid", "pi"])
+def test_other_methods_need_no_weights_and_have_no_picture_of_them(model_path, tmp_path, method,
+                                                                   capsys):
+    output = tmp_path / "controller.json"
+    assert main(["--model", str(model_path), "--method", method, "--output", str(output)]) == 0
+    controller = load_controller(output)
+    assert (controller.report["method"], controller.weights) == (method, {})
+    assert {path.name for path in tmp_path.glob("*.png")} == {
+        "controller_bode.png", "controller_nyquist.png"}
+    assert "ultimate gain" in capsys.readouterr().out
+
+
+def test_weights_file_changes_the_design(model_path, tmp_path):
+    weights = default_weights()
+    weights["performance"]["gain"] = 0.05
+    weights_path = tmp_path / "weights.yaml"
+    weights_path.write_text(yaml.safe_dump(weights))
+    output = tmp_path / "controller.json"
+    assert main(["--model", str(model_path), "--weights", str(weights_path),
+                 "--output", str(output)]) == 0
+    controller = load_controller(output)
+    assert controller.weights == weights
+    assert controller.report["bandwidth_hz"] < 36
+
+
+def test_bad_input_ends_with_status_2_and_one_line(model_path, tmp_path, capsys):
+    (tmp_path / "broken.yaml").write_text("performance: [")
+    output = tmp_path / "controller.json"
+    for arguments in (
+        ["--model", tmp_path / "none.json", "--output", output],
+        ["--model", model_path, "--output", tmp_path / "none" / "controller.json"],
+        ["--model", model_path, "--weights", tmp_path / "broken.yaml", "--output", output],
+    ):
+        assert main([str(a) for a in arguments]) == 2
+        line = capsys.readouterr().err
+        assert line.count("\n") == 1 and line.startswith("design: ")
+
+
+def test_weights_of_the_thesis_are_its_but_for_the_integrators_pole():
+    weights = load_weights("thesis")
+    assert load_weights().as_dict() == default_weights()
+    assert weights.performance.zeros == (-1.0,) and weights.performance.poles[0] < 1
+    z = 1j
+    assert weights.control.state_space(1e-3)(z) == pytest.approx(
+        1.2496 * (z - 0.2283) ** 2 / (z + 0.7254) ** 2)
+    assert weights.noise.state_space(1e-3)(z) == pytest.approx(0.0395 * (z - 0.9691) / (z + 0.222))
+    assert weights.disturbance.state_space(1e-3)(z) == pytest.approx(
+        0.1182 * (z + 1) / (z - 0.8818))
+    assert weights.reference.state_space(1e-3)(z) == pytest.approx(1.0)
+    assert (weights.feedforward_error, weights.hysteresis_uncertainty) == (0.05, 0.12)
+
+
+@pytest.mark.parametrize("path, value, message", [
+    (("performance", "poles"), [1.0], "on or outside the unit circle"),
+    (("performance", "gain"), -0.1, "positive number"),
+    (("noise", "zeros"), [0.1, 0.2], "more zeros than poles"),
+    (("noise", "zeros"), ["a"], "lists of real numbers"),
+    (("feedforward_error",), "much", "positive number"),
+    (("sample_period_s",), float("nan"), "positive number"),
+    (("disturbance",), 3, "exactly gain, zeros and poles"),
+    (("surprise",), 1, "exactly the entries"),
+])
+def test_weights_that_describe_no_design_are_refused(tmp_path, path, value, message):
+    weights = default_weights()
+    entry = weights
+    for name in path[:-1]:
+        entry = entry[name]
+    entry[path[-1]] = value
+    file = tmp_path / "weights.yaml"
+    file.write_text(yaml.safe_dump(weights))
+    with pytest.raises(WeightsError, match=message) as refusal:
+        load_weights(file)
+    assert str(file) in str(refusal.value)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import json
+
+import numpy as np
+import pytest
+
+from piezo_controller.learning.learned_file import (
+    Learned,
+    LearnedFileError,
+    learned_path,
+    load_correction,
+    save_learned,
+)
+from piezo_controller.references.reference import Reference
+
+REFERENCE = Reference("harmonic", (100.0,), (40.0,), (), 57.0)
+SAME = REFERENCE, "abc", 40_000.0
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = learned_path(tmp_path / "new", REFERENCE, "abc")
+    save_learned(path, Learned(*SAME, np.linspace(-0.1, 0.1, 400), 0.002, 6))
+    return path
+
+
+def test_correction_comes_back_to_the_bit(path):
+    np.testing.assert_array_equal(load_correction(path, *SAME), np.linspace(-0.1, 0.1, 400))
+    assert not list(path.parent.glob("*.tmp"))
+
+
+def test_each_reference_and_model_has_a_file_of_its_own(tmp_path):
+    other = Reference("harmonic", (100.0,), (41.0,), (), 57.0)
+    paths = {learned_path(tmp_path, REFERENCE, "abc"), learned_path(tmp_path, other, "abc"),
+             learned_path(tmp_path, REFERENCE, "abd")}
+    assert len(paths) == 3
+
+
+@pytest.mark.parametrize(("change", "sentence"), [
+    ({"version": 2}, "has version 2, not 1"),
+    ({"format": "other"}, "has another format"),
+    ({"model_sha256": "abd"}, "was learned with another model_sha256"),
+    ({"sample_rate_hz": 20_000.0}, "was learned with another sample_rate_hz"),
+    ({"reference": {}}, "was learned with another reference"),
+    ({"correction_um": ["x"]}, "has no correction_um of finite numbers"),
+    ({"correction_um": []}, "has no correction_um of finite numbers"),
+])
+def test_file_that_does_not_fit_is_refused_in_one_sentence(path, change, sentence):
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(LearnedFileError, match=sentence) as refusal:
+        load_correction(path, *SAME)
+    assert "\n" not in str(refusal.value)
+    assert "learn anew" in str(refusal.value)
+
+
+def test_file_that_is_no_json_or_not_there_is_refused(path):
+    path.write_text("{")
+    with pytest.raises(LearnedFileError, match="is no JSON"):
+        load_correction(path, *SAME)
+    with pytest.raises(LearnedFileError, match="No such file"):
+        load_correction(path.with_name("none.json"), *SAME)

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`identify`: from recordings to a model file."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from piezo_common.command_line import print_progress, run_command
+from piezo_identification.commands.response_options import (
+    add_response_options,
+    hold_s_of,
+    useless_response_options,
+)
+from piezo_identification.conditioning.sensor_sign import displacement_falls
+from piezo_identification.estimators.frequency_response.response_file import (
+    FrequencyResponse,
+    is_frequency_response,
+    read_frequency_response,
+)
+from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
+from piezo_identification.estimators.linear_dynamics import METHODS
+from piezo_identification.identify import identify
+from piezo_models.model_file import save_model
+from piezo_recorder.reading.reader import read_recording
+
+EXPERIMENTS = {
+    "creep": "long square wave",
+    "dynamics": "short square wave or multisine at the full sample clock, or a frequency response "
+    "(CSV frequency_hz,gain_re,gain_im)",
+    "hysteresis": "harmonics of rising amplitude from the lowest voltage",
+    "validation": "any other input: the errors are measured on it",
+}
+
+
+def main(arguments=None):
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        The command line's by default.
+
+    Returns
+    -------
+    int
+        Exit status: 0, or 2 for input that cannot be used.
+    """
+    parser = argparse.ArgumentParser(
+        prog="identify", description="Identify a stage model from recordings.",
+        epilog="FILE is a recording (a rosbag2 directory or an .mcap), or a CSV with the header "
+        "time_s,voltage_v,displacement_um whose rows are samples at their instants. Without "
+        "--creep the model does not creep; without --dynamics it answers at once.",
+    )
+    for name, help_text in EXPERIMENTS.items():
+        parser.add_argument(f"--{name}", metavar="FILE", type=Path, help=help_text,
+                            required=name == "hysteresis")
+    parser.add_argument("--output", metavar="MODEL", type=Path, required=True,
+                        help="model file to write")
+    parser.add_argument("--refine", action="store_true",
+                        help="fit all components together at the end; keeps what is better on "
+                        "data held out, and prints the errors before and after")
+    parser.add_argument("--method", choices=METHODS, default=METHODS[0],
+                        help="how recorded dynamics are fitted (default: %(default)s)")
+    for name, what in (("creep-pairs", "pole and zero pairs of the creep"),
+                       ("modes", "vibration modes"),
+                       ("antiresonances", "antiresonances of a frequency response")):
+        parser.add_argument(f"--{name}", metavar="NUMBER", type=int, choices=range(11),
+                            help=f"number of {what}; by default chosen from the data")
+    parser.add_argument("--band", metavar=("LOW_HZ", "HIGH_HZ"), type=float, nargs=2,
+                        help="part of a frequency response to fit; by default all of it")
+    add_response_options(parser)
+    return run_command(parser, _identify, arguments)
+
+
+def _identify(options):
+    paths = {name: getattr(options, name) for name in EXPERIMENTS}
+    output = options.output
+    # Before the work, not after it.
+    if output.is_dir() or not output.absolute().parent.is_dir():
+        raise ValueError(f"{output} is no file in an existing directory: choose another --output")
+    data = {}
+    for name, path in paths.items():
+        if path is not None:
+            print(f"reading {path}", flush=True)
+            of_response = name == "dynamics" and is_frequency_response(path)
+            data[name] = (read_frequency_response if of_response else read_recording)(path)
+    _check_options(data.get("dynamics"), options)
+    if options.band is not None:
+        data["dynamics"] = data["dynamics"].between(*options.band)
+    if isinstance(data.get("dynamics"), FrequencyResponse):
+        data["dynamics"] = data["dynamics"].held(hold_s_of(options))
+    if displacement_falls(data["hysteresis"]):
+        print("the displacement falls as the voltage rises: its sign is changed throughout")
+    identified = identify(
+        **data, progress=print_progress, refine=options.refine, note=print,
+        method=options.method,
+        order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances))
+    save_model(output, identified)
+    _print_summary(identified)
+    print(f"model written to {output}")
+
+
+def _check_options(dynamics, options):
+    """Refuse options that what was given for the dynamics has no use for."""
+    is_response = isinstance(dynamics, FrequencyResponse)
+    useless = {
+        "--method": options.method != METHODS[0] and (dynamics is None or is_response),
+        "--modes": options.modes is not None and dynamics is None,
+        "--antiresonances": options.antiresonances is not None and not is_response,
+        "--band": options.band is not None and not is_response,
+        "--creep-pairs": options.creep_pairs is not None and options.creep is None
+        and not is_response,
+        **({} if is_response else useless_response_options(options)),
+    }
+    for option in (option for option, is_useless in useless.items() if is_useless):
+        raise ValueError(f"{option} has nothing to act on: leave it out, or give the data it is of")
+
+
+def _print_summary(identified):
+    model = identified.model
+    low_um, high_um = model.hysteresis.output_range_um
+    rows = [
+        ("voltage range", "{:g} to {:g} V".format(*identified.voltage_range_v)),
+        ("hysteresis range", f"{high_um - low_um:.3f} um"),
+        ("creep poles", _listing(model.creep.poles_rad_per_s, "rad/s")),
+        ("creep zeros", _listing(model.creep.zeros_rad_per_s, "rad/s")),
+        ("electric time constant", f"{1e3 * model.dynamics.time_constant_s:.5g} ms"),
+        ("mode frequencies", _listing(model.dynamics.mode_frequencies_rad_per_s, "rad/s")),
+        ("damping ratios", _listing(model.dynamics.damping_ratios, "")),
+        *((f"effect {effect.name}", str(effect.parameters())) for effect in model.effects),
+        *_error_rows(identified.errors),
+    ]
+    for name, value in rows:
+        print(f"{name:24}{value}" if len(name) < 24 else f"{name}  {value}")
+
+
+def _error_rows(errors, prefix=""):
+    """Name and value of every error, those in groups under the name of their group."""
+    for name, value in errors.items():
+        if isinstance(value, dict):
+            yield from _error_rows(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", f"{value:.3g}"
+
+
+def _listing(values, unit):
+    return f"{', '.join(f'{value:.5g}' for value in values) or 'none'} {unit}".rstrip()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

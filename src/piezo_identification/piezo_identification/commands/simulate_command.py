@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`simulate`: what a model says beside what a recording measured."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from piezo_common.command_line import run_command
+from piezo_identification.conditioning.outlier_samples import outlier_text
+from piezo_identification.conditioning.sensor_sign import sign_text
+from piezo_identification.prediction import predict
+from piezo_identification.prediction_pictures import draw_displacement, draw_loops
+from piezo_models.model_file import load_model
+from piezo_recorder.reading.reader import read_recording
+
+
+def main(arguments=None):
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        The command line's by default.
+
+    Returns
+    -------
+    int
+        Exit status: 0, or 2 for input that cannot be used.
+    """
+    parser = argparse.ArgumentParser(
+        prog="simulate", description="Simulate a model under the voltage of a recording.",
+        epilog="e_y (4.20) is the relative error by the sensor; offset, initial creep and the "
+        "past of the hysteresis, as far as the recording does not tell them, are fitted.",
+    )
+    parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
+    parser.add_argument("--data", metavar="FILE", type=Path, required=True,
+                        help="recording or CSV (time_s,voltage_v,displacement_um)")
+    parser.add_argument("--output", metavar="DIR", type=Path,
+                        help="directory for the pictures; none are drawn without it")
+    return run_command(parser, _simulate, arguments)
+
+
+def _simulate(options):
+    model_path, data_path, directory = options.model, options.data, options.output
+    model = load_model(model_path).model
+    recording = read_recording(data_path)
+    prediction = predict(model, recording)
+    if prediction.reversed:
+        print(sign_text(data_path))
+    if prediction.outlier.any():
+        print(outlier_text(data_path, prediction.outlier, prediction.time_s))
+    if prediction.past_v:
+        print("the recording does not begin saturated: taken to have come from {:.4g} V by way of "
+              "{:.4g} V".format(*prediction.past_v))
+    print(f"e_y_percent {prediction.e_y_percent():.4g}")
+    if directory is None:
+        return
+    directory.mkdir(parents=True, exist_ok=True)
+    for name, draw in (("displacement.png", draw_displacement), ("loops.png", draw_loops)):
+        draw(directory / name, prediction)
+        print(f"drawn {directory / name}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The direction in which the sensor counts: models rise with the voltage.
+
+One rule for every command: the sign is changed where the displacement moves, on the whole, against
+a reference that rises with the voltage. That is the model's displacement where there is a model,
+and the voltage where there is none yet.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from piezo_identification.conditioning.outlier_samples import good_samples
+from piezo_identification.conditioning.waveforms import played
+
+
+def moves_against(displacement_um, reference, free=None):
+    """True if a displacement is nearer to a reference with the sign of one of them changed.
+
+    Parameters
+    ----------
+    displacement_um, reference : (N,) array
+    free : (N, k) array, optional
+        Columns that are taken off both, at any size; by default the mean.
+
+    Returns
+    -------
+    bool
+    """
+    free = np.ones((reference.size, 1)) if free is None else free
+    both = np.column_stack([displacement_um, reference])
+    left = both - free @ np.linalg.lstsq(free, both, rcond=1e-12)[0]
+    return bool(left[:, 0] @ left[:, 1] < 0.0)
+
+
+def displacement_falls(recording):
+    """True if the displacement falls, on the whole, as the voltage rises.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of a voltage that is slow beside the vibrations.
+    """
+    part = played(recording)
+    good = good_samples(part)
+    return moves_against(part.displacement_um[good], part.voltage_v[good])
+
+
+def reversed_displacement(recording):
+    """The recording with the sign of its displacement changed."""
+    return replace(recording, displacement_um=np.negative(recording.displacement_um))
+
+
+def sign_text(path):
+    """The sentence that tells people of a sign that was changed."""
+    return f"{path}: the displacement moves against the model: its sign is changed"

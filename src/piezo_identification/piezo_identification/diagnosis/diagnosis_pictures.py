@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of a diagnosis: before and after on the same axes."""
+
+import numpy as np
+
+from piezo_common.picture_style import (
+    AFTER,
+    BEFORE,
+    BLACK,
+    LIMIT,
+    WIDE_IN,
+    label,
+    new_figure,
+    to_png,
+)
+from piezo_identification.diagnosis.residual import (
+    dependences,
+    error_response,
+    input_correlation,
+    spectrum,
+    whiteness,
+)
+
+MODEL = {"color": BLACK, "linewidth": 0.8}
+DOTS_PER_INCH = 110
+MOST_POINTS = 20_000
+CLOSE_SAMPLES = 800
+LOWEST_SHOWN = 0.1
+"""Of the noise, in spectra."""
+
+
+def draw_residuals(part, before_um, after_um):
+    """Residuals over time, before and after: of the whole, and close where most was gained.
+
+    Parameters
+    ----------
+    part : PreparedRecording
+    before_um, after_um : (N,) array
+
+    Returns
+    -------
+    bytes
+        Of a PNG file.
+    """
+    figure = new_figure(5.5, WIDE_IN)
+    whole = slice(part.begin, None, max(1, part.time_s.size // MOST_POINTS))
+    columns = zip(
+        figure.subplots(2, 2, height_ratios=(1, 2), width_ratios=(2, 1), sharex="col").T,
+        (whole, _closest_look(part, before_um, after_um)), strict=True,
+    )
+    for (above, below), shown in columns:
+        above.plot(part.time_s[shown], part.voltage_v[shown], **MODEL)
+        below.plot(part.time_s[shown], 1e3 * before_um[shown], **BEFORE)
+        below.plot(part.time_s[shown], 1e3 * after_um[shown], **AFTER)
+        label(above, y="voltage (V)")
+        label(below, "time (s)", "residual (nm)")
+    below.locator_params(axis="x", nbins=3)
+    figure.legend(*below.get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return to_png(figure, DOTS_PER_INCH)
+
+
+def _closest_look(part, before_um, after_um):
+    """Slice of the samples in which the scatter of the residual fell most."""
+    samples = min(CLOSE_SAMPLES, before_um.size - part.begin)
+    windows = (before_um.size - part.begin) // samples
+    scatters = [
+        residual_um[part.begin : part.begin + windows * samples].reshape(windows, samples).var(1)
+        for residual_um in (before_um, after_um)
+    ]
+    start = part.begin + samples * int(np.argmax(scatters[0] - scatters[1]))
+    return slice(start, start + samples)
+
+
+def draw_spectra(part, before_um, after_um, noise_um):
+    """Spectra of both residuals, of the model's displacement, and of white noise; PNG bytes.
+
+    Parameters
+    ----------
+    part : PreparedRecording
+    before_um, after_um : ndarray, shape (N,)
+        Residuals.
+    noise_um : float
+        RMS of the sensor's noise.
+    """
+    figure = new_figure(4.5, WIDE_IN)
+    axes = figure.subplots()
+    signals = (
+        (part.simulate(), MODEL | {"label": "model"}),
+        (before_um, BEFORE), (after_um, AFTER),
+    )
+    for signal, style in signals:
+        frequency_hz, density = spectrum(signal[part.begin :], part.sample_period_s)
+        axes.loglog(frequency_hz[1:-1], np.sqrt(density[1:-1]) * 1e3, **style)
+    noise = 1e3 * noise_um * np.sqrt(2.0 * part.sample_period_s)
+    axes.axhline(noise, label="noise", **LIMIT)
+    axes.set_ylim(bottom=LOWEST_SHOWN * noise)
+    label(axes, "frequency (Hz)", "density (nm per root Hz)")
+    axes.legend(loc="lower left")
+    return to_png(figure, DOTS_PER_INCH)
+
+
+def draw_tests(part, before_um, after_um):
+    """Whiteness and correlation with the input, with the band of 99 %; PNG bytes."""
+    figure = new_figure(5.0, WIDE_IN)
+    above, below = figure.subplots(2)
+    for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
+        residual_um = residual_um[part.begin :]
+        white = whiteness(residual_um)
+        above.plot(white.lags, white.correlation, **style)
+        with_input = input_correlation(residual_um, part.voltage_v[part.begin :])
+        below.plot(with_input.lags, with_input.correlation, **style)
+    for axes, test in ((above, white), (below, with_input)):
+        axes.axhspan(-test.band, test.band, color="0.85")
+    label(above, "lag (samples)", "correlation with itself")
+    label(below, "lag (samples)", "with the voltage")
+    above.legend(loc="upper right")
+    return to_png(figure, DOTS_PER_INCH)
+
+
+def draw_error_response(part, before_um, after_um):
+    """Residual over the model's displacement at each frequency at which they go together; PNG."""
+    figure = new_figure(4.5, WIDE_IN)
+    axes = figure.subplots()
+    simulated_um = part.simulate()[part.begin :]
+    for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
+        found = error_response(residual_um[part.begin :], simulated_um, part.sample_period_s)
+        percent = np.where(found.coherence > found.limit, 100.0 * np.abs(found.gain), np.nan)
+        axes.loglog(found.frequency_hz, percent, **style)
+    label(axes, "frequency (Hz)", "part of the displacement (%)")
+    axes.legend(loc="upper left")
+    return to_png(figure, DOTS_PER_INCH)
+
+
+def draw_dependences(part, before_um, after_um):
+    """Mean residual over each quantity that an effect may go with; PNG bytes."""
+    figure = new_figure(6.0, WIDE_IN)
+    for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
+        found = dependences(
+            residual_um[part.begin :], part.simulate()[part.begin :],
+            part.voltage_v[part.begin :], part.time_s[part.begin :],
+        )
+        axes = figure.axes or figure.subplots(2, 3).ravel()
+        for one, dependence in zip(axes, found, strict=True):
+            one.plot(dependence.centre, 1e3 * dependence.mean_um, marker=".", **style)
+            one.fill_between(dependence.centre, -1e3 * dependence.band_um,
+                             1e3 * dependence.band_um, color=style["color"], alpha=0.15)
+            label(one, dependence.quantity, "mean residual (nm)")
+    return to_png(figure, DOTS_PER_INCH)

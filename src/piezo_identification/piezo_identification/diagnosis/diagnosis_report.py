@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The report of a diagnosis: one self-contained page for the logbook."""
+
+from dataclasses import fields
+
+import numpy as np
+
+from piezo_common.report_page import Picture, Section, render_page
+from piezo_identification.conditioning.sensor_sign import sign_text
+from piezo_identification.diagnosis import diagnosis_pictures as pictures
+from piezo_identification.diagnosis.residual import input_correlation, whiteness
+from piezo_identification.diagnosis.selection import SIGNIFICANT
+from piezo_models.effects import known_effects
+
+
+def verdict_sentence(diagnosis):
+    """The verdict in one sentence."""
+    before, after = (1e3 * errors["rms_um"] for errors in (diagnosis.before, diagnosis.after))
+    names = " and ".join(entry["name"] for entry in diagnosis.effects)
+    if diagnosis.verdict == "none":
+        return f"The model lacks nothing that the data shows: {before:.3g} nm RMS are left."
+    if diagnosis.verdict == "explained":
+        if not after < before:
+            # Outliers are left out before and after.
+            return (f"The sensor has {names}: without those samples {after:.3g} nm RMS are left on "
+                    "held-out data.")
+        return (f"The model lacks {names}: with it the error on held-out data falls from "
+                f"{before:.3g} to {after:.3g} nm RMS.")
+    beside = f" beside {names}" if names else ""
+    return (f"Something is left{beside} that no known effect explains: {after:.3g} nm RMS on "
+            f"held-out data.")
+
+
+def render_report(diagnosis, origin=()):
+    """Return the report as one HTML page.
+
+    Parameters
+    ----------
+    diagnosis : piezo_identification.diagnosis.diagnose.Diagnosis
+    origin : sequence of (str, str)
+        What the page is to tell of when, and from which files: name and text.
+    """
+    contest = diagnosis.contest
+    sections = [_found(diagnosis)]
+    if diagnosis.effects:
+        sections.append(Section("What was added", table=_effects(diagnosis.effects)))
+    if diagnosis.left:
+        sections.append(Section("What is left", (diagnosis.left,)))
+    sections += [
+        _recording(part, contest.residual_um(index),
+                   contest.residual_of_um(index, diagnosis.model), contest.noise_um[index])
+        for index, part in enumerate(contest.prepared)]
+    if diagnosis.model is not contest.model:
+        sections.append(_tuned(contest.model, diagnosis.model))
+    sections += [*_tried(diagnosis.selection), _undecided(diagnosis)]
+    return render_page(verdict_sentence(diagnosis),
+                       [f"{name}: {text}" for name, text in origin], sections)
+
+
+def _found(diagnosis):
+    before, after = diagnosis.before, diagnosis.after
+    where = "{samples} samples of {source}".format(**diagnosis.holdout)
+    told = [f"Held out: {where}.", *(f"{text}." for text in diagnosis.left_out),
+            *(f"{sign_text(path)}." for path in diagnosis.reversed)]
+    return Section("What was found", tuple(told), [
+        ("error on held-out data", "before", "after"),
+        ("RMS (nm)", *(f"{1e3 * errors['rms_um']:.4g}" for errors in (before, after))),
+        ("e_y (%)", *(f"{errors['e_y_percent']:.4g}" for errors in (before, after))),
+        ("noise of the sensor (nm)", f"{1e3 * diagnosis.noise_floor_um:.4g}", ""),
+    ])
+
+
+def _effects(effects):
+    rows = [("effect", "parameter", "value", "standard deviation", "error reduction (%)")]
+    for entry in effects:
+        first = True
+        for name, value in entry["parameters"].items():
+            deviation = entry.get("standard_deviations", {}).get(name)
+            rows.append((
+                entry["name"] if first else "", name, _number(value),
+                "" if deviation is None else _number(deviation, 2),
+                f"{entry['error_reduction_percent']:.1f}" if first else "",
+            ))
+            first = False
+    return rows
+
+
+def _recording(part, before_um, after_um, noise_um):
+    def picture(name, caption, png):
+        return Picture(name, caption, png, wide=True)
+
+    return Section(str(part.path), table=_tests_table(part, before_um, after_um), pictures=(
+        picture("Residuals", "Measured minus simulated displacement over time; right, close where "
+                "the extension gains most.", pictures.draw_residuals(part, before_um, after_um)),
+        picture("Spectra", "Spectra of the residuals, of the model and of the noise.",
+                pictures.draw_spectra(part, before_um, after_um, noise_um)),
+        picture("Error over frequency", "Part of the displacement by which the model is wrong, at "
+                "the frequencies at which the residual follows it.",
+                pictures.draw_error_response(part, before_um, after_um)),
+        picture("Correlations", "Correlation of the residuals; the band holds 99 % of it where "
+                "there is none.", pictures.draw_tests(part, before_um, after_um)),
+        picture("Dependences", "Mean of the residuals where a quantity has some value; the bands "
+                "hold 99 % of the means where nothing depends on it.",
+                pictures.draw_dependences(part, before_um, after_um))))
+
+
+def _tests_table(part, before_um, after_um):
+    rows = [("lags outside the band of 99 %", "before", "after")]
+    before_um, after_um = before_um[part.begin :], after_um[part.begin :]
+    voltage_v = part.voltage_v[part.begin :]
+    for name, tests in (
+        ("whiteness", [whiteness(residual) for residual in (before_um, after_um)]),
+        ("correlation with the voltage",
+         [input_correlation(residual, voltage_v) for residual in (before_um, after_um)]),
+    ):
+        rows.append((name, *(f"{100.0 * test.share_outside:.0f} %" for test in tests)))
+    return rows
+
+
+def _tried(selection):
+    yield Section("What was tried", (
+        f"Significance is in standard deviations of a gain by chance; more than {SIGNIFICANT:g} "
+        "are asked for. The tolerance is the noise and what a good model may be wrong by.",))
+    for number, attempts in enumerate(selection.rounds, 1):
+        rows = [("candidate", "error reduction (%)", "significance", "size / tolerance",
+                 "outcome")]
+        rows += [
+            (attempt.name, *(
+                (f"{attempt.reduction_percent:.2f}", f"{attempt.significance:.1f}",
+                 f"{attempt.size:.2f}") if attempt.trial is not None else ("-", "-", "-")),
+             _outcome(attempt, attempts[0], selection)) for attempt in attempts
+        ]
+        yield Section(f"Round {number}, on held-out data; the best first", table=rows)
+
+
+def _outcome(attempt, best, selection):
+    """What became of a candidate, in words."""
+    added = {effect.name for effect in selection.end.effects}
+    if attempt.trial is None:
+        among = "added already" if attempt.name in added else "nothing hints at it"
+        return attempt.remark or among
+    if attempt.name in added:
+        return "added" if attempt is best else "added in the end"
+    if attempt.name in selection.twins:
+        return f"cannot be told from {selection.twins[attempt.name]}"
+    if attempt.remark:
+        return attempt.remark
+    if attempt.reduction_percent <= 0.0:
+        return "rejected: no gain"
+    if attempt.significance <= SIGNIFICANT:
+        return "rejected: not significant"
+    return "rejected: too small" if attempt is best else f"rejected: less than {best.name}"
+
+
+def _undecided(diagnosis):
+    title = "What the data could not decide"
+    if not diagnosis.not_decidable:
+        return Section(title, ("Nothing.",))
+    kinds = known_effects()
+    rows = [("effect", "why", "experiment that would")]
+    rows += [
+        (name, reason, kinds[name].experiment) for name, reason in diagnosis.not_decidable.items()
+    ]
+    return Section(title, table=rows)
+
+
+def _tuned(before, after):
+    """The model's own parameters before and after; what they gained alone is no effect's."""
+    rows = [("parameter", "before", "after", "change (%)")]
+    for old, new in ((before.dynamics, after.dynamics), (before.creep, after.creep)):
+        for field in fields(old):
+            pairs = zip(np.atleast_1d(getattr(old, field.name)),
+                        np.atleast_1d(getattr(new, field.name)), strict=True)
+            rows += [(field.name, _number(was), _number(now), f"{100.0 * (now / was - 1.0):+.2f}")
+                     for was, now in pairs if was]
+    density = [model.hysteresis.density_um_per_v2.sum() for model in (before, after)]
+    rows.append(("density of the hysteresis, sum", *map(_number, density),
+                 f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
+    return Section("What was tuned beside", (
+        "Without the effects the model's own parameters had been fitted to make up for them. "
+        "Beside the effects they were free to move as far as they are uncertain.",), rows)
+
+
+def _number(value, digits=5):
+    if isinstance(value, (list, tuple)):
+        return ", ".join(f"{number:.{min(digits, 4)}g}" for number in value)
+    return f"{value:.{digits}g}"

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A diagnosis of a frequency response from files to files."""
+
+from pathlib import Path
+
+from piezo_common.picture_style import AFTER, BEFORE, BLACK, WIDE_IN, label, new_figure
+from piezo_common.report_page import Picture, Section, render_page
+from piezo_identification.diagnosis.response_diagnosis import diagnose_response
+from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
+from piezo_identification.estimators.frequency_response.response_file import read_frequency_response
+from piezo_models.model_file import load_model
+
+PICTURE = "response.png"
+DOTS_PER_INCH = 120
+
+
+def diagnose_response_file(model, response, directory, hold_s=0.0):
+    """Diagnose a frequency response and write verdict, extended model, picture and report.
+
+    Parameters
+    ----------
+    model, response : path-like
+    directory : path-like
+        Made if it is missing.
+    hold_s : float
+        See `FrequencyResponse`.
+
+    Returns
+    -------
+    ResponseDiagnosis
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be read or written, or the response cannot be used.
+    """
+    identified, directory = load_model(model), Path(directory)
+    measured = read_frequency_response(response).held(hold_s)
+    directory.mkdir(parents=True, exist_ok=True)
+    diagnosis = diagnose_response(identified.model, measured)
+    write_verdict(directory / "verdict.json", diagnosis)
+    save_extended_model(directory / "extended_model.json", identified, diagnosis, [response])
+    draw_response(directory / PICTURE, diagnosis)
+    page = _report(diagnosis, (directory / PICTURE).read_bytes())
+    (directory / "report.html").write_text(page, encoding="utf-8")
+    return diagnosis
+
+
+def response_sentence(diagnosis):
+    """The verdict in a sentence."""
+    names = ", then ".join(entry["name"] for entry in diagnosis.effects)
+    if diagnosis.verdict == "none":
+        return "The model explains the response: what is left is noise."
+    found = f"The model lacks {names}." if names else "No linear effect explains what is left."
+    return f"{found} {diagnosis.left}".strip()
+
+
+def draw_response(path, diagnosis):
+    """Measured gain beside that of the model and of the extended one, and the two errors."""
+    figure = new_figure(6.0, WIDE_IN)
+    gains, errors = figure.subplots(2, 1, sharex=True)
+    frequency_hz, measured = diagnosis.measured.frequency_hz, diagnosis.measured.gain
+    gains.loglog(frequency_hz, abs(measured), color=BLACK, linestyle="none", marker=".",
+                 markersize=3, label="measured")
+    for gain, style in ((diagnosis.before_gain, BEFORE | {"label": "model"}),
+                        (diagnosis.after_gain, AFTER | {"label": "extended"})):
+        gains.loglog(frequency_hz, abs(gain), **style)
+        errors.loglog(frequency_hz, 100.0 * abs(gain / measured - 1.0), **style)
+    gains.legend()
+    label(gains, y="gain (unit of the data)")
+    label(errors, "frequency (Hz)", "error (% of the gain)")
+    figure.savefig(path, dpi=DOTS_PER_INCH)
+
+
+def _report(diagnosis, picture):
+    rows = [("on frequencies held out", "before", "after"),
+            *((name, f"{diagnosis.before[name]:.4g}", f"{diagnosis.after[name]:.4g}")
+              for name in diagnosis.before)]
+    sections = [Section("What was found", table=rows, pictures=(Picture(
+        "Response", "The gain, measured and modelled, and the errors.", picture, wide=True),))]
+    if diagnosis.effects:
+        sections.append(Section("What was added", table=[
+            ("effect", "parameters", "error reduction (%)"),
+            *((entry["name"], str(entry["parameters"]), f"{entry['error_reduction_percent']:.1f}")
+              for entry in diagnosis.effects)]))
+    sections.append(Section("What was tried", [
+        f"Round {number}, and what each took off the error held out: "
+        + ", ".join(f"{name} {reduction:.1f} %" for name, reduction in attempts)
+        for number, attempts in enumerate(diagnosis.tried, 1)]))
+    return render_page(f"{diagnosis.verdict}: {response_sentence(diagnosis)}", (), sections)

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Creep from a long square wave, by output-error fit."""
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from piezo_common.cancellation import check_cancelled
+from piezo_identification.conditioning.settling import low_frequency_delay_s, settling_time_s
+from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
+from piezo_identification.estimators.estimate import (
+    Estimate,
+    creep_of_partial_fractions,
+    order_trial,
+    parameter_covariance,
+    propagated,
+)
+from piezo_models.linear.dynamics import CreepDynamics
+
+MOST_PAIRS = 6
+"""Pairs of pole and zero beyond which the search for their number ends."""
+
+USUAL_SETTLING_S = 0.03
+"""Least time left out after a step, in which electric and vibration dynamics die out."""
+
+BINS_PER_DECADE = 60
+"""Averaging after a step: creep needs no finer view of logarithmic time."""
+
+
+class CreepNotShown(ValueError):
+    """A recording does not show as many pairs as are asked for."""
+
+
+def estimate_creep(recording, dynamics=None, pair_count=None):
+    """Estimate the creep dynamics (4.4) from a square wave of long period.
+
+    Under a square wave the hysteresis is an offset and a gain (4.5); both are free here, and so is
+    the state of the creep at the first sample, as the offset is a step that the creep answers too.
+    The measured mean displacement is then a sum of exponentials in the known voltage, and the
+    error of this output, not of a one-step prediction, is made least: an equation-error fit such as
+    ARMAX would take the offset's step for creep.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the creep experiment.
+    dynamics : ElectricVibrationDynamics, optional
+        If known: it delays the creep, and its ringing after each step is left out.
+    pair_count : int, optional
+        Number of pole and zero pairs; by default as many as the Bayesian information criterion
+        justifies.
+
+    Returns
+    -------
+    Estimate
+        Its model is a `CreepDynamics`; its order counts pairs of pole and zero.
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps or is no square wave, or the data do not show as many pairs.
+    """
+    record = _CreepRecord(played(recording), dynamics)
+    rates = np.empty(0)
+    best, trials = rates, [record.trial(rates)]
+    for _ in range(MOST_PAIRS if pair_count is None else pair_count):
+        rates = record.refine(np.append(rates, record.best_further_rate(rates)))
+        trials.append(record.trial(rates))
+        better = trials[-1].information < min(trial.information for trial in trials[:-1])
+        if pair_count is None and (trials[-1].refusal or not better):
+            break
+        best = rates
+    if pair_count is not None and trials[-1].refusal:
+        raise CreepNotShown(
+            f"{recording.path} does not show {pair_count} pairs of creep poles and zeros "
+            f"({trials[-1].refusal}): ask for fewer, or record longer"
+        )
+    model, standard_deviations = record.creep(best)
+    return Estimate(model, standard_deviations, best.size, tuple(trials), pair_count is not None)
+
+
+class _CreepRecord:
+    """The averaged record, and the response of creep exponentials to its voltage."""
+
+    def __init__(self, recording, dynamics):
+        self.wave = square_wave(recording)
+        if self.wave.steps.size == 0:
+            raise ValueError(f"{recording.path} has no step of the voltage: record a whole period")
+        self.period_s = recording.sample_period_s
+        self.mean_samples = samples_per_mean(recording)
+        self.delay_s, self.settling_s = 0.0, USUAL_SETTLING_S
+        if dynamics is not None:
+            self.delay_s = low_frequency_delay_s(dynamics)
+            self.settling_s = max(USUAL_SETTLING_S, settling_time_s(dynamics))
+        self.time_s = np.arange(self.wave.level.size) * self.period_s
+        self.bins, self.weights = self._logarithmic_bins()
+        if not self.weights.any():
+            raise ValueError(
+                f"{recording.path} steps faster than every {self.settling_s:.3g} s, too fast to "
+                "show creep: give the recording of a creep experiment"
+            )
+        self.displacement = self._average(recording.displacement_um)
+        self.fastest = 1.0 / max(self.period_s, self.settling_s / 3.0)
+        self.bounds = np.log([0.3 / self.time_s[-1], self.fastest])
+
+    def _logarithmic_bins(self):
+        """Starts of the bins, alternating with the settling samples that are left out."""
+        skipped = int(np.ceil(self.settling_s / self.period_s))
+        edges = np.concatenate([[0], self.wave.steps, [self.wave.level.size]])
+        starts, weights = [], []
+        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+            length = end - begin
+            if length <= skipped:
+                starts.append([begin])
+                weights.append([0.0])
+                continue
+            decades = np.log10(length / skipped)
+            inner = np.unique(
+                np.geomspace(skipped, length, int(BINS_PER_DECADE * decades) + 2).astype(int)
+            )[:-1]
+            starts.append(begin + np.concatenate([[0], inner]))
+            weights.append(np.concatenate([[0.0], np.sqrt(np.diff(np.append(inner, length)))]))
+        return np.concatenate(starts), np.concatenate(weights)
+
+    def _average(self, samples):
+        """Means over the bins, weighted to equal variance; (N,) or (N, columns)."""
+        counts = np.diff(np.append(self.bins, self.time_s.size))
+        shape = (-1,) + (1,) * (samples.ndim - 1)
+        means = np.add.reduceat(samples, self.bins, axis=0) / counts.reshape(shape)
+        kept = self.weights > 0.0
+        return means[kept] * self.weights[kept].reshape(shape)
+
+    def _basis(self, rates):
+        """Columns: offset, gain, response of each exponential, its free initial state."""
+        level = self.wave.level
+        columns = [np.ones_like(level), level]
+        for rate in rates:
+            decay = np.exp(-rate * self.period_s)
+            # Deviation from the held level, at the sample instant and in the mean over the sample.
+            lagging = lfilter([0.0, 1.0 - decay], [1.0, -decay], level, zi=[level[0]])[0]
+            clock_decay = np.expm1(-rate * self.period_s / self.mean_samples)
+            mean = np.expm1(-rate * self.period_s) / (self.mean_samples * clock_decay)
+            columns.append(level + (lagging - level) * mean * np.exp(rate * self.delay_s))
+        columns += [np.exp(-rate * self.time_s) for rate in rates]
+        return self._average(np.column_stack(columns))
+
+    def _fit(self, rates):
+        check_cancelled()
+        basis = self._basis(rates)
+        coefficients = np.linalg.lstsq(basis, self.displacement, rcond=1e-12)[0]
+        return coefficients, self.displacement - basis @ coefficients
+
+    def creep(self, rates):
+        """Model with these rates, and its standard deviations."""
+        if rates.size == 0:
+            return CreepDynamics(), {"poles_rad_per_s": (), "zeros_rad_per_s": ()}
+        coefficients, residual = self._fit(rates)
+        gains = coefficients[2 : 2 + rates.size] / coefficients[1]
+        basis = self._basis(rates)
+        by_rate = np.empty((residual.size, rates.size))
+        for i, rate in enumerate(rates):
+            step = 1e-5 * rate * np.eye(rates.size)[i]
+            difference = self._basis(rates + step) - self._basis(rates - step)
+            by_rate[:, i] = difference @ coefficients / (2e-5 * rate)
+        covariance = parameter_covariance(np.column_stack([by_rate, basis]), residual)
+        # Of the coefficients, only the gains relative to the immediate one are physical.
+        relative = np.zeros((2 * rates.size, covariance.shape[0]))
+        relative[: rates.size, : rates.size] = np.eye(rates.size)
+        relative[rates.size :, rates.size + 1] = -gains / coefficients[1]
+        relative[rates.size :, rates.size + 2 : 2 * rates.size + 2] = (
+            np.eye(rates.size) / coefficients[1]
+        )
+        return creep_of_partial_fractions(rates, gains, propagated(relative, covariance))
+
+    def trial(self, rates):
+        """How well these rates do, and whether they can be creep at all."""
+        coefficients, residual = self._fit(rates)
+        gains = coefficients[2 : 2 + rates.size] / coefficients[1]
+        refusal = ""
+        if gains.min(initial=np.inf) <= 0.0:
+            refusal = "a gain is not positive"
+        elif rates.max(initial=0.0) >= 0.99 * self.fastest:
+            refusal = "a rate is as fast as the sampling"
+        return order_trial(rates.size, residual, 2 + 3 * rates.size, refusal)
+
+    def best_further_rate(self, rates):
+        """Rate that, added to the others, explains most."""
+        candidates = np.exp(np.linspace(*self.bounds, 26)[1:-1])
+        errors = [np.sum(self._fit(np.append(rates, rate))[1] ** 2) for rate in candidates]
+        return candidates[np.argmin(errors)]
+
+    def refine(self, rates):
+        """Rates of least output error, all linear coefficients projected out."""
+        start = np.clip(np.log(rates), *(self.bounds + [1e-6, -1e-6]))
+        solution = least_squares(
+            lambda log_rates: self._fit(np.exp(log_rates))[1], start,
+            bounds=tuple(self.bounds), xtol=1e-10, ftol=1e-12, gtol=1e-12, x_scale=1.0,
+            max_nfev=60,
+        )
+        return np.exp(solution.x)

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""ARMAX models by the prediction-error method, started by subspace identification."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+
+from piezo_common.cancellation import check_cancelled
+from piezo_identification.estimators.dynamics.subspace import identify_subspace
+from piezo_identification.estimators.estimate import parameter_covariance
+
+MOST_ITERATIONS = 100
+MOST_IDLE = 5
+"""Steps in a row that gain nothing to speak of, after which the search ends."""
+
+LEAST_DAMPING = 1e-18
+"""Squared singular values beside which the damping begins: coefficients of fast samples differ in
+the eighth digit, so that any more would hold them."""
+
+
+@dataclass(frozen=True)
+class Armax:
+    """Model A y = B u + C e with polynomials in the shift to earlier samples.
+
+    Parameters
+    ----------
+    autoregressive : ndarray, shape (na + 1,)
+        A, beginning with 1.
+    input : ndarray, shape (nb + 1,)
+        B, beginning with 0: the output answers one sample later at the earliest.
+    noise : ndarray, shape (nc + 1,)
+        C, beginning with 1.
+    covariance : ndarray, shape (na + nb + nc, na + nb + nc)
+        Of the coefficients that are free, in this order.
+    residual : ndarray, shape (N,)
+        Errors of the one-step prediction.
+    parameters : int
+        Free parameters of the fit, with those of the unknown past.
+    """
+
+    autoregressive: np.ndarray
+    input: np.ndarray
+    noise: np.ndarray
+    covariance: np.ndarray
+    residual: np.ndarray
+    parameters: int
+
+    def response(self, frequency_hz, sample_period_s):
+        """Complex response B / A at the given frequencies."""
+        delay = np.exp(-2j * np.pi * np.asarray(frequency_hz, dtype=float) * sample_period_s)
+        return np.polyval(self.input[::-1], delay) / np.polyval(self.autoregressive[::-1], delay)
+
+    def poles(self):
+        """Discrete poles, shape (na,)."""
+        return np.roots(self.autoregressive)
+
+
+def fit_armax(input, output, na, nb, nc, drift=None):
+    """Fit an ARMAX model for the least error of its one-step prediction.
+
+    Gauss-Newton with Levenberg-Marquardt damping and the exact Jacobian. White noise on the output
+    makes C equal to A, whose roots lie near the unit circle at fast sampling; extended least
+    squares and other starts diverge there, a subspace start does not. From it, the model with C = A
+    is fitted first, then C is set free. What the samples before the record leave in the filter is
+    fitted, too.
+
+    Parameters
+    ----------
+    input, output : ndarray, shape (N,)
+    na, nb, nc : int
+        Orders: coefficients of A, B and C.
+    drift : ndarray, shape (N, K), optional
+        What else the output may hold: constants and exponentials in time, which a filter leaves
+        what they are; by default a constant.
+
+    Returns
+    -------
+    Armax
+
+    Raises
+    ------
+    ValueError
+        If the record is too short.
+    """
+    orders = (na, nb, nc)
+    drift = np.ones((output.size, 1)) if drift is None else drift
+    record = _PredictionErrors(input, output, orders, drift)
+    parameters = record.start()
+    if nc >= na:
+        tied = np.eye(parameters.size)
+        tied[na + nb : na + nb + na, :na] = np.eye(na)
+        free = np.r_[: na + nb, na + nb + nc : parameters.size]
+        parameters = _minimise(record, parameters[free], tied[:, free])
+    parameters = _minimise(record, parameters, np.eye(parameters.size))
+    residual, jacobian = record.errors(parameters)
+    a, b, c, _, _ = record.split(parameters)
+    free = na + nb + nc
+    covariance = parameter_covariance(jacobian, residual)[:free, :free]
+    return Armax(a, b, c, covariance, residual, jacobian.shape[1])
+
+
+def _minimise(record, reduced, expansion):
+    """Parameters of least squared error among `expansion` times a reduced vector."""
+    parameters = expansion @ reduced
+    residual, jacobian = record.errors(parameters)
+    cost, damping, idle = residual @ residual, LEAST_DAMPING, 0
+    for _ in range(MOST_ITERATIONS):
+        jacobian = jacobian @ expansion
+        scale = np.linalg.norm(jacobian, axis=0)
+        triangle = np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r")
+        left, values, right = np.linalg.svd(triangle[:-1, :-1])
+        projected = left.T @ triangle[:-1, -1]
+        # The whole way to the optimum would gain less than a thousandth of what chance gives.
+        if projected @ projected < 1e-3 * cost / residual.size or idle == MOST_IDLE:
+            break
+        while damping < 1e6:
+            step = right.T @ (values * projected / (values**2 + damping * values[0] ** 2))
+            trial = parameters - expansion @ (step / scale)
+            if record.invertible(trial):
+                trial_residual, trial_jacobian = record.errors(trial)
+                trial_cost = trial_residual @ trial_residual
+                if trial_cost < cost:
+                    break
+            damping *= 10.0
+        else:
+            break
+        idle = idle + 1 if (1.0 - trial_cost / cost) * residual.size < 1e-3 else 0
+        parameters, residual, jacobian, cost = trial, trial_residual, trial_jacobian, trial_cost
+        damping = max(damping / 100.0, LEAST_DAMPING)
+    return parameters
+
+
+class _PredictionErrors:
+    """Prediction errors of a record and their derivatives."""
+
+    def __init__(self, input, output, orders, drift):
+        self.input, self.output, self.orders = input, output, orders
+        self.drift = np.linalg.qr(drift)[0]
+        self.past = max(orders)
+        self.impulse = np.zeros(output.size)
+        self.impulse[0] = 1.0
+
+    def split(self, parameters):
+        """Polynomials A, B, C, what the past leaves in the first samples, and the drift."""
+        edges = np.cumsum([*self.orders, self.past])
+        a, b, c, past, drift = np.split(parameters, edges)
+        return np.append(1.0, a), np.append(0.0, b), np.append(1.0, c), past, drift
+
+    def invertible(self, parameters):
+        """Whether C can be divided by."""
+        roots = np.roots(self.split(parameters)[2])
+        return np.abs(roots).max(initial=0.0) < 1.0 - 1e-9
+
+    def errors(self, parameters):
+        """Errors (N,) and Jacobian (N, P), from C e = A y - B u - past - drift."""
+        check_cancelled()
+        a, b, c, past, drift = self.split(parameters)
+        kick = self.drift @ drift
+        kick[: past.size] += past
+        error = lfilter([1.0], c, lfilter(a, [1.0], self.output)
+                        - lfilter(b, [1.0], self.input) - kick)
+        filtered = [(lfilter([1.0], c, signal), count, first) for signal, count, first in (
+            (self.output, self.orders[0], 1), (-self.input, self.orders[1], 1),
+            (-error, self.orders[2], 1), (-self.impulse, past.size, 0))]
+        jacobian = np.zeros((error.size, parameters.size))
+        column = 0
+        for signal, count, first in filtered:
+            for lag in range(first, first + count):
+                jacobian[lag:, column] = signal[: error.size - lag]
+                column += 1
+        jacobian[:, column:] = -lfilter([1.0], c, self.drift, axis=0)
+        return error, jacobian
+
+    def start(self):
+        """Polynomials of the subspace model, B by regression."""
+        na, nb, nc = self.orders
+        both = np.column_stack([self.input, self.output])
+        both = both - self.drift @ (self.drift.T @ both)
+        system = identify_subspace(both[:, 0], both[:, 1], max(na, nc, 1))
+        feedback = np.outer(system.innovation_gain, system.output_gain)
+        a = np.poly(_inside(np.linalg.eigvals(system.transition), na))
+        c = np.poly(_inside(np.linalg.eigvals(system.transition - feedback), nc))
+        parameters = np.concatenate([a[1:], np.zeros(nb), c[1:],
+                                     np.zeros(self.past + self.drift.shape[1])])
+        error, jacobian = self.errors(parameters)
+        linear = np.r_[na : na + nb, na + nb + nc : parameters.size]
+        parameters[linear] -= np.linalg.lstsq(jacobian[:, linear], error, rcond=1e-12)[0]
+        return parameters
+
+
+def _inside(roots, count):
+    """The slowest roots, those outside the unit circle mirrored into it."""
+    magnitude = np.abs(roots)
+    roots = np.where(magnitude < 0.9999, roots, 0.9999 * roots / magnitude * np.minimum(
+        1.0, 1.0 / magnitude))
+    order = np.lexsort([roots.imag, np.round(-np.abs(roots), 12)])
+    kept = roots[order][:count]
+    # Half of a conjugate pair becomes a real root.
+    lonely = [root.imag != 0.0 and not np.isclose(kept, root.conjugate()).any() for root in kept]
+    return np.where(lonely, np.abs(kept) * np.sign(kept.real), kept)

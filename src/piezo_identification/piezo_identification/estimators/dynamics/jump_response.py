@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Vibration from a single jump of the voltage, for recordings that hold no square wave."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from piezo_identification.conditioning.waveforms import played
+from piezo_identification.estimators.dynamics.square_wave import free_decay_poles
+from piezo_identification.estimators.estimate import (
+    Estimate,
+    dynamics_of_vector,
+    dynamics_vector,
+    order_trial,
+    parameter_covariance,
+    split_dynamics_vector,
+)
+from piezo_models.linear.dynamics import ElectricVibrationDynamics, simulate_linear, zoh
+
+MOST_MODES = 3
+"""Vibration modes beyond which the search for their number ends."""
+
+SAMPLES_BEFORE = 50
+"""Of the rest before the jump; they fix its level."""
+
+SEARCH_WIDTH = 3.0
+"""Logarithm of the factor by which the fit may leave its start."""
+
+LEAST_JUMP = 10.0
+"""A jump is so many times the largest other change of the voltage from sample to sample."""
+
+
+@dataclass(frozen=True, eq=False)
+class JumpResponse:
+    """A rest, a jump, and what follows it.
+
+    Parameters
+    ----------
+    sample_period_s : float
+    jump : int
+        Sample from which the new voltage is applied.
+    voltage_v, displacement_um : ndarray, shape (N,)
+    """
+
+    sample_period_s: float
+    jump: int
+    voltage_v: np.ndarray
+    displacement_um: np.ndarray
+
+    @property
+    def time_s(self):
+        """Time since the jump, shape (N,)."""
+        return (np.arange(self.voltage_v.size) - self.jump) * self.sample_period_s
+
+    def basis(self, dynamics):
+        """Columns whose combination is the response, shape (N, 4).
+
+        The level of the rest, and through the dynamics the jump of the hysteresis output and its
+        change since: the hysteresis between two reversals is close to a parabola in the voltage.
+        """
+        system = zoh(dynamics.state_space(), self.sample_period_s)
+        after = np.arange(self.voltage_v.size) >= self.jump
+        way = np.where(after, self.voltage_v - self.voltage_v[self.jump], 0.0)
+        way = way / (np.abs(way).max() or 1.0)
+        inputs = [after.astype(float), way, way**2]
+        return np.column_stack(
+            [np.ones(after.size), *(simulate_linear(system, column) for column in inputs)]
+        )
+
+    def first(self, duration_s):
+        """The response up to a time after the jump."""
+        end = self.jump + round(duration_s / self.sample_period_s)
+        return JumpResponse(
+            self.sample_period_s, self.jump, self.voltage_v[:end], self.displacement_um[:end]
+        )
+
+
+def jump_response(recording, duration_s=0.05):
+    """Cut the largest jump of the voltage out of a recording, with the rest before it.
+
+    Parameters
+    ----------
+    recording : Recording
+    duration_s : float
+        Time after the jump.
+
+    Returns
+    -------
+    JumpResponse
+
+    Raises
+    ------
+    ValueError
+        If no change of the voltage stands out, or the recording ends too soon after it.
+    """
+    part = played(recording)
+    change_v = np.abs(np.diff(part.voltage_v))
+    jump = int(np.argmax(change_v)) + 1
+    others_v = np.delete(change_v, jump - 1)
+    if others_v.size == 0 or change_v[jump - 1] <= LEAST_JUMP * others_v.max():
+        raise ValueError(
+            f"{recording.path} has no jump of the voltage that stands out: "
+            "give a recording with a single step"
+        )
+    start, end = max(0, jump - SAMPLES_BEFORE), jump + round(duration_s / part.sample_period_s)
+    if end > part.voltage_v.size or jump < 2:
+        raise ValueError(
+            f"{recording.path} has no rest before its jump, or ends less than {duration_s:g} s "
+            "after it: record longer"
+        )
+    return JumpResponse(
+        part.sample_period_s, jump - start, part.voltage_v[start:end],
+        part.displacement_um[start:end],
+    )
+
+
+def estimate_jump_dynamics(response, mode_count=None):
+    """Estimate lag, modes, and an antiresonance between every two of them.
+
+    The modes start from the poles of the free decay; the physical parameters are then refined for
+    the least output error, with all coefficients of `JumpResponse.basis` free.
+
+    Parameters
+    ----------
+    response : JumpResponse
+    mode_count : int, optional
+        By default as many as the Bayesian information criterion justifies.
+
+    Returns
+    -------
+    Estimate
+        Its `order` counts the modes.
+
+    Raises
+    ------
+    ValueError
+        If the decay does not show as many modes as asked for.
+    """
+    fits = {}
+    for count in range(1, MOST_MODES + 1) if mode_count is None else [mode_count]:
+        start = _starting_dynamics(response, count)
+        if start is not None:
+            fits[count] = _fit(response, start)
+    if not fits:
+        raise ValueError("the response to the jump shows no such modes: ask for fewer")
+    order = min(fits, key=lambda count: fits[count][2].information)
+    model, deviations, _ = fits[order]
+    return Estimate(
+        model, deviations, order, tuple(trial for *_, trial in fits.values()),
+        order_given=mode_count is not None,
+    )
+
+
+def _fit(response, start):
+    """Dynamics of least output error, their standard deviations, and the trial."""
+    modes = len(start.mode_frequencies_rad_per_s)
+    antiresonances = len(start.antiresonance_frequencies_rad_per_s)
+
+    def residual(logarithms):
+        basis = response.basis(dynamics_of_vector(np.exp(logarithms), modes, antiresonances))
+        coefficients = np.linalg.lstsq(basis, response.displacement_um, rcond=1e-12)[0]
+        return response.displacement_um - basis @ coefficients
+
+    logarithms = np.log(dynamics_vector(start))
+    solution = least_squares(
+        residual, logarithms, xtol=1e-10, ftol=1e-12, max_nfev=100,
+        bounds=(logarithms - SEARCH_WIDTH, logarithms + SEARCH_WIDTH),
+    )
+    vector = np.exp(solution.x)
+    parameters = vector.size + 4
+    covariance = parameter_covariance(solution.jac, solution.fun, parameters)
+    deviations = vector * np.sqrt(np.diag(covariance))
+    return (
+        dynamics_of_vector(vector, modes, antiresonances),
+        split_dynamics_vector(deviations, modes, antiresonances),
+        order_trial(modes, solution.fun, parameters),
+    )
+
+
+def _starting_dynamics(response, mode_count):
+    """Modes of the free decay; None where it shows fewer."""
+    after = slice(response.jump + 1, None)
+    voltage_v, displacement_um = response.voltage_v[after], response.displacement_um[after]
+    # What varies with the voltage is no decay; the later half shows it best.
+    half = voltage_v.size // 2
+    terms = min(2, np.unique(voltage_v[half:]).size - 1)
+    slow_um = np.polynomial.Polynomial.fit(voltage_v[half:], displacement_um[half:], terms)
+    poles = free_decay_poles(
+        displacement_um - slow_um(voltage_v), response.sample_period_s, 2 * mode_count
+    )
+    pairs = poles[poles.imag > 0.0]
+    if pairs.size < mode_count:
+        return None
+    pairs = pairs[np.argsort(np.abs(pairs))]
+    frequencies = np.abs(pairs)
+    dampings = np.maximum(-pairs.real, 1e-3 * frequencies) / frequencies
+    between = np.sqrt(frequencies[1:] * frequencies[:-1])
+    return ElectricVibrationDynamics(
+        0.5 * response.sample_period_s, tuple(frequencies), tuple(dampings),
+        tuple(between), tuple(np.full(between.size, 0.05)),
+    )

@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What an estimator found, how sure it is, and why it chose the order."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+
+SHOWN = 12
+"""Trials in a table of orders."""
+
+RANK_TOLERANCE = 1e-12
+"""Singular value over the largest, of scaled columns, from which a direction is rounding."""
+
+UNTOLD_SHARE = 1e-3
+"""Of a parameter in a direction that is rounding, from which it is not told either."""
+
+
+@dataclass(frozen=True)
+class OrderTrial:
+    """A fit of one order.
+
+    Parameters
+    ----------
+    order : int
+        What was counted: pairs of creep poles and zeros, or vibration modes.
+    parameters : int
+        Free parameters of the fit.
+    residual_rms : float
+        In the unit of the fitted output.
+    information : float
+        Bayesian information criterion; the least is best.
+    refusal : str
+        Why the fit cannot be taken whatever the criterion says; empty otherwise.
+    """
+
+    order: int
+    parameters: int
+    residual_rms: float
+    information: float
+    refusal: str = ""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted model with its uncertainty and the trials that led to its order.
+
+    Parameters
+    ----------
+    model : CreepDynamics, ElectricVibrationDynamics or ResponseModel
+    standard_deviations : dict of str to float or tuple of float
+        Of every physical parameter, under the names and in the shapes of the model's fields. They
+        follow from the sensitivities at the optimum and the variance of the residual, which holds
+        where the residual is white.
+    order : int
+    trials : tuple of OrderTrial
+        Every order that was fitted.
+    order_given : bool
+        True if the user asked for this order.
+    """
+
+    model: object
+    standard_deviations: dict
+    order: int
+    trials: tuple
+    order_given: bool = False
+
+    @property
+    def residual_rms(self):
+        """Residual of the chosen order, in the unit of the fitted output."""
+        return next(trial.residual_rms for trial in self.trials if trial.order == self.order)
+
+    def order_table(self):
+        """The best trials, each in a line, the chosen one marked: the reason for the order."""
+        lines = ["order  parameters  residual RMS  information"]
+        worst = sorted(trial.information for trial in self.trials)[:SHOWN][-1]
+        for trial in self.trials:
+            if trial.information > worst and trial.order != self.order:
+                continue
+            mark = ""
+            if trial.order == self.order:
+                mark = "  <- asked for" if self.order_given else "  <- least information"
+            lines.append(
+                f"{trial.order!s:>5}  {trial.parameters:10d}  {trial.residual_rms:12.6g}  "
+                f"{trial.information:11.1f}{mark}{'  ' if trial.refusal else ''}{trial.refusal}"
+            )
+        return "\n".join(lines)
+
+
+def order_trial(order, residual, parameters, refusal=""):
+    """Judge a fit by its residual.
+
+    Parameters
+    ----------
+    order : int
+    residual : ndarray, shape (N,)
+        Of equal variance.
+    parameters : int
+    refusal : str
+
+    Returns
+    -------
+    OrderTrial
+    """
+    mean_square = np.mean(residual**2)
+    information = residual.size * np.log(mean_square) + parameters * np.log(residual.size)
+    return OrderTrial(order, parameters, float(np.sqrt(mean_square)), float(information), refusal)
+
+
+def parameter_covariance(jacobian, residual, parameters=None):
+    """Covariance of the parameters of a least-squares fit with white residual.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (N, P)
+        Of the residual at the optimum, scaled alike; linear parameters may be projected out of it.
+    residual : ndarray, shape (N,)
+    parameters : int, optional
+        Free parameters altogether, where the Jacobian has fewer columns.
+
+    Returns
+    -------
+    ndarray, shape (P, P)
+        Of a parameter that the data do not tell, the variance is infinite and the rest is zero.
+    """
+    variance = np.sum(residual**2) / (residual.size - (parameters or jacobian.shape[1]))
+    spread, untold = scaled_inverse(jacobian)
+    covariance = variance * spread @ spread.T
+    covariance[untold, :] = covariance[:, untold] = 0.0
+    covariance[untold, untold] = np.inf
+    return covariance
+
+
+def propagated(sensitivity, covariance):
+    """Covariance of quantities that depend on parameters; infinite where on one that is not told.
+
+    Parameters
+    ----------
+    sensitivity : ndarray, shape (Q, P)
+    covariance : ndarray, shape (P, P)
+        Of `parameter_covariance`.
+
+    Returns
+    -------
+    ndarray, shape (Q, Q)
+    """
+    untold = np.isinf(np.diag(covariance))
+    told = np.where(np.isinf(covariance), 0.0, covariance)
+    result = sensitivity @ told @ sensitivity.T
+    reached = np.any(sensitivity[:, untold] != 0.0, axis=1)
+    result[reached, :] = result[:, reached] = 0.0
+    result[reached, reached] = np.inf
+    return result
+
+
+def parameter_deviations(jacobian):
+    """Standard deviations of the parameters of a least-squares fit whose residual has variance 1.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (N, P)
+        Of the residual at the optimum.
+
+    Returns
+    -------
+    ndarray, shape (P,)
+        Infinite for a parameter that the data do not tell.
+    """
+    spread, untold = scaled_inverse(jacobian)
+    return np.where(untold, np.inf, np.linalg.norm(spread, axis=1))
+
+
+def scaled_inverse(jacobian):
+    """Square root of the inverse normal matrix of a Jacobian, without the square of its condition.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (N, P)
+        With at least as many rows as columns.
+
+    Returns
+    -------
+    spread : ndarray, shape (P, P)
+        ``spread @ spread.T`` is the inverse of ``jacobian.T @ jacobian``; directions that are
+        rounding are left out.
+    untold : ndarray of bool, shape (P,)
+        The parameters that take part in such a direction: the data do not tell them.
+    """
+    scale = np.linalg.norm(jacobian, axis=0)
+    scale[scale == 0.0] = 1.0
+    # Scaled columns keep rates of hundredths and of thousands apart from the rounding.
+    _, values, right = np.linalg.svd(jacobian / scale, full_matrices=False)
+    told = values > RANK_TOLERANCE * values.max(initial=0.0)
+    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=told)
+    untold = np.any(np.abs(right[~told]) > UNTOLD_SHARE, axis=0)
+    return right.T * inverse / scale[:, None], untold
+
+
+def untold_parameters(model, standard_deviations):
+    """Name the parameters whose standard deviation is larger than they are.
+
+    Parameters
+    ----------
+    model : StageModel
+    standard_deviations : dict of str to dict
+        Of its creep and its dynamics, under the names and in the shapes of their fields.
+
+    Returns
+    -------
+    list of str
+        Such as ``creep poles_rad_per_s 2``, counted from 1.
+    """
+    untold = []
+    for part, deviations in standard_deviations.items():
+        for name, deviation in deviations.items():
+            value = np.atleast_1d(getattr(getattr(model, part), name))
+            wide = np.flatnonzero(np.atleast_1d(deviation) > np.abs(value))
+            untold += [f"{part} {name} {index + 1}" if value.size > 1 else f"{part} {name}"
+                       for index in wide]
+    return untold
+
+
+def dynamics_vector(dynamics):
+    """Parameters of electric and vibration dynamics in one vector, all positive."""
+    return np.array([
+        dynamics.time_constant_s, *dynamics.mode_frequencies_rad_per_s, *dynamics.damping_ratios,
+        *dynamics.antiresonance_frequencies_rad_per_s, *dynamics.antiresonance_damping_ratios,
+    ])
+
+
+def split_dynamics_vector(vector, mode_count, antiresonance_count=0):
+    """Fields of `ElectricVibrationDynamics` by name, from a vector in their order."""
+    edges = np.cumsum([1, mode_count, mode_count, antiresonance_count])
+    parts = np.split(np.asarray(vector, dtype=float), edges)
+    names = ("mode_frequencies_rad_per_s", "damping_ratios",
+             "antiresonance_frequencies_rad_per_s", "antiresonance_damping_ratios")
+    return {"time_constant_s": float(parts[0][0])} | {
+        name: tuple(part.tolist()) for name, part in zip(names, parts[1:], strict=True)
+    }
+
+
+def dynamics_of_vector(vector, mode_count, antiresonance_count=0):
+    """Inverse of `dynamics_vector`."""
+    return ElectricVibrationDynamics(
+        **split_dynamics_vector(vector, mode_count, antiresonance_count)
+    )
+
+
+def creep_of_partial_fractions(rates, gains, covariance=None):
+    """Creep 1 + sum g p / (s + p) as poles and zeros, with their standard deviations.
+
+    Parameters
+    ----------
+    rates, gains : ndarray, shape (P,)
+        Poles p and positive gains g.
+    covariance : ndarray, shape (2 P, 2 P), optional
+        Of the rates, then of the gains.
+
+    Returns
+    -------
+    model : CreepDynamics
+    standard_deviations : dict
+        Empty if no covariance is given.
+    """
+    order = np.argsort(rates)
+    rates, gains = rates[order], gains[order]
+    coupling = np.sqrt(gains * rates)
+    # The symmetric form keeps the zeros real.
+    zeros = np.linalg.eigvalsh(np.diag(rates) + np.outer(coupling, coupling))
+    model = CreepDynamics(tuple(rates.tolist()), tuple(zeros.tolist()))
+    if covariance is None:
+        return model, {}
+    order = np.concatenate([order, rates.size + order])
+    covariance = covariance[np.ix_(order, order)]
+    distance = rates[None, :] - zeros[:, None]
+    slope = -np.sum(gains * rates / distance**2, axis=1, keepdims=True)
+    by_rate = (gains / distance - gains * rates / distance**2) / slope
+    by_gain = (rates / distance) / slope
+    sensitivity = np.column_stack([by_rate, by_gain])
+    poles_std = np.sqrt(np.diag(covariance)[: rates.size])
+    zeros_std = np.sqrt(np.diag(propagated(sensitivity, covariance)))
+    return model, {
+        "poles_rad_per_s": tuple(poles_std.tolist()), "zeros_rad_per_s": tuple(zeros_std.tolist())
+    }

@@ -1,0 +1,402 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Creep, electric and vibration dynamics and a delay from a measured frequency response."""
+
+from dataclasses import astuple, dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from piezo_common.cancellation import check_cancelled
+from piezo_identification.estimators.estimate import (
+    Estimate,
+    OrderTrial,
+    order_trial,
+    parameter_covariance,
+    split_dynamics_vector,
+)
+from piezo_identification.estimators.frequency_response.response_hold import without_hold
+from piezo_identification.estimators.frequency_response.vector_fitting import (
+    residues_error,
+    vector_fit,
+)
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+
+MOST_STATES = 12
+"""States beyond which the search for the order ends."""
+
+MOST_CREEP_PAIRS = 3
+"""Pairs of creep poles and zeros up to which every number is tried."""
+
+SEARCH_CREEP_PAIRS = 1
+"""Pairs with which the modes are sought: enough that no mode is spent on creep."""
+
+SPARE_POLES = 24
+"""Poles of the rational fit that finds the resonances, some to be wasted on noise."""
+
+MOST_DAMPED = 0.9
+"""Damping ratio up to which a pair of poles may start a mode."""
+
+LEAST_FREQUENCIES = 24
+"""Frequencies below which no order can be told from another."""
+
+QUICK_EVALUATIONS = 12
+"""Steps that tell a good start from a bad one."""
+
+BEAM = 2
+"""Orders with as many modes that are followed further: the best may not lead to the best."""
+
+DELAYS = 9
+"""Delays from which the fit is tried, up to a period of the highest frequency that is strong."""
+
+STRONG = 0.02
+"""Part of the largest gain above which a frequency is strong."""
+
+
+@dataclass(frozen=True)
+class ResponseModel:
+    """Displacement over voltage in physical parameters.
+
+    Parameters
+    ----------
+    gain : float
+        Between creep and modes, in the unit of the measured response.
+    delay_s : float
+    creep : CreepDynamics
+    dynamics : ElectricVibrationDynamics
+    """
+
+    gain: float
+    delay_s: float
+    creep: CreepDynamics
+    dynamics: ElectricVibrationDynamics
+
+    @property
+    def states(self):
+        """States of the rational part."""
+        return len(self.creep.poles_rad_per_s) + 1 + 2 * len(self.dynamics.damping_ratios)
+
+    def linear(self):
+        """Continuous `control.StateSpace` without gain and delay."""
+        return self.creep.state_space() * self.dynamics.state_space()
+
+    def response(self, frequency_hz):
+        """Complex response at the given frequencies, in the shape of `frequency_hz`."""
+        delay = np.exp(-2j * np.pi * np.asarray(frequency_hz, dtype=float) * self.delay_s)
+        return (
+            self.gain * delay * self.creep.response(frequency_hz)
+            * self.dynamics.response(frequency_hz)
+        )
+
+    def error(self, measured):
+        """Relative error: the norm of the difference over that of the measured response."""
+        difference = self.response(measured.frequency_hz) - measured.gain
+        return float(np.linalg.norm(difference) / np.linalg.norm(measured.gain))
+
+
+@dataclass(frozen=True)
+class ResponseOrder:
+    """Numbers of components.
+
+    Parameters
+    ----------
+    creep_pairs, modes, antiresonances : int or None
+        None in a request: as many as the data justify.
+    """
+
+    creep_pairs: int | None
+    modes: int | None
+    antiresonances: int | None
+
+    @property
+    def states(self):
+        """States of the rational part, the electric lag among them."""
+        return self.creep_pairs + 1 + 2 * self.modes
+
+    def __str__(self):
+        return f"{self.creep_pairs}+{self.modes}-{self.antiresonances}"
+
+    def grants(self, order):
+        """Whether an order is what this one requests."""
+        return all(
+            wanted is None or wanted == number
+            for wanted, number in zip(astuple(self), astuple(order), strict=True)
+        )
+
+
+ANY_ORDER = ResponseOrder(None, None, None)
+
+
+def estimate_from_response(measured, order=ANY_ORDER, most_states=MOST_STATES):
+    """Fit a measured frequency response with creep, a lag, modes, antiresonances and a delay.
+
+    Vector fitting with more poles than wanted finds the resonances; the strongest start a
+    nonlinear least-squares fit of the physical parameters. A gain that rises towards low
+    frequencies is creep.
+
+    Parameters
+    ----------
+    measured : FrequencyResponse
+        Take the part in which the sensor shows more than noise (`between`). The model is that of
+        the stage alone: a hold in the response is taken out.
+    order : ResponseOrder
+        What it leaves open is what the Bayesian information criterion prefers.
+    most_states : int
+        Largest order that is tried.
+
+    Returns
+    -------
+    Estimate
+        Its model is a `ResponseModel`, its order a `ResponseOrder`. The standard deviations have
+        the fields `gain`, `delay_s`, `creep` and `dynamics`.
+
+    Raises
+    ------
+    ValueError
+        If there are too few frequencies, or too few resonances for the order.
+    """
+    estimate = _estimate(without_hold(measured), order, most_states)
+    if not measured.hold_s:
+        return estimate
+    # The model tells what sampling folds back.
+    free = without_hold(measured, estimate.model.linear(), estimate.model.delay_s)
+    again = _estimate(free, estimate.order, most_states)
+    return replace(again, trials=estimate.trials, order_given=estimate.order_given)
+
+
+def _estimate(measured, order, most_states):
+    if measured.frequency_hz.size < LEAST_FREQUENCIES:
+        raise ValueError(
+            f"{measured.path} has {measured.frequency_hz.size} frequencies, too few: measure at "
+            f"least {LEAST_FREQUENCIES}"
+        )
+    fit = _ResponseFit(measured)
+    least_modes = max(order.modes or 0, order.antiresonances or 0)
+    if least_modes > (fit.resonances.size if order.modes is None else
+                      min(order.modes, fit.resonances.size)):
+        raise ValueError(
+            f"{measured.path} shows {fit.resonances.size} resonances, which does not allow "
+            f"order {order}: ask for fewer modes or antiresonances"
+        )
+    fits = {
+        found: entry for found, entry in fit.search(order, most_states).items()
+        if order.grants(found)
+    }
+    chosen = min(fits, key=lambda candidate: fits[candidate].trial.information)
+    best = fits[chosen]
+    spread = np.sqrt(np.diag(parameter_covariance(best.jacobian, best.residual)))
+    ascending = _ascending(best.vector, chosen)
+    vector, spread = best.vector[ascending], spread[ascending]
+    return Estimate(
+        fit.model(vector, chosen),
+        fit.fields(np.exp(vector[1:]) * spread[1:], spread[0], chosen), chosen,
+        tuple(entry.trial for entry in fits.values()), None not in astuple(order),
+    )
+
+
+def _ascending(vector, order):
+    """Indices that put the components of every kind into the order of their frequencies."""
+    head, poles, zeros, lag, modes, dampings, antiresonances, their_dampings = np.split(
+        np.arange(vector.size), np.cumsum([
+            2, order.creep_pairs, order.creep_pairs, 1, order.modes, order.modes,
+            order.antiresonances]))
+    by_mode, by_antiresonance = np.argsort(vector[modes]), np.argsort(vector[antiresonances])
+    return np.concatenate([
+        head, poles[np.argsort(vector[poles])], zeros[np.argsort(vector[zeros])], lag,
+        modes[by_mode], dampings[by_mode], antiresonances[by_antiresonance],
+        their_dampings[by_antiresonance],
+    ])
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Parameters of one order: the delay over its longest, and logarithms of the others."""
+
+    vector: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+    trial: OrderTrial
+
+    @property
+    def cost(self):
+        return float(self.residual @ self.residual)
+
+
+class _ResponseFit:
+    """A measured response, its resonances, and the search for models of it."""
+
+    def __init__(self, measured):
+        self.measured = measured
+        self.rate = 2.0 * np.pi * measured.frequency_hz
+        strength = np.abs(measured.gain)
+        strong = measured.frequency_hz[strength > STRONG * strength.max()]
+        self.longest_delay_s = 1.0 / strong[-1]
+        self.delay_s, self.resonances = self._resonances()
+
+    def _resonances(self):
+        """Delay of the best rational fit with poles to spare, and its resonant poles."""
+        count = min(SPARE_POLES, self.rate.size // 4)
+        best = None
+        for delay_s in np.linspace(0.0, self.longest_delay_s, DELAYS):
+            gain = self.measured.gain * np.exp(1j * self.rate * delay_s)
+            poles = vector_fit(self.rate, gain, count)
+            error = residues_error(self.rate, gain, poles)
+            if best is None or error < best[0]:
+                best = (error, delay_s, poles)
+        _, delay_s, poles = best
+        pairs = poles[(poles.imag > self.rate[0]) & (poles.imag < self.rate[-1])]
+        return delay_s, pairs[-pairs.real < MOST_DAMPED * np.abs(pairs)]
+
+    def search(self, wanted, most_states):
+        """Fits by order: modes are added one by one, where they explain most."""
+        most_modes = wanted.modes
+        if most_modes is None:
+            most_modes = max((most_states - 1 - SEARCH_CREEP_PAIRS) // 2,
+                             wanted.antiresonances or 0)
+        most_modes = min(most_modes, self.resonances.size)
+        fits = {}
+        start = ResponseOrder(SEARCH_CREEP_PAIRS, 0, 0)
+        best = {start: self.solve(start, self._plain_start(start))}
+        self._keep(fits, best, wanted, most_states)
+        for modes in range(1, most_modes + 1):
+            grown = {}
+            for (order, fit), more in product(best.items(), (0, 1)):
+                candidate = replace(order, modes=modes, antiresonances=order.antiresonances + more)
+                if self._leads_to(wanted, candidate, most_modes):
+                    entry = self._best_further_mode(order, fit.vector, candidate)
+                    if candidate not in grown or entry.cost < grown[candidate].cost:
+                        grown[candidate] = entry
+            self._keep(fits, grown, wanted, most_states)
+            promising = sorted(grown, key=lambda order: grown[order].trial.information)[:BEAM]
+            best = {order: grown[order] for order in promising}
+        return fits
+
+    @staticmethod
+    def _leads_to(wanted, order, most_modes):
+        """Whether antiresonances, of which every mode brings one at most, can still be as many."""
+        if wanted.antiresonances is None:
+            return True
+        return 0 <= wanted.antiresonances - order.antiresonances <= most_modes - order.modes
+
+    def _keep(self, fits, found, wanted, most_states):
+        """File fits, and those with other numbers of creep pairs that begin from them."""
+        fits |= found
+        counts = range(MOST_CREEP_PAIRS + 1) if wanted.creep_pairs is None else [wanted.creep_pairs]
+        for (order, fit), count in product(found.items(), counts):
+            other = replace(order, creep_pairs=count)
+            allowed = wanted.modes is not None or other.states <= most_states
+            if other != order and allowed and wanted.grants(other):
+                fits[other] = self.solve(other, self._with_creep(fit.vector, order, count))
+
+    def _plain_start(self, order):
+        """Gain, lag and delay of a response without modes, and a slight creep."""
+        level = np.abs(self.measured.gain[: max(1, self.rate.size // 4)]).mean()
+        slow = self._slow_rates(order.creep_pairs)
+        return np.concatenate([
+            [self.delay_s / self.longest_delay_s],
+            np.log([level, *slow, *(1.1 * slow), 2.0 / self.rate[-1]]),
+        ])
+
+    def _slow_rates(self, count):
+        """Rates spread over the lower half of the measured decades."""
+        middle = np.sqrt(self.rate[0] * self.rate[-1])
+        return np.geomspace(self.rate[0], middle, count + 2)[1:-1]
+
+    def _with_creep(self, vector, order, count):
+        """The vector with this number of creep pairs."""
+        head, tail = vector[:2], vector[2 + 2 * order.creep_pairs :]
+        slow = self._slow_rates(count)
+        return np.concatenate([head, np.log(slow), np.log(1.1 * slow), tail])
+
+    def _best_further_mode(self, order, vector, grown):
+        """Fit with one more mode, and maybe antiresonance, begun at every resonance."""
+        parts = np.split(vector, 2 + np.cumsum([
+            2 * order.creep_pairs + 1, order.modes, order.modes, order.antiresonances]))
+        best = None
+        for pole in self.resonances:
+            frequency, damping = np.abs(pole), max(-pole.real / np.abs(pole), 1e-3)
+            # Just beside the mode: that side of it on which the antiresonance lies is not known.
+            places = (0.95, 1.05) if grown.antiresonances > order.antiresonances else (None,)
+            for place in places:
+                zero = [] if place is None else [place * frequency]
+                start = np.concatenate([
+                    parts[0], parts[1], [np.log(frequency)], parts[2], [np.log(damping)],
+                    parts[3], np.log(zero), parts[4], np.log([damping] * len(zero)),
+                ])
+                fit = self.solve(grown, start, QUICK_EVALUATIONS)
+                if best is None or fit.cost < best.cost:
+                    best = fit
+        return self.solve(grown, best.vector)
+
+    def solve(self, order, start, evaluations=200):
+        """Fit of least squares from a start."""
+        lower, upper = self._bounds(order)
+        solution = least_squares(
+            self._residual, np.clip(start, lower + 1e-6, upper - 1e-6), jac=self._jacobian,
+            bounds=(lower, upper), args=(order,), x_scale="jac", max_nfev=evaluations,
+        )
+        return _Fit(solution.x, solution.fun, solution.jac,
+                    order_trial(order, solution.fun, solution.x.size))
+
+    def _bounds(self, order):
+        """What the measured frequencies can show."""
+        slowest, fastest = np.log(0.1 * self.rate[0]), np.log(10.0 * self.rate[-1])
+        creep = np.log(np.sqrt(self.rate[0] * self.rate[-1]))
+        band = np.log([0.9 * self.rate[0], 1.1 * self.rate[-1]])
+        damping = np.log([1e-5, 2.0])
+        limits = [[0.0, 2.0], [-46.0, 46.0]]
+        limits += 2 * order.creep_pairs * [[slowest, creep]]
+        limits += [[-fastest, -np.log(self.rate[0])]]
+        limits += order.modes * [band] + order.modes * [damping]
+        limits += order.antiresonances * [band] + order.antiresonances * [damping]
+        return np.array(limits).T
+
+    def _residual(self, vector, order):
+        check_cancelled()
+        difference = self.model(vector, order).response(self.measured.frequency_hz)
+        difference = difference - self.measured.gain
+        return np.concatenate([difference.real, difference.imag])
+
+    def _jacobian(self, vector, order):
+        """Derivatives of the response: its own value times those of its logarithm."""
+        s = 1j * self.rate[:, None]
+        model = self.model(vector, order)
+        poles, zeros = (np.array(rates)[None, :] for rates in (
+            model.creep.poles_rad_per_s, model.creep.zeros_rad_per_s))
+        lag = model.dynamics.time_constant_s * s
+        by_mode = _quadratic_slopes(
+            s, model.dynamics.mode_frequencies_rad_per_s, model.dynamics.damping_ratios)
+        by_antiresonance = _quadratic_slopes(
+            s, model.dynamics.antiresonance_frequencies_rad_per_s,
+            model.dynamics.antiresonance_damping_ratios)
+        slopes = np.hstack([
+            -s * self.longest_delay_s, np.ones_like(s), -poles / (s + poles), zeros / (s + zeros),
+            -lag / (1.0 + lag), *(-slope for slope in by_mode), *by_antiresonance,
+        ]) * model.response(self.measured.frequency_hz)[:, None]
+        return np.vstack([slopes.real, slopes.imag])
+
+    def model(self, vector, order):
+        """Model with these parameters."""
+        fields = self.fields(np.exp(vector[1:]), vector[0], order)
+        return ResponseModel(
+            fields["gain"], fields["delay_s"], CreepDynamics(**fields["creep"]),
+            ElectricVibrationDynamics(**fields["dynamics"]),
+        )
+
+    def fields(self, values, delay, order):
+        """Fields of a model, or their standard deviations, from one number for each parameter."""
+        gain, poles, zeros, rest = np.split(values, np.cumsum([1, *2 * [order.creep_pairs]]))
+        return {
+            "gain": float(gain[0]), "delay_s": float(delay * self.longest_delay_s),
+            "creep": {"poles_rad_per_s": tuple(poles.tolist()),
+                      "zeros_rad_per_s": tuple(zeros.tolist())},
+            "dynamics": split_dynamics_vector(rest, order.modes, order.antiresonances),
+        }
+
+
+def _quadratic_slopes(s, frequencies, dampings):
+    """Slopes of the logarithm of s^2 / w^2 + 2 d s / w + 1 by those of w and of d."""
+    ratio, damping = s / np.array(frequencies)[None, :], np.array(dampings)[None, :]
+    quadratic = ratio**2 + 2.0 * damping * ratio + 1.0
+    by_damping = 2.0 * damping * ratio / quadratic
+    return -2.0 * ratio**2 / quadratic - by_damping, by_damping

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Response of the linear part at the samples of a recording, with lags shorter than a sample."""
+
+from itertools import takewhile
+
+import control
+import numpy as np
+
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.sensor_lag import SensorLag
+from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh
+
+
+def leading_lags(effects, samples):
+    """Those of the effects behind a linear system that are in series with it.
+
+    Between the samples of a slow recording the displacement may do more than they show.
+
+    Parameters
+    ----------
+    effects : sequence of piezo_models.effects.effect.Effect
+        In the order of the signal.
+    samples : int
+        Of which each measured displacement is the mean; a delay of means is left to act on them.
+
+    Returns
+    -------
+    lags, others : tuple of Effect
+        The others act on the sampled displacement.
+    """
+    kinds = (Delay, SensorLag) if samples == 1 else (SensorLag,)
+    lags = tuple(takewhile(lambda effect: type(effect) in kinds, effects))
+    return lags, tuple(effects[len(lags) :])
+
+
+def behind_lags(system, lags):
+    """A linear system with lags behind it, and the delay that is left behind both.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous.
+    lags : sequence of Effect
+        Of `leading_lags`.
+
+    Returns
+    -------
+    system : control.StateSpace
+    delay_s : float
+    """
+    delays_s = [lag.delay_s for lag in lags if type(lag) is Delay]
+    for lag in lags:
+        if type(lag) is SensorLag:
+            system = lag.lag() * system
+    return system, sum(delays_s)
+
+
+def respond(system, input_um, sample_period_s, samples, delay_s=0.0):
+    """Response from the equilibrium under the first input.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous.
+    input_um : (N,) array
+        Each held for a sample period.
+    sample_period_s : float
+    samples : int
+        As in `leading_lags`.
+    delay_s : float
+        Behind the system; exact, whatever part of a sample period it is. Not with means.
+
+    Returns
+    -------
+    (N,) array
+    """
+    late = 0
+    if delay_s > 0.0:
+        discrete, late = delayed_zoh(system, sample_period_s, delay_s)
+    else:
+        discrete = mean_zoh(system, sample_period_s, samples)
+    late = min(late, input_um.size)
+    before = np.full(late, input_um[0])
+    return simulate_linear(
+        discrete, np.concatenate([before, input_um[: input_um.size - late]]),
+        equilibrium_state(system, input_um[0]),
+    )
+
+
+def delayed_zoh(system, sample_period_s, delay_s):
+    """Discrete system for an input held over each sample period, and an output that comes late.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous.
+    sample_period_s, delay_s : float
+
+    Returns
+    -------
+    discrete : control.StateSpace
+    late : int
+        Sample periods by which the output comes later still.
+    """
+    discrete = zoh(system, sample_period_s)
+    late, part = divmod(delay_s / sample_period_s, 1.0)
+    if part == 0.0:
+        return discrete, int(late)
+    # What is measured now was there in the middle of the sample period before.
+    middle = zoh(system, (1.0 - part) * sample_period_s)
+    return control.ss(
+        discrete.A, discrete.B, system.C @ middle.A, system.C @ middle.B + system.D,
+        sample_period_s,
+    ), int(late) + 1
+
+
+def mean_zoh(system, sample_period_s, samples):
+    """Discrete system whose output is the mean of the samples that fall into each held period.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous.
+    sample_period_s : float
+        Time for which the input is held.
+    samples : int
+        Equally spaced output samples in that time, the first at its start.
+
+    Returns
+    -------
+    control.StateSpace
+        Discrete, with the state of `system` at the start of each period.
+    """
+    fine = zoh(system, sample_period_s / samples)
+    transition, gain = np.eye(system.nstates), np.zeros_like(fine.B)
+    output, direct = np.zeros_like(fine.C), np.zeros_like(fine.D)
+    for _ in range(samples):
+        output, direct = output + fine.C @ transition, direct + fine.C @ gain + fine.D
+        transition, gain = fine.A @ transition, fine.A @ gain + fine.B
+    return control.ss(transition, gain, output / samples, direct / samples, sample_period_s)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What every method of estimating the Preisach density returns."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_models.hysteresis.preisach import PreisachModel
+
+
+@dataclass(frozen=True, eq=False)
+class DensityEstimate:
+    """An estimated density, and how far the data determine it.
+
+    Parameters
+    ----------
+    method : str
+    levels_v : ndarray, shape (n + 1,)
+        Edges of the cells.
+    density_um_per_v2 : ndarray, shape (n, n)
+        Lower triangular.
+    offset_um : float
+        Output at negative saturation.
+    visited : ndarray of bool, shape (n, n)
+        Cells in which the moving corner of the memory has been. Elsewhere the density is none of
+        the data's: the smoothing has continued it from the visited cells, or the least norm has.
+    singular_values : ndarray, optional
+        Of the normal equations, from the largest down, for the methods that have them.
+    rank : int, optional
+        How many of them were kept.
+    smoothing_weight : float, optional
+        For the smoothed method.
+    reversible_um_per_v : ndarray, shape (n,), optional
+        On the diagonal, alpha = beta; for the smoothed method.
+    """
+
+    method: str
+    levels_v: np.ndarray
+    density_um_per_v2: np.ndarray
+    offset_um: float
+    visited: np.ndarray
+    singular_values: np.ndarray | None = None
+    rank: int | None = None
+    smoothing_weight: float | None = None
+    reversible_um_per_v: np.ndarray | None = None
+
+    @property
+    def visited_fraction(self):
+        """Part of the area of the Preisach plane that was visited."""
+        area = np.tril(np.ones(self.visited.shape)) - 0.5 * np.eye(len(self.visited))
+        return float(area[self.visited].sum() / area.sum())
+
+    @property
+    def condition_number(self):
+        """Of the normal equations, over the singular values that were kept."""
+        return float(self.singular_values[0] / self.singular_values[self.rank - 1])
+
+    def model(self):
+        """The hysteresis as a `PreisachModel`."""
+        return PreisachModel(
+            self.levels_v[0], self.levels_v[-1], self.density_um_per_v2, self.offset_um,
+            self.reversible_um_per_v,
+        )
+
+    def report(self):
+        """One line for people: method, grid, rank, and what was not visited."""
+        words = [f"{self.method}, {len(self.visited)} x {len(self.visited)} cells"]
+        if self.rank is not None:
+            words.append(
+                f"rank {self.rank} of {self.singular_values.size}, "
+                f"condition number {self.condition_number:.3g}"
+            )
+        if self.smoothing_weight is not None:
+            words.append(f"smoothing weight {self.smoothing_weight:.0e}")
+        visited = f"{100.0 * self.visited_fraction:.1f} % of the Preisach plane visited"
+        if self.visited_fraction < 1.0:
+            rows, columns = np.nonzero(np.tril(~self.visited))
+            alpha_v = self.levels_v[[rows.min(), rows.max() + 1]]
+            beta_v = self.levels_v[[columns.min(), columns.max() + 1]]
+            visited += (
+                f"; not visited, so not known: cells with alpha within {alpha_v[0]:g} to "
+                f"{alpha_v[1]:g} V and beta within {beta_v[0]:g} to {beta_v[1]:g} V"
+            )
+        return "; ".join([*words, visited])
+
+
+def lower_triangle(values, size):
+    """Square matrix from values counted i-major with j <= i; zero above the diagonal."""
+    square = np.zeros((size, size))
+    square[np.tril_indices(size)] = values
+    return square

@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The regression of the Preisach hysteresis on its Everett function: sparse, whatever the grid.
+
+A sample is a sum of few Everett values, one per remembered extreme, where the regression on the
+density involves every active cell. The unknowns are the Everett values at the crossings of the
+levels, and behind them the reversible parts of the n cells of the diagonal; together they determine
+the densities. Crossings (i + 1, j) and cells (i, j) are counted alike: i-major with j <= i.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.sparse import coo_array, csr_array
+
+from piezo_models.hysteresis.preisach_kernels import branch_start, cell_of, with_room
+
+NEAR_THE_END = 1e-3
+"""Of the voltage range: this near to its ends the hysteresis counts as saturated."""
+
+NEAR_A_LEVEL = 0.02
+"""Of a cell: a voltage this near to a level counts as on it when cells are called visited."""
+
+
+@dataclass(frozen=True, eq=False)
+class EverettRegression:
+    """Rows of the regression.
+
+    Parameters
+    ----------
+    matrix : csr_array, shape (N, n (n + 1) / 2 + n)
+        The output is `matrix @ unknowns` and an offset.
+    history : ndarray of int, shape (N,)
+        Samples of one number share one offset. 0: the memory is known. Above: the memory is known
+        inside the voltages seen so far, and what lies outside has not moved. -1: the voltage is
+        where it has not been before, and what it switches there depends on what came before.
+    """
+
+    matrix: csr_array
+    history: np.ndarray
+
+
+def everett_regression(voltage_v, levels_v, samples=None):
+    """Regression of the hysteresis output on the Everett values at the crossings of the levels.
+
+    The density is constant in each cell, so this is eq. (2.3) in other unknowns, exactly. What
+    happened before the first voltage is not known: it counts no more from the first visit to either
+    end of the levels on, provided that nothing beyond them switches.
+
+    Parameters
+    ----------
+    voltage_v : ndarray, shape (N,)
+        Voltages beyond the levels act as the outermost level.
+    levels_v : ndarray, shape (n + 1,)
+        Uniform and increasing.
+    samples : ndarray of int, optional
+        Increasing indices of the voltages whose rows are wanted; all by default.
+
+    Returns
+    -------
+    EverettRegression
+    """
+    samples = np.arange(len(voltage_v)) if samples is None else samples
+    size = levels_v.size - 1
+    position = _positions(voltage_v, levels_v)
+    values, columns, starts, history = _rows(position, size, np.asarray(samples, dtype=np.int64))
+    matrix = csr_array(
+        (values, columns, starts), shape=(len(samples), size * (size + 3) // 2)
+    )
+    return EverettRegression(matrix, history)
+
+
+def density_operator(size):
+    """Densities of the cells, times the area of a full one, from the unknowns of the regression.
+
+    Parameters
+    ----------
+    size : int
+        Number n of cells along each threshold.
+
+    Returns
+    -------
+    csr_array, shape (n (n + 1) / 2, n (n + 1) / 2 + n)
+        The mixed second difference; on the diagonal twice what the reversible part leaves of the
+        Everett value, as the cell there is half.
+    """
+    i, j = np.tril_indices(size)
+    cell = np.arange(i.size)
+    inner = i > j
+    beside = cell - i  # crossing (i, j)
+    corners = [
+        (cell, cell, np.where(inner, 1.0, 2.0)),
+        (cell[inner], beside[inner], -1.0),
+        (cell[inner], cell[inner] + 1, -1.0),
+        (cell[i > j + 1], beside[i > j + 1] + 1, 1.0),
+        (cell[i == j], cell.size + np.arange(size), -2.0),
+    ]
+    return coo_array(
+        (
+            np.concatenate([np.broadcast_to(value, row.shape) for row, _, value in corners]),
+            (
+                np.concatenate([row for row, *_ in corners]),
+                np.concatenate([column for _, column, _ in corners]),
+            ),
+        ),
+        shape=(cell.size, cell.size + size),
+    ).tocsr()
+
+
+def visited_cells(voltage_v, levels_v):
+    """Cells of the Preisach plane in which the moving corner of the memory has been.
+
+    Only there does the output tell the density cell by cell. One full loop switches all relays,
+    but its corner runs along two sides of the triangle.
+
+    Parameters
+    ----------
+    voltage_v : ndarray, shape (N,)
+    levels_v : ndarray, shape (n + 1,)
+        Uniform and increasing.
+
+    Returns
+    -------
+    ndarray of bool, shape (n, n)
+        Row of the cell's alpha, column of its beta; False above the diagonal.
+    """
+    position = _positions(voltage_v, levels_v)
+    level = np.round(position)
+    position = np.where(np.abs(position - level) < NEAR_A_LEVEL, level, position)
+    return _visited(position, levels_v.size - 1)
+
+
+def _positions(voltage_v, levels_v):
+    """Voltages in cells from level 0."""
+    size = levels_v.size - 1
+    width_v = (levels_v[-1] - levels_v[0]) / size
+    return np.clip((np.asarray(voltage_v, dtype=float) - levels_v[0]) / width_v, 0.0, size)
+
+
+@njit(cache=True)
+def _crossing(i, j):
+    return (i - 1) * i // 2 + j
+
+
+@njit(cache=True)
+def _reversible(i, size):
+    return size * (size + 1) // 2 + i
+
+
+@njit(cache=True)
+def _put(values, columns, count, value, column):
+    if value == 0.0:
+        return count
+    values[count] = value
+    columns[count] = column
+    return count + 1
+
+
+@njit(cache=True)
+def _everett_row(values, columns, count, sign, alpha, beta, size):
+    """Append the weights with which the unknowns give sign times the value at (alpha, beta)."""
+    i = cell_of(alpha, size)
+    j = cell_of(beta, size)
+    if i == j:
+        way = alpha - beta
+        count = _put(values, columns, count, sign * way * way, _crossing(i + 1, i))
+        return _put(values, columns, count, sign * (way - way * way), _reversible(i, size))
+    x = alpha - i
+    y = j + 1 - beta
+    count = _put(values, columns, count, sign * x * y, _crossing(i + 1, j))
+    count = _put(values, columns, count, sign * (1.0 - x) * y, _crossing(i, j))
+    count = _put(values, columns, count, sign * x * (1.0 - y), _crossing(i + 1, j + 1))
+    if i > j + 1:
+        count = _put(values, columns, count, sign * (1.0 - x) * (1.0 - y), _crossing(i, j + 1))
+    # The triangles on the diagonal fill up with the square of the way, the reversible with the way.
+    count = _put(values, columns, count, sign * (x * x - x), _crossing(i + 1, i))
+    count = _put(values, columns, count, sign * (x - x * x), _reversible(i, size))
+    count = _put(values, columns, count, sign * (y * y - y), _crossing(j + 1, j))
+    return _put(values, columns, count, sign * (y - y * y), _reversible(j, size))
+
+
+@njit(cache=True)
+def _longer(values, room):
+    if room <= values.size:
+        return values
+    longer = np.empty(max(2 * values.size, room), values.dtype)
+    longer[: values.size] = values
+    return longer
+
+
+@njit(cache=True)
+def _follow(position, n, extremes, top, seen, size):
+    """Memory after sample n: extremes, top, and the number of its history (see above).
+
+    `seen` holds the lowest and the highest voltage, the present number, and the last one given.
+    """
+    v = position[n]
+    if n == 0:
+        extremes[0] = v
+        seen[0], seen[1], seen[2], seen[3] = v, v, 1.0, 1.0
+        top = 0
+    slack = NEAR_THE_END * size
+    if seen[2] != 0.0 and (v <= slack or v >= size - slack):
+        # The range is wiped: all that is in it is off, or on.
+        seen[0], seen[1], seen[2] = 0.0, size, 0.0
+        extremes[0] = 0.0
+        extremes[1] = v
+        return extremes, 1 if v > 0.0 else 0, 0
+    if n == 0:
+        return extremes, top, -1
+    outside = v < seen[0] or v > seen[1]
+    if outside:
+        if seen[2] >= 0.0:
+            seen[3] += 1.0
+        seen[2] = -1.0
+        seen[1] = max(seen[1], v)
+        if v < seen[0]:
+            seen[0] = v
+            extremes[0] = v
+            return extremes, 0, -1
+    elif seen[2] < 0.0 and v != extremes[top]:
+        seen[2] = seen[3]
+    if v != extremes[top]:
+        top = branch_start(extremes, top, v) + 1
+        extremes = with_room(extremes, top)
+        extremes[top] = v
+    return extremes, top, -1 if outside else int(seen[2])
+
+
+@njit(cache=True)
+def _rows(position, size, samples):
+    values = np.empty(16 * samples.size + 64)
+    columns = np.empty(16 * samples.size + 64, np.int64)
+    starts = np.zeros(samples.size + 1, np.int64)
+    history = np.empty(samples.size, np.int64)
+    extremes = np.empty(16)
+    seen = np.zeros(4)
+    top, row, count = 0, 0, 0
+    for n in range(position.size):
+        extremes, top, number = _follow(position, n, extremes, top, seen, size)
+        if row < samples.size and samples[row] == n:
+            history[row] = number
+            if number >= 0:
+                values = _longer(values, count + 8 * top)
+                columns = _longer(columns, count + 8 * top)
+                for k in range(1, top + 1):
+                    if k % 2 == 1:
+                        count = _everett_row(
+                            values, columns, count, 1.0, extremes[k], extremes[k - 1], size
+                        )
+                    else:
+                        count = _everett_row(
+                            values, columns, count, -1.0, extremes[k - 1], extremes[k], size
+                        )
+            row += 1
+            starts[row] = count
+    return values[:count], columns[:count], starts, history
+
+
+@njit(cache=True)
+def _visited(position, size):
+    visited = np.zeros((size, size), np.bool_)
+    extremes = np.empty(16)
+    seen = np.zeros(4)
+    top = 0
+    for n in range(position.size):
+        v = position[n]
+        before = extremes[top] if n else v
+        highest = extremes[1] if top >= 2 else -1.0
+        extremes, top, number = _follow(position, n, extremes, top, seen, size)
+        if number < 0:
+            continue
+        # What is jumped over is not seen.
+        if abs(v - before) > 1.0 + 1e-9:
+            before = v
+        if top == 0:
+            if highest > 0.0:
+                visited[_upper_cell(highest), 0 : _upper_cell(before) + 1] = True
+        elif top % 2 == 1:
+            j = cell_of(extremes[top - 1], size)
+            first = cell_of(max(before, extremes[top - 1]), size)
+            visited[max(first, j) : _upper_cell(v) + 1, j] = True
+        else:
+            i = _upper_cell(extremes[top - 1])
+            last = _upper_cell(min(before, extremes[top - 1]))
+            visited[i, cell_of(v, size) : min(last, i) + 1] = True
+    return visited
+
+
+@njit(cache=True)
+def _upper_cell(position):
+    """Cell whose upper edge a position on an edge is."""
+    return max(int(np.ceil(position)) - 1, 0)

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Sparse quadratic minimum under linear bounds, for a density that is nowhere negative."""
+
+from functools import partial
+
+import numpy as np
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
+
+from piezo_common.cancellation import check_cancelled
+
+PENALTY = 100.0
+"""Of a violated bound, over the mean curvature of the quadratic form."""
+
+VIOLATION = 1e-5
+"""Sum of what is below zero over the sum of all: so much counts as zero."""
+
+UNDECIDED = 1e-3
+"""Of the bounds: where so few change in a step, the rest of the way is too short to matter."""
+
+BISECTIONS = 10
+"""Of a step, for the length that is best."""
+
+MOST_FACTORISATIONS = 60
+"""The search for the bounds that hold ends then; 1 to 20 are usual."""
+
+
+def nonnegative_minimum(quadratic, linear, bounded, border, corner, border_linear, multiplier=None):
+    """Minimise x H x / 2 - c x over x = (e, z) with T e >= 0: sparse in e, with few z beside it.
+
+    Augmented Lagrangian, each of whose piecewise quadratic functions is minimised by Newton steps:
+    exact after a few factorisations, and after one where no bound holds.
+
+    Parameters
+    ----------
+    quadratic : sparse array, shape (n, n)
+        Of e; positive definite.
+    linear : ndarray, shape (n,)
+    bounded : sparse array, shape (m, n)
+        T.
+    border : ndarray, shape (n, k)
+        Of e and z.
+    corner : ndarray, shape (k, k)
+        Of z.
+    border_linear : ndarray, shape (k,)
+    multiplier : ndarray, shape (m,), optional
+        Guess of the bounds' forces, which saves factorisations.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        e; `bounded @ e` may be below zero by `VIOLATION`.
+    ndarray, shape (k,)
+        z.
+    ndarray, shape (m,)
+        Forces of the bounds.
+    """
+    bounded = bounded.tocsr()
+    penalty = PENALTY * quadratic.diagonal().mean()
+    multiplier = np.zeros(bounded.shape[0]) if multiplier is None else multiplier
+
+    def newton_point(active):
+        """Minimum of the function that is quadratic while these bounds are the violated ones."""
+        rows = bounded[active]
+        factor = _factor(quadratic + penalty * (rows.T @ rows))
+        right_sides = np.column_stack([linear + rows.T @ multiplier[active], border])
+        solved = factor.solve(right_sides)
+        beside = np.linalg.lstsq(
+            corner - border.T @ solved[:, 1:], border_linear - border.T @ solved[:, 0], rcond=1e-13
+        )[0]
+        return solved[:, 0] - solved[:, 1:] @ beside, beside
+
+    def slope(point, beside, step, step_beside, length):
+        """Of the function, along a step."""
+        there, there_beside = point + length * step, beside + length * step_beside
+        force = np.maximum(multiplier - penalty * (bounded @ there), 0.0)
+        gradient = quadratic @ there + border @ there_beside - linear - bounded.T @ force
+        gradient_beside = border.T @ there + corner @ there_beside - border_linear
+        return gradient @ step + gradient_beside @ step_beside
+
+    active = multiplier > 0.0
+    point, beside = newton_point(active)
+    for _ in range(MOST_FACTORISATIONS):
+        check_cancelled()
+        values = bounded @ point
+        violated = multiplier - penalty * values > 0.0
+        if np.count_nonzero(violated != active) <= UNDECIDED * active.size:
+            if -np.minimum(values, 0.0).sum() <= VIOLATION * np.abs(values).sum():
+                break
+            multiplier = np.maximum(multiplier - penalty * values, 0.0)
+            violated = multiplier > 0.0
+        active = violated
+        target, target_beside = newton_point(active)
+        step, step_beside = target - point, target_beside - beside
+        length = _length(partial(slope, point, beside, step, step_beside))
+        point, beside = point + length * step, beside + length * step_beside
+    return point, beside, np.maximum(multiplier - penalty * (bounded @ point), 0.0)
+
+
+def _length(slope):
+    """Part of a step after which a convex function is least along it, from its rising slope."""
+    if slope(1.0) <= 0.0:
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if slope(middle) < 0.0 else (low, middle)
+    return high
+
+
+def _factor(matrix):
+    return splu(
+        csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )

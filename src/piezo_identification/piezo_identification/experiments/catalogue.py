@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The named experiments of the identification: which voltage is played, and how fast."""
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from piezo_identification.experiments.diagnostic_waveform import diagnostic_block
+from piezo_identification.experiments.input_designs import arc, stair_amplitudes, stair_harmonics
+from piezo_identification.experiments.relay_feedback import relay
+
+SWING_FRACTION = 0.3
+"""Step of the square waves over the voltage range: large, yet within the slew limit."""
+
+VALIDATION_TURNS = (0.0, 0.836, 0.236, 0.747, 0.305, 0.652, 0.415, 0.933, 0.09, 0.585, 0.207, 0.5)
+"""Turning points of the slow validation part as fractions of the voltage range, off any level."""
+
+VALIDATION_TONES = ((100.0, 0.06), (300.0, 0.03), (400.0, 0.03), (500.0, 0.03), (1000.0, 0.03))
+"""Frequency in Hz and amplitude over the voltage range of each tone of the fast validation part."""
+
+MULTISINE_TURNS = (0.0, 0.5)
+MULTISINE_TONES = (
+    (100.0, 0.05), (200.0, 0.1), (300.0, 0.05), (400.0, 0.05), (500.0, 0.05), (600.0, 0.05)
+)
+"""Frequency in Hz and amplitude over the voltage range, in the proportions of the thesis."""
+
+
+@dataclass(frozen=True)
+class StageLimits:
+    """What the stage allows.
+
+    Parameters
+    ----------
+    voltage_min_v, voltage_max_v : float
+        Range of the amplifier.
+    slew_limit_v_per_s : float
+        Largest rate of change of the voltage.
+    sample_rate_hz : float
+        Sample clock of the stage.
+    rest_voltage_v : float
+        Voltage of the stage at rest.
+    samples_per_tick : int
+        Samples of one feedback period.
+    """
+
+    voltage_min_v: float = -20.0
+    voltage_max_v: float = 120.0
+    slew_limit_v_per_s: float = 2e6
+    sample_rate_hz: float = 40_000.0
+    rest_voltage_v: float = 0.0
+    samples_per_tick: int = 40
+
+    @property
+    def span_v(self):
+        """Width of the voltage range."""
+        return self.voltage_max_v - self.voltage_min_v
+
+    @property
+    def middle_v(self):
+        """Middle of the voltage range."""
+        return 0.5 * (self.voltage_min_v + self.voltage_max_v)
+
+    def clip(self, voltage_v):
+        """Voltage without the rounding that would put it a hair outside the range."""
+        return np.clip(voltage_v, self.voltage_min_v, self.voltage_max_v)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A voltage waveform with the purpose it serves.
+
+    Parameters
+    ----------
+    name : str
+        Name under which it is asked for.
+    voltage_v : ndarray, shape (N,)
+        One run of the waveform, each value held for `sample_period_s`.
+    sample_period_s : float
+        Whole multiple of the sample clock's period.
+    repeats : int
+        How often the waveform is played.
+    description : str
+        One line for people.
+    """
+
+    name: str
+    voltage_v: np.ndarray = field(repr=False)
+    sample_period_s: float
+    repeats: int
+    description: str
+
+    @property
+    def duration_s(self):
+        """Time that all repeats take, without the ramps from and to rest."""
+        return self.voltage_v.size * self.sample_period_s * self.repeats
+
+    def parameters(self):
+        """What a recording should keep of it."""
+        return {"sample_period_s": self.sample_period_s, "repeats": self.repeats,
+                "samples": self.voltage_v.size}
+
+
+def creep(limits=StageLimits(), period_s=400.0, sample_period_s=0.01, periods=1, swing_v=None):
+    """Long square wave: shows the creep (thesis 4.5).
+
+    It begins at the upper level: the loop between the levels is then closed from the first sample
+    on, and the hysteresis has exactly two outputs, as (4.5) asks.
+
+    Parameters
+    ----------
+    limits : StageLimits
+        What the stage allows.
+    period_s, sample_period_s : float
+        Period of the square wave and time for which each value is held.
+    periods : int
+        Number of periods.
+    swing_v : float, optional
+        Difference of the two levels, which lie around the middle of the range.
+
+    Raises
+    ------
+    ValueError
+        If the waveform leaves the range or exceeds the slew limit.
+    """
+    voltage_v = _square_wave(limits, period_s, sample_period_s, swing_v)
+    return _fitting(
+        limits, Experiment("creep", voltage_v, sample_period_s, periods,
+                           f"square wave of {period_s:g} s between two levels")
+    )
+
+
+def dynamics(limits=StageLimits(), period_s=0.02, duration_s=2.0, swing_v=None):
+    """Short square wave at the full sample clock: shows electric and vibration dynamics.
+
+    Parameters
+    ----------
+    limits : StageLimits
+        What the stage allows.
+    period_s, duration_s : float
+        Period of the square wave and length of the whole.
+    swing_v : float, optional
+        Difference of the two levels, which lie around the middle of the range.
+
+    Raises
+    ------
+    ValueError
+        If the waveform leaves the range or exceeds the slew limit.
+    """
+    sample_period_s = 1.0 / limits.sample_rate_hz
+    voltage_v = _square_wave(limits, period_s, sample_period_s, swing_v)
+    return _fitting(
+        limits, Experiment("dynamics", voltage_v, sample_period_s, round(duration_s / period_s),
+                           f"square wave of {1e3 * period_s:g} ms between two levels")
+    )
+
+
+def hysteresis(limits=StageLimits(), level_count=70, harmonic_period_s=2.0, sample_period_s=0.001):
+    """Harmonics of stair amplitude (4.6)-(4.8), from the bottom over the whole voltage range.
+
+    Harmonic i rises from the lowest voltage to level i and returns, so each begins and ends at
+    negative saturation, where the memory is known.
+
+    Parameters
+    ----------
+    limits : StageLimits
+        What the stage allows.
+    level_count : int
+        Number of harmonics L; the levels are L + 1 with level 0.
+    harmonic_period_s, sample_period_s : float
+        Period T_sub of each harmonic and time for which each value is held.
+
+    Raises
+    ------
+    ValueError
+        If the waveform leaves the range or exceeds the slew limit.
+    """
+    samples = round(harmonic_period_s / sample_period_s)
+    stairs_v = stair_harmonics(
+        np.arange(level_count * samples) / samples,
+        stair_amplitudes(level_count, limits.span_v), 1.0)
+    voltage_v = limits.voltage_min_v + np.append(stairs_v, 0.0)
+    return _fitting(
+        limits, Experiment("hysteresis", voltage_v, sample_period_s, 1,
+                           f"{level_count} harmonics of rising amplitude over the whole range")
+    )
+
+
+def validation(limits=StageLimits(), arc_s=0.25, tones_s=1.0):
+    """Unseen input: slow arcs between turning points off the levels, then tones to 1 kHz.
+
+    It begins at the lowest voltage, where the memory of the hysteresis is known.
+
+    Parameters
+    ----------
+    limits : StageLimits
+        What the stage allows.
+    arc_s : float
+        Time from one turning point to the next.
+    tones_s : float
+        Length of the part with many frequencies.
+
+    Raises
+    ------
+    ValueError
+        If the waveform leaves the range or exceeds the slew limit.
+    """
+    voltage_v = _arcs_and_tones(limits, VALIDATION_TURNS, VALIDATION_TONES, arc_s, tones_s)
+    return _fitting(
+        limits, Experiment("validation", voltage_v, 1.0 / limits.sample_rate_hz, 1,
+                           "slow arcs of unseen amplitudes, then tones from 100 Hz to 1 kHz")
+    )
+
+
+def multisine(limits=StageLimits(), arc_s=0.5, tones_s=1.0):
+    """Six tones from 100 to 600 Hz around mid-range (3.4.2): shows the modes below 1 kHz.
+
+    It climbs from the lowest voltage, where the memory of the hysteresis is known, so that an
+    identified Preisach model tells the input of the dynamics.
+
+    Parameters
+    ----------
+    limits : StageLimits
+        What the stage allows.
+    arc_s, tones_s : float
+        Length of the climb and of the tones.
+
+    Raises
+    ------
+    ValueError
+        If the waveform leaves the range or exceeds the slew limit.
+    """
+    voltage_v = _arcs_and_tones(limits, MULTISINE_TURNS, MULTISINE_TONES, arc_s, tones_s)
+    return _fitting(
+        limits, Experiment("multisine", voltage_v, 1.0 / limits.sample_rate_hz, 1,
+                           "six tones from 100 to 600 Hz around mid-range")
+    )
+
+
+def diagnostic(limits=StageLimits(), repeats=4):
+    """Every effect that a model may lack shows: rest, loops, rates, steps and tones.
+
+    It begins at the lowest voltage, where the memory of the hysteresis is known. Repeats tell the
+    noise from what the voltage causes, and drift from both.
+
+    Parameters
+    ----------
+    limits : StageLimits
+        What the stage allows.
+    repeats : int
+        How often the whole is played.
+
+    Raises
+    ------
+    ValueError
+        If the waveform leaves the range or exceeds the slew limit.
+    """
+    voltage_v = diagnostic_block(limits)
+    return _fitting(
+        limits, Experiment("diagnostic", voltage_v, 1.0 / limits.sample_rate_hz, repeats,
+                           "rest, loops, loops ever faster, steps and tones, repeated")
+    )
+
+
+EXPERIMENTS = {
+    "creep": creep, "dynamics": dynamics, "hysteresis": hysteresis, "validation": validation
+}
+"""Those of the identification sequence, in its order."""
+
+FURTHER_EXPERIMENTS = {"multisine": multisine, "relay": relay, "diagnostic": diagnostic}
+"""Those that run when asked for; `relay` acts in feedback, the others play a waveform."""
+
+
+def named_experiment(name, limits=StageLimits()):
+    """Experiment of this name with its default parameters.
+
+    Raises
+    ------
+    ValueError
+        If there is none of this name, or it does not fit into the limits.
+    """
+    experiments = EXPERIMENTS | FURTHER_EXPERIMENTS
+    if name not in experiments:
+        raise ValueError(f"unknown experiment '{name}': choose one of {', '.join(experiments)}")
+    return experiments[name](limits)
+
+
+def _square_wave(limits, period_s, sample_period_s, swing_v):
+    """One period (N,) between two levels around the middle, the upper one first."""
+    swing_v = SWING_FRACTION * limits.span_v if swing_v is None else swing_v
+    half = round(0.5 * period_s / sample_period_s)
+    levels_v = limits.middle_v + 0.5 * swing_v * np.array([1.0, -1.0])
+    return np.repeat(levels_v, half)
+
+
+def _arcs_and_tones(limits, turns, tones, arc_s, tones_s):
+    """Smooth ways from turn to turn (N,), then tones about the last; both in parts of the range."""
+    samples = round(arc_s * limits.sample_rate_hz)
+    arcs = [arc(start, end, samples) for start, end in pairwise(turns)]
+    time_s = np.arange(round(tones_s * limits.sample_rate_hz)) * (1.0 / limits.sample_rate_hz)
+    waves = turns[-1] + sum(
+        amplitude * np.sin(2.0 * np.pi * frequency_hz * time_s)
+        for frequency_hz, amplitude in tones
+    )
+    return limits.voltage_min_v + limits.span_v * np.concatenate([*arcs, waves])
+
+
+def _fitting(limits, experiment):
+    """Return the experiment; refuse it if the stage would not play it unchanged."""
+    lowest_v, highest_v = experiment.voltage_v.min(), experiment.voltage_v.max()
+    tolerance_v = 1e-9 * limits.span_v
+    if lowest_v < limits.voltage_min_v - tolerance_v or (
+        highest_v > limits.voltage_max_v + tolerance_v
+    ):
+        raise ValueError(
+            f"experiment '{experiment.name}' needs {lowest_v:g}..{highest_v:g} V, the stage allows "
+            f"{limits.voltage_min_v:g}..{limits.voltage_max_v:g} V: make it smaller"
+        )
+    # A change of a held value happens within one period of the sample clock.
+    steps_v = np.diff(np.append(experiment.voltage_v, experiment.voltage_v[:1])
+                      if experiment.repeats > 1 else experiment.voltage_v)
+    slew_v_per_s = np.abs(steps_v).max(initial=0.0) * limits.sample_rate_hz
+    if slew_v_per_s > limits.slew_limit_v_per_s * (1.0 + 1e-9):
+        raise ValueError(
+            f"experiment '{experiment.name}' needs a slew of {slew_v_per_s:.3g} V/s, the stage "
+            f"allows {limits.slew_limit_v_per_s:.3g} V/s: make its steps smaller"
+        )
+    return replace(experiment, voltage_v=limits.clip(experiment.voltage_v))

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The waveform that lets every effect show which a model may lack."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from piezo_identification.experiments.input_designs import arc
+
+REST_S = 0.8
+"""Silence: noise, disturbances from outside, outliers, drift."""
+
+LOOPS = (0.0, 1.0, 0.12, 0.78, 0.35, 0.61, 0.0, 0.93, 0.05, 0.5)
+"""Turning points over the range: the major loop, loops within it, and back into the middle."""
+ARC_S, DWELL_S = 0.1, 0.25
+"""From one turning point to the next, and how long the voltage stays there: hysteresis, play, creep
+and, at the ends of the range, clipping."""
+
+RATES_HZ, CYCLES, RATE_SWING = (4.0, 25.0, 150.0), (1, 5, 20), 0.16
+"""The same loop about the middle, ever faster: what depends on the rate, and large fast motion."""
+
+STEPS = (0.3, -0.05, 0.1, -0.2, 0.05, -0.3, 0.2, -0.1) * 3
+STEP_S = 0.025
+"""Heights over the range, each for so long: slewing, ringing, delay."""
+
+TONES_HZ, TONES_S, TONE_SWINGS = (20.0, 3000.0), 1.0, (0.02, 0.07)
+"""Tones side by side, together of a small and of a large RMS: modes, delay, lags, and whether they
+go with the size."""
+TONES_PER_S = 10
+PHASES = 0
+"""Seed of their phases."""
+
+
+def diagnostic_block(limits):
+    """One block of the waveform, from the lowest voltage back to it, at the sample clock.
+
+    Parameters
+    ----------
+    limits : StageLimits
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Voltage.
+    """
+    rate_hz = limits.sample_rate_hz
+    # A jump happens within a sample, and the stage may not allow the largest ones.
+    highest_step = limits.slew_limit_v_per_s / rate_hz / limits.span_v
+    parts = [
+        np.zeros(round(REST_S * rate_hz)), *_loops(rate_hz), *_faster_and_faster(rate_hz),
+        *_steps(rate_hz, highest_step), *_tones(rate_hz, highest_step),
+        arc(0.5, 0.0, round(ARC_S * rate_hz)),
+    ]
+    return limits.voltage_min_v + limits.span_v * np.concatenate(parts)
+
+
+def _loops(rate_hz):
+    for start, end in pairwise(LOOPS):
+        yield arc(start, end, round(ARC_S * rate_hz))
+        yield np.full(round(DWELL_S * rate_hz), end)
+
+
+def _faster_and_faster(rate_hz):
+    for frequency_hz, cycles in zip(RATES_HZ, CYCLES, strict=True):
+        samples = round(cycles / frequency_hz * rate_hz)
+        phase = 2.0 * np.pi * cycles * np.arange(samples) / samples
+        yield 0.5 + RATE_SWING * np.sin(phase)
+
+
+def _steps(rate_hz, highest_step):
+    samples = round(STEP_S * rate_hz)
+    yield np.full(samples, 0.5)
+    for step in STEPS:
+        height = np.sign(step) * min(abs(step), highest_step)
+        yield np.repeat([0.5 + height, 0.5], samples)
+
+
+def _tones(rate_hz, highest_step):
+    samples = round(TONES_S * rate_hz)
+    lines = np.arange(TONES_HZ[0], min(TONES_HZ[1], 0.1 * rate_hz), TONES_PER_S) * TONES_S
+    harmonics = np.zeros(samples // 2 + 1, dtype=complex)
+    phases = np.random.default_rng(PHASES).uniform(0.0, 2.0 * np.pi, lines.size)
+    harmonics[np.round(lines).astype(int)] = np.exp(1j * phases)
+    wave = np.fft.irfft(harmonics, samples)
+    # Smooth at both ends, so that nothing else rings.
+    wave *= np.minimum(1.0, np.minimum(np.arange(samples), np.arange(samples)[::-1]) / (
+        0.05 * rate_hz))
+    wave /= wave.std()
+    largest_swing = highest_step / np.abs(np.diff(wave)).max()
+    for swing in TONE_SWINGS:
+        yield 0.5 + min(swing, largest_swing) * wave

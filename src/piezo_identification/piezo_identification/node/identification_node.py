@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Run the identification on a stage: experiments and the whole sequence as actions."""
+
+import json
+
+import numpy as np
+from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment
+from rclpy.lifecycle import LifecycleNode
+
+from piezo_identification.diagnosis.diagnosis_report import verdict_sentence
+from piezo_identification.diagnosis.results import diagnose_files
+from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
+from piezo_identification.experiments.catalogue import EXPERIMENTS, StageLimits, named_experiment
+from piezo_identification.experiments.relay_feedback import (
+    RelayExperiment,
+    RelayRun,
+    relay_oscillation,
+)
+from piezo_identification.identify import IdentificationCancelled, identify
+from piezo_models.model_file import save_model
+from piezo_recorder.reading.reader import read_recording
+from piezo_ros.calls import ActionCaller, CallFailed, Cancelled, GoalAborted
+from piezo_ros.goals import GoalServers
+from piezo_ros.parameters import declare, declare_data_root
+from piezo_ros.spinning import autostart, run_node
+from piezo_ros.stage_runs.recording_calls import RecorderCaller
+from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
+from piezo_ros.stage_runs.stage_tracking import StageTracker
+
+# Of the identify action: what the experiments take of it, the rest are the estimators.
+EXPERIMENTS_FRACTION = 0.5
+DIAGNOSIS_FILES = ("verdict.json", "extended_model.json", "report.html")
+
+
+class IdentificationNode(LifecycleNode):
+    """Serve the actions ``run_experiment``, ``identify`` and ``diagnose``."""
+
+    def __init__(self):
+        super().__init__("identification")
+        self._limits = StageLimits(
+            declare(self, "minimum_voltage_v", -20.0,
+                    "Lowest voltage of the experiments (V).", -1000.0, 1000.0),
+            declare(self, "maximum_voltage_v", 120.0,
+                    "Highest voltage of the experiments (V).", -1000.0, 1000.0),
+            declare(self, "slew_limit_v_per_s", 2.0e6,
+                    "Slew limit of the stage (V/s).", 1.0, 1.0e9),
+            declare(self, "sample_rate_hz", 40000.0,
+                    "Rate of the stage's sample clock (Hz).", 1000.0, 200000.0),
+            declare(self, "rest_voltage_v", 0.0,
+                    "Voltage of the stage at rest (V).", -1000.0, 1000.0),
+            declare(self, "samples_per_tick", 40, "Samples of one feedback period.", 1, 4000))
+        self._data_root = declare_data_root(self)
+        self._directory = declare(
+            self, "directory", "runs", "Where recordings and models go if a goal names no place.")
+        self._refine = declare(
+            self, "refine", False, "Fit all components together at the end of identify.")
+        self._run_limits = declare_run_limits(self)
+        self._player = ActionCaller(self, PlayWaveform, "play_waveform")
+        self._tracker = StageTracker(self)
+        self._recorder = RecorderCaller(self)
+        self._goals = GoalServers(self)
+        self._goals.serve(RunExperiment, "identification/run_experiment", self._run_experiment)
+        self._goals.serve(Identify, "identification/identify", self._identify)
+        self._goals.serve(Diagnose, "identification/diagnose", self._diagnose)
+        autostart(self)
+
+    def wind_down(self):
+        """Cancel what runs; return whether it has ended."""
+        return self._goals.end()
+
+    def _run_experiment(self, goal, result, progress):
+        directory = self._writable(goal)
+        experiment = named_experiment(goal.experiment, self._limits)
+        result.summary = f"{experiment.description}, {experiment.duration_s:g} s"
+        note, recording = self._record(
+            experiment, directory, result, lambda stage, fraction: progress.report(
+                fraction, stage=f"{experiment.name}: {stage}"), progress, goal.unrecorded)
+        result.message = "; ".join(filter(None, (note, recording.note)))
+        if isinstance(experiment, RelayExperiment) and not recording.failure:
+            oscillation = relay_oscillation(read_recording(result.recording), experiment)
+            result.summary += f"\n{oscillation.summary}"
+
+    def _record(self, experiment, directory, result, report, progress, unrecorded):
+        """Run and record an experiment; its recording is in the result whatever happens.
+
+        Returns what there is to tell of the run, and the recording.
+        """
+        run = self._relay if isinstance(experiment, RelayExperiment) else self._play
+        with self._recorder.record(directory, experiment.name, {
+                "parameters.json": self._described(experiment)}, unrecorded) as recording:
+            if hasattr(result, "recording"):
+                result.recording = recording.path
+            else:
+                result.recordings.append(recording.path)
+            note = run(experiment, report, progress, recording)
+        progress.check()
+        return note, recording
+
+    def _play(self, experiment, report, progress, recording):
+        """Play a waveform."""
+        try:
+            played = self._player.run(
+                PlayWaveform.Goal(voltage_v=experiment.voltage_v.tolist(),
+                                  sample_period_s=experiment.sample_period_s,
+                                  repeats=experiment.repeats,
+                                  client=self.get_fully_qualified_name()),
+                lambda feedback: report(feedback.stage, feedback.fraction),
+                lambda: progress.cancelled or recording.must_stop)
+        except GoalAborted as aborted:
+            recording.last_sample = aborted.result.last_sample
+            raise
+        recording.last_sample = played.last_sample
+        return ""
+
+    def _relay(self, experiment, report, progress, recording):
+        """Answer the stage's blocks as a relay; return what there is to tell of it."""
+        run, account = RelayRun(experiment), RunAccount(**self._run_limits)
+
+        def take(block):
+            if run.fraction < 1.0:
+                account.take(block.flags)
+            return run.take(np.frombuffer(block.displacement_um))
+
+        try:
+            self._tracker.run(
+                experiment.feedforward_v, np.empty(0), experiment.ticks, take, True,
+                lambda: progress.cancelled or recording.must_stop,
+                lambda: report("feedback", run.fraction))
+        finally:
+            recording.last_sample = self._tracker.last_sample
+        if not (run.fraction == 1.0 or progress.cancelled or recording.must_stop):
+            raise CallFailed(f"the stage stopped before the end: {self._tracker.why_ended()}")
+        if account.failure and not (progress.cancelled or recording.must_stop):
+            raise CallFailed(account.failure)
+        return account.note
+
+    def _described(self, experiment):
+        return json.dumps({
+            "experiment": experiment.name, "description": experiment.description,
+            "duration_s": experiment.duration_s, **experiment.parameters(),
+            "minimum_voltage_v": self._limits.voltage_min_v,
+            "maximum_voltage_v": self._limits.voltage_max_v}, indent=1)
+
+    def _identify(self, goal, result, progress):
+        directory = self._writable(goal)
+        _make(directory)
+        given = [*map(self._data_root.readable, goal.recordings)]
+        result.recordings = given or self._run_all(
+            directory, result, progress, goal.unrecorded)
+        if len(result.recordings) != len(EXPERIMENTS):
+            raise ValueError(
+                f"{len(result.recordings)} recordings are named: give those of "
+                f"{', '.join(EXPERIMENTS)}, in this order, or none")
+        progress.check()
+        recordings = dict(zip(EXPERIMENTS, map(read_recording, result.recordings), strict=True))
+        try:
+            identified = identify(
+                **recordings, refine=self._refine,
+                order=ResponseOrder(goal.creep_pairs or None, goal.modes or None, None),
+                progress=lambda stage, fraction: progress.report(
+                    EXPERIMENTS_FRACTION + (1.0 - EXPERIMENTS_FRACTION) * fraction,
+                    stage=f"estimate: {stage}"),
+                cancelled=lambda: progress.cancelled)
+        except IdentificationCancelled:
+            raise Cancelled from None
+        model = directory / "model.json"
+        save_model(model, identified)
+        result.model = str(model)
+        result.error_names = list(identified.errors)
+        result.error_values = [float(value) for value in identified.errors.values()]
+
+    def _run_all(self, directory, result, progress, unrecorded):
+        """Run every experiment; raise CallFailed at the end if one could not be recorded."""
+        unread = []
+        durations_s = [named_experiment(name, self._limits).duration_s for name in EXPERIMENTS]
+        for index, name in enumerate(EXPERIMENTS):
+            begin = sum(durations_s[:index]) / sum(durations_s)
+            share = durations_s[index] / sum(durations_s)
+
+            def report(stage, fraction, name=name, begin=begin, share=share):
+                progress.report(EXPERIMENTS_FRACTION * (begin + share * fraction),
+                                stage=f"{name}: {stage}")
+            _, recording = self._record(named_experiment(name, self._limits), directory, result,
+                                        report, progress, unrecorded)
+            unread += [recording.note] if recording.failure else []
+        if unread:
+            raise CallFailed(f"{'; '.join(unread)}: run those experiments again, and give all "
+                             "recordings to identify")
+        return result.recordings
+
+    def _diagnose(self, goal, result, progress):
+        def report(stage, fraction):
+            progress.check()
+            progress.report(fraction, stage=stage)
+
+        readable, directory = self._data_root.readable, self._writable(goal)
+        for name in DIAGNOSIS_FILES:  # which may be links that lead elsewhere
+            self._data_root.writable(directory / name)
+        results = diagnose_files(readable(goal.model), [*map(readable, goal.recordings)],
+                                 readable(goal.holdout) or None, directory, report)
+        diagnosis = results.diagnosis
+        result.verdict = diagnosis.verdict
+        result.sentence = verdict_sentence(diagnosis)
+        result.effects = [entry["name"] for entry in diagnosis.effects]
+        result.extended_model = str(results.extended_model)
+        result.report = str(results.report)
+        result.verdict_json = results.verdict.read_text(encoding="utf-8")
+        for name in ("rms_um", "e_y_percent"):
+            setattr(result, f"before_{name}", float(diagnosis.before[name]))
+            setattr(result, f"after_{name}", float(diagnosis.after[name]))
+
+    def _writable(self, goal):
+        """The directory in which a goal's files are made."""
+        return self._data_root.writable(goal.directory or self._directory)
+
+
+def _make(directory):
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(f"{directory}: {error.strerror}; choose another directory") from None
+
+
+def main(args=None):
+    """Run the node ``identification``."""
+    run_node(IdentificationNode, args)

@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: BSD-3-Clause
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from piezo_identification.commands.identify_command import main as identify_main
+from piezo_identification.commands.simulate_command import main as simulate_main
+from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.identify import IdentificationCancelled, identify
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.model_file import load_model
+from piezo_recorder.reading.reader import read_recording, sha256_of
+
+HEADER = "time_s,voltage_v,displacement_um"
+NAMES = ("creep", "dynamics", "hysteresis", "validation")
+
+
+@pytest.fixture(scope="module")
+def files(play, csv_of, tmp_path_factory):
+    """CSV files of the experiments: their rows are samples at their instants."""
+    directory = tmp_path_factory.mktemp("with a space")
+    makers = {
+        "creep": lambda: play(experiments.creep(), 1, 100.0),
+        "dynamics": lambda: play(experiments.dynamics(), 1),
+        "hysteresis": lambda: play(experiments.hysteresis(level_count=35), 1, 1000.0),
+        "validation": lambda: play(experiments.validation(), 1),
+    }
+    return {name: csv_of(makers[name](), directory / f"{name}.csv") for name in NAMES}
+
+
+def options(files):
+    return [text for name in files for text in (f"--{name}", str(files[name]))]
+
+
+@pytest.fixture(scope="module")
+def model_file(files, tmp_path_factory):
+    path = tmp_path_factory.mktemp("models") / "model.json"
+    assert identify_main([*options(files), "--output", str(path)]) == 0
+    return path
+
+
+def test_identify_writes_a_model_that_holds_on_unseen_data(plant, model_file):
+    identified = load_model(model_file)
+    # The sensor's noise alone makes 0.04 % and 0.2 %.
+    assert identified.errors["hysteresis_e_y_percent"] < 0.1
+    assert identified.errors["dynamics_e_y_percent"] < 0.3
+    frequency_hz = np.array([100.0, 500.0, 1000.0])
+    ratio = identified.model.response(frequency_hz) / plant.response(frequency_hz)
+    assert np.abs(ratio - 1.0).max() < 1e-3
+
+
+def test_the_model_names_range_periods_and_recordings(files, model_file):
+    identified = load_model(model_file)
+    assert identified.voltage_range_v == pytest.approx((-20.0, 120.0))
+    assert identified.sample_periods_s == pytest.approx(
+        {"creep": 0.01, "dynamics": 25e-6, "hysteresis": 1e-3}
+    )
+    assert identified.recordings == [
+        {"path": str(files[name]), "sha256": sha256_of(files[name])} for name in NAMES
+    ]
+
+
+def test_identify_takes_orders_and_says_why_and_what_the_data_determine(files, tmp_path, capsys):
+    output = tmp_path / "model.json"
+    arguments = [*options(files), "--output", output, "--creep-pairs", 1, "--modes", 1]
+    assert identify_main([str(argument) for argument in arguments]) == 0
+    model = load_model(output).model
+    assert len(model.creep.poles_rad_per_s) == 1
+    assert len(model.dynamics.mode_frequencies_rad_per_s) == 1
+    printed = capsys.readouterr().out
+    assert printed.count("<- asked for") == 2
+    assert "of the Preisach plane visited" in printed
+
+
+@pytest.fixture(scope="module")
+def response_file(plant, tmp_path_factory):
+    """The plant's response in another unit, with a delay and a little noise."""
+    frequency_hz = np.geomspace(1.0, 2000.0, 160)
+    random = np.random.default_rng(5)
+    noise = 1e-4 * random.normal(size=(2, 160))
+    gain = 3.0 * plant.response(frequency_hz) * np.exp(-2j * np.pi * frequency_hz * 120e-6)
+    gain = gain + noise[0] + 1j * noise[1]
+    path = tmp_path_factory.mktemp("response") / "response.csv"
+    np.savetxt(path, np.column_stack([frequency_hz, gain.real, gain.imag]), delimiter=",",
+               header="frequency_hz,gain_re,gain_im", comments="")
+    return path
+
+
+def identified_with(files, tmp_path, dynamics, *more, beside=("creep", "hysteresis", "validation")):
+    output = tmp_path / "model.json"
+    given = {name: files[name] for name in beside}
+    arguments = [*options(given | {"dynamics": dynamics}), "--output", output, *more]
+    assert identify_main([str(argument) for argument in arguments]) == 0
+    return load_model(output)
+
+
+def test_identify_takes_the_dynamics_from_a_frequency_response(files, response_file, tmp_path):
+    identified = identified_with(
+        files, tmp_path, response_file, "--modes", 2, "--antiresonances", 0)
+    model = identified.model
+    assert model.dynamics.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=2e-3)
+    assert model.effects[0].delay_s == pytest.approx(120e-6, rel=0.01)
+    assert model.dynamics.time_constant_s == pytest.approx(490e-6, rel=0.01)
+    assert len(model.creep.poles_rad_per_s) == 4
+    assert identified.uncertainties["dynamics"]["time_constant_s"] > 0.0
+    assert identified.sample_periods_s.keys() == {"creep", "hysteresis"}
+    # The validation has no such delay; the slow part hardly feels it.
+    assert identified.errors["hysteresis_e_y_percent"] < 0.2
+
+
+def test_identify_takes_the_orders_of_a_frequency_response_and_its_band(
+        files, response_file, tmp_path, capsys):
+    identified = identified_with(
+        files, tmp_path, response_file, "--modes", 1, "--antiresonances", 0, "--band", 1, 500)
+    assert len(identified.model.dynamics.mode_frequencies_rad_per_s) == 1
+    assert "0+1-0" in capsys.readouterr().out
+
+
+def test_what_the_data_do_not_tell_is_said_and_the_model_saved(files, tmp_path, capsys):
+    """A response without creep does not tell where a pole lies that its zero cancels."""
+    frequency_hz = np.geomspace(1.0, 2000.0, 60)
+    gain = 3.0 / (1.0 + 2j * np.pi * frequency_hz * 500e-6)
+    path = tmp_path / "no_creep.csv"
+    np.savetxt(path, np.column_stack([frequency_hz, gain.real, gain.imag]), delimiter=",",
+               header="frequency_hz,gain_re,gain_im", comments="")
+    identified = identified_with(
+        files, tmp_path, path, "--creep-pairs", 1, "--modes", 0, "--antiresonances", 0,
+        beside=["hysteresis"])
+    (deviation,) = identified.uncertainties["creep"]["poles_rad_per_s"]
+    assert deviation > identified.model.creep.poles_rad_per_s[0]
+    assert identified.uncertainties["dynamics"]["time_constant_s"] < 1e-6
+    assert identified.model.dynamics.time_constant_s == pytest.approx(500e-6, rel=1e-3)
+    assert "do not tell creep poles_rad_per_s, creep zeros_rad_per_s" in capsys.readouterr().out
+
+
+def test_identify_takes_the_dynamics_from_a_multisine(files, play, csv_of, tmp_path):
+    path = csv_of(play(experiments.multisine(tones_s=0.4), 1), tmp_path / "multisine.csv")
+    model = identified_with(files, tmp_path, path, "--modes", 2).model
+    assert model.dynamics.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=2e-3)
+    assert model.dynamics.time_constant_s == pytest.approx(490e-6, rel=0.01)
+
+
+def test_identify_fits_a_square_wave_by_armax(
+        plant, files, play, csv_of, tmp_path, capsys):
+    path = csv_of(play(experiments.dynamics(duration_s=0.6), 1), tmp_path / "dynamics.csv")
+    model = identified_with(
+        files, tmp_path, path, "--method", "armax", "--modes", 2, beside=["hysteresis"]).model
+    ratio = model.dynamics.response(np.array([100.0, 400.0])) / plant.dynamics.response(
+        np.array([100.0, 400.0]))
+    assert np.abs(ratio - 1.0).max() < 0.02
+    assert "order of the dynamics" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("more", "said"), [
+    (["--band", 1, 10], "--band has nothing to act on"),
+    (["--antiresonances", 1], "--antiresonances has nothing to act on"),
+])
+def test_identify_refuses_options_without_use(more, said, files, tmp_path, capsys):
+    arguments = [*options(files), "--output", tmp_path / "model.json", *more]
+    assert said in refusal(identify_main, arguments, capsys)
+
+
+@pytest.mark.parametrize(("text", "more", "said"), [
+    ("frequency_hz,gain_re,gain_im\n1,1,x\n", [], "line 2: a number is missing"),
+    ("frequency_hz,gain_re\n1,1\n", [], "no column gain_im"),
+    ("frequency_hz,gain_re,gain_im\n1,1,0\n", [], "1 frequencies, too few"),
+    ("frequency_hz,gain_re,gain_im\n1,1,0\n", ["--band", 5, 9], "no frequency from 5 to 9 Hz"),
+    ("frequency_hz,gain_re,gain_im\n1,1,0\n", ["--refine"], "refining cannot simulate"),
+])
+def test_identify_refuses_a_bad_response(text, more, said, files, tmp_path, capsys):
+    data = tmp_path / "response.csv"
+    data.write_text(text)
+    arguments = ["--dynamics", data, "--hysteresis", files["hysteresis"],
+                 "--output", tmp_path / "model.json", *more]
+    assert said in refusal(identify_main, arguments, capsys)
+
+
+def test_simulate_prints_the_error_and_draws_pictures(
+        files, model_file, tmp_path, capsys, picture_faults):
+    output = tmp_path / "pictures"
+    arguments = ["--model", str(model_file), "--data", str(files["validation"])]
+    assert picture_faults(simulate_main, [*arguments, "--output", str(output)]) == []
+    name, value = capsys.readouterr().out.splitlines()[0].split()
+    assert name == "e_y_percent"
+    assert float(value) == pytest.approx(load_model(model_file).errors["e_y_percent"], rel=1e-3)
+    for picture in ("displacement.png", "loops.png"):
+        assert (output / picture).read_bytes().startswith(b"\x89PNG")
+
+
+def test_cancelling_ends_the_work_before_the_next_stage(files):
+    creep = read_recording(files["creep"])
+    stages = []
+    with pytest.raises(IdentificationCancelled):
+        identify(creep, None, hysteresis=creep, cancelled=lambda: len(stages) == 1,
+                 progress=lambda stage, fraction: stages.append((stage, fraction)))
+    assert stages == [("creep", 0.0)]
+
+
+def test_cancelling_ends_an_estimator_at_its_next_step(files):
+    recordings = {name: read_recording(files[name]) for name in ("creep", "hysteresis")}
+    asked = []
+    with pytest.raises(IdentificationCancelled, match="cancelled: creep"):
+        identify(**recordings, cancelled=lambda: asked.append(None) or len(asked) > 20)
+    assert len(asked) == 21
+
+
+def refusal(main, arguments, capsys):
+    assert main([str(argument) for argument in arguments]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    return lines[0]
+
+
+@pytest.mark.parametrize("name", ["creep", "dynamics", "hysteresis"])
+def test_identify_refuses_a_file_that_does_not_exist(name, files, tmp_path, capsys):
+    wrong = dict(files) | {name: tmp_path / "nothing.csv"}
+    arguments = [*options(wrong), "--output", tmp_path / "model.json"]
+    assert "nothing.csv" in refusal(identify_main, arguments, capsys)
+    assert not (tmp_path / "model.json").exists()
+
+
+def test_identify_refuses_the_recording_of_another_experiment(files, tmp_path, capsys):
+    wrong = dict(files) | {"creep": files["validation"]}
+    arguments = [*options(wrong), "--output", tmp_path / "model.json"]
+    assert "validation.csv is no square wave" in refusal(identify_main, arguments, capsys)
+
+
+def test_identify_refuses_an_output_that_cannot_be_written_before_it_works(files, capsys):
+    arguments = [*options(files), "--output", "/nowhere/at/all/model.json"]
+    assert "--output" in refusal(identify_main, arguments, capsys)
+
+
+def test_simulate_refuses_a_missing_model(files, tmp_path, capsys):
+    arguments = ["--model", tmp_path / "none.json", "--data", files["validation"]]
+    assert "none.json" in refusal(simulate_main, arguments, capsys)
+
+
+@pytest.mark.parametrize("text, named", [
+    (f"{HEADER}\n0,0,0\n0.1,nan,0\n", "row 3: voltage_v is 'nan'"),
+    (f"{HEADER}\n0,0,0\n0.1,1,0\n0.2,2,0\n0.7,3,0\n", "row 5: time_s steps by 0.5 s"),
+    (f"{HEADER}\n0,0,0\n0.1,1\n", "row 3: 2 values"),
+    ("time_s,voltage_v\n0,0\n", "row 1: the column displacement_um is missing"),
+])
+def test_both_commands_name_the_row_of_damaged_data(text, named, model_file, tmp_path, capsys):
+    data = tmp_path / "data.csv"
+    data.write_text(text)
+    simulated = ["--model", model_file, "--data", data]
+    identified = ["--hysteresis", data, "--output", tmp_path / "model.json"]
+    for main, arguments in ((simulate_main, simulated), (identify_main, identified)):
+        assert f"data.csv, {named}" in refusal(main, arguments, capsys)
+
+
+@pytest.fixture(scope="module")
+def slow_stage():
+    """A stage of another range, seen so slowly that it neither creeps nor rings."""
+    density = np.tril(0.001 + 0.004 * np.exp(-np.subtract.outer(range(80), range(80)) / 15.0))
+    return PreisachModel(-75.0, 75.0, density, 12.0)
+
+
+@pytest.fixture
+def slow_file(slow_stage, save_csv):
+    """Write straight ways between reversals, as 0.2 s samples."""
+    def write(path, sign, reversals_v):
+        voltage_v = np.concatenate([
+            np.linspace(start, end, 120, endpoint=False) for start, end in pairwise(reversals_v)])
+        noise = np.random.default_rng(3).normal(scale=0.005, size=voltage_v.size)
+        displacement_um = sign * slow_stage.simulate(voltage_v) + noise
+        return save_csv(path, 3.0 + 0.2 * np.arange(voltage_v.size), voltage_v, displacement_um)
+
+    return write
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_slow_recording_of_another_stage_is_enough(slow_file, sign, tmp_path, capsys):
+    stairs_v = [v for top in np.linspace(-71.0, 75.0, 40) for v in (-75.0, top)]
+    fitted = slow_file(tmp_path / "fitted.csv", sign, [*stairs_v, -75.0])
+    unseen = slow_file(tmp_path / "unseen.csv", sign,
+                       [-75.0, 60.0, -40.0, 30.0, -10.0, 70.0, -60.0])
+    model = tmp_path / "model.json"
+    arguments = ["--hysteresis", str(fitted), "--output", str(model)]
+    assert identify_main(arguments) == 0
+    identified = load_model(model)
+    assert identified.visited.shape == identified.model.hysteresis.density_um_per_v2.shape
+    assert identified.visited[0, 0]
+    assert identified.model.dynamics.is_static
+    assert identified.model.creep.poles_rad_per_s == ()
+    assert ("its sign is changed" in capsys.readouterr().out) == (sign < 0)
+    assert simulate_main(["--model", str(model), "--data", str(unseen)]) == 0
+    *said, error = capsys.readouterr().out.splitlines()
+    assert ("its sign is changed" in "".join(said)) == (sign < 0)
+    assert float(error.split()[1]) < 0.3
+
+
+def test_identify_needs_the_hysteresis():
+    with pytest.raises(ValueError, match="no recording of the hysteresis"):
+        identify()

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import numpy as np
+import pytest
+
+from piezo_identification.conditioning.settling import (
+    first_settled,
+    low_frequency_delay_s,
+    settling_time_s,
+)
+from piezo_models.linear.dynamics import ElectricVibrationDynamics, simulate_linear, zoh
+
+
+def test_the_delay_is_the_slope_of_the_phase_at_low_frequency(plant):
+    phase = np.angle(plant.dynamics.response(0.1))
+    assert low_frequency_delay_s(plant.dynamics) == pytest.approx(-phase / (0.2 * np.pi), rel=1e-5)
+    with_zeros = ElectricVibrationDynamics(1e-3, (3000.0,), (0.1,), (2000.0,), (0.3,))
+    phase = np.angle(with_zeros.response(0.1))
+    assert low_frequency_delay_s(with_zeros) == pytest.approx(-phase / (0.2 * np.pi), rel=1e-4)
+
+
+def test_after_the_settling_time_a_step_response_stays_at_its_end(plant):
+    response = simulate_linear(zoh(plant.dynamics.state_space(), 25e-6), np.ones(4000))
+    settled = round(settling_time_s(plant.dynamics) / 25e-6)
+    assert np.abs(response[settled:] - 1.0).max() < 1e-4
+    assert np.abs(response[settled // 2 :] - 1.0).max() > 1e-4
+
+
+def test_a_mode_that_rings_for_long_leaves_most_of_a_recording():
+    time_s = np.arange(4000) * 25e-6
+    settled = ElectricVibrationDynamics(0.0, (1e4,), (0.1,))
+    assert time_s[first_settled(settled, time_s)] == pytest.approx(
+        settling_time_s(settled), abs=25e-6)
+    assert first_settled(ElectricVibrationDynamics(0.0, (1e4,), (1e-5,)), time_s) == 1000
+
+
+def test_without_dynamics_nothing_is_late():
+    static = ElectricVibrationDynamics()
+    assert low_frequency_delay_s(static) == 0.0
+    assert settling_time_s(static) == 0.0

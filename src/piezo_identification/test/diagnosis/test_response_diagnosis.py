@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Linear effects compete for what a model does not explain of a frequency response."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezo_identification.commands.diagnose_command import main
+from piezo_identification.diagnosis.response_diagnosis import (
+    _Contest,
+    diagnose_response,
+    full_response,
+)
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_models.cascade import StageModel
+from piezo_models.effects.sensor_lag import SensorLag
+from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.model_file import load_model, save_model
+
+LINE = PreisachModel(-10.0, 10.0, np.zeros((4, 4)), 0.0, np.full(4, 0.5))
+MODEL = StageModel(LINE, CreepDynamics(), ElectricVibrationDynamics(3e-4, (2300.0,), (0.02,)))
+FREQUENCY_HZ = np.geomspace(1.0, 1000.0, 90)
+
+
+def measured(extra, noise=2e-4):
+    """The model's response in another unit times what it does not know."""
+    random = np.random.default_rng(7)
+    gain = 0.6 * full_response(MODEL, FREQUENCY_HZ) * extra
+    return FrequencyResponse("made up", FREQUENCY_HZ, gain + noise * (
+        random.normal(size=gain.size) + 1j * random.normal(size=gain.size)))
+
+
+def test_a_response_that_the_model_explains_needs_nothing():
+    diagnosis = diagnose_response(MODEL, measured(1.0))
+    assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
+    assert diagnosis.model is MODEL
+
+
+def test_a_rise_towards_low_frequencies_is_creep():
+    # Another form than the candidate: poles and zeros that are not a decade apart.
+    creep = CreepDynamics((5.0, 60.0), (6.0, 66.0)).response(FREQUENCY_HZ)
+    diagnosis = diagnose_response(MODEL, measured(creep))
+    assert diagnosis.verdict == "explained"
+    assert [entry["name"] for entry in diagnosis.effects] == ["creep"]
+    assert diagnosis.after["e_y_percent"] < 0.4 * diagnosis.before["e_y_percent"]
+
+
+def test_a_further_resonance_is_a_vibration_mode():
+    extra = StageModel(LINE, CreepDynamics(), MODEL.dynamics, effects=(
+        VibrationMode(4400.0, 0.03, 0.3),)).response(FREQUENCY_HZ) / MODEL.response(FREQUENCY_HZ)
+    diagnosis = diagnose_response(MODEL, measured(extra))
+    assert diagnosis.effects[0]["name"] == "vibration_mode"
+    assert diagnosis.effects[0]["parameters"]["frequency_rad_per_s"] == pytest.approx(
+        4400.0, rel=0.01)
+    assert diagnosis.after["e_y_percent"] < 0.1 * diagnosis.before["e_y_percent"]
+
+
+def test_what_no_candidate_explains_is_described_and_not_named():
+    ripple = 1.0 + 0.2 * np.sin(12.0 * np.log(FREQUENCY_HZ))
+    diagnosis = diagnose_response(MODEL, measured(ripple))
+    assert diagnosis.verdict == "unexplained"
+    assert "times the tolerance" in diagnosis.left
+
+
+def test_the_command_writes_verdict_model_and_report(tmp_path, capsys, picture_faults):
+    save_model(tmp_path / "model.json", IdentifiedModel(MODEL, (-10.0, 10.0)))
+    response = measured(np.exp(-2j * np.pi * FREQUENCY_HZ * 4e-4))
+    data = tmp_path / "response.csv"
+    np.savetxt(data, np.column_stack([FREQUENCY_HZ, response.gain.real, response.gain.imag]),
+               delimiter=",", header="frequency_hz,gain_re,gain_im", comments="")
+    arguments = ["--model", tmp_path / "model.json", "--data", data, "--output", tmp_path / "out"]
+    assert picture_faults(main, [str(argument) for argument in arguments]) == []
+    assert "The model lacks delay" in capsys.readouterr().out
+    verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
+    assert verdict["effects"][0]["parameters"]["delay_s"] == pytest.approx(4e-4, rel=0.02)
+    assert verdict["after"]["e_y_percent"] < 0.1 * verdict["before"]["e_y_percent"]
+    extended = load_model(tmp_path / "out" / "extended_model.json").model
+    assert extended.effects[0].name == "delay"
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "data:image/png;base64," in page and "delay" in page
+
+
+def test_a_response_with_few_frequencies_or_beside_another_file_is_refused(tmp_path, capsys):
+    short = FrequencyResponse("short", FREQUENCY_HZ[:20], np.ones(20, dtype=complex))
+    with pytest.raises(ValueError, match="too few to hold some out"):
+        diagnose_response(MODEL, short)
+    data = tmp_path / "response.csv"
+    data.write_text("frequency_hz,gain_re,gain_im\n1,1,0\n")
+    assert main(["--model", "none.json", "--data", str(data), str(data),
+                 "--output", str(tmp_path)]) == 2
+    assert "give it alone" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("roundness", [0.0, 0.1, 0.25, 0.5])
+def test_a_lag_of_the_sensor_is_in_the_full_response(roundness):
+    lagging = replace(MODEL, effects=(SensorLag(1e-3, roundness),))
+    ratio = full_response(lagging, FREQUENCY_HZ) / full_response(MODEL, FREQUENCY_HZ)
+    slow = 2e-3j * np.pi * FREQUENCY_HZ
+    np.testing.assert_allclose(ratio, 1.0 / (1.0 + slow + roundness * slow**2))
+
+
+def lag_response(time_constant_s, roundness, frequency_hz=FREQUENCY_HZ):
+    slow = 2j * np.pi * frequency_hz * time_constant_s
+    return 1.0 / (1.0 + slow + roundness * slow**2)
+
+
+@pytest.mark.parametrize("roundness", [0.0, 0.25, 0.4])
+def test_the_shape_of_a_lag_is_found(roundness):
+    diagnosis = diagnose_response(MODEL, measured(lag_response(8e-4, roundness)))
+    found = diagnosis.effects[0]
+    assert found["name"] == "sensor_lag"
+    assert found["parameters"]["time_constant_s"] == pytest.approx(8e-4, rel=0.02)
+    assert found["parameters"]["roundness"] == pytest.approx(roundness, abs=0.02)
+
+
+def test_the_shape_of_a_lag_stays_where_the_response_does_not_tell_it():
+    """Far below its corner, a lag of any shape is one phase."""
+    frequency_hz = np.geomspace(0.1, 3.0, 90)
+    random = np.random.default_rng(7)
+    gain = full_response(MODEL, frequency_hz) * lag_response(1e-3, 0.25, frequency_hz)
+    noise = 1e-4 * (random.normal(size=90) + 1j * random.normal(size=90))
+    contest = _Contest(MODEL, FrequencyResponse("slow", frequency_hz, gain + noise))
+    trial = contest._solve(contest.given().tuning, (SensorLag(1e-3),), tunes=False)
+    assert trial.effects[0].roundness == 0.0
+    assert trial.effects[0].time_constant_s == pytest.approx(1e-3, rel=0.1)
+

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import numpy as np
+import pytest
+
+from piezo_identification.estimators.frequency_response.response_file import (
+    FrequencyResponse,
+    read_frequency_response,
+)
+from piezo_identification.estimators.frequency_response.response_fit import (
+    ResponseModel,
+    ResponseOrder,
+    _ResponseFit,
+    estimate_from_response,
+)
+from piezo_identification.estimators.frequency_response.vector_fitting import vector_fit
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+
+FREQUENCY_HZ = np.geomspace(1.0, 2000.0, 200)
+TRUTH = ResponseModel(
+    0.6, 3.6e-4, CreepDynamics((20.0,), (26.0,)),
+    ElectricVibrationDynamics(
+        3e-4, (2300.0, 4200.0, 6600.0), (0.02, 0.04, 0.012), (2400.0, 6300.0), (0.02, 0.015)),
+)
+ORDER = ResponseOrder(1, 3, 2)
+
+
+def measured(seed, noise=0.002, model=TRUTH):
+    rng = np.random.default_rng(seed)
+    real, imaginary = noise * rng.normal(size=(2, FREQUENCY_HZ.size))
+    return FrequencyResponse(
+        "sweep", FREQUENCY_HZ, model.response(FREQUENCY_HZ) + real + 1j * imaginary)
+
+
+def numbers(fields):
+    """Every number of a model or of its standard deviations, by one order."""
+    if isinstance(fields, dict):
+        return np.concatenate([numbers(value) for value in fields.values()])
+    return np.ravel(fields)
+
+
+def parameters(model):
+    return np.concatenate([
+        [model.gain, model.delay_s], numbers(vars(model.creep)), numbers(vars(model.dynamics))])
+
+
+@pytest.mark.kernels
+def test_modes_antiresonances_creep_and_delay_are_found_with_their_number():
+    estimate = estimate_from_response(measured(1))
+    assert estimate.order == ORDER
+    assert estimate.model.states == 8
+    errors = parameters(estimate.model) - parameters(TRUTH)
+    assert np.abs(errors / numbers(estimate.standard_deviations)).max() < 4.5
+    assert estimate.model.delay_s == pytest.approx(3.6e-4, rel=0.01)
+    assert estimate.model.dynamics.mode_frequencies_rad_per_s == pytest.approx(
+        (2300.0, 4200.0, 6600.0), rel=1e-3)
+    assert estimate.model.error(measured(2)) < 0.01
+    chosen = next(line for line in estimate.order_table().splitlines() if "<-" in line)
+    assert chosen.split()[0] == "1+3-2"
+
+
+def test_standard_deviations_are_those_of_repeated_draws():
+    fit = _ResponseFit(measured(0))
+    start = fit.search(ORDER, 8)[ORDER].vector
+    normalised = []
+    for seed in range(30):
+        fit.measured = measured(seed)
+        drawn = fit.solve(ORDER, start)
+        model = fit.model(drawn.vector, ORDER)
+        if seed == 0:
+            spread = numbers(estimate_from_response(fit.measured, ORDER).standard_deviations)
+        normalised.append((np.sort(parameters(model)) - np.sort(parameters(TRUTH)))
+                          / spread[np.argsort(parameters(TRUTH))])
+    assert np.sqrt(np.mean(np.square(normalised), axis=0)) == pytest.approx(1.0, abs=0.5)
+
+
+def test_the_jacobian_is_that_of_the_response():
+    fit = _ResponseFit(measured(0))
+    vector = np.concatenate([[0.5], np.log([0.6, 20.0, 26.0, 3e-4, 2300.0, 0.02, 2400.0, 0.03])])
+    order = ResponseOrder(1, 1, 1)
+    for column, step in zip(
+        fit._jacobian(vector, order).T, 1e-6 * np.eye(vector.size), strict=True
+    ):
+        difference = fit._residual(vector + step, order) - fit._residual(vector - step, order)
+        np.testing.assert_allclose(column, difference / 2e-6, atol=1e-6)
+
+
+def test_a_given_order_is_kept_and_an_impossible_one_refused():
+    estimate = estimate_from_response(measured(3), ResponseOrder(2, 3, 2))
+    assert estimate.order_given
+    assert len(estimate.model.creep.poles_rad_per_s) == 2
+    with pytest.raises(ValueError, match="does not allow order 1[+]40-0"):
+        estimate_from_response(measured(3), ResponseOrder(1, 40, 0))
+
+
+def test_vector_fitting_is_exact_for_a_rational_response():
+    rational = ResponseModel(0.6, 0.0, TRUTH.creep, TRUTH.dynamics)
+    rate = 2.0 * np.pi * FREQUENCY_HZ
+    poles = vector_fit(rate, rational.response(FREQUENCY_HZ), 8)
+    truth = np.concatenate([TRUTH.dynamics.state_space().poles(), [-20.0]])
+    np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(truth), rtol=1e-5)
+
+
+def test_a_csv_file_is_read(tmp_path):
+    path = tmp_path / "response.csv"
+    path.write_text("gain_im,frequency_hz,gain_re\n-0.1,1.0,0.7\n-0.2,2.5,0.6\n\n")
+    response = read_frequency_response(path)
+    np.testing.assert_array_equal(response.frequency_hz, [1.0, 2.5])
+    np.testing.assert_array_equal(response.gain, [0.7 - 0.1j, 0.6 - 0.2j])
+    assert response.between(2.0, 3.0).frequency_hz.size == 1
+    with pytest.raises(ValueError, match="no frequency from 5 to 6 Hz: it covers 1 to 2.5 Hz"):
+        response.between(5.0, 6.0)
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    ("", "has no column frequency_hz"),
+    ("frequency_hz,gain_re\n1,2\n", "has no column gain_im"),
+    ("frequency_hz,gain_re,gain_im\n", "has no line of data"),
+    ("frequency_hz,gain_re,gain_im\n1,2,3\n2,x,3\n", "line 3: a number is missing"),
+    ("frequency_hz,gain_re,gain_im\n1,2\n", "line 2: a number is missing"),
+    ("frequency_hz,gain_re,gain_im\n1,nan,3\n", "line 2: not a finite number"),
+    ("frequency_hz,gain_re,gain_im\n2,1,1\n2,1,1\n", "line 3: frequency 2 Hz does not exceed"),
+    ("frequency_hz,gain_re,gain_im\n0,1,1\n", "line 2: frequency 0 Hz does not exceed"),
+])
+def test_faulty_files_are_refused_with_line_and_cure(tmp_path, text, message):
+    path = tmp_path / "response.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message):
+        read_frequency_response(path)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="cannot be read"):
+        read_frequency_response(tmp_path / "none.csv")
+
+
+def test_too_few_frequencies_are_refused():
+    few = FrequencyResponse("few", FREQUENCY_HZ[:6], np.ones(6, dtype=complex))
+    with pytest.raises(ValueError, match="too few"):
+        estimate_from_response(few)

@@ -1,0 +1,300 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Preisach hysteresis with a piecewise-constant density, exact through its Everett function.
+
+The relays are 0/1, as in the thesis, eq. (2.1) and (4.2). The output is a sum of Everett
+integrals over the remembered voltage extremes, so a sample costs a table look-up, whatever the
+number of relays. Wiping-out keeps the memory short, and every remembered extreme keeps its own
+output, so no sum runs over time and nothing drifts.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from piezo_models.hysteresis.preisach_kernels import everett_table, everett_values, invert, simulate
+
+# A target this far outside the output range, relative to its span, is rounding and not a mistake.
+_RANGE_TOLERANCE = 1e-9
+
+# A sum of Everett integrals is known to this part of the largest output.
+_ROUNDING = 16 * np.finfo(float).eps
+
+
+@dataclass(eq=False)
+class PreisachMemory:
+    """What the hysteresis remembers: the alternating voltage extremes that are not wiped out.
+
+    Entry 0 is negative saturation, odd entries are maxima, even entries are minima, and the entry
+    at `top` is the present point. Everything above `top` is free space.
+    """
+
+    model: "PreisachModel"
+    extremes_v: np.ndarray
+    outputs_um: np.ndarray
+    top: int
+
+    @property
+    def voltage_v(self):
+        """Present voltage, within the range of the model."""
+        return float(self.extremes_v[self.top])
+
+    @property
+    def hysteresis_um(self):
+        """Present hysteresis output."""
+        return float(self.outputs_um[self.top])
+
+    def copy(self):
+        """An independent memory with the same past."""
+        return replace(self, extremes_v=self.extremes_v.copy(), outputs_um=self.outputs_um.copy())
+
+
+@dataclass(frozen=True, eq=False)
+class PreisachModel:
+    """Preisach hysteresis, eq. (2.1), whose density is constant on each cell of a uniform grid.
+
+    Parameters
+    ----------
+    voltage_min_v, voltage_max_v : float
+        Limits of the Preisach triangle. A voltage beyond them acts as the limit: all relays are
+        off below `voltage_min_v` and on above `voltage_max_v`.
+    density_um_per_v2 : (L, L) array
+        Row i is the cell of the upper threshold alpha, column j <= i that of the lower threshold
+        beta; zero above the diagonal. The cells on the diagonal are triangles.
+    offset_um : float
+        Output at negative saturation, where all relays are off.
+    reversible_um_per_v : (L,) array, optional
+        Density of the relays that switch on and off at one voltage, alpha = beta, on each cell of
+        the diagonal: the slope of the output that remains at a reversal. None by default.
+
+    Raises
+    ------
+    ValueError
+        If the limits are not increasing, or the density is not square, not finite, or not zero
+        above the diagonal, or the reversible part is not finite or of another length.
+    """
+
+    voltage_min_v: float
+    voltage_max_v: float
+    density_um_per_v2: np.ndarray
+    offset_um: float = 0.0
+    reversible_um_per_v: np.ndarray | None = None
+
+    def __post_init__(self):
+        density = np.array(self.density_um_per_v2, dtype=float)
+        if density.ndim != 2 or density.shape[0] != density.shape[1] or density.size == 0:
+            raise ValueError(f"density_um_per_v2 has shape {density.shape}; give a square matrix")
+        if not np.isfinite(density).all():
+            raise ValueError("density_um_per_v2 holds a value that is not finite; remove it")
+        if np.triu(density, 1).any():
+            raise ValueError(
+                "density_um_per_v2 is not zero above the diagonal, where beta would exceed alpha; "
+                "give a lower-triangular matrix"
+            )
+        voltage_min, voltage_max = float(self.voltage_min_v), float(self.voltage_max_v)
+        if not (np.isfinite([voltage_min, voltage_max]).all() and voltage_min < voltage_max):
+            raise ValueError(
+                f"the voltage range {voltage_min} to {voltage_max} V is empty or not finite; "
+                "give voltage_min_v below voltage_max_v"
+            )
+        if not np.isfinite(self.offset_um):
+            raise ValueError("offset_um is not finite; give the output at negative saturation")
+        reversible = np.zeros(len(density))
+        if self.reversible_um_per_v is not None:
+            reversible = np.array(self.reversible_um_per_v, dtype=float)
+        if reversible.shape != (len(density),) or not np.isfinite(reversible).all():
+            raise ValueError(
+                f"reversible_um_per_v has shape {reversible.shape} or is not finite; give a number "
+                f"for each of the {len(density)} cells of the diagonal"
+            )
+        density.flags.writeable = reversible.flags.writeable = False
+        object.__setattr__(self, "voltage_min_v", voltage_min)
+        object.__setattr__(self, "voltage_max_v", voltage_max)
+        object.__setattr__(self, "density_um_per_v2", density)
+        object.__setattr__(self, "offset_um", float(self.offset_um))
+        object.__setattr__(self, "reversible_um_per_v", reversible)
+
+    @property
+    def cell_width_v(self):
+        """Width of a cell of the grid."""
+        return (self.voltage_max_v - self.voltage_min_v) / self.density_um_per_v2.shape[0]
+
+    @property
+    def levels_v(self):
+        """(L + 1,) edges of the cells."""
+        size = self.density_um_per_v2.shape[0]
+        return np.linspace(self.voltage_min_v, self.voltage_max_v, size + 1)
+
+    @property
+    def output_range_um(self):
+        """Output at negative and at positive saturation."""
+        span = self.everett_um(self.voltage_max_v, self.voltage_min_v)
+        return self.offset_um, self.offset_um + float(span)
+
+    @cached_property
+    def _table(self):
+        return everett_table(
+            self.density_um_per_v2, self.reversible_um_per_v, self.cell_width_v
+        )
+
+    @property
+    def _grid(self):
+        return self.voltage_min_v, self.voltage_max_v, self.cell_width_v
+
+    def everett_um(self, alpha_v, beta_v):
+        """Everett function: the integral of the density over beta_v <= beta <= alpha <= alpha_v.
+
+        It is the rise of the output from a minimum beta_v to alpha_v, and the fall from a maximum
+        alpha_v to beta_v.
+
+        Parameters
+        ----------
+        alpha_v, beta_v : array_like
+            Broadcast against each other; limited to the voltage range.
+
+        Returns
+        -------
+        array
+            Exact integral; zero where `alpha_v` <= `beta_v`.
+
+        Raises
+        ------
+        ValueError
+            If a voltage is not finite.
+        """
+        limits = self.voltage_min_v, self.voltage_max_v
+        alpha, beta = np.broadcast_arrays(np.clip(alpha_v, *limits), np.clip(beta_v, *limits))
+        if not (np.isfinite(alpha).all() and np.isfinite(beta).all()):
+            raise ValueError("alpha_v and beta_v must be finite voltages")
+        values = everett_values(alpha.flatten(), beta.flatten(), self._grid, self._table)
+        return values.reshape(alpha.shape)[()]
+
+    def memory(self):
+        """Memory wiped at `voltage_min_v`: all relays off."""
+        extremes, outputs = np.empty(16), np.empty(16)
+        extremes[0], outputs[0] = self.voltage_min_v, self.offset_um
+        return PreisachMemory(self, extremes, outputs, 0)
+
+    def _own(self, memory):
+        if memory is None:
+            return self.memory()
+        if memory.model is not self:
+            raise ValueError(
+                "the memory belongs to another model; take one from this model's memory()"
+            )
+        return memory
+
+    def simulate(self, voltage_v, memory=None):
+        """Hysteresis output for a sequence of voltages.
+
+        Parameters
+        ----------
+        voltage_v : (N,) array_like
+            Voltages beyond the range act as its limits.
+        memory : PreisachMemory, optional
+            Past of this same model; continued, and updated in place. Wiped by default.
+
+        Returns
+        -------
+        (N,) array
+            Output in um.
+
+        Raises
+        ------
+        ValueError
+            If a voltage is not finite, or the memory is that of another model.
+        """
+        voltage = _finite_sequence(voltage_v, "voltage_v")
+        memory = self._own(memory)
+        output, memory.extremes_v, memory.outputs_um, memory.top = simulate(
+            voltage, memory.extremes_v, memory.outputs_um, memory.top, self._grid, self._table
+        )
+        return output
+
+    def invert(self, hysteresis_um, memory=None):
+        """Voltages whose hysteresis output is the given sequence: the exact inverse.
+
+        The output tells the voltage only where it has a slope. Where the density leaves it flat,
+        the voltage moves no further than it must: it stays while the target stays, goes to the
+        first voltage that reaches a new target, and returns to the nearest remembered extreme
+        whose output is the target, so that a periodic target gives a periodic voltage. Just after
+        a reversal the slope starts from zero, and a rounding e of the target moves the voltage by
+        at most sqrt(2 e / density).
+
+        Parameters
+        ----------
+        hysteresis_um : (N,) array_like
+        memory : PreisachMemory, optional
+            Past of this same model; continued, and updated in place. Wiped by default.
+
+        Returns
+        -------
+        (N,) array
+            Voltage in V.
+
+        Raises
+        ------
+        ValueError
+            If a target is not finite or out of the reachable range, a density is negative, so that
+            several voltages give one output, or the memory is that of another model. The memory is
+            left untouched.
+        """
+        target = _finite_sequence(hysteresis_um, "hysteresis_um")
+        if (self.density_um_per_v2 < 0).any() or (self.reversible_um_per_v < 0).any():
+            raise ValueError(
+                "the density has negative cells, so the hysteresis has no inverse; "
+                "fit it by non-negative least squares"
+            )
+        low, high = self.output_range_um
+        slack = _RANGE_TOLERANCE * (high - low)
+        if target.size and (target.min() < low - slack or target.max() > high + slack):
+            raise ValueError(
+                f"the hysteresis output cannot span {target.min():.6g} to {target.max():.6g} um; "
+                f"the reachable range is {low:.6g} to {high:.6g} um"
+            )
+        memory = self._own(memory)
+        voltage, memory.extremes_v, memory.outputs_um, memory.top = invert(
+            np.clip(target, low, high),
+            _ROUNDING * (abs(low) + high - low),
+            memory.extremes_v,
+            memory.outputs_um,
+            memory.top,
+            self._grid,
+            self._table,
+        )
+        return voltage
+
+    def gain_um_per_v(self, voltage_v=None):
+        """Smallest and largest gain of the hysteresis, eq. (3.16).
+
+        The gain is that of the secant from negative saturation. At one voltage it is smallest on
+        the way up from negative saturation and largest on the way down from positive saturation.
+
+        Parameters
+        ----------
+        voltage_v : array_like, optional
+            Voltages to look at, above `voltage_min_v`; by default all upper edges of the cells.
+
+        Returns
+        -------
+        (float, float)
+        """
+        voltage = self.levels_v[1:] if voltage_v is None else np.asarray(voltage_v, dtype=float)
+        if not (voltage > self.voltage_min_v).all():
+            raise ValueError(f"the gain needs voltages above voltage_min_v, {self.voltage_min_v} V")
+        travel = voltage - self.voltage_min_v
+        rising = self.everett_um(voltage, self.voltage_min_v)
+        falling = self.everett_um(self.voltage_max_v, self.voltage_min_v) - self.everett_um(
+            self.voltage_max_v, voltage
+        )
+        return float((rising / travel).min()), float((falling / travel).max())
+
+
+def _finite_sequence(values, name):
+    values = np.ascontiguousarray(values, dtype=float)
+    if values.ndim != 1:
+        raise ValueError(f"{name} has {values.ndim} dimensions; give one sequence")
+    if not np.isfinite(values).all():
+        first = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise ValueError(f"{name} is not finite at sample {first}; remove or replace it")
+    return values

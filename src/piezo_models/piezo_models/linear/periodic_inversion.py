@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Inverse of the linear dynamics for periodic references."""
+
+import numpy as np
+
+from piezo_models.linear.dynamics import zoh_response
+
+# Harmonics below this part of the largest one are rounding, not reference.
+_NEGLIGIBLE_CONTENT = 1e-12
+# Below this part of the DC gain the inverse would amplify rounding into the result.
+_SMALLEST_GAIN = 1e-6
+
+
+def invert_linear_periodic(reference_um, system, sample_period_s, dc_gain=None):
+    """Input whose steady output, held and sampled, is the periodic reference.
+
+    Each harmonic of the Fourier series is divided by the response of the ZOH-sampled system,
+    eq. (4.22) with the sampled in place of the continuous response, so the inverse is exact.
+
+    Parameters
+    ----------
+    reference_um : (N,) array_like
+        One period.
+    system : control.StateSpace
+        Continuous, one input and one output.
+    sample_period_s : float
+    dc_gain : float, optional
+        Gain for the mean of the reference, where the creep is not over; that of the system by
+        default.
+
+    Returns
+    -------
+    (N,) array
+        One period of the input.
+
+    Raises
+    ------
+    ValueError
+        If the reference is not finite, or has content where the system passes next to nothing.
+    """
+    reference = np.asarray(reference_um, dtype=float)
+    if reference.ndim != 1 or reference.size == 0:
+        raise ValueError("the reference must be one period, a non-empty sequence")
+    if not np.isfinite(reference).all():
+        raise ValueError("the reference holds a value that is not finite; remove or replace it")
+    harmonics = np.fft.rfft(reference)
+    size = np.abs(harmonics)
+    used = np.flatnonzero(size > _NEGLIGIBLE_CONTENT * size.max())
+    frequency_hz = used / (reference.size * sample_period_s)
+    response = zoh_response(system, frequency_hz, sample_period_s)
+    gain = np.abs(response)
+    static_gain = float(np.real(zoh_response(system, 0.0, sample_period_s)))
+    lost = gain < _SMALLEST_GAIN * abs(static_gain)
+    if lost.any():
+        raise ValueError(
+            f"the reference has content at {frequency_hz[lost][0]:.6g} Hz, where the system passes "
+            f"less than {_SMALLEST_GAIN:g} of its DC gain; smooth the reference"
+        )
+    if dc_gain is not None:
+        response = np.where(used == 0, dc_gain, response)
+    inverse = np.zeros_like(harmonics)
+    inverse[used] = harmonics[used] / response
+    return np.fft.irfft(inverse, reference.size)

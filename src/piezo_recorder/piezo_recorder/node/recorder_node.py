@@ -1,0 +1,369 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Node that records the stage's topics: services start_recording and stop_recording."""
+
+import functools
+import importlib
+import inspect
+import shutil
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from piezo_interfaces.srv import StartRecording, StopRecording
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.task import Future
+
+from piezo_common.data_root import DataRootError, check_file_name
+from piezo_recorder import sample_block
+from piezo_recorder.writing.message_definition import installed_definition
+from piezo_recorder.writing.quality_profiles import offered_profile
+from piezo_recorder.writing.session import RecordingSession
+from piezo_recorder.writing.writer import FLUSH_PERIOD_S, RecordingWriter
+from piezo_ros.clock_guard import keep_clock
+from piezo_ros.diagnostics import diagnostic
+from piezo_ros.parameters import declare, declare_data_root
+from piezo_ros.presence import Presence
+from piezo_ros.quality import SAMPLES
+from piezo_ros.spinning import autostart, run_node
+
+DISCOVERY_TIMEOUT_S = 5.0
+ARRIVAL_TIMEOUT_S = 5.0
+QUIET_TIMEOUT_S = 0.5
+POLL_PERIOD_S = 0.01
+DIAGNOSTICS_PERIOD_S = 1.0
+# What the stage may take to come to rest after the client of a recording is gone.
+AFTERMATH_S = 2.0
+MEGABYTE = 1e6
+
+
+class Recorder(LifecycleNode):
+    """Record topics as they arrive, undecoded, into rosbag2 directories."""
+
+    def __init__(self):
+        super().__init__("recorder")
+        declare(self, "topics", ["samples", "feedback", "ground_truth"],
+                "Topics to record; the first of samples is the one that is counted.")
+        declare(self, "types", [sample_block.TYPE_NAME, "piezo_interfaces/msg/FeedbackVoltage",
+                                sample_block.TYPE_NAME],
+                "Message types of the topics, in the same order.")
+        declare(self, "sample_rate_hz", sample_block.DEFAULT_SAMPLE_RATE_HZ,
+                "Rate of the stage's sample clock (Hz).", 1.0, 1e9)
+        declare(self, "minimum_free_mb", 200,
+                "Free disk space (megabyte) below which a recording is refused or closed.",
+                0, 1_000_000_000, read_only=False)
+        self._data_root = declare_data_root(self)
+        self._session = None
+        self._client_gone_at = None
+        self._definitions = {}
+        self._subscriptions_by_topic = {}
+        self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._housekeeping = []
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._create_waiting_service(
+            StartRecording, "recorder/start_recording", self._start_recording)
+        self._create_waiting_service(
+            StopRecording, "recorder/stop_recording", self._stop_recording)
+        keep_clock(self, lambda: "a recording runs" if self._recording else "")
+        autostart(self)
+
+    # Lifecycle
+
+    def on_configure(self, state):
+        """Look up the definitions of the types."""
+        topics = self.get_parameter("topics").value
+        types = self.get_parameter("types").value
+        if len(topics) != len(types):
+            self.get_logger().error(
+                f"Parameter topics names {len(topics)} topics, types {len(types)}: "
+                "give one type for each topic.")
+            return TransitionCallbackReturn.FAILURE
+        if sample_block.TYPE_NAME not in types:
+            self.get_logger().error(
+                f"Parameter types has no {sample_block.TYPE_NAME}: record at least one of it.")
+            return TransitionCallbackReturn.FAILURE
+        try:
+            self._definitions = {
+                self.resolve_topic_name(topic): installed_definition(type_name)
+                for topic, type_name in zip(topics, types, strict=True)}
+        except ValueError as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state):
+        """Subscribe to the topics."""
+        # Connected from here on: a subscription made only when a recording starts could miss
+        # the first samples.
+        for topic, definition in self._definitions.items():
+            self._subscriptions_by_topic[topic] = self.create_subscription(
+                _message_class(definition.type_name), topic,
+                functools.partial(self._receive, topic), SAMPLES, raw=True)
+        return super().on_activate(state)
+
+    def on_deactivate(self, state):
+        """Close the recording that runs, and unsubscribe."""
+        self.close()
+        for subscription in self._subscriptions_by_topic.values():
+            self.destroy_subscription(subscription)
+        self._subscriptions_by_topic = {}
+        return super().on_deactivate(state)
+
+    def on_shutdown(self, state):
+        """Close the recording that runs, from any state."""
+        self.close()
+        return TransitionCallbackReturn.SUCCESS
+
+    def close(self):
+        """Close the recording that runs, if any."""
+        if self._recording:
+            self._end("the recorder was stopped")
+
+    # Services
+
+    def _create_waiting_service(self, service_type, name, callback):
+        """Create a service whose callback is a coroutine.
+
+        The events executor does not await it but passes it on as if it were the response.
+        """
+        service = self.create_service(service_type, name, callback)
+        send_response = service.send_response
+
+        def answer(response, header):
+            if not inspect.iscoroutine(response):
+                send_response(response, header)
+                return
+
+            async def answer_later():
+                send_response(await response, header)
+
+            self.executor.create_task(answer_later)
+
+        service.send_response = answer
+
+    async def _start_recording(self, request, response):
+        refusal = self._refusal(request)
+        if not refusal and not await self._stage_is_there():
+            refusal = (f"Nobody publishes {self._samples_topic}: "
+                       "start the stage, or set the parameter topics.")
+        # Asked again: another request may have come while this one waited.
+        refusal = refusal or self._refusal(request)
+        if not refusal:
+            try:
+                self._session = self._new_session(request)
+            except OSError as error:
+                refusal = _sentence(error)
+            except DataRootError as error:
+                refusal = str(error)
+        if refusal:
+            self.get_logger().error(refusal)
+            response.message = refusal
+            return response
+        self._start_housekeeping()
+        self.get_logger().info(f"Recording into {self._session.path}")
+        response.success = True
+        response.path = self._session.path
+        return response
+
+    def _refusal(self, request):
+        """Say why a recording cannot start now; empty if it can."""
+        if not self._subscriptions_by_topic:
+            return "The recorder is not active: activate it first."
+        if self._recording:
+            return f"{self._session.path} is being recorded: stop it first."
+        if len(request.attachment_names) != len(request.attachment_contents):
+            return (f"{len(request.attachment_names)} attachment names came with "
+                    f"{len(request.attachment_contents)} contents: give one for each.")
+        try:
+            path = self._path(request)
+        except DataRootError as error:
+            return str(error)
+        free_mb = _free_mb(path)
+        if free_mb < self._minimum_free_mb:
+            return (f"Only {free_mb:.0f} MB are free in {path.parent}: "
+                    f"make room for {self._minimum_free_mb} MB.")
+        return ""
+
+    def _path(self, request):
+        """Where the recording goes; DataRootError if it, or an attachment, is not to be there."""
+        check_file_name(request.name, "a recording")
+        for name in request.attachment_names:
+            check_file_name(name, "an attachment")
+        return self._data_root.writable(request.directory) / request.name
+
+    async def _stage_is_there(self):
+        samples = self._subscriptions_by_topic[self._samples_topic]
+        return await self._until(
+            lambda: samples.get_publisher_count() > 0, DISCOVERY_TIMEOUT_S)
+
+    def _new_session(self, request):
+        sample_rate_hz = self.get_parameter("sample_rate_hz").value
+        writer = RecordingWriter(self._path(request), sample_rate_hz)
+        session = RecordingSession(
+            writer, self._definitions, sample_rate_hz, Presence(self, request.client),
+            {topic: [offered_profile(publisher.qos_profile)
+                     for publisher in self.get_publishers_info_by_topic(topic)]
+             for topic in self._definitions})
+        self._client_gone_at = None
+        for name, content in zip(
+                request.attachment_names, request.attachment_contents, strict=True):
+            writer.attach(name, content.encode())
+        return session
+
+    async def _stop_recording(self, request, response):
+        session = self._session
+        if session is None:
+            response.message = "Nothing is being recorded: start a recording first."
+            return response
+        owner = session.client.name
+        if not session.closed and owner and request.client != owner:
+            response.message = (f"{session.path} is recorded for {owner}: only that node stops "
+                                "it, or give its name in client.")
+            self.get_logger().warning(response.message)
+            return response
+        late = 0
+        if request.last_sample:
+            await self._until(
+                lambda: session.closed or not session.missing_until(request.last_sample),
+                ARRIVAL_TIMEOUT_S)
+            late = session.missing_until(request.last_sample)
+            await self._until(lambda: session.closed or session.quiet, QUIET_TIMEOUT_S)
+        if not session.closed:
+            self._end()
+        if self._session is session:
+            self._session = None
+        if session.ended_early:
+            response.message = f"The recording was closed early: {session.ended_early}."
+        elif late:
+            response.message = (f"{late} samples up to {request.last_sample} had not arrived "
+                                f"after {ARRIVAL_TIMEOUT_S:g} s; the recording ends before them.")
+        response.success = not response.message
+        response.path = session.path
+        response.samples = session.samples
+        response.missing_samples = session.missing + late
+        return response
+
+    async def _until(self, condition, timeout_s):
+        """Wait until a condition holds; return whether it does."""
+        future = Future()
+        deadline = time.monotonic() + timeout_s
+
+        def check():
+            if condition() or time.monotonic() > deadline:
+                future.set_result(None)
+
+        if not condition():
+            timer = self.create_timer(POLL_PERIOD_S, check, clock=self._steady_clock)
+            await future
+            self.destroy_timer(timer)
+        return condition()
+
+    # Recording
+
+    @property
+    def _recording(self):
+        return self._session is not None and not self._session.closed
+
+    @property
+    def _samples_topic(self):
+        return next(topic for topic, definition in self._definitions.items()
+                    if definition.type_name == sample_block.TYPE_NAME)
+
+    @property
+    def _minimum_free_mb(self):
+        return self.get_parameter("minimum_free_mb").value
+
+    def _receive(self, topic, data):
+        if not self._recording:
+            return
+        try:
+            self._session.receive(topic, data, self.get_clock().now().nanoseconds)
+        except OSError as error:
+            self._end(_sentence(error))
+
+    def _start_housekeeping(self):
+        self._housekeeping = [
+            self.create_timer(FLUSH_PERIOD_S, self._flush, clock=self._steady_clock),
+            self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics,
+                              clock=self._steady_clock)]
+
+    def _client_is_gone(self):
+        """Whether the recording's client went away as long ago as the stage moves on."""
+        if self._client_gone_at is None and self._session.client.gone:
+            self._client_gone_at = time.monotonic()
+        gone_at = self._client_gone_at
+        return gone_at is not None and time.monotonic() - gone_at > AFTERMATH_S
+
+    def _flush(self):
+        if not self._recording:  # ended after this callback was due
+            return
+        if self._client_is_gone():
+            self._end(f"its client {self._session.client.name} is gone")
+            return
+        free_mb = _free_mb(self._session.writer.path)
+        if free_mb < self._minimum_free_mb:
+            self._end(f"only {free_mb:.0f} MB were free on the disk")
+            return
+        try:
+            self._session.writer.flush()
+        except OSError as error:
+            self._end(_sentence(error))
+
+    def _end(self, ended_early=""):
+        session = self._session
+        session.ended_early = ended_early
+        for timer in self._housekeeping:
+            self.destroy_timer(timer)
+        try:
+            session.close()
+        except OSError as error:
+            session.ended_early = ended_early or _sentence(error)
+        if session.ended_early:
+            self.get_logger().error(f"{session.path} was closed early: {session.ended_early}.")
+        else:
+            self.get_logger().info(f"Recorded {session.samples} samples into {session.path}")
+        self._publish_diagnostics()
+
+    def _publish_diagnostics(self):
+        session = self._session
+        if session is None:  # as above
+            return
+        if session.ended_early:
+            level, message = DiagnosticStatus.ERROR, f"closed early: {session.ended_early}"
+        elif session.missing:
+            level, message = DiagnosticStatus.WARN, f"{session.missing} samples missing"
+        else:
+            level, message = DiagnosticStatus.OK, "closed" if session.closed else "recording"
+        self._diagnostics.publish(diagnostic(self, "recording", level, message, {
+            "path": session.path,
+            "messages": session.writer.message_count,
+            "samples": session.samples,
+            "missing_samples": session.missing,
+            "free_mb": round(_free_mb(session.writer.path)),
+        }))
+
+
+def _message_class(type_name):
+    package, _, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def _free_mb(path):
+    path = path.absolute()
+    existing = next(folder for folder in (path, *path.parents) if folder.exists())
+    return shutil.disk_usage(existing).free / MEGABYTE
+
+
+def _sentence(error):
+    """Text of an OSError without its number."""
+    if error.strerror is None:
+        return str(error)
+    return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
+
+
+def main(args=None):
+    """Run the node ``recorder``."""
+    run_node(Recorder, args)
+
+
+if __name__ == "__main__":
+    main()

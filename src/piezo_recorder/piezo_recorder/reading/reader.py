@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Reader of recordings: rosbag2 directories, MCAP files and CSV files."""
+
+import hashlib
+from pathlib import Path
+
+import mcap.records
+import numpy as np
+import yaml
+from mcap.stream_reader import StreamReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from piezo_recorder import sample_block
+from piezo_recorder.reading.csv_reader import read_csv
+from piezo_recorder.reading.recording import Recording, RecordingError
+from piezo_recorder.writing.writer import STAGE_METADATA
+
+GROUND_TRUTH = "ground_truth"
+# An hour at 40 kHz takes about 5 GB.
+LARGEST_BYTES = 16_000_000_000
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+
+
+def read_recording(path, topic=None, sample_rate_hz=None):
+    """Read a rosbag2 directory, an MCAP file or a CSV file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The kind is told by being a directory, or by the ending ``.mcap`` or ``.csv``.
+    topic : str, optional
+        Topic of the sample blocks, or its last part such as ``ground_truth``. By default the
+        only one that is not the ground truth.
+    sample_rate_hz : float, optional
+        Rate of the sample clock, for files that do not tell it; 40 kHz by default.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    RecordingError
+        If the file is missing, damaged, ambiguous or holds no samples.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".csv":
+        return read_csv(*data_files(path))
+    return _read_mcap(path, topic, sample_rate_hz)
+
+
+def sha256_of(path):
+    """Return the SHA-256 hash of a recording's data: of its MCAP or CSV file, hexadecimal."""
+    digest = hashlib.sha256()
+    for file in data_files(Path(path)):
+        with open(file, "rb") as stream:
+            while part := stream.read(1 << 20):
+                digest.update(part)
+    return digest.hexdigest()
+
+
+def data_files(path):
+    """Return the files that hold a recording's data; RecordingError where there are none."""
+    if not path.exists():
+        raise RecordingError(f"{path} does not exist: give a recording's directory, MCAP or CSV.")
+    if not path.is_dir():
+        return [_bounded(path)]
+    try:
+        text = (path / "metadata.yaml").read_text(encoding="utf-8")
+        metadata = yaml.safe_load(text)["rosbag2_bagfile_information"]
+        storage = metadata["storage_identifier"]
+        compression = metadata["compression_mode"].lower()
+        files = [path / name for name in metadata["relative_file_paths"]]
+    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+        raise RecordingError(
+            f"{path} has no readable metadata.yaml: give the .mcap file inside it.") from None
+    if storage != "mcap" or compression not in ("", "none"):
+        raise RecordingError(
+            f"{path} is stored as {storage} {compression}: "
+            "convert it with `ros2 bag convert` to uncompressed mcap.")
+    missing = [file for file in files if not file.is_file()]
+    if missing:
+        raise RecordingError(f"{path} names {missing[0].name}, which is missing: copy it there.")
+    return [_bounded(file) for file in files]
+
+
+def _bounded(file):
+    size = file.stat().st_size
+    if size > LARGEST_BYTES:
+        raise RecordingError(f"{file} has {size} bytes, more than the {LARGEST_BYTES} that are "
+                             "read at once: cut it into parts.")
+    return file
+
+
+class _Contents:
+    """Sample blocks and side files of one or more MCAP files, undecoded."""
+
+    def __init__(self):
+        self.topics = {}
+        self.blocks = {}
+        self.schema = None
+        self.attachments = {}
+        self.sample_rate_hz = None
+        self.complete = True
+
+    def read(self, path):
+        with open(path, "rb") as stream:
+            reader = StreamReader(stream, validate_crcs=True)
+            schemas, channels = {}, {}
+            try:
+                for record in reader.records:
+                    self._add(record, schemas, channels)
+            # Whatever the parser stumbles over in damaged bytes.
+            except Exception as error:
+                if not was_cut_short(stream):
+                    raise RecordingError(
+                        f"{path} is damaged or no MCAP file ({_brief(error)}): "
+                        "copy it again or repair the disk.") from None
+                self.complete = False
+
+    def _add(self, record, schemas, channels):
+        if isinstance(record, mcap.records.Message):
+            blocks = channels[record.channel_id]
+            if blocks is not None:
+                blocks.append(record.data)
+        elif isinstance(record, mcap.records.Schema):
+            schemas[record.id] = record
+        elif isinstance(record, mcap.records.Channel):
+            schema = schemas[record.schema_id]
+            self.topics[record.topic] = schema.name
+            is_samples = schema.name == sample_block.TYPE_NAME
+            if is_samples:
+                self.schema = schema
+            channels[record.id] = self.blocks.setdefault(record.topic, []) if is_samples else None
+        elif isinstance(record, mcap.records.Attachment):
+            self.attachments[record.name] = record.data
+        elif isinstance(record, mcap.records.Metadata) and record.name == STAGE_METADATA:
+            self.sample_rate_hz = float(record.metadata["sample_rate_hz"])
+
+
+def _brief(error):
+    """What a library says, in one short line."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def was_cut_short(stream):
+    """Tell a file that a killed recorder left, read to its end, from a damaged one."""
+    read_to_end = not stream.read(1)
+    stream.seek(0)
+    starts_well = stream.read(len(MCAP_MAGIC)) == MCAP_MAGIC
+    stream.seek(-min(stream.seek(0, 2), len(MCAP_MAGIC)), 2)
+    was_closed = stream.read() == MCAP_MAGIC and stream.tell() > len(MCAP_MAGIC)
+    return read_to_end and starts_well and not was_closed
+
+
+def _read_mcap(path, topic, sample_rate_hz):
+    contents = _Contents()
+    for file in data_files(path):
+        contents.read(file)
+    topic = _choose_topic(path, contents, topic)
+    blocks = _decode(path, contents.schema, contents.blocks[topic])
+    rate_hz = sample_rate_hz or contents.sample_rate_hz or sample_block.DEFAULT_SAMPLE_RATE_HZ
+    return _join(path, topic, blocks, rate_hz, contents)
+
+
+def _choose_topic(path, contents, topic):
+    names = sorted(contents.blocks)
+    if topic is None:
+        fitting = [name for name in names if not name.endswith("/" + GROUND_TRUTH)]
+    else:
+        fitting = [name for name in names if ("/" + name).endswith("/" + topic)]
+    if len(fitting) > 1:
+        raise RecordingError(
+            f"{path} has several topics of samples, {', '.join(fitting)}: "
+            "choose one with topic=.")
+    if not fitting:
+        wanted = f"topic of samples '{topic}'" if topic else "topic of samples"
+        found = ", ".join(sorted(contents.topics)) or "none"
+        raise RecordingError(
+            f"{path} has no {wanted} (topics: {found}): "
+            f"record one of type {sample_block.TYPE_NAME}, or choose another with topic=.")
+    if not contents.blocks[fitting[0]]:
+        raise RecordingError(f"{path} holds no samples on {fitting[0]}: record while a stage runs.")
+    return fitting[0]
+
+
+def _decode(path, schema, blocks):
+    typestore = get_typestore(Stores.EMPTY)
+    try:
+        typestore.register(get_types_from_msg(schema.data.decode(), schema.name))
+        decoded = [typestore.deserialize_cdr(data, schema.name) for data in blocks]
+    except Exception as error:
+        raise RecordingError(
+            f"{path} has a sample block that does not fit its own definition ({_brief(error)}): "
+            "record it again.") from None
+    uneven = next((number for number, block in enumerate(decoded, start=1)
+                   if len(block.voltage_v) != len(block.displacement_um)), None)
+    if uneven:
+        raise RecordingError(
+            f"{path}: sample block {uneven} has not as many voltages as displacements: "
+            "mend the stage that published it.")
+    return decoded
+
+
+def _join(path, topic, blocks, sample_rate_hz, contents):
+    counts = np.array([len(block.voltage_v) for block in blocks])
+    first = np.array([block.first_sample for block in blocks], dtype=np.int64)
+    periods_s = np.array([block.sample_period_s for block in blocks])
+    strides = _strides(path, periods_s, sample_rate_hz)
+    ends = first + counts * strides
+    within_block = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return Recording(
+        path=str(path),
+        sample_rate_hz=sample_rate_hz,
+        sample_index=np.repeat(first, counts) + within_block * np.repeat(strides, counts),
+        sample_periods_s=np.repeat(strides / sample_rate_hz, counts),
+        voltage_v=np.concatenate([block.voltage_v for block in blocks]),
+        displacement_um=np.concatenate([block.displacement_um for block in blocks]),
+        flags=np.repeat(np.array([block.flags for block in blocks], dtype=np.uint32), counts),
+        gaps=_gaps(path, topic, first, ends),
+        attachments=contents.attachments,
+        complete=contents.complete)
+
+
+def _strides(path, periods_s, sample_rate_hz):
+    """Samples of the clock from one sample of a block to the next, for every block."""
+    exact = periods_s * sample_rate_hz
+    if not np.all(np.isfinite(exact)) or np.any(exact < 0.5):
+        strides = np.zeros(len(exact), dtype=np.int64)
+    else:
+        strides = np.round(exact).astype(np.int64)
+    wrong = np.flatnonzero(~(np.abs(exact - strides) <= 1e-6 * np.abs(exact)))
+    if len(wrong):
+        raise RecordingError(
+            f"{path}: sample block {wrong[0] + 1} has a sample period of "
+            f"{periods_s[wrong[0]]:g} s, no multiple of the sample clock's "
+            f"{1 / sample_rate_hz:g} s: give the stage's sample_rate_hz=.")
+    return strides
+
+
+def _gaps(path, topic, first, ends):
+    overlapping = np.flatnonzero(first[1:] < ends[:-1])
+    if len(overlapping):
+        block = overlapping[0]
+        raise RecordingError(
+            f"{path}: on {topic} sample block {block + 2} begins at sample {first[block + 1]}, "
+            f"before the end {ends[block]} of the one before it: record one stage at a time, "
+            "from one activation on, or give the stage's sample_rate_hz=.")
+    missing = first[1:] - ends[:-1]
+    return [(int(ends[block]), int(missing[block])) for block in np.flatnonzero(missing)]

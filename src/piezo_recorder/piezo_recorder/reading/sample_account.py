@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Account for the samples of a recording: ``report RECORDING``."""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from piezo_recorder.reading.reader import read_recording
+
+GAPS_STATUS = 1
+BAD_INPUT_STATUS = 2
+
+
+def report(recording):
+    """Say what is in a recording, and what is not.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    lines : list of str
+        Those of the samples that are missing begin with ``error``.
+    """
+    periods_s = np.unique(recording.sample_periods_s)
+    lines = [
+        f"{recording.path}: {len(recording.voltage_v)} samples, index "
+        f"{recording.sample_index[0]} to {recording.sample_index[-1]}, "
+        f"{recording.time_s[-1]:.6g} s",
+        f"sample periods {', '.join(f'{period_s:g} s' for period_s in periods_s[:8])}"
+        + (" ..." if len(periods_s) > 8 else "")]
+    if recording.attachments:
+        lines.append(f"attachments {', '.join(sorted(recording.attachments))}")
+    if not recording.complete:
+        lines.append("the recorder was killed: make it whole with the command repair")
+    lines += [f"error: {count} samples are missing from sample {first} on"
+              for first, count in recording.gaps]
+    return lines
+
+
+def main(arguments=None):
+    """Run the command; return the exit status, 1 where samples are missing."""
+    parser = argparse.ArgumentParser(
+        prog="report", description="Account for the samples of a recording.",
+        epilog="The status is 1 where samples are missing, 2 where it cannot be read.")
+    parser.add_argument("recording", type=Path, help="directory, MCAP or CSV file")
+    options = parser.parse_args(arguments)
+    try:
+        recording = read_recording(options.recording)
+    except (ValueError, OSError) as error:
+        print(f"report: {error}", file=sys.stderr)
+        return BAD_INPUT_STATUS
+    print("\n".join(report(recording)))
+    return GAPS_STATUS if recording.gaps else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

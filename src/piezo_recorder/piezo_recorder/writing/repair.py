@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Make a whole recording of what a killed recorder left: ``repair RECORDING NEW``."""
+
+import argparse
+import sys
+from pathlib import Path
+
+import mcap.records
+from mcap.stream_reader import StreamReader
+
+from piezo_recorder.reading.reader import data_files, was_cut_short
+from piezo_recorder.reading.recording import RecordingError
+from piezo_recorder.writing.message_definition import MessageDefinition
+from piezo_recorder.writing.quality_profiles import profiles_from_text
+from piezo_recorder.writing.writer import STAGE_METADATA, RecordingWriter
+
+
+def repair(path, output):
+    """Copy every whole message of a recording into a new one with an index.
+
+    Parameters
+    ----------
+    path : str or Path
+        A recording's directory, or an MCAP file.
+    output : str or Path
+        Directory to make.
+
+    Returns
+    -------
+    messages : int
+
+    Raises
+    ------
+    RecordingError
+        If the recording is no MCAP file, or damaged rather than cut short.
+    FileExistsError
+        If something is at ``output`` already.
+    """
+    copy = None
+    for file in data_files(Path(path)):
+        if file.suffix.lower() == ".csv":
+            raise RecordingError(f"{file} is no MCAP file: a CSV needs no index.")
+        copy = copy or _Copy(output)
+        with copy:
+            copy.take(file)
+    return copy.writer.message_count
+
+
+class _Copy:
+    """The new recording."""
+
+    def __init__(self, output):
+        self.writer = RecordingWriter(output)
+        self._schemas, self._channels = {}, {}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.writer.close()
+
+    def take(self, file):
+        with open(file, "rb") as stream:
+            try:
+                for record in StreamReader(stream, validate_crcs=True).records:
+                    self._take(record)
+            # Whatever the parser stumbles over where the file ends.
+            except Exception as error:
+                if not was_cut_short(stream):
+                    raise RecordingError(
+                        f"{file} is damaged or no MCAP file ({error or type(error).__name__}): "
+                        "copy it again.") from None
+
+    def _take(self, record):
+        if isinstance(record, mcap.records.Message):
+            self.writer.write(self._channels[record.channel_id], record.data, record.log_time)
+        elif isinstance(record, mcap.records.Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, mcap.records.Channel) and record.id not in self._channels:
+            schema = self._schemas[record.schema_id]
+            self._channels[record.id] = self.writer.add_topic(record.topic, MessageDefinition(
+                schema.name, schema.data.decode(), record.metadata.get("topic_type_hash", "")),
+                profiles_from_text(record.metadata.get("offered_qos_profiles", "")))
+        elif isinstance(record, mcap.records.Attachment):
+            self.writer.attach(record.name, record.data)
+        elif isinstance(record, mcap.records.Metadata) and record.name == STAGE_METADATA:
+            self.writer.add_metadata(record.metadata)
+
+
+def main(arguments=None):
+    """Run the command; return the exit status, 2 for input that cannot be used."""
+    parser = argparse.ArgumentParser(
+        prog="repair", description="Make a whole recording of what a killed recorder left.")
+    parser.add_argument("recording", type=Path, help="directory or MCAP file; it stays as it is")
+    parser.add_argument("output", type=Path, help="directory to make")
+    options = parser.parse_args(arguments)
+    try:
+        messages = repair(options.recording, options.output)
+    except (ValueError, OSError) as error:
+        print(f"repair: {error}", file=sys.stderr)
+        return 2
+    print(f"{messages} messages kept in {options.output}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Serve actions whose work takes long: one goal at a time, in a thread of its own."""
+
+import functools
+import threading
+import time
+import traceback
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.lifecycle import ManagedEntity, TransitionCallbackReturn
+
+from piezo_ros.calls import Cancelled
+from piezo_ros.clock_guard import keep_clock
+from piezo_ros.presence import Presence
+
+
+class Progress:
+    """What the work reports while it runs, and whether it shall end.
+
+    Parameters
+    ----------
+    goal_handle : rclpy.action.server.ServerGoalHandle
+    feedback_type : type
+    client : Presence
+        Of the node that asked.
+    why_ending : callable
+        Says why the node that serves ends its goals; empty while it does not.
+    """
+
+    def __init__(self, goal_handle, feedback_type, client, why_ending):
+        self._goal_handle = goal_handle
+        self._feedback_type = feedback_type
+        self._client = client
+        self._why_ending = why_ending
+        self._begin_s = time.monotonic()
+
+    @property
+    def cause(self):
+        """Why the work shall end early; empty if it shall not."""
+        if self._goal_handle.is_cancel_requested:
+            return "cancelled"
+        if self._client.gone:
+            return f"cancelled: the client {self._client.name} is gone"
+        ending = self._why_ending()
+        return ending and f"cancelled: {ending}"
+
+    @property
+    def cancelled(self):
+        """Whether the work shall end early."""
+        return bool(self.cause)
+
+    def check(self):
+        """Raise ``Cancelled`` if the work shall end early."""
+        if self.cancelled:
+            raise Cancelled
+
+    def report(self, fraction, **fields):
+        """Publish feedback; the seconds left are estimated from the time taken so far."""
+        taken_s = time.monotonic() - self._begin_s
+        left_s = taken_s * (1.0 - fraction) / fraction if fraction > 0.0 else 0.0
+        self._goal_handle.publish_feedback(self._feedback_type(
+            fraction=float(fraction), seconds_left=float(left_s), **fields))
+
+
+class GoalServers(ManagedEntity):
+    """Actions of one lifecycle node, of which one goal runs at a time, while it is active.
+
+    A goal that comes while another runs, or while the node is not active, is rejected, and the
+    log says why; one that asks for what cannot be done is aborted with a message. The goal's
+    field ``client`` names the node that asks: once that is gone the goal is cancelled.
+
+    Parameters
+    ----------
+    node : rclpy.lifecycle.LifecycleNode
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._one_at_a_time = threading.Lock()
+        self._active = False
+        self._why_ending = ""
+        self._servers = []
+        node.add_managed_entity(self)
+        keep_clock(node, lambda: "a goal runs" if self.busy else "")
+
+    @property
+    def busy(self):
+        """Whether a goal runs."""
+        return self._one_at_a_time.locked()
+
+    def serve(self, action_type, name, work):
+        """Serve an action whose result has ``success`` and ``message``.
+
+        Parameters
+        ----------
+        action_type : type
+        name : str
+        work : callable
+            ``work(goal, result, progress)`` fills in the result. A ValueError aborts the
+            goal with its text as the message; ``Cancelled`` cancels it.
+        """
+        self._servers.append(ActionServer(
+            self._node, action_type, name, self._end_goal, goal_callback=self._examine,
+            handle_accepted_callback=lambda goal: self._begin_goal(goal, action_type, work),
+            cancel_callback=lambda goal: CancelResponse.ACCEPT))
+
+    def end(self):
+        """Ask the running goal to end; return whether none runs any more."""
+        self._why_ending = f"the node {self._node.get_fully_qualified_name()} was ended"
+        return not self.busy
+
+    def on_activate(self, state):
+        """Take goals from now on."""
+        self._active, self._why_ending = True, ""
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_deactivate(self, state):
+        """Cancel the running goal, and take no more."""
+        self._active = False
+        self._why_ending = f"the node {self._node.get_fully_qualified_name()} was deactivated"
+        return TransitionCallbackReturn.SUCCESS
+
+    on_shutdown = on_deactivate
+
+    def _examine(self, goal):
+        """Tell whether a goal can be taken at all; the answer has no room for a reason."""
+        reason = ""
+        if self._why_ending or not self._active:
+            reason = "is not active: activate it first"
+        elif self.busy:
+            reason = "is busy with another goal: wait or cancel it"
+        if reason:
+            self._node.get_logger().warning(f"goal rejected: {self._node.get_name()} {reason}")
+        return GoalResponse.REJECT if reason else GoalResponse.ACCEPT
+
+    def _begin_goal(self, goal_handle, action_type, work):
+        # Free: the executor takes one goal after the other, and has just asked.
+        self._one_at_a_time.acquire(blocking=False)
+        client = Presence(self._node, goal_handle.request.client)
+        progress = Progress(
+            goal_handle, action_type.Feedback, client, lambda: self._why_ending)
+        threading.Thread(target=self._work, name="goal", args=(
+            work, goal_handle, action_type.Result(), progress)).start()
+
+    def _end_goal(self, goal_handle, result, end):
+        self._one_at_a_time.release()
+        getattr(goal_handle, end)()
+        return result
+
+    def _work(self, work, goal_handle, result, progress):
+        end = "abort"
+        try:
+            work(goal_handle.request, result, progress)
+            result.success, end = True, "succeed"
+        except Cancelled:
+            result.message = progress.cause
+            # A goal that ends for another reason was never asked to be cancelled.
+            end = "canceled" if goal_handle.is_cancel_requested else "abort"
+            self._node.get_logger().warning(f"goal ended early: {result.message}")
+        except ValueError as error:
+            result.message = str(error)
+            self._node.get_logger().warning(f"goal refused or failed: {error}")
+        except Exception as error:
+            result.message = f"internal error: {error!r}"
+            self._node.get_logger().error(traceback.format_exc())
+        # Executed now that it is over: the executor polls, busily, a goal that waits.
+        self._node.executor.create_task(goal_handle.execute, functools.partial(
+            self._end_goal, result=result, end=end))

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Declare parameters with a description and a range."""
+
+from pathlib import Path
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+
+from piezo_common.data_root import DataRoot
+
+
+class InvalidParameter(ValueError):
+    """A parameter that a node cannot start with."""
+
+
+def declare(node, name, default, description, minimum=None, maximum=None, read_only=True,
+            choices=()):
+    """Declare a parameter, unless that is done, and return its value.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    name : str
+        Ends in the unit where the value has one.
+    default : bool, int, float, str or list
+        Gives the type as well.
+    description : str
+        One sentence for ``ros2 param describe``.
+    minimum, maximum : float, optional
+        Bounds, both included; give both or none.
+    read_only : bool
+        Refuse changes while the node runs.
+    choices : tuple of str
+        The values of a string that has only some.
+
+    Raises
+    ------
+    InvalidParameter
+        If an override is of another type, or none of the values allowed.
+    """
+    if node.has_parameter(name):
+        return node.get_parameter(name).value
+    descriptor = ParameterDescriptor(name=name, description=description, read_only=read_only)
+    if minimum is not None and isinstance(default, float):
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(minimum), to_value=float(maximum))]
+    elif minimum is not None:
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(minimum), to_value=int(maximum), step=1)]
+    try:
+        value = node.declare_parameter(name, default, descriptor).value
+    except InvalidParameterTypeException:
+        raise InvalidParameter(f"parameter {name} is no {type(default).__name__}: "
+                               f"give a value such as {default!r}") from None
+    except InvalidParameterValueException:
+        raise InvalidParameter(f"parameter {name} is out of range: "
+                               f"give a value from {minimum:.10g} to {maximum:.10g}") from None
+    if choices and value not in choices:
+        raise InvalidParameter(f"parameter {name} is {value!r}: give {' or '.join(choices)}")
+    return value
+
+
+def declare_data_root(node):
+    """Declare the parameter ``data_root`` and return the folder under which the node writes.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+
+    Returns
+    -------
+    DataRoot
+        By default of the folder in which the node was started.
+
+    Raises
+    ------
+    DataRootError
+        If there is no such folder.
+    """
+    folder = declare(node, "data_root", str(Path.cwd()),
+                     "Folder under which the node writes; goals name directories within it.")
+    return DataRoot(folder, node.get_name())

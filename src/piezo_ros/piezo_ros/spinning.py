@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Start a node, spin it, and close it in order, whatever ends it."""
+
+import signal
+import sys
+import time
+from pathlib import Path
+
+import rclpy
+from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
+
+from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
+from piezo_ros.parameters import declare
+from piezo_ros.responses import answer_patiently
+
+RCLError = rclpy_implementation.RCLError
+SPIN_TIMEOUT_S = 0.2
+WIND_DOWN_TIMEOUT_S = 10.0
+LAST_WORDS_S = 0.2
+# How much later than it goes on a process may be told that it does.
+SIGNAL_DELAY_S = 1.0
+FAILED_STATUS = 1
+BAD_INPUT_STATUS = 2
+
+
+class Ending:
+    """Whether the node is to end: on SIGINT or SIGTERM, or because nobody sees it any more.
+
+    Others give up a process that stands still, as after Ctrl-Z, and the middleware does not
+    introduce it to them again: when it goes on, it hears them, but they do not hear it.
+
+    Attributes
+    ----------
+    stood_still_s : float
+        How long the process stood still; 0 unless it ends for that.
+    """
+
+    def __init__(self):
+        self._requested = False
+        self.stood_still_s = 0.0
+        self._alive_s = time.monotonic()
+        self._pause_s = self._pause_end_s = 0.0
+        # Own handlers: rclpy's would shut ROS down before the node can close in order.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._end)
+        signal.signal(signal.SIGCONT, self._go_on)
+
+    def __bool__(self):
+        now_s = time.monotonic()
+        if now_s - self._alive_s > LONGEST_STANDSTILL_S:
+            self._pause_s, self._pause_end_s = now_s - self._alive_s, now_s
+        self._alive_s = now_s
+        return self._requested
+
+    def _end(self, *_):
+        self._requested = True
+
+    def _go_on(self, *_):
+        now_s = time.monotonic()
+        standstill_s = now_s - self._alive_s
+        if now_s - self._pause_end_s < SIGNAL_DELAY_S:  # the loop went on before the signal came
+            standstill_s = max(standstill_s, self._pause_s)
+        if standstill_s > LONGEST_STANDSTILL_S:
+            self._requested, self.stood_still_s = True, standstill_s
+
+
+def autostart(node, default=True):
+    """Configure and activate a lifecycle node if its parameter ``autostart`` says so.
+
+    Parameters
+    ----------
+    node : rclpy.lifecycle.LifecycleNode
+    default : bool
+        Of the parameter.
+
+    Raises
+    ------
+    SystemExit
+        If it fails; the node's transition has then logged why.
+    """
+    if not declare(node, "autostart", default, "Configure and activate at start."):
+        return
+    for trigger in (node.trigger_configure, node.trigger_activate):
+        if trigger() != TransitionCallbackReturn.SUCCESS:
+            sys.exit(BAD_INPUT_STATUS)
+
+
+def run_node(create_node, args=None):
+    """Run one node until SIGINT or SIGTERM, or until it has stood still for too long.
+
+    The node may have methods of its own: ``step() -> float`` is called between two
+    callbacks and returns how long to wait for the next one (s); ``wind_down() -> bool``
+    is called once the end is near, between callbacks, until it returns True; ``close()``
+    is called last, while ROS still works.
+
+    Parameters
+    ----------
+    create_node : callable
+        Makes the node; called without arguments once ROS is initialised. A ValueError ends
+        the process with its text as the one line it prints.
+    args : list of str, optional
+        Command line; ``sys.argv`` where it is left out.
+
+    Raises
+    ------
+    SystemExit
+        With status 2 where the node cannot start with what it was given, and 1 where it stood
+        still for so long that the other nodes gave it up.
+    """
+    ending = Ending()
+    node = _start(create_node, args)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    try:
+        try:
+            _spin(executor, getattr(node, "step", lambda: SPIN_TIMEOUT_S), ending)
+        finally:
+            if ending.stood_still_s:
+                node.get_logger().error(
+                    f"this process stood still for {ending.stood_still_s:.1f} s, and the other "
+                    "nodes have given it up: it ends, start it again")
+            _wind_down(executor, getattr(node, "wind_down", lambda: True))
+    finally:
+        getattr(node, "close", lambda: None)()
+        executor.remove_node(node)
+        node.destroy_node()
+        rclpy.try_shutdown()
+    if ending.stood_still_s:
+        sys.exit(FAILED_STATUS)
+
+
+def _start(create_node, args):
+    prepare_discovery()
+    answer_patiently()
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        _refuse(str(error).split(", at /")[0])
+    try:
+        return create_node()
+    except ValueError as error:
+        _refuse(error)
+    except RCLError as error:  # as where security is asked for that the middleware has not
+        _refuse(" ".join(str(error).split(", at /")[0].split()))
+
+
+def _refuse(reason):
+    print(f"{Path(sys.argv[0]).name}: {reason}", file=sys.stderr)
+    sys.exit(BAD_INPUT_STATUS)
+
+
+def _spin(executor, step, ending):
+    while not ending and rclpy.ok():
+        executor.spin_once(timeout_sec=step())
+
+
+def _wind_down(executor, wind_down):
+    _spin_until(executor, wind_down, WIND_DOWN_TIMEOUT_S)
+    # The results of goals that have just ended go out by callbacks of their own.
+    _spin_until(executor, lambda: False, LAST_WORDS_S)
+
+
+def _spin_until(executor, condition, timeout_s):
+    deadline = time.monotonic() + timeout_s
+    while not condition() and time.monotonic() < deadline:
+        executor.spin_once(timeout_sec=0.05)

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Have a run recorded by the recorder node."""
+
+import os
+from itertools import chain, count
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from piezo_interfaces.srv import StartRecording, StopRecording
+
+from piezo_ros.calls import CallFailed, call_service
+from piezo_ros.presence import Presence
+
+# The recorder itself waits some seconds for samples that are on their way.
+STOP_TIMEOUT_S = 20.0
+STOP_APPEARANCE_S = 1.0
+
+
+class RunRecording:
+    """The recording of one run; a context manager that closes it when the run is over.
+
+    A run whose recording ends before it must end, too, unless it may go on unrecorded.
+
+    Parameters
+    ----------
+    path : str
+    recorder : Presence
+        Of the node that records.
+    unrecorded : bool
+        Whether the run may go on once its recording has ended.
+    stop : callable
+        Closes the recording: takes the last sample that is to be in it, and returns what the
+        recorder answers.
+
+    Attributes
+    ----------
+    last_sample : int
+        Of the run, once it is over; 0 until then: the recording is then closed as it is.
+    """
+
+    def __init__(self, path, recorder, unrecorded, stop):
+        self.path = path
+        self.last_sample = 0
+        self._recorder, self._unrecorded, self._stop = recorder, unrecorded, stop
+        self._failure = self._note = ""
+        self._over = False
+
+    @property
+    def failure(self):
+        """Why the recording ended before the run; empty if it did not."""
+        if not (self._failure or self._over) and self._recorder.gone:
+            self._failure = (f"the recorder {self._recorder.name} is gone: start it again; what "
+                             f"it had recorded is in {self.path}")
+        return self._failure
+
+    @property
+    def must_stop(self):
+        """Whether the run must end because its recording has."""
+        return bool(self.failure) and not self._unrecorded
+
+    @property
+    def note(self):
+        """What to tell of the recording of a run that was played to its end; may be empty."""
+        if self._failure:
+            return f"the run went on unrecorded: {self._failure}"
+        return self._note
+
+    def ended(self, path, message):
+        """Take the news that the recorder closed the recording of a path early."""
+        if path == self.path:
+            self._failure = self._failure or f"{path} was {message}"
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, traceback):
+        if not self.failure:
+            self._close()
+        self._over = True
+        if self._failure and isinstance(error, ValueError):
+            raise CallFailed(f"{error}; {self._failure}") from error
+        if error is None and self.must_stop:
+            raise CallFailed(self._failure)
+
+    def _close(self):
+        try:
+            missing_samples = self._stop(self.last_sample).missing_samples
+        except CallFailed as error:
+            self._failure = str(error)
+        else:
+            if missing_samples:
+                self._note = f"{missing_samples} samples are missing in the recording"
+
+
+class RecorderNews:
+    """What the recorder of a node's namespace tells of one recording after the other.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._recording = None
+        self._recorder = f"{node.get_namespace().rstrip('/')}/recorder"
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def about(self, path, unrecorded=False, stop=None):
+        """Return the `RunRecording` of a path, which hears of its end from now on."""
+        self._recording = RunRecording(
+            path, Presence(self._node, self._recorder), unrecorded, stop)
+        return self._recording
+
+    def _on_diagnostics(self, message):
+        for status in message.status:
+            if (self._recording and status.level == DiagnosticStatus.ERROR
+                    and status.name == f"{self._recorder}: recording"):
+                values = {value.key: value.value for value in status.values}
+                self._recording.ended(values.get("path", ""), status.message)
+
+
+class RecorderCaller:
+    """Have runs recorded, one at a time.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    """
+
+    def __init__(self, node):
+        self._news = RecorderNews(node)
+        self._client = node.get_fully_qualified_name()
+        self._start = node.create_client(StartRecording, "recorder/start_recording")
+        self._stop = node.create_client(StopRecording, "recorder/stop_recording")
+
+    def record(self, directory, name, attachments, unrecorded=False):
+        """Start a recording under a name that is not taken yet.
+
+        Parameters
+        ----------
+        directory, name : str
+            A number is added to the name where a recording of that name exists.
+        attachments : dict of str to str
+            Files to be kept inside the recording.
+        unrecorded : bool
+            Whether the run may go on once its recording has ended.
+
+        Returns
+        -------
+        RunRecording
+
+        Raises
+        ------
+        CallFailed
+        """
+        path = call_service(self._start, StartRecording.Request(
+            directory=str(Path(directory).absolute()), name=free_name(directory, name),
+            attachment_names=list(attachments),
+            attachment_contents=list(attachments.values()), client=self._client)).path
+        return self._news.about(path, unrecorded, self._close)
+
+    def _close(self, last_sample):
+        return call_service(
+            self._stop, StopRecording.Request(last_sample=last_sample, client=self._client),
+            STOP_TIMEOUT_S, STOP_APPEARANCE_S)
+
+
+def free_name(directory, name):
+    """Return the name, or the first of name_2, name_3 ... that the directory does not hold yet."""
+    try:
+        taken = set(os.listdir(directory))
+    except OSError:  # nothing there yet; else the recorder tells what is wrong
+        taken = set()
+    numbered = (f"{name}_{number}" for number in count(2))
+    return next(candidate for candidate in chain([name], numbered) if candidate not in taken)

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Let the stage play a feedforward, and answer its blocks meanwhile."""
+
+import array
+import threading
+import time
+from contextlib import suppress
+
+from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
+from piezo_interfaces.srv import LoadFeedforward, StartTracking
+from rclpy.serialization import deserialize_message
+from std_srvs.srv import Trigger
+
+from piezo_ros.calls import CallFailed, call_service
+from piezo_ros.quality import FEEDBACK, SAMPLES
+from piezo_ros.stage_runs.stage_watch import StageWatch
+from piezo_ros.stage_runs.streaming import Stream
+
+REPORT_PERIOD_S = 0.1
+SILENCE_TIMEOUT_S = 10.0
+# Of a stage that was there a moment ago.
+APPEARANCE_S = 1.0
+STOP_TIMEOUT_S = 10.0
+# A node that ends may be gone before its last samples are read.
+LAST_BLOCK_S = 1.0
+
+
+class StageTracker:
+    """Run the stage's feedforward and feedback, one run at a time.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+
+    Attributes
+    ----------
+    last_sample : int
+        Of the last run, its way back to rest included; 0 until the stage is at rest again.
+    missed_feedback : int
+        Answers of the last run that the stage missed.
+    """
+
+    def __init__(self, node):
+        self._take = self._stream = None
+        # Answers to the first blocks wait here until the number of their run is known.
+        self._early_answers, self._run, self._numbering = [], None, threading.Lock()
+        self._client = node.get_fully_qualified_name()
+        self._stage = StageWatch(node)
+        self._at_rest, self._awake = threading.Event(), threading.Event()
+        self.last_sample = self.missed_feedback = 0
+        self._feedback = node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
+        # Raw, as nobody looks at the blocks between two runs.
+        node.create_subscription(SampleBlock, "samples", self._on_samples, SAMPLES, raw=True)
+        self._load = node.create_client(LoadFeedforward, "load_feedforward")
+        self._start = node.create_client(StartTracking, "start_tracking")
+        self._stop = node.create_client(Trigger, "stop_tracking")
+
+    def run(self, once_voltage_v, period_voltage_v, ticks, take, answering, cancelled, report,
+            more=None):
+        """Play a feedforward for some ticks and wait until the stage is at rest.
+
+        Parameters
+        ----------
+        once_voltage_v, period_voltage_v : ndarray
+            See `LoadFeedforward`.
+        ticks : int
+            How long; 0 until it is cancelled.
+        take : callable
+            Takes each `SampleBlock` of the run and returns the answer to it, a voltage.
+        answering : bool
+            Whether the stage waits for the answers and adds them.
+        cancelled : callable
+            Asked now and then; true stops the run.
+        report : callable
+            Called now and then.
+        more : callable, optional
+            Where the feedforward is streamed behind ``once_voltage_v``, see `Stream`; the blocks
+            are then answered in any case.
+
+        Raises
+        ------
+        CallFailed
+            If the stage refuses, falls silent, or is gone.
+        """
+        self._stage.begin()
+        self._at_rest.clear()
+        self._awake.clear()
+        self._blocks = self.last_sample = self.missed_feedback = 0
+        self._load_voltages(once_voltage_v, period_voltage_v)
+        self._stream = more and Stream(more, len(once_voltage_v), self._append, self._publish)
+        self._answering = answering or more is not None
+        self._take = take
+        try:
+            if self._stream:
+                self._stream.feed()
+            self._run, self._early_answers = None, []
+            self._begin_answers(call_service(self._start, StartTracking.Request(
+                feedback=self._answering, ticks=ticks, client=self._client),
+                appearance_s=APPEARANCE_S).run)
+            self._wait(cancelled, report)
+        finally:
+            self._take = self._stream = None
+
+    def why_ended(self):
+        """Say why the stage ended the last run before its time, as far as the stage tells."""
+        return self._stage.why_ended()
+
+    def _load_voltages(self, once_voltage_v, period_voltage_v=b"", append=False):
+        call_service(self._load, LoadFeedforward.Request(
+            once_voltage_v=array.array("d", bytes(once_voltage_v)),
+            period_voltage_v=array.array("d", bytes(period_voltage_v)), append=append))
+
+    def _append(self, voltage_v):
+        self._load_voltages(voltage_v, append=True)
+
+    def _publish(self, tick, voltage_v):
+        with self._numbering:
+            if self._run is None:
+                self._early_answers.append((tick, voltage_v))
+                return
+        self._feedback.publish(FeedbackVoltage(tick=tick, voltage_v=voltage_v, run=self._run))
+
+    def _begin_answers(self, run):
+        with self._numbering:
+            self._run, early = run, self._early_answers
+        for tick, voltage_v in early:
+            self._publish(tick, voltage_v)
+
+    def _wait(self, cancelled, report):
+        blocks_before, heard_s, reported_s = 0, time.monotonic(), 0.0
+        stopping, failure = False, None
+        while not self._at_rest.is_set():
+            self._awake.wait(REPORT_PERIOD_S)
+            self._awake.clear()
+            if self._stream and not stopping:
+                try:
+                    self._stream.feed()
+                except ValueError as error:
+                    failure = error
+            if (failure or cancelled()) and not stopping:
+                stopping = True
+                with suppress(CallFailed):  # the stage may just have stopped by itself
+                    call_service(self._stop, Trigger.Request(), STOP_TIMEOUT_S, APPEARANCE_S)
+            if self._stage.gone and not self._at_rest.wait(LAST_BLOCK_S):
+                raise CallFailed(f"the stage stopped before the end: {self.why_ended()}")
+            now_s = time.monotonic()
+            if self._blocks != blocks_before:
+                blocks_before, heard_s = self._blocks, now_s
+            elif now_s - heard_s > SILENCE_TIMEOUT_S:
+                raise CallFailed(f"the stage sent no samples for {SILENCE_TIMEOUT_S:g} s: "
+                                 "look whether its node runs")
+            if now_s - reported_s >= REPORT_PERIOD_S:
+                reported_s = now_s
+                report()
+        if failure:
+            raise failure
+
+    def _on_samples(self, raw):
+        take = self._take
+        if take is None:
+            return
+        block = deserialize_message(raw, SampleBlock)
+        if block.flags & SampleBlock.FLAG_TRACKING:
+            self._blocks += 1
+            self.missed_feedback = block.missed_feedback
+            voltage_v, stream = take(block), self._stream
+            if stream:
+                stream.answer(block.tick, voltage_v, len(block.displacement_um))
+                if stream.wants_more:
+                    self._awake.set()
+            elif self._answering:
+                self._publish(block.tick, voltage_v)
+        elif self._blocks and not block.flags & SampleBlock.FLAG_RAMPING:
+            self.last_sample = block.first_sample + len(block.displacement_um) - 1
+            self._at_rest.set()
+            self._awake.set()

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Know whether the stage is there, and why it stopped."""
+
+import threading
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+from piezo_ros.presence import Presence
+
+# The stage tells how it is every second.
+NEWS_TIMEOUT_S = 3.0
+POLL_S = 0.05
+
+
+class StageWatch:
+    """What the stage of a node's namespace tells of itself during one run after the other.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._name = f"{node.get_namespace().rstrip('/')}/stage"
+        self._news = threading.Event()
+        self._stopped = self._state = ""
+        self.begin()
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def begin(self):
+        """Begin a run: what was before does not matter any more."""
+        self._stopped = self._state = ""
+        self._presence = Presence(self._node, self._name)
+
+    @property
+    def gone(self):
+        """Whether the stage's node went away since the run began."""
+        return self._presence.gone
+
+    def why_ended(self):
+        """Say why a run ended before its time; wait for the stage's word if need be.
+
+        Returns
+        -------
+        str
+        """
+        self._news.clear()
+        deadline_s = time.monotonic() + NEWS_TIMEOUT_S
+        while not (self._stopped or self.gone or time.monotonic() > deadline_s):
+            if self._news.wait(POLL_S):
+                break
+        if self._stopped:
+            return self._stopped
+        if self.gone:
+            return f"the stage {self._name} is gone: start it again"
+        if self._state == "not active":
+            return "it was deactivated"
+        return "somebody else called stop_tracking"
+
+    def _on_diagnostics(self, message):
+        for status in message.status:
+            if status.name != f"{self._name}: stage":
+                continue
+            self._state = status.message
+            if status.level == DiagnosticStatus.ERROR:
+                self._stopped = self._stopped or status.message
+            self._news.set()

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A response is sent until the client is known, and not for ever."""
+
+import warnings
+
+import pytest
+
+from piezo_ros.responses import ATTEMPTS, sent_again
+
+WARNING = "failed to send response (timeout): client will not receive response"
+
+
+def service_that_is_not_ready(attempts):
+    sent = []
+
+    def send(service, response, header):
+        sent.append((service, response, header))
+        if len(sent) <= attempts:
+            warnings.warn(WARNING, RuntimeWarning, stacklevel=1)
+
+    return sent, send
+
+
+@pytest.mark.parametrize("attempts", [0, 1, 5])
+def test_a_response_is_sent_until_the_client_is_known(attempts, recwarn):
+    sent, send = service_that_is_not_ready(attempts)
+    sent_again(send)("service", "response", "header")
+    assert sent == [("service", "response", "header")] * (attempts + 1)
+    assert not recwarn.list
+
+
+def test_a_client_that_never_comes_is_given_up_with_the_warning():
+    sent, send = service_that_is_not_ready(1000)
+    with pytest.warns(RuntimeWarning, match="client will not receive response"):
+        sent_again(send)("service", "response", "header")
+    assert len(sent) == ATTEMPTS
+
+
+def test_other_warnings_are_passed_on():
+    def send(service, response, header):
+        warnings.warn("something else", UserWarning, stacklevel=1)
+
+    with pytest.warns(UserWarning, match="something else"):
+        sent_again(send)("service", "response", "header")

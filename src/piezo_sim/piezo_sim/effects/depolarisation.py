@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A ceramic that loses polarisation, and with it gain, the further it is driven back and forth."""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from numba import njit
+
+from piezo_sim.plant.accumulating import AccumulatingRunner
+from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+
+
+@njit(cache=True)
+def _age(samples, previous_um, travelled_um, lost_gain, travel_um):
+    for n in range(samples.size):
+        travelled_um += abs(samples[n] - previous_um)
+        previous_um = samples[n]
+        samples[n] = previous_um * (1.0 + lost_gain * math.expm1(-travelled_um / travel_um))
+    return previous_um, travelled_um
+
+
+@dataclass(frozen=True)
+class Depolarisation:
+    """The gain falls by `lost_gain` in the end, by 63 % of that within the travel `travel_um`.
+
+    To stand behind the hysteresis.
+    """
+
+    name: ClassVar[str] = "depolarisation"
+
+    lost_gain: float = parameter("1")
+    travel_um: float = parameter("um")
+
+    def __post_init__(self):
+        require(self.lost_gain < 1.0, self, "lost_gain must be below 1.")
+        require(self.travel_um > 0.0, self, "travel_um must be positive.")
+
+    def start(self, surroundings: Surroundings) -> AccumulatingRunner:
+        """Start with a fresh ceramic; `rest` begins to count the travel."""
+        return AccumulatingRunner(_age, self.lost_gain, self.travel_um)

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""An actuator that its own losses warm, and whose gain follows the temperature.
+
+Hysteresis loses energy with every micrometre travelled, whatever the speed.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from numba import njit
+
+from piezo_sim.plant.accumulating import AccumulatingRunner
+from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+
+
+@njit(cache=True)
+def _heat(samples, previous_um, warm_k, heating_k_per_um, remaining, gain_per_k):
+    for n in range(samples.size):
+        travel_um = abs(samples[n] - previous_um)
+        previous_um = samples[n]
+        warm_k = remaining * warm_k + heating_k_per_um * travel_um
+        samples[n] = previous_um * (1.0 + gain_per_k * warm_k)
+    return previous_um, warm_k
+
+
+@dataclass(frozen=True)
+class SelfHeating:
+    """Temperature above the ambient from travel and cooling; the gain changes with it.
+
+    To stand behind the hysteresis.
+    """
+
+    name: ClassVar[str] = "self_heating"
+
+    heating_k_per_um: float = parameter("K/um")
+    cooling_time_constant_s: float = parameter("s")
+    gain_per_k: float = parameter("1/K")
+
+    def __post_init__(self):
+        require(self.heating_k_per_um >= 0.0, self, "heating_k_per_um must not be negative.")
+        require(
+            self.cooling_time_constant_s > 0.0, self, "cooling_time_constant_s must be positive."
+        )
+
+    def start(self, surroundings: Surroundings) -> AccumulatingRunner:
+        """Start cold; travel heats."""
+        return AccumulatingRunner(
+            _heat,
+            self.heating_k_per_um,
+            math.exp(-surroundings.sample_period_s / self.cooling_time_constant_s),
+            self.gain_per_k,
+        )

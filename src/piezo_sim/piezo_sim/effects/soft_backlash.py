@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Backlash between the drive and what it moves, with contact that sets in softly.
+
+The driven part trails the drive by e. A drive that turns first closes half the gap freely, until
+e = 0; from there contact sets in by de/dx = 1 - (e / gap)^2, so that e = gap tanh(x / gap).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numba import njit
+
+from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+
+
+@njit(cache=True)
+def _trail(samples, drive_um, trail_um, gap_um):
+    for n in range(samples.size):
+        move_um = samples[n] - drive_um
+        drive_um = samples[n]
+        if move_um * trail_um < 0.0:
+            free_um = math.copysign(min(abs(move_um), abs(trail_um)), move_um)
+            trail_um += free_um
+            move_um -= free_um
+        # tanh(a + b) from tanh(a) and tanh(b): any number of steps give what one gives.
+        if move_um != 0.0:
+            contact = math.tanh(move_um / gap_um)
+            engaged = trail_um / gap_um
+            trail_um = gap_um * (contact + engaged) / (1.0 + contact * engaged)
+        samples[n] = drive_um - trail_um
+    return drive_um, trail_um
+
+
+@dataclass(frozen=True)
+class SoftBacklash:
+    """The driven part trails by at most half the backlash, `half_gap_um`, in either direction."""
+
+    name: ClassVar[str] = "soft_backlash"
+
+    half_gap_um: float = parameter("um")
+
+    def __post_init__(self):
+        require(self.half_gap_um > 0.0, self, "half_gap_um must be positive.")
+
+    def start(self, surroundings: Surroundings) -> "BacklashRunner":
+        """Start with a position to be set by `rest`."""
+        return BacklashRunner(self.half_gap_um)
+
+
+class BacklashRunner:
+    """Backlash with the positions of drive and driven part."""
+
+    def __init__(self, half_gap_um: float):
+        self._gap_um = half_gap_um
+        self._state = (0.0, 0.0)
+
+    def rest(self, level: float) -> float:
+        """Arrive at the displacement `level` from far below."""
+        self._state = (level, self._gap_um)
+        return level - self._gap_um
+
+    def apply(self, samples: np.ndarray) -> None:
+        """Replace displacements of the drive by those of the driven part."""
+        self._state = _trail(samples, *self._state, self._gap_um)

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Single samples that are far off, as glitches of a converter or a cable make them."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.random_stream import EventStream, bits_for
+
+
+@dataclass(frozen=True)
+class Spikes:
+    """Spikes at random instants, of either sign, their heights log-normal about the typical one."""
+
+    name: ClassVar[str] = "spikes"
+
+    rate_per_s: float = parameter("1/s")
+    height_um: float = parameter("um")
+    height_spread: float = parameter("1")
+
+    def __post_init__(self):
+        require(self.rate_per_s > 0.0, self, "rate_per_s must be positive.")
+        require(self.height_spread >= 0.0, self, "height_spread must not be negative.")
+
+    def start(self, surroundings: Surroundings) -> "SpikesRunner":
+        """Start the instants from the seed."""
+        return SpikesRunner(self, surroundings)
+
+
+class SpikesRunner:
+    """Spikes with the instant of the next one."""
+
+    def __init__(self, effect: Spikes, surroundings: Surroundings):
+        self._effect = effect
+        self._mean_samples = 1.0 / (effect.rate_per_s * surroundings.sample_period_s)
+        self._events = EventStream(bits_for(effect.name, surroundings.seed))
+        self._events.wait(self._mean_samples)
+
+    def rest(self, level: float) -> float:
+        """Spikes leave the level as it is."""
+        return level
+
+    def apply(self, samples: np.ndarray) -> None:
+        """Add spikes to displacements."""
+        while (position := self._events.within(samples.size)) is not None:
+            generator, effect = self._events.generator, self._effect
+            height_um = effect.height_um * np.exp(
+                effect.height_spread * generator.standard_normal()
+            )
+            samples[position] += height_um if generator.random() < 0.5 else -height_um
+            self._events.wait(self._mean_samples)
+        self._events.advance(samples.size)

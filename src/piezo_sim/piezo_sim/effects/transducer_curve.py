@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Curvature of a displacement transducer (LVDT): the signal grows less towards both ends."""
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from numba import njit
+
+from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.pointwise import PointwiseRunner
+
+
+@njit(cache=True)
+def _bend(samples, centre_um, reach_um):
+    for n in range(samples.size):
+        samples[n] = centre_um + reach_um * math.atan((samples[n] - centre_um) / reach_um)
+
+
+@dataclass(frozen=True)
+class TransducerCurve:
+    """Reading centre + reach arctan((x - centre) / reach): exact at the centre, flat far off."""
+
+    name: ClassVar[str] = "transducer_curve"
+
+    centre_um: float = parameter("um")
+    reach_um: float = parameter("um")
+
+    def __post_init__(self):
+        require(self.reach_um > 0.0, self, "reach_um must be positive.")
+
+    def start(self, surroundings: Surroundings) -> PointwiseRunner:
+        """Start; there is no state."""
+        return PointwiseRunner(_bend, self.centre_um, self.reach_um)

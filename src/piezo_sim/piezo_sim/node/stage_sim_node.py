@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The stage node over the simulated stage, which also publishes the true displacement."""
+
+import array
+
+import numpy as np
+from piezo_interfaces.msg import SampleBlock
+
+from piezo_ros.parameters import declare
+from piezo_ros.spinning import run_node
+from piezo_sim.paced import PacedStage
+from piezo_sim.simulated_stage import SimulatedStage
+from piezo_stage_driver.node.stage_node import StageNode
+
+GROUND_TRUTH_SAMPLES = 4000
+
+
+class SimulatedStageNode(StageNode):
+    """Publish ``ground_truth`` beside ``samples``, except where a slow waveform plays."""
+
+    def __init__(self):
+        self._ground_truth = None
+        super().__init__(create_simulated_stage)
+
+    def on_activate(self, state):
+        """Start the sample clock at sample 0, and the truth with it."""
+        self._ground_truth = self._ground_truth or self.create_publisher(
+            SampleBlock, "ground_truth", self._outputs.quality)
+        self._truth, self._truth_first_sample = [], 0
+        return super().on_activate(state)
+
+    def on_block(self, block):
+        """Collect the true displacement and publish it in large messages."""
+        if block.sample_period_s > self._engine.sample_period_s:
+            if self._truth:
+                self._publish_truth(block)
+            return
+        if not self._truth:
+            self._truth_first_sample = block.first_sample
+        self._truth.append((block.voltage_v, self._backend.true_displacement_um))
+        samples = self._engine.next_sample - self._truth_first_sample
+        is_last = self._engine.idle and (self.settings.lockstep or not self._active)
+        if samples >= GROUND_TRUTH_SAMPLES or is_last:
+            self._publish_truth(block)
+
+    def _publish_truth(self, block):
+        voltage_v, displacement_um = (
+            np.concatenate(part) for part in zip(*self._truth, strict=True))
+        self._truth = []
+        message = SampleBlock(
+            first_sample=self._truth_first_sample,
+            sample_period_s=self._engine.sample_period_s,
+            tick=block.tick, flags=block.flags,
+            voltage_v=array.array("d", voltage_v.tobytes()),
+            displacement_um=array.array("d", displacement_um.tobytes()))
+        self._outputs.publish_samples(self._ground_truth, message)
+
+
+def create_simulated_stage(node):
+    """Make the backend that the node's parameters describe."""
+    seed = declare(node, "seed", 1, "Seed of the sensor noise.", 0, 2**31 - 1)
+    plant = declare(node, "plant", "", "Plant file (YAML); empty for the default plant.")
+    stage = SimulatedStage(
+        plant or None, seed, node.get_parameter("sample_rate_hz").value,
+        node.get_parameter("rest_voltage_v").value)
+    return stage if node.get_parameter("timing").value == "lockstep" else PacedStage(stage)
+
+
+def main(args=None):
+    """Run the node ``stage`` over the simulated stage."""
+    run_node(SimulatedStageNode, args)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The simulated plant: hysteresis, linear dynamics, amplifier and sensor."""

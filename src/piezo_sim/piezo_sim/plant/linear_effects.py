@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Linear effects in series, advanced by exact zero-order-hold discretisation of the whole series.
+
+The input is constant within a sample, so x[n+1] = A x[n] + B u[n] with the matrix exponential holds
+without error; y[n] = C x[n] is the output at the start of the sample.
+"""
+
+from dataclasses import dataclass
+from functools import reduce
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy.linalg import expm
+
+from piezo_sim.plant.plant_effect import PlantConfigError, parameter, require
+
+
+class StateSpace(NamedTuple):
+    """dx/dt = a x + b u, y = c x + d u; shapes (n, n), (n,), (n,), scalar; rates in rad/s."""
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    d: float
+
+
+def series(first: StateSpace, second: StateSpace) -> StateSpace:
+    """`first` followed by `second`."""
+    n, m = first.b.size, second.b.size
+    a = np.zeros((n + m, n + m))
+    a[:n, :n] = first.a
+    a[n:, :n] = np.outer(second.b, first.c)
+    a[n:, n:] = second.a
+    return StateSpace(
+        a,
+        np.concatenate([first.b, second.b * first.d]),
+        np.concatenate([second.d * first.c, second.c]),
+        second.d * first.d,
+    )
+
+
+def chain(effects: list) -> StateSpace:
+    """Linear effects in the order of the signal.
+
+    Most follow what lies before them. One with the attribute `beside` lies in parallel to that many
+    effects before it, and its method `join` adds it to their series.
+
+    Raises
+    ------
+    PlantConfigError
+        If fewer linear effects lie before an effect than it wants to lie beside.
+    """
+    systems = []
+    for effect in effects:
+        beside = getattr(effect, "beside", 0)
+        if beside == 0:
+            systems.append(effect.state_space())
+            continue
+        if beside > len(systems):
+            raise PlantConfigError(
+                f"{effect.name}: it lies beside {beside} linear effects, but only {len(systems)} "
+                "lie directly before it."
+            )
+        systems[-beside:] = [effect.join(reduce(series, systems[-beside:]))]
+    return reduce(series, systems)
+
+
+def zero_order_hold(system: StateSpace, sample_period_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Exact discrete matrices A (n, n) and B (n,) for an input held over the sample period."""
+    n = system.b.size
+    augmented = np.zeros((n + 1, n + 1))
+    augmented[:n, :n] = system.a
+    augmented[:n, n] = system.b
+    exponential = expm(augmented * sample_period_s)
+    return exponential[:n, :n], exponential[:n, n]
+
+
+@njit(cache=True)
+def _advance(samples, state, following, a_columns, b, c):
+    order = state.size
+    for n in range(samples.size):
+        level = samples[n]
+        output = 0.0
+        for i in range(order):
+            output += c[i] * state[i]
+            following[i] = b[i] * level
+        for j in range(order):
+            value = state[j]
+            for i in range(order):
+                following[i] += a_columns[j, i] * value
+        for i in range(order):
+            state[i] = following[i]
+        samples[n] = output
+
+
+class LinearRunner:
+    """Linear effects in series with their common state.
+
+    Raises
+    ------
+    PlantConfigError
+        If the output follows the input without any lag, so that a measurement would depend on a
+        voltage that has not acted yet.
+    """
+
+    def __init__(self, effects: list, sample_period_s: float):
+        system = chain(effects)
+        if system.d != 0.0:
+            names = ", ".join(effect.name for effect in effects)
+            raise PlantConfigError(
+                f"{names}: the displacement would jump with the voltage; "
+                "add an effect with a lag to the same series."
+            )
+        self._system = system
+        a, self._b = zero_order_hold(system, sample_period_s)
+        self._a_columns = np.ascontiguousarray(a.T)
+        self._state = np.zeros(system.b.size)
+        self._following = np.zeros(system.b.size)
+
+    def rest(self, level: float) -> float:
+        """Settle at the constant input `level`."""
+        self._state[:] = np.linalg.solve(self._system.a, -self._system.b * level)
+        return float(self._system.c @ self._state)
+
+    def apply(self, samples: np.ndarray) -> None:
+        """Replace inputs by outputs at the start of each sample."""
+        _advance(samples, self._state, self._following, self._a_columns, self._b, self._system.c)
+
+
+@dataclass(frozen=True)
+class Creep:
+    """Slow relaxations, prod (s + z) / (s + p): unit gain at high frequency (thesis eq. (4.4))."""
+
+    name: ClassVar[str] = "creep"
+
+    poles_rad_per_s: tuple[float, ...] = parameter("rad/s")
+    zeros_rad_per_s: tuple[float, ...] = parameter("rad/s")
+
+    def __post_init__(self):
+        require(
+            len(self.poles_rad_per_s) == len(self.zeros_rad_per_s) > 0,
+            self,
+            "poles_rad_per_s and zeros_rad_per_s must be lists of the same length.",
+        )
+        require(
+            min(self.poles_rad_per_s + self.zeros_rad_per_s) > 0.0,
+            self,
+            "poles_rad_per_s and zeros_rad_per_s must be positive.",
+        )
+
+    def state_space(self) -> StateSpace:
+        """One state for each pole."""
+        system = None
+        for pole, zero in zip(self.poles_rad_per_s, self.zeros_rad_per_s, strict=True):
+            section = StateSpace(np.array([[-pole]]), np.array([1.0]), np.array([zero - pole]), 1.0)
+            system = section if system is None else series(system, section)
+        return system
+
+
+@dataclass(frozen=True)
+class ElectricLag:
+    """Resistance and capacitance of the actuator, 1 / (tau s + 1) (thesis eq. (4.3))."""
+
+    name: ClassVar[str] = "electric_lag"
+
+    time_constant_s: float = parameter("s")
+
+    def __post_init__(self):
+        require(self.time_constant_s > 0.0, self, "time_constant_s must be positive.")
+
+    def state_space(self) -> StateSpace:
+        """The state is the output."""
+        rate = 1.0 / self.time_constant_s
+        return StateSpace(np.array([[-rate]]), np.array([rate]), np.array([1.0]), 0.0)
+
+
+@dataclass(frozen=True)
+class VibrationMode:
+    """One mechanical mode, w^2 / (s^2 + 2 zeta w s + w^2) (thesis eq. (4.3))."""
+
+    name: ClassVar[str] = "vibration_mode"
+
+    frequency_rad_per_s: float = parameter("rad/s")
+    damping_ratio: float = parameter("1")
+
+    def __post_init__(self):
+        require(self.frequency_rad_per_s > 0.0, self, "frequency_rad_per_s must be positive.")
+        require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
+
+    def state_space(self) -> StateSpace:
+        """States are position and velocity / w, which keeps the matrix balanced."""
+        w = self.frequency_rad_per_s
+        a = np.array([[0.0, w], [-w, -2.0 * self.damping_ratio * w]])
+        return StateSpace(a, np.array([0.0, w]), np.array([1.0, 0.0]), 0.0)

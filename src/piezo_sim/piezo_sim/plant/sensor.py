@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Displacement sensor (LVDT) in front of an analogue-to-digital converter."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from piezo_sim.plant.converter import Converter
+from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.random_stream import NormalStream
+
+
+@dataclass(frozen=True)
+class DisplacementSensor:
+    """White Gaussian noise on every sample, then the levels of the converter."""
+
+    name: ClassVar[str] = "displacement_sensor"
+
+    noise_rms_um: float = parameter("um")
+    displacement_min_um: float = parameter("um")
+    displacement_max_um: float = parameter("um")
+    converter_bits: int = parameter("1")
+
+    def __post_init__(self):
+        require(self.noise_rms_um >= 0.0, self, "noise_rms_um must not be negative.")
+        require(
+            self.displacement_min_um < self.displacement_max_um,
+            self,
+            "displacement_min_um must be below displacement_max_um.",
+        )
+        require(
+            1 <= self.converter_bits <= 32, self, "converter_bits must be an integer from 1 to 32."
+        )
+
+    def start(self, surroundings: Surroundings) -> "SensorRunner":
+        """Start the noise from the seed."""
+        return SensorRunner(self, surroundings.seed)
+
+
+class SensorRunner:
+    """Sensor with its stream of noise."""
+
+    def __init__(self, effect: DisplacementSensor, seed: int):
+        self._noise_rms_um = effect.noise_rms_um
+        self._converter = Converter(
+            effect.displacement_min_um, effect.displacement_max_um, effect.converter_bits
+        )
+        self._noise = NormalStream(np.random.PCG64(seed))
+
+    def rest(self, level: float) -> float:
+        """The sensor has no state of its own."""
+        return level
+
+    def apply(self, samples: np.ndarray) -> None:
+        """Replace displacements by measured displacements."""
+        samples += self._noise_rms_um * self._noise.next(samples.size)
+        self._converter.apply(samples)

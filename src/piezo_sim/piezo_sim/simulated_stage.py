@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The simulated stage as a backend of the stage node."""
+
+from pathlib import Path
+
+import numpy as np
+
+from piezo_sim.plant.plant import Plant
+from piezo_sim.plant.plant_effect import Surroundings
+from piezo_sim.plant.plant_file import PlantConfig, read_plant
+from piezo_stage_driver.backends.backend import BackendFault
+
+
+class SimulatedStage:
+    """A simulated stage that plays voltages and measures displacements.
+
+    Every `open` starts anew from the same rest: coming from the lowest voltage, long at the rest
+    voltage. The same seed and the same voltages give the same displacements to the bit, however the
+    voltages are divided into calls.
+
+    Parameters
+    ----------
+    plant : path-like or PlantConfig, optional
+        Plant file, or what was read from one; by default the stage of thesis chapter 4.
+    seed : int
+        Seed of everything random, not negative.
+    sample_rate_hz : float
+        Sample clock.
+    rest_voltage_v : float
+        Voltage at which the stage has rested.
+
+    Attributes
+    ----------
+    sample_rate_hz : float
+        Sample clock.
+    true_displacement_um : ndarray, shape (N,)
+        Displacement without sensor at the instants of the last exchange.
+
+    Raises
+    ------
+    PlantConfigError
+        If the plant file cannot be used.
+    ValueError
+        If seed or sample rate cannot be used.
+    """
+
+    def __init__(
+        self,
+        plant: str | Path | PlantConfig | None = None,
+        seed: int = 0,
+        sample_rate_hz: float = 40000.0,
+        rest_voltage_v: float = 0.0,
+    ):
+        if seed < 0:
+            raise ValueError(f"seed is {seed}; give an integer that is not negative.")
+        if not 0.0 < sample_rate_hz < float("inf"):
+            raise ValueError(f"sample_rate_hz is {sample_rate_hz}; give a positive number.")
+        self.sample_rate_hz = sample_rate_hz
+        self.true_displacement_um = np.empty(0)
+        self._config = plant if isinstance(plant, PlantConfig) else read_plant(plant)
+        self._surroundings = Surroundings(1.0 / sample_rate_hz, rest_voltage_v, seed)
+        self._plant = None
+        self._failed = False
+        # Compiles what is not compiled yet, so that no exchange has to wait for it.
+        Plant(self._config, self._surroundings).respond(np.zeros(1))
+
+    def open(self) -> None:
+        """Put the stage to rest and start the noise from the seed."""
+        self._failed = False
+        self._plant = Plant(self._config, self._surroundings)
+        self.true_displacement_um = np.empty(0)
+
+    def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
+        """Play voltages and return the displacements measured at their start.
+
+        Parameters
+        ----------
+        voltage_v : array_like, shape (N,)
+            Commanded voltages; outside the amplifier's range they are clipped.
+
+        Returns
+        -------
+        displacement_um : ndarray, shape (N,)
+            displacement_um[n] is measured at instant n, before voltage_v[n] acts.
+
+        Raises
+        ------
+        ValueError
+            If a voltage is not finite or the array is not one-dimensional.
+        RuntimeError
+            If the stage is not open, or has failed since.
+        BackendFault
+            If a fault of the plant file says so. As a real one, the amplifier then comes to rest
+            by itself, and plays nothing before the next `open`.
+        """
+        if self._failed:
+            raise RuntimeError("the simulated stage has failed; call nothing but close().")
+        if self._plant is None:
+            raise RuntimeError("the simulated stage is not open; call open() first.")
+        voltage_v = np.ascontiguousarray(voltage_v, dtype=np.float64)
+        if voltage_v.ndim != 1:
+            raise ValueError(f"voltage_v has the shape {voltage_v.shape}; give one dimension.")
+        if not np.isfinite(voltage_v).all():
+            first = int(np.argmin(np.isfinite(voltage_v)))
+            raise ValueError(f"voltage_v[{first}] is {voltage_v[first]}; give finite voltages.")
+        try:
+            displacement_um, self.true_displacement_um = self._plant.respond(voltage_v)
+        except BackendFault:
+            self._failed = True
+            raise
+        return displacement_um
+
+    def close(self) -> None:
+        """Forget the state of the stage."""
+        self._plant = None

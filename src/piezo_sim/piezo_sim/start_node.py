@@ -1,6 +1,0 @@
-# SPDX-License-Identifier: BSD-3-Clause
-"""Start the node of this package; nothing else is imported before Ctrl-C is seen to."""
-
-from piezo_node_tools.starting import node_entry
-
-main = node_entry("piezo_sim.stage_sim_node")

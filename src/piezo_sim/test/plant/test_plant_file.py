@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Reading plant files: the default is complete, and what is wrong is named in one sentence."""
+
+from importlib import resources
+
+import pytest
+import yaml
+
+from piezo_sim.plant.plant_effect import PlantConfigError
+from piezo_sim.plant.plant_file import parse_plant, read_plant
+from piezo_sim.simulated_stage import SimulatedStage
+
+
+def default_content():
+    return yaml.safe_load((resources.files("piezo_sim") / "plant.yaml").read_text())
+
+
+def refusal(content):
+    with pytest.raises(PlantConfigError) as refused:
+        parse_plant(yaml.safe_dump(content))
+    sentence = str(refused.value)
+    assert "\n" not in sentence and sentence.endswith(".")
+    return sentence
+
+
+def test_default_plant_is_the_chain_of_chapter_4():
+    plant = read_plant()
+    chain = plant.amplifier + plant.stage + plant.sensor
+    assert [effect.name for effect in chain] == [
+        "voltage_amplifier",
+        "preisach_hysteresis",
+        "creep",
+        "electric_lag",
+        "vibration_mode",
+        "vibration_mode",
+        "displacement_sensor",
+    ]
+    first, second = plant.stage[-2:]
+    # Coefficients of s in the denominators of G_ev.
+    assert 2 * first.damping_ratio * first.frequency_rad_per_s == pytest.approx(3901, rel=1e-4)
+    assert 2 * second.damping_ratio * second.frequency_rad_per_s == pytest.approx(805, rel=1e-4)
+
+
+def test_a_parameter_without_value_unit_or_source_is_refused():
+    for part in ("value", "unit", "source"):
+        content = default_content()
+        del content["stage"][2]["time_constant_s"][part]
+        assert f"stage[2] electric_lag: time_constant_s lacks {part}" in refusal(content)
+
+
+@pytest.mark.parametrize(
+    ("value", "complaint"),
+    [
+        (float("nan"), "must be finite"),
+        (float("inf"), "must be finite"),
+        ("2e6", "must be a number"),
+        (True, "must be a number"),
+        (None, "must be a number"),
+        ([1.0], "must be a number"),
+        (-1.0, "time_constant_s must be positive"),
+    ],
+)
+def test_a_value_that_is_no_usable_number_is_refused(value, complaint):
+    content = default_content()
+    content["stage"][2]["time_constant_s"]["value"] = value
+    assert complaint in refusal(content)
+
+
+def test_a_list_with_a_bad_item_is_refused():
+    content = default_content()
+    content["stage"][1]["poles_rad_per_s"]["value"][3] = float("nan")
+    assert "stage[1] creep: poles_rad_per_s must be finite" in refusal(content)
+    content["stage"][1]["poles_rad_per_s"]["value"] = 3.0
+    assert "must be a list of numbers" in refusal(content)
+
+
+def test_a_fractional_number_of_bits_is_refused():
+    content = default_content()
+    content["sensor"][0]["converter_bits"]["value"] = 15.5
+    assert "converter_bits must be an integer" in refusal(content)
+
+
+def test_a_wrong_unit_is_refused():
+    content = default_content()
+    content["stage"][2]["time_constant_s"]["unit"] = "ms"
+    assert "has the unit 'ms'; state it in 's'" in refusal(content)
+
+
+def test_an_empty_source_is_refused():
+    content = default_content()
+    content["stage"][2]["time_constant_s"]["source"] = " "
+    assert "has no source" in refusal(content)
+
+
+def test_missing_and_unknown_parameters_are_named():
+    content = default_content()
+    parameter = content["stage"][2].pop("time_constant_s")
+    assert "stage[2] electric_lag lacks time_constant_s" in refusal(content)
+    content["stage"][2] |= {"time_constant_s": parameter, "time_constant": parameter}
+    assert "stage[2] electric_lag has an unknown entry 'time_constant'" in refusal(content)
+
+
+def test_missing_and_unknown_sections_are_named():
+    content = default_content()
+    sensor = content.pop("sensor")
+    assert "lacks sensor" in refusal(content)
+    assert "unknown entry 'sensors'" in refusal(content | {"sensor": sensor, "sensors": sensor})
+
+
+@pytest.mark.parametrize("name", ["warp_drive", None, ["creep"]])
+def test_an_unknown_effect_is_named_with_the_known_ones(name):
+    content = default_content()
+    content["stage"][0]["effect"] = name
+    assert "stage[0] names an unknown effect" in refusal(content)
+    assert "known are voltage_amplifier, preisach_hysteresis" in refusal(content)
+
+
+@pytest.mark.parametrize("section", [None, {}, [], "creep"])
+def test_a_section_that_is_no_list_of_effects_is_refused(section):
+    assert "stage must be a list" in refusal(default_content() | {"stage": section})
+
+
+@pytest.mark.parametrize("text", ["", "3", "amplifier: [", "\t"])
+def test_a_text_that_is_no_plant_is_refused(text):
+    with pytest.raises(PlantConfigError):
+        parse_plant(text)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path):
+    path = tmp_path / "no plant.yaml"
+    with pytest.raises(PlantConfigError, match="no plant.yaml: the plant file cannot be read"):
+        read_plant(path)
+    path.write_text("amplifier: 3\n")
+    with pytest.raises(PlantConfigError, match="no plant.yaml: the plant file lacks stage"):
+        read_plant(path)
+
+
+def test_a_stage_file_changes_the_stage(tmp_path):
+    content = default_content()
+    content["stage"][0]["offset_um"]["value"] += 10.0
+    path = tmp_path / "plant.yaml"
+    path.write_text(yaml.safe_dump(content))
+    shifted = SimulatedStage(path)
+    shifted.open()
+    shifted.exchange([0.0])
+    assert shifted.true_displacement_um[0] == pytest.approx(11.11, abs=0.02)
+
+
+def test_a_stage_whose_displacement_would_jump_is_refused(tmp_path):
+    path = tmp_path / "plant.yaml"
+    content = default_content()
+    for kept in (content["stage"][:1], content["stage"][:2]):
+        path.write_text(yaml.safe_dump(content | {"stage": kept}))
+        with pytest.raises(PlantConfigError, match="add an effect with a lag"):
+            SimulatedStage(path)

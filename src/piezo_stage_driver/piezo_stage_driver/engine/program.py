@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the stage is to play: phases one after the other."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from piezo_stage_driver.engine.sources import Hold
+
+
+class StageRefusal(ValueError):
+    """A command that the stage cannot take now."""
+
+
+@dataclass
+class Phase:
+    """A stretch of samples from one source; ``samples`` is infinite where only a stop ends it."""
+
+    name: str
+    source: object
+    samples: float
+    flag: int
+
+
+class Program:
+    """Phases, and how much of them has been played.
+
+    Parameters
+    ----------
+    phases : list of Phase
+        Those without samples are left out.
+    way_back_samples : int
+        What the return to rest will take after them.
+    hold_at_end : bool
+        Stay at the last voltage instead.
+    """
+
+    def __init__(self, phases=(), way_back_samples=0, hold_at_end=False):
+        self.hold_at_end = hold_at_end
+        self._phases = deque(phase for phase in phases if phase.samples > 0)
+        self._samples = sum(phase.samples for phase in phases) + way_back_samples
+        self._done_samples = 0
+
+    @property
+    def over(self):
+        """Whether every phase has been played."""
+        return not self._phases
+
+    @property
+    def phase_name(self):
+        """Of the present phase; rest where there is none."""
+        return self._phases[0].name if self._phases else "rest"
+
+    @property
+    def fraction(self):
+        """Done of the whole, 0 to 1."""
+        return min(1.0, self._done_samples / self._samples) if self._samples else 1.0
+
+    @property
+    def samples_left(self):
+        """Left of the whole; infinite until a stop."""
+        return max(0.0, self._samples - self._done_samples)
+
+    def phase(self, voltage_v):
+        """Return the present phase, or one that holds this voltage."""
+        return self._phases[0] if self._phases else Phase("rest", Hold(voltage_v), math.inf, 0)
+
+    def replace(self, phase):
+        """Go over to another last phase."""
+        self._phases = deque([phase] if phase.samples > 0 else [])
+        self._samples = self._done_samples + phase.samples
+
+    def advance(self, count):
+        """Count samples played; return the phase that has ended with them, or None."""
+        self._done_samples += count
+        if not self._phases:
+            return None
+        self._phases[0].samples -= count
+        return self._phases.popleft() if self._phases[0].samples <= 0 else None

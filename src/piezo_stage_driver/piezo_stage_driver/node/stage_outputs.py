@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the stage node publishes."""
+
+import array
+import time
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from piezo_interfaces.msg import SampleBlock
+from rclpy.duration import Duration
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+from piezo_ros.diagnostics import diagnostic
+from piezo_ros.quality import PACED_SAMPLES, SAMPLES
+
+NANOSECONDS = 1_000_000_000
+# The middleware asks for acknowledgements every 3 s.
+DELIVERY_TIMEOUT_S = 5.0
+# ROS itself gives a dead subscriber up after 20 s.
+LONGEST_HOLD_BACK_S = 30.0
+
+
+class StageOutputs:
+    """Publishers of the samples, the joint state, the clock and the diagnostics.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    settings : StageSettings
+
+    Attributes
+    ----------
+    epoch_ns : int
+        ROS time of sample 0.
+    """
+
+    def __init__(self, node, settings):
+        self._node, self._settings = node, settings
+        self.epoch_ns = 0
+        self.quality = SAMPLES if settings.lockstep else PACED_SAMPLES
+        self._samples = node.create_publisher(SampleBlock, "samples", self.quality)
+        self._joint_states = node.create_publisher(JointState, "joint_states", 10)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._clock = node.create_publisher(Clock, "/clock", 10) if settings.lockstep else None
+        self._losing_samples = False
+        self._samples_since_joint_state = self._samples_since_clock = 0
+
+    def stamp(self, sample):
+        """Return the time of a sample of the clock."""
+        nanoseconds = self.epoch_ns + round(sample / self._settings.sample_rate_hz * NANOSECONDS)
+        return Time(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
+
+    def publish_block(self, block, next_sample, idle):
+        """Publish a block, and what general tools want of it.
+
+        Parameters
+        ----------
+        block : Block
+        next_sample : int
+            Of the clock, behind the block.
+        idle : bool
+            Whether nothing follows for now.
+        """
+        self.publish_samples(self._samples, SampleBlock(
+            first_sample=block.first_sample, sample_period_s=block.sample_period_s,
+            tick=block.tick, flags=block.flags, missed_feedback=block.missed_feedback,
+            voltage_v=array.array("d", block.voltage_v.tobytes()),
+            displacement_um=array.array("d", block.displacement_um.tobytes())))
+        samples = next_sample - block.first_sample
+        self._publish_joint_state(block, samples, next_sample)
+        if self._clock is not None:
+            self._publish_clock(samples, next_sample, idle)
+
+    def publish_samples(self, publisher, message):
+        """Publish; in lockstep wait for a subscriber that holds back, but not for ever."""
+        message.header.stamp = self.stamp(message.first_sample)
+        message.header.frame_id = self._settings.joint_name
+        patient = self._settings.lockstep and not self._losing_samples
+        deadline = time.monotonic() + (LONGEST_HOLD_BACK_S if patient else 0.0)
+        while True:
+            try:
+                publisher.publish(message)
+                self._losing_samples = False
+                return
+            except RuntimeError:  # of ROS: a subscriber made no room within 0.1 s
+                if time.monotonic() < deadline:
+                    continue
+            if not self._losing_samples:
+                self._node.get_logger().error(
+                    f"samples are lost: a subscriber of {publisher.topic_name} hangs, end it")
+            self._losing_samples = True
+            return
+
+    def _publish_joint_state(self, block, samples, next_sample):
+        self._samples_since_joint_state += samples
+        if (self._samples_since_joint_state * self._settings.joint_state_rate_hz
+                < self._settings.sample_rate_hz):
+            return
+        self._samples_since_joint_state = 0
+        message = JointState(name=[self._settings.joint_name],
+                             position=[float(block.displacement_um[-1]) * 1e-6])
+        message.header.stamp = self.stamp(next_sample)
+        self._joint_states.publish(message)
+
+    def _publish_clock(self, samples, next_sample, idle):
+        self._samples_since_clock += samples
+        if self._samples_since_clock < self._settings.sample_rate_hz / 100 and not idle:
+            return
+        self._samples_since_clock = 0
+        self._clock.publish(Clock(clock=self.stamp(next_sample)))
+
+    def publish_diagnostics(self, level, message, values):
+        """Publish how the stage is.
+
+        Parameters
+        ----------
+        level : bytes
+            Of ``DiagnosticStatus``.
+        message : str
+            One line.
+        values : dict
+        """
+        self._diagnostics.publish(diagnostic(
+            self._node, "stage", level, message, values, self._settings.joint_name))
+
+    def wait_for_delivery(self):
+        """Let subscribers have the last samples before the process ends."""
+        self._samples.wait_for_all_acked(Duration(seconds=DELIVERY_TIMEOUT_S))

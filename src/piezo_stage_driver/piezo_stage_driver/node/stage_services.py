@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The services of the stage node: tracking, stops and the reset."""
+
+import threading
+import time
+
+from piezo_interfaces.srv import LoadFeedforward, StartTracking
+from std_srvs.srv import Trigger
+
+from piezo_ros.late_responses import create_late_service
+from piezo_stage_driver.safety.commands import Command
+from piezo_stage_driver.safety.request_memory import RequestMemory
+from piezo_stage_driver.safety.supervisor import UNSAFE
+
+
+class StageServices:
+    """Serve what clients ask of the stage; none of it keeps the executor waiting.
+
+    Parameters
+    ----------
+    node : StageNode
+        Has ``submit`` for commands, ``stop`` for stops, and its supervisor.
+    emergency_stop_timeout_s : float
+        What a stop may take beyond the ramp to rest (s).
+    """
+
+    def __init__(self, node, emergency_stop_timeout_s):
+        self._node = node
+        self._stop_timeout_s = emergency_stop_timeout_s
+        self._loads, self._starts = RequestMemory(), RequestMemory()
+        self._stops = []
+        self._lock = threading.Lock()
+        for service_type, name, callback in (
+                (LoadFeedforward, "load_feedforward", self._on_load_feedforward),
+                (StartTracking, "start_tracking", self._on_start_tracking),
+                (Trigger, "stop_tracking", self._on_stop_tracking),
+                (Trigger, "emergency_stop", self._on_emergency_stop),
+                (Trigger, "reset", self._on_reset)):
+            create_late_service(node, service_type, name, callback)
+
+    def settle(self):
+        """Answer the emergency stops that have ended, or have taken too long; from any thread."""
+        if not self._stops:
+            return
+        rest, possible = self._node.at_rest, self._node.can_come_to_rest
+        now_s = time.monotonic()
+        with self._lock:
+            over = [stop for stop in self._stops
+                    if rest or not possible or stop[1] <= now_s]
+            self._stops = [stop for stop in self._stops if stop not in over]
+        for late, _, wait_s in over:
+            late.response.success = rest
+            if rest:
+                late.response.message = "the amplifier is at rest"
+            elif not possible:
+                late.response.message = f"the backend failed before rest was reached; {UNSAFE}"
+            else:
+                late.response.message = f"rest was not reached within {wait_s:.3g} s; {UNSAFE}"
+            if not rest:
+                self._node.get_logger().error(f"emergency stop: {late.response.message}")
+            late.give()
+
+    def _ask(self, late, name, *arguments, fill=None):
+        """Submit a command; answer when it has acted or is refused."""
+        public_name = "load_feedforward" if name == "append_feedforward" else name
+
+        def done(value, error):
+            response = late.response
+            response.success = error is None
+            if error is not None:
+                response.message = f"{public_name} refused: {error}"
+                self._node.get_logger().warning(response.message)
+            elif fill:
+                fill(response, value)
+            late.give()
+
+        self._node.submit(Command(name, *arguments, on_done=done))
+
+    def _on_load_feedforward(self, request, late):
+        if not self._loads.repeats(request.request_id, late):
+            name = "append_feedforward" if request.append else "load_feedforward"
+            self._ask(late, name, request.once_voltage_v, request.period_voltage_v, request.append)
+
+    def _on_start_tracking(self, request, late):
+        def fill(response, value):
+            response.run, response.first_tick = value
+
+        if not self._starts.repeats(request.request_id, late):
+            self._ask(late, "start_tracking", request.feedback, request.ticks, request.client,
+                      fill=fill)
+
+    def _on_stop_tracking(self, request, late):
+        self._ask(late, "stop_tracking")
+
+    def _on_reset(self, request, late):
+        self._ask(late, "reset")
+
+    def _on_emergency_stop(self, request, late):
+        wait_s = self._stop_timeout_s + self._node.seconds_to_rest
+        self._node.stop("emergency stop")
+        with self._lock:
+            self._stops.append((late, time.monotonic() + wait_s, wait_s))
+        self.settle()

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The parameters of the stage node, and what is made of them."""
+
+from piezo_ros.parameters import declare
+from piezo_stage_driver.backends.registry import BackendSettings
+from piezo_stage_driver.engine.stage_engine import LONGEST_STRETCH_SAMPLES, StageEngine
+from piezo_stage_driver.safety.guards import (
+    FeedbackOscillation,
+    SensorNoise,
+    SensorRange,
+    SensorResponse,
+)
+from piezo_stage_driver.safety.limits import FeedbackLimits, VoltageLimits
+from piezo_stage_driver.safety.supervisor import StageSupervisor
+
+
+class StageSettings:
+    """Declare the parameters of a node; an attribute holds each value under the same name.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    """
+
+    def __init__(self, node):
+        def take(name, default, description, *bounds, **options):
+            setattr(self, name, declare(node, name, default, description, *bounds, **options))
+
+        take("sample_rate_hz", 40000.0, "Rate of the sample clock (Hz).", 1000.0, 200000.0)
+        take("samples_per_tick", 40, "Samples of one feedback period.", 1, 4000)
+        take("minimum_voltage_v", -20.0, "Lowest voltage allowed (V).", -1000.0, 1000.0)
+        take("maximum_voltage_v", 120.0, "Highest voltage allowed (V).", -1000.0, 1000.0)
+        take("rest_voltage_v", 0.0, "Voltage while nothing plays (V).", -1000.0, 1000.0)
+        take("slew_limit_v_per_s", 2.0e6,
+             "Largest voltage step of one sample over the sample period (V/s).", 1.0, 1.0e9)
+        take("ramp_rate_v_per_s", 2000.0,
+             "Rate of the ramps to the first sample and to rest (V/s).", 1.0, 1.0e6)
+        take("max_missed_feedback", 5,
+             "More feedback answers missed in a row stop the stage.", 0, 10000)
+        take("max_feedback_v", 140.0,
+             "A feedback answer beyond it, of either sign, does not act (V).", 1.0e-3, 2000.0)
+        take("max_feedback_step_v", 15.0,
+             "Largest change of the feedback from one tick to the next (V).", 1.0e-3, 2000.0)
+        take("max_limited_feedback", 3,
+             "More answers in a row beyond these two limits stop the stage.", 0, 10000)
+        take("max_foreign_feedback", 0,
+             "More answers from others than the client of the run stop the stage.", 0, 10000)
+        take("exchange_timeout_s", 2.0,
+             "A backend that has not returned for longer stops the stage (s).", 0.05, 600.0)
+        take("emergency_stop_timeout_s", 2.0,
+             "What an emergency stop may take beyond the ramp before it answers that it failed "
+             "(s).", 0.05, 600.0)
+        take("minimum_displacement_um", -45.0,
+             "A sensor that reads less stops the stage (um).", -1.0e6, 1.0e6)
+        take("maximum_displacement_um", 145.0,
+             "A sensor that reads more stops the stage (um).", -1.0e6, 1.0e6)
+        take("max_sensor_noise_um", 0.2,
+             "Noise of the sensor that stops the stage (um RMS).", 1.0e-6, 1.0e6)
+        take("stuck_voltage_v", 20.0,
+             "A sensor that does not move while the voltage changes so much stops the stage (V).",
+             0.1, 1000.0)
+        take("stuck_displacement_um", 0.4,
+             "What counts as a move of the sensor (um); more than its noise.", 1.0e-6, 1.0e6)
+        take("max_feedback_oscillation_v", 4.0,
+             "Feedback that swings by more from peak to peak, and ever more, stops the stage (V).",
+             1.0e-3, 1000.0)
+        take("timing", "paced",
+             "paced (the clock of the backend) or lockstep (as fast as the loop answers).",
+             choices=("paced", "lockstep"))
+        take("lockstep_timeout_s", 2.0,
+             "Wall time after which an answer counts as missed in lockstep (s).", 0.01, 600.0)
+        take("joint_name", "stage", "Name of the joint in joint_states.")
+        take("joint_state_rate_hz", 50.0, "Rate of joint_states (Hz).", 0.1, 1000.0)
+
+    @property
+    def lockstep(self):
+        """Whether stage time waits for the answers."""
+        return self.timing == "lockstep"
+
+    def for_backend(self, file):
+        """Return what a backend is told; ``file`` holds its own settings."""
+        return BackendSettings(
+            file=file, sample_rate_hz=self.sample_rate_hz, samples_per_tick=self.samples_per_tick,
+            minimum_voltage_v=self.minimum_voltage_v, maximum_voltage_v=self.maximum_voltage_v,
+            rest_voltage_v=self.rest_voltage_v, ramp_rate_v_per_s=self.ramp_rate_v_per_s)
+
+    def create_supervisor(self, backend, latch):
+        """Return the supervisor of a backend.
+
+        Raises
+        ------
+        LimitError
+            If the limits contradict each other.
+        """
+        # In lockstep time stands still after the last block, which tells that all is over.
+        lead_ticks = getattr(backend, "lead_samples", 0) // self.samples_per_tick
+        return StageSupervisor(backend, self.create_engine, latch, self.max_foreign_feedback,
+                               self.exchange_timeout_s,
+                               closing_ticks=lead_ticks + 1 if self.lockstep else 0)
+
+    def create_engine(self, backend, latch):
+        """Return an engine that drives the backend within the limits, under every guard.
+
+        Raises
+        ------
+        LimitError
+            If the limits contradict each other.
+        """
+        return StageEngine(
+            backend,
+            VoltageLimits(self.minimum_voltage_v, self.maximum_voltage_v, self.slew_limit_v_per_s),
+            self.rest_voltage_v, self.ramp_rate_v_per_s, self.samples_per_tick,
+            self.max_missed_feedback,
+            LONGEST_STRETCH_SAMPLES if self.lockstep else self.samples_per_tick,
+            sensor_guards=(
+                SensorRange(self.minimum_displacement_um, self.maximum_displacement_um),
+                SensorResponse(self.stuck_voltage_v, self.stuck_displacement_um),
+                SensorNoise(self.max_sensor_noise_um)),
+            feedback_guard=FeedbackOscillation(self.max_feedback_oscillation_v),
+            latch=latch,
+            feedback_limits=FeedbackLimits(
+                self.max_feedback_v, self.max_feedback_step_v, self.max_limited_feedback))

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Truncated singular value decomposition of the normal equations, and its update by new samples."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezo_identification.estimators.hysteresis.density_estimate import (
+    DensityEstimate,
+    lower_triangle,
+)
+from piezo_identification.estimators.hysteresis.everett_regression import visited_cells
+
+
+@dataclass(frozen=True, eq=False)
+class TruncatedSvd:
+    """M = A^T A reduced to its largest singular values, (2.9), beside A^T Y.
+
+    M is symmetric and not negative, so U and V are the same.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (n, r)
+        U_r.
+    singular_values : ndarray, shape (r,)
+        From the largest down.
+    right_side : ndarray, shape (n,)
+        A^T Y.
+    all_singular_values : ndarray, shape (n,)
+        Those before the truncation.
+    """
+
+    vectors: np.ndarray
+    singular_values: np.ndarray
+    right_side: np.ndarray
+    all_singular_values: np.ndarray
+
+    @property
+    def rank(self):
+        """Number r of singular values kept."""
+        return self.singular_values.size
+
+    def solution(self):
+        """Least squares estimate of least norm, (2.12) and (2.25)."""
+        return self.vectors @ ((self.vectors.T @ self.right_side) / self.singular_values)
+
+    def updated(self, row, output, fixed_rank=True):
+        """SVD after one more sample, (2.13)-(2.24).
+
+        Parameters
+        ----------
+        row : ndarray, shape (n,)
+            a_1.
+        output : float
+            y_1.
+        fixed_rank : bool
+            Keep the rank, as the thesis does; otherwise it grows where the row is a new direction.
+
+        Returns
+        -------
+        TruncatedSvd
+        """
+        along = self.vectors.T @ row
+        across = row - self.vectors @ along
+        # Once more, as rounding leaves a part of the subspace in it.
+        again = self.vectors.T @ across
+        along, across = along + again, across - self.vectors @ again
+        distance = np.linalg.norm(across)
+        new = distance > 1e-10 * np.linalg.norm(row)
+        basis = np.column_stack([self.vectors, across / distance]) if new else self.vectors
+        part = np.append(along, distance) if new else along
+        core = np.outer(part, part)
+        core[np.arange(self.rank), np.arange(self.rank)] += self.singular_values
+        values, rotation = np.linalg.eigh(core)
+        kept = slice(None, -self.rank - 1, -1) if fixed_rank else slice(None, None, -1)
+        return replace(
+            self, vectors=basis @ rotation[:, kept], singular_values=values[kept],
+            right_side=self.right_side + row * output,
+        )
+
+
+def truncated_svd(equations, ratio=1e-3, rank=None):
+    """Truncate the normal equations at a ratio of singular values, (2.8)-(2.11).
+
+    Parameters
+    ----------
+    equations : NormalEquations
+    ratio : float
+        Singular values at or below this part of the largest are dropped.
+    rank : int, optional
+        Number of singular values to keep, in place of the ratio.
+
+    Returns
+    -------
+    TruncatedSvd
+
+    Raises
+    ------
+    ValueError
+        If nothing is kept.
+    """
+    values, vectors = np.linalg.eigh(equations.matrix)
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    rank = int(np.count_nonzero(values > ratio * values[0])) if rank is None else rank
+    if rank < 1 or values[rank - 1] <= 0.0:
+        raise ValueError(
+            f"no {max(rank, 1)} singular values are above zero: keep fewer, or add samples"
+        )
+    return TruncatedSvd(vectors[:, :rank], values[:rank], equations.right_side, values)
+
+
+def density_by_svd(decomposition, voltage_v, levels_v, offset_um=0.0):
+    """Density from the decomposition, in the common form.
+
+    Parameters
+    ----------
+    decomposition : TruncatedSvd
+        Of the relay grid.
+    voltage_v : ndarray, shape (N,)
+        The samples used, for what they visit.
+    levels_v : ndarray, shape (L + 1,)
+    offset_um : float
+        Output with all relays off, taken off the outputs before.
+
+    Returns
+    -------
+    DensityEstimate
+        What no sample tells is of least norm.
+    """
+    return density_of_weights(
+        "truncated SVD", decomposition.solution(), voltage_v, levels_v, offset_um,
+        singular_values=decomposition.all_singular_values, rank=decomposition.rank,
+    )
+
+
+def density_of_weights(method, weights_um, voltage_v, levels_v, offset_um=0.0, **results):
+    """Common form of an estimate X of the relays' weights mu * s, (2.3).
+
+    Parameters
+    ----------
+    method : str
+    weights_um : ndarray, shape (L (L + 1) / 2,)
+    voltage_v : ndarray, shape (N,)
+    levels_v : ndarray, shape (L + 1,)
+    offset_um : float
+    **results
+        Further fields of `DensityEstimate`.
+
+    Returns
+    -------
+    DensityEstimate
+    """
+    size = levels_v.size - 1
+    area_v2 = (levels_v[1] - levels_v[0]) ** 2 * (np.ones((size, size)) - 0.5 * np.eye(size))
+    return DensityEstimate(
+        method, levels_v, lower_triangle(weights_um, size) / area_v2, offset_um,
+        visited_cells(voltage_v, levels_v), **results,
+    )

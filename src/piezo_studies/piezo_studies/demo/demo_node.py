@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The demo: identify a simulated stage, track, find what the model lacks, track again, report."""
+
+import argparse
+import json
+import os
+import random
+import shlex
+import signal
+import sys
+import time
+import traceback
+from contextlib import contextmanager
+from importlib.resources import files
+from pathlib import Path
+
+from piezo_bringup.processes import Processes
+from piezo_client.client import Client, GoalFailed
+from piezo_common.picture_style import to_png
+from piezo_common.progress_line import ProgressLine
+from piezo_models.model_file import load_model
+from piezo_recorder.reading.reader import read_recording
+from piezo_studies.demo.demo_report import render_report
+from piezo_studies.demo.extended_model_section import SecondHalf
+from piezo_studies.demo.run_directory import claim_directory
+from piezo_studies.demo.summary import (
+    format_model_errors,
+    format_table,
+    format_tracking_errors,
+    summarise,
+    summarise_run,
+)
+from piezo_studies.demo.tracked_run import read_tracked_run
+from piezo_studies.demo.tracking_pictures import draw_errors
+
+NODES = {
+    # A stage with a creep and a vibration mode that nobody declared to the identification.
+    "stage": {"timing": "lockstep", "autostart": True, "seed": 1,
+              "plant": str(files("piezo_sim") / "undeclared.yaml")},
+    "recorder": {},
+    "identification": {},
+    "controller": {},
+}
+DECLARED = {"modes": 2}
+# Frequency in Hz and amplitude in um peak to peak of the thesis' trajectories.
+TRAJECTORIES = ((40.0, 40.0), (100.0, 40.0), (500.0, 21.0), (1000.0, 10.25))
+CENTRE_UM = 50.0
+DURATION_S = 1.0
+MODES = ("open_loop", "feedforward", "composite")
+# Before each run, one second each: the hysteresis' past is wiped out, then most of the creep dies
+# out, so that every run begins as the feedforward takes it to begin.
+REST_VOLTAGE_V = (-20.0, *[0.0] * 60)
+START_TIMEOUT_S = 60.0
+ALIVE_PERIOD_S = 1.0
+# Of a ROS domain that has the demo to itself.
+DOMAIN_IDS = range(1, 101)
+FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+
+
+class DemoFailed(RuntimeError):
+    """The demo cannot go on; says why, and which log tells more."""
+
+    def __init__(self, message, log):
+        super().__init__(f"{message}; see {log}")
+
+
+class WatchfulClient(Client):
+    """A client that does not wait for an answer of nodes that have ended.
+
+    Parameters
+    ----------
+    processes : Processes
+    """
+
+    def __init__(self, processes):
+        super().__init__()
+        self._processes = processes
+
+    def wait_for_nodes(self):
+        """Spin until every node is there."""
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while not self.spin_until(lambda: not self._absent(), ALIVE_PERIOD_S):
+            self.check()
+            if time.monotonic() > deadline:
+                name = self._absent()[0]
+                raise DemoFailed(f"{name} did not start within {START_TIMEOUT_S:g} s",
+                                 self._processes.log(name))
+
+    def check(self):
+        """Raise DemoFailed if a node has ended."""
+        for name in NODES:
+            status = self._processes.process(name).poll()
+            if status is not None:
+                raise DemoFailed(f"{name} ended by itself with status {status}",
+                                 self._processes.log(name))
+
+    def _absent(self):
+        there = self.node.get_node_names()
+        return [name for name in NODES if name not in there]
+
+
+def run_demo(directory, command, progress):
+    """Run the demo.
+
+    Parameters
+    ----------
+    directory : Path
+        Gets the recordings, ``model.json``, ``summary.json``, ``report.html``, the picture
+        ``tracking.png`` and the logs.
+    command : str
+        What the user typed.
+    progress : ProgressLine
+
+    Returns
+    -------
+    summary : dict
+
+    Raises
+    ------
+    DemoFailed
+    """
+    begin_s = time.monotonic()
+    os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().choice(DOMAIN_IDS))
+    with Processes(directory / "logs", data_root=directory) as processes:
+        progress.show("start the nodes", 0.0)
+        for name, parameters in NODES.items():
+            processes.start(name, parameters)
+        with WatchfulClient(processes) as client:
+            client.wait_for_nodes()
+            identified = _identify(client, processes, directory, progress)
+            identified_s = time.monotonic()
+            tracks = _track_all(client, processes, identified.model, directory, progress)
+            tracked_s = time.monotonic()
+            diagnosis = _diagnose(client, processes, identified, directory, progress)
+            diagnosed_s = time.monotonic()
+            tracks_after = _track_all(client, processes, diagnosis.extended_model,
+                                      directory / "after", progress)
+            tracked_again_s = time.monotonic()
+        progress.show("end the nodes", 1.0)
+    progress.show("draw the report", 1.0)
+    summary = _report(directory, identified, tracks, diagnosis, tracks_after, command)
+    summary["wall_s"] = {
+        "identification": identified_s - begin_s,
+        "tracking": tracked_s - identified_s,
+        "diagnosis": diagnosed_s - tracked_s,
+        "tracking_after": tracked_again_s - diagnosed_s,
+        "all": time.monotonic() - begin_s,
+    }
+    (directory / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    return summary
+
+
+def _identify(client, processes, directory, progress):
+    def show(feedback):
+        progress.show(f"identify, {feedback.stage}", feedback.fraction, feedback.seconds_left)
+
+    with _blaming(processes, "identification"):
+        return client.identify(directory, on_feedback=show, **DECLARED)
+
+
+def _diagnose(client, processes, identified, directory, progress):
+    """Record the diagnostic experiment and find what the model lacks; judge on the validation."""
+    def show(feedback):
+        progress.show(f"diagnose, {feedback.stage}", feedback.fraction, feedback.seconds_left)
+
+    _rest(client, processes)
+    with _blaming(processes, "identification"):
+        recording = client.run_experiment("diagnostic", directory, on_feedback=show).recording
+        return client.diagnose(
+            identified.model, [recording], directory / "diagnosis",
+            holdout=_recording_of("validation", identified), on_feedback=show)
+
+
+def _rest(client, processes):
+    with _blaming(processes, "stage"):
+        client.goal("play_waveform", voltage_v=REST_VOLTAGE_V, sample_period_s=1.0, repeats=1)
+
+
+def _recording_of(experiment, identified):
+    return next(path for path in map(Path, identified.recordings) if path.name == experiment)
+
+
+def _track_all(client, processes, model, directory, progress):
+    """Track every trajectory in every mode; return the paths of the recordings."""
+    begin_s = time.monotonic()
+    runs = [(*trajectory, mode) for trajectory in TRAJECTORIES for mode in MODES]
+    tracks = []
+    for number, (frequency_hz, amplitude_um, mode) in enumerate(runs):
+        def show(run_fraction, number=number, frequency_hz=frequency_hz, mode=mode):
+            fraction = (number + run_fraction) / len(runs)
+            taken_s = time.monotonic() - begin_s
+            progress.show(f"track, {frequency_hz:g} Hz, {mode.replace('_', ' ')}", fraction,
+                          taken_s * (1.0 / fraction - 1.0) if fraction else None)
+
+        show(0.0)
+        reference = {"kind": "harmonic", "frequency_hz": [frequency_hz],
+                     "amplitude_um": [amplitude_um], "centre_um": CENTRE_UM}
+        _rest(client, processes)
+        with _blaming(processes, "controller"):
+            tracks.append(client.track(
+                reference, model, mode, DURATION_S, directory / f"{frequency_hz:g}_hz",
+                on_feedback=lambda feedback, show=show: show(feedback.fraction)).recording)
+    return tracks
+
+
+def _report(directory, identified, tracks, diagnosis, tracks_after, command):
+    """Write the report; return the summary."""
+    runs = [read_tracked_run(track) for track in tracks]
+    errors = dict(zip(identified.error_names, identified.error_values, strict=True))
+    runs_after = [read_tracked_run(track) for track in tracks_after]
+    verdict = json.loads(diagnosis.verdict_json)
+    summary = {
+        **summarise(runs, errors, directory),
+        "diagnosis": {key: verdict[key] for key in ("verdict", "effects", "before", "after")},
+        "tracking_after": [summarise_run(run, directory) for run in runs_after],
+    }
+    shown = {name: read_recording(_recording_of(name, identified))
+             for name in ("creep", "dynamics", "validation")}
+    model = load_model(identified.model).model
+    second_half = SecondHalf(
+        diagnosis.sentence, verdict, load_model(diagnosis.extended_model).model, runs_after)
+    (directory / "tracking.png").write_bytes(to_png(
+        draw_errors(summary["tracking"], summary["tracking_after"])))
+    (directory / "report.html").write_text(
+        render_report(summary, runs, model, shown, second_half, command, directory),
+        encoding="utf-8")
+    return summary
+
+
+@contextmanager
+def _blaming(processes, name):
+    """Turn the failure of an action into the demo's, with the log of the node that served it."""
+    try:
+        yield
+    except GoalFailed as failure:
+        raise DemoFailed(str(failure), processes.log(name)) from None
+
+
+def main(args=None):
+    """Run the demo from the command line."""
+    parser = argparse.ArgumentParser(
+        prog="demo", description="Identify a simulated stage, track with the model, find what the "
+        "model lacks, track again with the extended model, and report.")
+    parser.add_argument("--output", type=Path, default=Path("runs/demo"), metavar="DIRECTORY",
+                        help="gets all results (default: %(default)s); an earlier run there is "
+                             "moved aside")
+    directory = parser.parse_args(args).output
+    command = shlex.join(["./run", "piezo_bringup", "demo", *(sys.argv[1:] if args is None
+                                                              else args)])
+    for number in signal.SIGINT, signal.SIGTERM:
+        signal.signal(number, _interrupt)
+    progress = ProgressLine()
+    try:
+        earlier = claim_directory(directory, command)
+    except ValueError as error:
+        _fail(BAD_INPUT, error)
+    if earlier:
+        print(f"the earlier run is now in {earlier}")
+    try:
+        summary = run_demo(directory.absolute(), command, progress)
+    except KeyboardInterrupt:
+        progress.clear()
+        _fail(INTERRUPTED, f"interrupted; all nodes have ended, the recordings are in {directory}")
+    except DemoFailed as failure:
+        progress.clear()
+        _fail(FAILED, failure)
+    except Exception as error:
+        progress.clear()
+        log = directory / "logs" / "demo.log"
+        log.parent.mkdir(exist_ok=True)
+        log.write_text(traceback.format_exc(), encoding="utf-8")
+        _fail(FAILED, f"{error or type(error).__name__}; see {log}")
+    progress.clear()
+    _print_results(summary, directory)
+
+
+def _print_results(summary, directory):
+    print(format_table(summary))
+    errors = ", ".join(f"{name.removesuffix('_percent').replace('_', ' ')} {value:.3f} %"
+                       for name, value in summary["identification"].items())
+    print(f"model on unseen data: {errors}")
+    effects = " and ".join(entry["name"] for entry in summary["diagnosis"]["effects"])
+    print(f"\ndiagnosis: {summary['diagnosis']['verdict']}"
+          f"{', the model lacks ' + effects if effects else ''}\n")
+    print(f"{format_model_errors(summary)}\n\n{format_tracking_errors(summary)}\n")
+    print(f"closed loop: {summary['lockstep_ratio']:.1f} simulated seconds a second; "
+          f"the demo took {summary['wall_s']['all']:.0f} s")
+    print(f"report: {directory / 'report.html'}")
+
+
+def _interrupt(*_):
+    """Interrupt once: a second signal must not disturb the orderly end."""
+    for number in signal.SIGINT, signal.SIGTERM:
+        signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _fail(status, message):
+    print(f"demo: {message}", file=sys.stderr)
+    sys.exit(status)
+
+
+if __name__ == "__main__":
+    main()

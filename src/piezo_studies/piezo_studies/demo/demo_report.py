@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The report of the demo: what was measured, in sentences, tables and pictures."""
+
+from piezo_common.report_page import Section, pictured, render_page
+from piezo_identification.prediction import predict
+from piezo_studies.demo import identification_pictures, tracking_pictures
+from piezo_studies.demo.extended_model_section import second_half_sections
+from piezo_studies.demo.square_wave_response import square_wave_response
+from piezo_studies.demo.summary import table_rows
+
+TITLE = "A piezo stage, identified and controlled"
+
+
+def render_report(summary, runs, model, recordings, second_half, command, directory):
+    """Return the report as one HTML page.
+
+    Parameters
+    ----------
+    summary : dict
+        Of `summary.summarise`.
+    runs : list of TrackedRun
+    model : piezo_models.cascade.StageModel
+    recordings : dict of str to Recording
+        Of the experiments ``creep``, ``dynamics`` and ``validation``.
+    second_half : SecondHalf
+        What came of the diagnosis.
+    command : str
+        That made it all.
+    directory : path-like
+        Where the model and the recordings are.
+    """
+    return render_page(TITLE, _introduction(command), [
+        _errors_section(summary),
+        _identification_section(summary["identification"], model, recordings, directory),
+        *(_frequency_section(frequency_hz, [run for run in runs
+                                            if run.frequency_hz == frequency_hz])
+          for frequency_hz in sorted({run.frequency_hz for run in runs})),
+        *second_half_sections(summary, runs, model, recordings["validation"], second_half),
+        _measures_section(summary),
+    ])
+
+
+def _introduction(command):
+    return (
+        "A simulated stage was identified from its own measurements, and then made to follow sines "
+        "with the model so found. The stage has more to it than the model was allowed to have: a "
+        "diagnostic recording told what, the model was extended by it, and the same sines were "
+        "followed again. Stage, recorder, identification and controller ran as separate "
+        "ROS 2 nodes in lockstep, so the machine's speed changes no number except the speed "
+        "itself.",
+        f"All numbers and pictures come from one run of `{command}`. The recordings, the model and "
+        "the numbers (`summary.json`) lie beside this page.",
+    )
+
+
+def _errors_section(summary):
+    return Section(
+        "Tracking errors",
+        ("Each run lasts one second after a lead-in, and begins with a stage that has been at its "
+         "lowest voltage and then at rest for a minute of its own time, so that no run inherits "
+         "the creep of another. The table gives e_rms, the RMS of the error over the reference's "
+         "peak-to-peak value, by the sensor; the thesis' figure; e_rms of the simulator's true "
+         "position; e_rms by the sensor with the mean error taken off; and the largest error by "
+         "the sensor.",
+         "Open loop knows no more of the stage than its gain over the whole range. Feedforward "
+         "inverts the identified model, but repeats one period throughout, so that the creep "
+         "within the run stays in its error as a drift. Composite adds the feedback.",
+         "The thesis' figures were measured on a real stage, ours on a simulated one: they tell "
+         "the scale. A dash stands where the thesis gives none."),
+        table_rows(summary),
+        (pictured("Errors over frequency", tracking_pictures.draw_errors(
+                      summary["tracking"], summary["tracking_after"]),
+                  "Tracking error of each mode over the frequency; that of composite once more "
+                  "with the extended model. What the sensor adds by its noise is the way from the "
+                  "hollow to the full circles."),))
+
+
+def _identification_section(errors, model, recordings, directory):
+    predictions = {name: predict(model, recording) for name, recording in recordings.items()}
+    dynamics = recordings["dynamics"]
+    measured = square_wave_response(model, dynamics)
+    period_s = 1.0 / measured[0][0]
+    sample_period_s = 1.0 / dynamics.sample_rate_hz
+    rows = [["error on unseen data", "%"],
+            *([_words(name), f"{value:.3f}"] for name, value in errors.items())]
+    return Section(
+        "Identification",
+        ("The model is a Preisach hysteresis, then creep, then electric and vibration dynamics. "
+         "The table gives e_y, the norm of the difference over the norm of the measured "
+         "displacement without its mean, on a recording that no parameter was fitted to: the "
+         "whole of it, its slow part (hysteresis) and its fast part (dynamics). The first again: "
+         f"`./run piezo_identification simulate --model {directory}/model.json "
+         f"--data {directory}/validation`.",),
+        rows,
+        (pictured("Hysteresis loops",
+                  identification_pictures.draw_loops(predictions["validation"]),
+                  "Loops that were not fitted, measured and modelled."),
+         pictured("Density", identification_pictures.draw_density(model.hysteresis),
+                  "The identified density is largest at the diagonal: most relays switch off "
+                  "little below the voltage at which they switched on."),
+         pictured("Creep", identification_pictures.draw_creep(predictions["creep"]),
+                  "Creep after a step of the voltage, measured and modelled. The creep was fitted "
+                  "to this recording."),
+         pictured("Step response",
+                  identification_pictures.draw_step_response(predictions["dynamics"], period_s),
+                  "Answer to one period of the square wave to which the dynamics were fitted, "
+                  "measured and modelled."),
+         pictured("Frequency response", identification_pictures.draw_frequency_response(
+                      model.linear(), sample_period_s, measured),
+                  "From the hysteresis' output to the displacement: the model, and the harmonics "
+                  "of the square wave that stand out of the noise.")))
+
+
+def _frequency_section(frequency_hz, runs):
+    by_mode = {run.mode: run for run in runs}
+    name = f"{frequency_hz:g} Hz"
+    run = by_mode["composite"]
+    feedforward_v = by_mode["feedforward"].voltage_v
+    feedback_v = run.voltage_v - feedforward_v
+    return Section(
+        f"{name}, {run.amplitude_um:g} um peak to peak about {run.centre_um:g} um",
+        pictures=(
+            pictured(f"Tracking at {name}", tracking_pictures.draw_tracking(by_mode),
+                     "The last periods of the runs by the sensor, and the error of each on a scale "
+                     "of its own.", tall=True),
+            pictured(f"Voltages at {name}",
+                     tracking_pictures.draw_voltages(feedforward_v, feedback_v, run),
+                     "The feedforward carries the trajectory, the feedback the slow remainder. The "
+                     "feedback is what composite adds to the voltage of feedforward."),
+            pictured(f"Spectra at {name}", tracking_pictures.draw_spectra(
+                         feedforward_v, feedback_v, run.sample_rate_hz),
+                     "Spectra of both voltages over the whole run, through a Hann window. The "
+                     "feedback is held for a millisecond at a time, so its spectrum repeats around "
+                     "multiples of 1 kHz.")))
+
+
+def _measures_section(summary):
+    closed = [entry for entry in summary["tracking"] if entry["mode"] == "composite"]
+    missed = sum(entry["missed_feedback"] for entry in closed)
+    return Section(
+        "The closed loop's speed",
+        (f"The composite runs went at {summary['lockstep_ratio']:.2f} simulated seconds per second "
+         "of the clock on the wall, by the times at which the recorder received the blocks from "
+         "the first of the loop to the last; each tick was a message there and back between two "
+         f"processes. Ticks without an answer: {missed}.",))
+
+
+def _words(name):
+    return {"e_y_percent": "whole recording", "hysteresis_e_y_percent": "slow part (hysteresis)",
+            "dynamics_e_y_percent": "fast part (dynamics)"}.get(name, name.replace("_", " "))

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of a model and of tracking before and after the model was extended, on shared axes."""
+
+import numpy as np
+from scipy.signal import welch
+
+from piezo_common.picture_style import AFTER, BEFORE, LIMIT, label, new_figure, plain_numbers
+from piezo_models.linear.dynamics import zoh_response
+
+RESPONSE_HZ = np.geomspace(50.0, 4000.0, 1500)
+SEGMENT = 8192
+SHOWN_PERIODS = 2
+QUIET_HZ = 8000.0
+"""Above it nothing moves: what is there is the sensor's noise."""
+
+
+def draw_model_errors(before, after, sample_period_s):
+    """Spectra of a model's error on one recording, before and after.
+
+    Parameters
+    ----------
+    before, after : piezo_identification.prediction.Prediction
+    sample_period_s : float
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = new_figure()
+    axes = figure.subplots()
+    for prediction, style in ((before, BEFORE), (after, AFTER)):
+        frequency_hz, power = welch(
+            1e3 * (prediction.measured_um - prediction.simulated_um), 1.0 / sample_period_s,
+            nperseg=min(SEGMENT, prediction.measured_um.size))
+        axes.loglog(frequency_hz[1:-1], np.sqrt(power[1:-1]), **style)
+    noise = np.sqrt(np.median(power[frequency_hz > QUIET_HZ]))
+    axes.axhline(noise, label="noise", **LIMIT)
+    axes.legend()
+    label(axes, "frequency (Hz)", "model error (nm per root Hz)")
+    return figure
+
+
+def draw_responses(before, after, sample_period_s):
+    """Magnitude of the linear part of two models, sampled.
+
+    Parameters
+    ----------
+    before, after : piezo_models.cascade.StageModel
+    sample_period_s : float
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = new_figure()
+    axes = figure.subplots()
+    for model, style in ((before, BEFORE), (after, AFTER)):
+        response = zoh_response(model.linear(), RESPONSE_HZ, sample_period_s)
+        axes.loglog(RESPONSE_HZ, np.abs(response), **style)
+    axes.legend()
+    plain_numbers(axes.xaxis)
+    label(axes, "frequency (Hz)", "magnitude (um/um)")
+    return figure
+
+
+def draw_tracking_errors(before, after):
+    """Errors of runs over their last periods, a row for each frequency.
+
+    Parameters
+    ----------
+    before, after : dict of float to TrackedRun
+        By frequency in Hz.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = new_figure(1.2 + 1.5 * len(after))
+    rows = figure.subplots(len(after), 1, squeeze=False)[:, 0]
+    for axes, frequency_hz in zip(rows, sorted(after), strict=True):
+        for runs, style in ((before, BEFORE), (after, AFTER)):
+            run = runs[frequency_hz]
+            count = round(SHOWN_PERIODS * run.sample_rate_hz / frequency_hz)
+            time_ms = 1e3 * np.arange(count) / run.sample_rate_hz
+            axes.plot(time_ms, 1e3 * run.error_um[-count:], **style)
+        label(axes, "time (ms)", "error (nm)",
+              title=f"{frequency_hz:g} Hz, {run.amplitude_um:g} um peak to peak")
+    figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper center", ncols=2,
+                  frameon=False)
+    figure.align_ylabels()
+    return figure

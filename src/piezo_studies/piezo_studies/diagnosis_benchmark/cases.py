@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The cases: which hidden effects, how strong, on which plant, in which recording."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_studies.diagnosis_benchmark import records
+from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES, CAUSES_OUTSIDE
+
+CLEAN_SHARE, OUTSIDE_SHARE, PAIRS_SHARE = 40 / 260, 20 / 260, 52 / 260
+CASES_PER_PLANT = 10
+WEAKEST, STRONGEST = 1.2, 40.0
+"""Contributions to the recording, over the noise."""
+OUTSIDE_WEAKEST = 6.0
+"""Of an effect outside the list."""
+LATER_SHARE = 0.7
+"""Of the cases: the effect came after the model was identified. In the others it was there."""
+
+FAST_ONLY, SLOW_ONLY = {"vibration_mode", "slew_limit"}, {"thermal_drift"}
+"""Effects that a slow logger cannot see, and such that take longer than a fast recording."""
+
+LATER_ONLY = {"slew_limit"}
+"""Effects that leave no usable model if they were there when it was identified."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case; everything random in it follows from its seed.
+
+    Attributes
+    ----------
+    number : int
+    seed : int
+        Of the whole suite.
+    plant : int
+        Number of its plant.
+    causes : tuple of str
+        Of the hidden effects, keys of `CAUSES` or `CAUSES_OUTSIDE`; empty for none.
+    multiples : tuple of float
+        Contribution of each, over the noise.
+    kind : str
+        Of the recording, a key of `records.KINDS`.
+    slow : bool
+        Recorded by a slow logger, for tens of seconds.
+    later : bool
+        The effects came after the model was identified.
+    """
+
+    number: int
+    seed: int
+    plant: int
+    causes: tuple
+    multiples: tuple
+    kind: str
+    slow: bool
+    later: bool
+
+    @property
+    def outside(self):
+        """True if an effect outside the list is there."""
+        return any(cause in CAUSES_OUTSIDE for cause in self.causes)
+
+    def random(self, purpose):
+        """Generator of what is random for a purpose."""
+        return np.random.default_rng([self.seed, self.number, *purpose.encode()])
+
+
+def draw_cases(count, seed):
+    """Cases in the proportions of the suite, in an order that any number of them samples.
+
+    Parameters
+    ----------
+    count, seed : int
+
+    Returns
+    -------
+    list of Case
+    """
+    random = np.random.default_rng([seed, *b"cases"])
+    clean, outside, pairs = (
+        round(count * share) for share in (CLEAN_SHARE, OUTSIDE_SHARE, PAIRS_SHARE)
+    )
+    causes = [()] * clean
+    causes += [(name,) for name in _in_turn(list(CAUSES_OUTSIDE), outside, random)]
+    causes += [
+        (name, _another(name, random)) for name in _in_turn(list(CAUSES), pairs, random)
+    ]
+    causes += [(name,) for name in _in_turn(list(CAUSES), count - len(causes), random)]
+    kinds = _in_turn([(kind, slow) for kind in records.KINDS for slow in (False, True)],
+                     count, random)
+    cases = []
+    for number, index in enumerate(random.permutation(count)):
+        chosen, (kind, slow) = causes[index], kinds[number]
+        if FAST_ONLY.intersection(chosen) or SLOW_ONLY.intersection(chosen):
+            slow = bool(SLOW_ONLY.intersection(chosen))
+        weakest = OUTSIDE_WEAKEST if CAUSES_OUTSIDE.keys() & set(chosen) else WEAKEST
+        multiples = np.exp(random.uniform(np.log(weakest), np.log(STRONGEST), len(chosen)))
+        cases.append(Case(
+            number, seed, number // CASES_PER_PLANT, chosen, tuple(map(float, multiples)), kind,
+            slow, bool(random.random() < LATER_SHARE or LATER_ONLY & set(chosen)),
+        ))
+    return cases
+
+
+def _in_turn(items, count, random):
+    """So many items, each as often as the others, shuffled."""
+    rounds = -(-count // len(items)) if items else 0
+    taken = [items[i] for _ in range(rounds) for i in random.permutation(len(items))]
+    return taken[:count]
+
+
+def _another(name, random):
+    """A second effect that a recording can show beside the first."""
+    apart = (FAST_ONLY if name in SLOW_ONLY else SLOW_ONLY if name in FAST_ONLY else set())
+    return str(random.choice([other for other in CAUSES if other not in apart | {name}]))

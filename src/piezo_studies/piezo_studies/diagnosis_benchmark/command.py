@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Run the cases through Dask, print the confusion table and write it."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from distributed import Client, LocalCluster, as_completed
+
+from piezo_common.progress_line import ProgressLine
+from piezo_studies.diagnosis_benchmark.cases import draw_cases
+from piezo_studies.diagnosis_benchmark.outcome import as_text, refused, summary
+from piezo_studies.diagnosis_benchmark.run_case import clean_model, run_case
+
+CONNECT_S = 10
+
+
+def run_suite(client, count, seed, progress=None):
+    """Run the suite; its result does not depend on where it runs.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    count, seed : int
+        Cases, and the seed of everything random.
+    progress : callable, optional
+        Called with the number of cases done.
+
+    Returns
+    -------
+    dict
+    """
+    cases = draw_cases(count, seed)
+    models = {
+        plant: client.submit(clean_model, seed, plant, pure=False)
+        for plant in sorted({case.plant for case in cases})
+    }
+    running = [client.submit(run_case, case, models[case.plant], pure=False) for case in cases]
+    for done, _ in enumerate(as_completed(running), start=1):
+        if progress is not None:
+            progress(done)
+    results = [
+        _result(case, future) for case, future in zip(cases, running, strict=True)
+    ]
+    return {"seed": seed, "cases": count, **summary(results), "results": results}
+
+
+def _result(case, future):
+    """Of a case that ran; one that was refused stays in the table, with the reason."""
+    if future.status == "finished":
+        return future.result()
+    return refused(case, future.exception())
+
+
+def main(arguments=None):
+    """Run the command; the exit status is 0 whatever the figures are."""
+    parser = argparse.ArgumentParser(prog="diagnose_suite", description=__doc__)
+    parser.add_argument("--cases", type=int, default=260, help="how many (%(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="of everything random (%(default)s)")
+    parser.add_argument("--scheduler", metavar="ADDRESS",
+                        help="of a Dask scheduler, as tcp://host:8786; local processes by default")
+    parser.add_argument("--output", type=Path, default=Path("runs/diagnose-suite"),
+                        help="directory of table.json (%(default)s)")
+    options = parser.parse_args(arguments)
+    line = ProgressLine()
+
+    def show(done):
+        line.show("cases", done / options.cases)
+
+    try:
+        if options.scheduler:
+            client = Client(options.scheduler, timeout=CONNECT_S)
+        else:
+            client = Client(LocalCluster(threads_per_worker=1, dashboard_address=None))
+    except OSError as error:
+        print(f"diagnose_suite: no scheduler at {options.scheduler}: {error}", file=sys.stderr)
+        return 2
+    with client:
+        document = run_suite(client, options.cases, options.seed, show)
+        if client.cluster is not None:
+            client.cluster.close()
+    line.clear()
+    options.output.mkdir(parents=True, exist_ok=True)
+    path = options.output / "table.json"
+    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    print(as_text(document))
+    print(f"{options.cases} cases of seed {options.seed}: {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a case came to, and the figures of all."""
+
+from collections import Counter
+
+import numpy as np
+
+from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES_OUTSIDE
+
+CLEAR = 3.0
+"""Contribution over the noise from which an effect should be named first."""
+
+AS_STRONG = 0.5
+"""Of two effects either may come first if the weaker has at least this part of the stronger."""
+
+TARGETS = {
+    "named_first_percent": (">=", 95.0),
+    "false_alarms_percent": ("<=", 2.0),
+    "outside_unexplained_percent": (">=", 90.0),
+    "error_within_1.2_percent": (">=", 95.0),
+}
+ERROR_RATIO = 1.2
+
+
+def strongest(result):
+    """Causes that may come first, and the contribution of the strongest over the noise.
+
+    An effect that was there when the model was identified is in its parameters as far as they can
+    explain it: what counts is the rest, and no more than what the model lacks in all.
+    """
+    found = result["contributions"]
+    if result["model"] == "identified before":
+        size, bound = "over_noise", np.inf
+    else:
+        size, bound = "beyond_model_over_noise", result["lacking_over_noise"]
+    most = max((entry[size] for entry in found), default=0.0)
+    return [entry["cause"] for entry in found if entry[size] >= AS_STRONG * most], min(most, bound)
+
+
+def refused(case, error):
+    """Result of a case that could not be diagnosed.
+
+    Parameters
+    ----------
+    case : Case
+    error : Exception
+
+    Returns
+    -------
+    dict
+    """
+    return {"number": case.number, "plant": case.plant, "kind": case.kind,
+            "causes": list(case.causes), "verdict": "refused", "error": str(error)}
+
+
+def _group_of_refused(result):
+    causes = set(result["causes"])
+    return "outside" if causes & CAUSES_OUTSIDE.keys() else "clear" if causes else "clean"
+
+
+def outcome(result):
+    """What a case came to.
+
+    Returns
+    -------
+    group, came_to : str
+        The group is "clean", "outside", "clear" or "weak", by the contribution.
+    """
+    if result["verdict"] == "refused":
+        return _group_of_refused(result), "refused"
+    causes, most = strongest(result)
+    first = result["effects"][0] if result["effects"] else None
+    if not causes:
+        return "clean", "right" if result["verdict"] == "none" else "false alarm"
+    if set(causes) & CAUSES_OUTSIDE.keys():
+        return "outside", "right" if result["verdict"] == "unexplained" else result["verdict"]
+    group = "clear" if most > CLEAR else "weak"
+    if first in causes:
+        return group, "right"
+    if set(causes) & set(result["not_decidable"]):
+        return group, "not decidable"
+    return group, "wrong" if first else "no name"
+
+
+def summary(results):
+    """The figures beside their targets, the confusion table and the outcomes.
+
+    Parameters
+    ----------
+    results : list of dict
+        As `run_case` returns them.
+
+    Returns
+    -------
+    dict
+    """
+    came_to = {group: Counter() for group in ("clear", "weak", "clean", "outside")}
+    confusion, ratios = {}, []
+    for result in results:
+        group, what = outcome(result)
+        came_to[group][what] += 1
+        if result["verdict"] == "explained" and group == "clear":
+            ratios.append(result["after_um"] / result["perfect_um"])
+        if result["verdict"] == "refused":
+            row, named = (*result["causes"], "clean")[0], "refused"
+        elif group in ("clean", "outside"):
+            row, named = group, result["verdict"]
+        else:
+            causes, _ = strongest(result)
+            row = next((name for name in result["effects"][:1] if name in causes), causes[0])
+            named = result["effects"][0] if result["effects"] else result["verdict"]
+        if group != "weak":
+            confusion.setdefault(row, Counter())[named] += 1
+    clear = came_to["clear"]
+    decidable = clear.total() - clear["not decidable"]
+    ratios = np.array(ratios)
+    return {
+        "figures": {
+            "named_first_percent": _percent(clear["right"], decidable),
+            "named_first_of_all_percent": _percent(clear["right"], clear.total()),
+            "false_alarms_percent": _percent(came_to["clean"]["false alarm"],
+                                             came_to["clean"].total()),
+            "outside_unexplained_percent": _percent(came_to["outside"]["right"],
+                                                    came_to["outside"].total()),
+            "error_within_1.2_percent": _percent(int(np.sum(ratios <= ERROR_RATIO)), ratios.size),
+            "error_ratio_median": float(np.median(ratios)) if ratios.size else None,
+        },
+        "targets": {name: " ".join(map(str, target)) for name, target in TARGETS.items()},
+        "outcomes": {group: dict(sorted(counts.items())) for group, counts in came_to.items()},
+        "confusion": {row: dict(sorted(counts.items()))
+                      for row, counts in sorted(confusion.items())},
+    }
+
+
+def _percent(part, whole):
+    return 100.0 * part / whole if whole else None
+
+
+def as_text(document):
+    """The summary as lines for people."""
+    lines = ["what was there -> what came first (contributions above "
+             f"{CLEAR:g} x noise; clean and outside the list: the verdict)"]
+    for row, counts in document["confusion"].items():
+        named = ", ".join(f"{name} {count}" for name, count in
+                          sorted(counts.items(), key=lambda item: -item[1]))
+        lines.append(f"  {row:26s} {named}")
+    lines.append("outcomes")
+    for group, counts in document["outcomes"].items():
+        text = ", ".join(f"{name} {count}" for name, count in counts.items())
+        lines.append(f"  {group:26s} {text}")
+    lines.append("figures")
+    for name, value in document["figures"].items():
+        shown = "-" if value is None else f"{value:.4g}"
+        lines.append(f"  {name:30s} {shown:>8s}   {document['targets'].get(name, '')}")
+    return "\n".join(lines)

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One case: a model identified, a plant with hidden effects recorded, and the diagnosis of it."""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from piezo_identification.diagnosis.comparison import Contest
+from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.estimators.creep import CreepNotShown
+from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
+from piezo_identification.identify import identify
+from piezo_studies.diagnosis_benchmark import records
+from piezo_studies.diagnosis_benchmark.effect_draws import DrawError, draw_effect, response_um
+from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
+
+STRUCTURE = ResponseOrder(creep_pairs=4, modes=2, antiresonances=0)
+"""The structure that the models have, if the recordings show as much of it."""
+
+WEAKEST_MULTIPLE = 1e-2
+"""Of the noise, below which a recording does not show an effect at all."""
+
+
+def identified_model(plant, seed):
+    """The model that `identify` finds from designed experiments on a plant, effects and all.
+
+    Parameters
+    ----------
+    plant : PlantConfig
+    seed : int
+
+    Returns
+    -------
+    StageModel
+    """
+    experiments = records.identification_experiments()
+    with tempfile.TemporaryDirectory() as folder:
+        recordings = {}
+        for index, (name, experiment) in enumerate(experiments.items()):
+            # A model names the files that it came from.
+            path = Path(folder) / name
+            path.touch()
+            recording = records.record(plant, experiment, 10 * seed + index)
+            recordings[name] = replace(recording, path=str(path))
+        return _identified(recordings, STRUCTURE)
+
+
+def _identified(recordings, order):
+    """The model of an order, with fewer pairs where the creep does not show that many."""
+    try:
+        return identify(**recordings, order=order).model
+    except CreepNotShown:
+        return _identified(recordings, replace(order, creep_pairs=order.creep_pairs - 1))
+
+
+def clean_model(seed, plant):
+    """Model of a plant without effects, by the numbers of suite and plant."""
+    return identified_model(draw_plant((seed, plant)), 1000 * seed + plant)
+
+
+def run_case(case, model):
+    """Run a case.
+
+    Parameters
+    ----------
+    case : Case
+    model : StageModel
+        Of the plant without effects.
+
+    Returns
+    -------
+    dict
+        Plain values, the same wherever the case ran.
+    """
+    plant = draw_plant((case.seed, case.plant))
+    experiment = records.KINDS[case.kind](case.random("waveform"), case.slow)
+    seed = int(case.random("noise").integers(2**31))
+    surroundings = records.surroundings(experiment, seed)
+    voltage_v, _ = records.commanded(experiment)
+    clock_samples = records.clock_samples(experiment)
+    drawn = []
+    for index, (cause, multiple) in enumerate(zip(case.causes, case.multiples, strict=True)):
+        beside = drawn[-1].plant if drawn else plant
+        drawn.append(_drawn(
+            cause, beside, voltage_v, surroundings, multiple, seed + index, clock_samples))
+    hidden = drawn[-1].plant if drawn else plant
+    known = model
+    if drawn and not case.later:
+        known = identified_model(hidden, seed % 2**20)
+    recording = records.record(hidden, experiment, seed)
+    diagnosis = diagnose(known, [recording])
+    # With the same noise and no effect: what perfect knowledge of the effects would leave.
+    perfect_um = _least_error_um(model, records.record(plant, experiment, seed))
+    noise = noise_um(plant)
+    contributions = []
+    for effect, beside in zip(drawn, [plant, *(effect.plant for effect in drawn)], strict=False):
+        with_it_um, without_um = (
+            response_um(stage, voltage_v, surroundings, clock_samples)[recording.playing]
+            for stage in (effect.plant, beside)
+        )
+        beyond_um = _beyond_model_um(diagnosis.contest.prepared[0], with_it_um - without_um)
+        contributions.append({
+            "cause": effect.cause, "effect": repr(effect.effect),
+            "over_noise": effect.contribution_rms_um / noise,
+            "beyond_model_over_noise": beyond_um / noise,
+        })
+    return {
+        "number": case.number, "plant": case.plant, "kind": case.kind,
+        "logger": "slow" if case.slow else "fast",
+        "model": "identified before" if case.later else "identified with the effects",
+        "contributions": contributions,
+        "verdict": diagnosis.verdict,
+        "effects": [entry["name"] for entry in diagnosis.effects],
+        "not_decidable": sorted(diagnosis.not_decidable),
+        "lacking_over_noise": _lacking_um(diagnosis) / noise,
+        "noise_um": noise, "noise_found_um": diagnosis.noise_floor_um,
+        "before_um": diagnosis.before["rms_um"], "after_um": diagnosis.after["rms_um"],
+        "perfect_um": perfect_um,
+    }
+
+
+def _least_error_um(model, recording):
+    """Error on held-out data without any effect, the model's parameters tuned."""
+    contest = Contest(model, [recording])
+    trial = contest.trial(())
+    left_um = (trial.residual * contest.tolerance_um)[contest.judge]
+    return float(np.sqrt(np.mean(left_um**2)))
+
+
+def _lacking_um(diagnosis):
+    """RMS of what the model, its parameters tuned, leaves of the recording beyond the noise."""
+    contest = diagnosis.contest
+    rms_tolerances = np.sqrt(contest.structure(diagnosis.selection.start))
+    return float(rms_tolerances * np.sqrt(np.mean(contest.tolerance_um**2)))
+
+
+def _drawn(cause, plant, voltage_v, surroundings, multiple, seed, clock_samples):
+    """The effect, half as strong as often as it takes for the recording to show it."""
+    while True:
+        try:
+            return draw_effect(
+                cause, plant, voltage_v, surroundings, multiple, seed, clock_samples)
+        except DrawError:
+            if multiple < WEAKEST_MULTIPLE:
+                raise
+            multiple *= 0.5
+
+
+def _beyond_model_um(prepared, added_um):
+    """RMS of what offset, initial creep and other parameters of the model leave of a signal."""
+    rows = np.arange(prepared.begin, added_um.size)
+    columns = np.column_stack([prepared.free_columns(rows), prepared.tuning_columns(rows)])
+    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    left = added_um[rows]
+    left = left - columns @ np.linalg.lstsq(columns, left, rcond=1e-10)[0]
+    return float(np.sqrt(np.mean(left**2)))

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of measured data of other stages beside our models."""
+
+import numpy as np
+
+from piezo_common.picture_style import (
+    BLACK,
+    DIFFERENCE,
+    GREEN,
+    LIMIT,
+    MEASURED,
+    MODELLED,
+    VERMILION,
+    WIDE_IN,
+    label,
+    new_figure,
+)
+from piezo_identification.prediction_pictures import DOTS_PER_INCH
+
+POINTS = MEASURED | {"linestyle": "none", "marker": "o", "markersize": 4}
+
+
+def draw_loops_and_difference(path, title, prediction):
+    """Draw displacement over voltage, and the difference sample by sample.
+
+    Parameters
+    ----------
+    path : path-like
+        Picture to write.
+    title : str
+    prediction : Prediction
+    """
+    figure = new_figure(4.0, WIDE_IN)
+    left, right = figure.subplots(1, 2)
+    left.plot(prediction.voltage_v, prediction.measured_um, **MEASURED)
+    left.plot(prediction.voltage_v, prediction.simulated_um, **MODELLED)
+    left.legend(loc="upper left")
+    label(left, "voltage (V)", "displacement (um)")
+    difference_um = prediction.measured_um - prediction.simulated_um
+    right.plot(prediction.time_s, difference_um, **DIFFERENCE)
+    label(right, "time (s)", "measured - modelled (um)")
+    figure.suptitle(title)
+    figure.savefig(path, dpi=DOTS_PER_INCH)
+
+
+def draw_ringing(path, title, ringing, fitted_s):
+    """Draw the response to a jump, and the difference.
+
+    Parameters
+    ----------
+    path : path-like
+        Picture to write.
+    title : str
+    ringing : Ringing
+    fitted_s : float
+        Time after the jump up to which the dynamics were fitted.
+    """
+    response = ringing.response
+    time_ms = 1e3 * response.time_s
+    figure = new_figure(5.0, WIDE_IN)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    above.plot(time_ms, response.displacement_um, **POINTS)
+    above.plot(time_ms, ringing.modelled_um, **MODELLED)
+    above.legend(loc="upper right")
+    label(above, y="displacement (um)", title=title)
+    below.plot(time_ms, response.displacement_um - ringing.modelled_um, **DIFFERENCE)
+    label(below, "time after the jump (ms)", "difference (um)")
+    for axes in above, below:
+        axes.axvline(1e3 * fitted_s, **LIMIT)
+    above.text(1e3 * fitted_s, above.get_ylim()[0], " not fitted from here on", va="bottom",
+               color=BLACK, size="small")
+    figure.savefig(path, dpi=DOTS_PER_INCH)
+
+
+def draw_frequency_response(path, title, frequency_hz, measured, modelled, predicted):
+    """Draw gain and phase of a measured response and of its model.
+
+    Parameters
+    ----------
+    path : path-like
+        Picture to write.
+    title : str
+    frequency_hz : ndarray, shape (N,)
+    measured : ndarray of complex, shape (N,)
+    modelled, predicted : ndarray of complex, shape (N,)
+        By the model fitted to all frequencies, and each by one that was not fitted to it.
+    """
+    figure = new_figure(5.5, WIDE_IN)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    above.loglog(frequency_hz, np.abs(measured), **POINTS)
+    above.loglog(frequency_hz, np.abs(modelled), **MODELLED)
+    above.loglog(frequency_hz, np.abs(measured - modelled), color=GREEN, linestyle="--",
+                 linewidth=0.9, label="difference")
+    above.loglog(frequency_hz, np.abs(measured - predicted), color=VERMILION, linestyle="none",
+                 marker="x", markersize=3, label="difference where not fitted")
+    above.legend(loc="center left", ncols=2, fontsize="small")
+    label(above, y="gain (unit of the data)", title=title)
+    for response, style in ((measured, POINTS), (modelled, MODELLED)):
+        below.semilogx(frequency_hz, np.degrees(np.unwrap(np.angle(response))), **style)
+    label(below, "frequency (Hz)", "phase (degrees)")
+    figure.savefig(path, dpi=DOTS_PER_INCH)

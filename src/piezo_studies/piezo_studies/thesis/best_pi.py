@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a PI can reach at best on the stage, however it is tuned."""
+
+from functools import cache
+from itertools import product
+
+import control
+import numpy as np
+
+from piezo_controller.feedback.loop_measures import is_stable
+from piezo_controller.feedback.synthesis.generalised_plant import design_plant
+from piezo_studies.thesis.identified_stage import identified_stage
+
+CLOCK_PERIOD_S = 25e-6
+PEAK_SENSITIVITY = 3.0
+"""More than anybody accepts: the phase margin may be 19 degrees."""
+
+PROPORTIONAL_V_PER_UM = np.linspace(0.0, 1.5, 31)
+INTEGRAL_V_PER_UM_S = np.geomspace(100.0, 3000.0, 60)
+BAND_HZ = np.geomspace(1.0, 19e3, 1500)
+SINE_PERCENT = 100.0 / (2.0 * np.sqrt(2.0))
+"""RMS of a sine over its peak to peak."""
+
+
+@cache
+def least_error_percent(frequency_hz):
+    """Least e_rms of a sine under any PI at the rate of the sample clock, by the model.
+
+    Offset and noise not counted.
+
+    Parameters
+    ----------
+    frequency_hz : float
+
+    Returns
+    -------
+    float
+        In percent (2.32).
+    """
+    plant, gain_um_per_v = design_plant(identified_stage(), CLOCK_PERIOD_S, CLOCK_PERIOD_S)
+    plant = gain_um_per_v * plant
+    points = np.exp(2j * np.pi * np.r_[frequency_hz, BAND_HZ] * CLOCK_PERIOD_S)
+    response = plant(points, squeeze=True)
+    least = np.inf
+    for proportional, integral in product(PROPORTIONAL_V_PER_UM, INTEGRAL_V_PER_UM_S):
+        answer = proportional + integral * CLOCK_PERIOD_S / (points - 1.0)
+        size = 1.0 / np.abs(1.0 + response * answer)
+        if size[0] < least and size.max() <= PEAK_SENSITIVITY and is_stable(
+                control.feedback(plant * _feedback(proportional, integral), 1)):
+            least = size[0]
+    return float(SINE_PERCENT * least)
+
+
+def _feedback(proportional, integral):
+    return control.ss([[1.0]], [[CLOCK_PERIOD_S]], [[integral]], [[proportional]], CLOCK_PERIOD_S)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recordings without a recorder: of the simulated stage, or of any model with noise."""
+
+import numpy as np
+
+from piezo_models.linear.dynamics import continue_linear, zoh
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+from piezo_sim.simulated_stage import SimulatedStage
+
+CLOCK_HZ = 40_000.0
+STAGE_NOISE_UM = 0.009
+"""Noise of the thesis' sensor, and of the simulated stage's (1.3)."""
+
+SAMPLES_AT_ONCE = 400_000
+"""Clock samples that are simulated together."""
+
+
+def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1):
+    """Play voltages on the simulated stage, which has rested at 0 V, and record them.
+
+    Parameters
+    ----------
+    name : str
+    voltage_v : ndarray, shape (N,)
+    before_v : ndarray, shape (M,)
+        Played first, as a ramp from rest.
+    held : int
+        Clock samples for which each voltage is held; the displacement is their mean.
+    clock_hz : float
+    seed : int
+        Of the sensor's noise.
+
+    Returns
+    -------
+    Recording
+    """
+    stage = SimulatedStage(seed=seed, sample_rate_hz=clock_hz)
+    stage.open()
+    played_v = np.concatenate([before_v, voltage_v])
+    displacement_um = np.empty(played_v.size)
+    block = max(1, SAMPLES_AT_ONCE // held)
+    for start in range(0, played_v.size, block):
+        part = slice(start, start + block)
+        clock_um = stage.exchange(np.repeat(played_v[part], held))
+        displacement_um[part] = clock_um.reshape(-1, held).mean(axis=1)
+    return recording(name, played_v, displacement_um, clock_hz, held, len(before_v))
+
+
+def record_experiment(experiment, clock_hz=CLOCK_HZ, seed=1):
+    """Play an experiment on the simulated stage, with a quick ramp from rest, and record it."""
+    held = round(experiment.sample_period_s * clock_hz)
+    count = max(1, round(0.1 * clock_hz / held))
+    before_v = np.linspace(0.0, experiment.voltage_v[0], count)
+    voltage_v = np.tile(experiment.voltage_v, experiment.repeats)
+    return record_stage(experiment.name, voltage_v, before_v, held, clock_hz, seed)
+
+
+def record_model(name, model, voltage_v, sample_period_s, noise_um, seed=1):
+    """Play voltages on a model that begins with all relays off and no creep; add white noise.
+
+    Parameters
+    ----------
+    name : str
+    model : StageModel
+    voltage_v : ndarray, shape (N,)
+    sample_period_s, noise_um : float
+    seed : int
+
+    Returns
+    -------
+    Recording
+    """
+    linear = zoh(model.linear(), sample_period_s)
+    displacement_um, _ = continue_linear(
+        linear, model.hysteresis.simulate(voltage_v), np.zeros(linear.nstates)
+    )
+    noise_um = noise_um * np.random.default_rng(seed).standard_normal(voltage_v.size)
+    return recording(name, voltage_v, displacement_um + noise_um, 1.0 / sample_period_s)
+
+
+def recording(name, voltage_v, displacement_um, clock_hz, held=1, before=0):
+    """Uniform samples as a recording, of which the first `before` are a ramp."""
+    flags = np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32)
+    flags[:before] = Flag.RAMPING
+    return Recording(
+        path=name, sample_rate_hz=clock_hz,
+        sample_index=np.arange(voltage_v.size, dtype=np.int64) * held,
+        sample_periods_s=np.full(voltage_v.size, held / clock_hz),
+        voltage_v=voltage_v, displacement_um=displacement_um, flags=flags,
+    )

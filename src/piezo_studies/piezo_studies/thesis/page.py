@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The page of the reproduction, as Markdown."""
+
+from piezo_studies.thesis.studies import CAPTIONS
+from piezo_studies.thesis.table import as_markdown
+
+INTRODUCTION = """\
+# Reproduction of the thesis, chapters 2 to 5
+
+Written by `make reproduce`; do not edit.
+
+Every numerical study of chapters 2 to 5 and of the appendix, done again: the figure in the thesis
+beside ours. Where the thesis measured its stage, we measure the simulated one, whose dynamics are
+those that chapter 4 identified and whose sensor has the same noise of 9 nm; its hysteresis and its
+drift are its own. Sections 2.2.4, 2.3.3 and 4.6 simulate in the thesis, too, with these plants and
+this noise. Errors are simulation errors by the noisy sensor unless the row says otherwise; the
+error of a density is that against the true one. The remark says why a figure does not come out, or
+what ours is. A dash stands where the thesis gives no figure. Closed loops run with the model that
+was identified in 4.7.1, under an offset of 2.1 um, a drift of 50 nm/s, the sensor's noise, and the
+tick of computing time; "composite" is the 40 kHz feedforward with the 1 kHz H-infinity feedback.
+Learning begins with models that are 5 % off, without offset and drift.
+"""
+
+
+def page(rows):
+    """Write the page.
+
+    Parameters
+    ----------
+    rows : list of Row
+
+    Returns
+    -------
+    str
+    """
+    pictures = "\n\n".join(
+        f"**Fig. {figure}.** {caption}\n\n"
+        f"![Answer to figure {figure}](pictures/reproduction/figure_{figure}.png)"
+        for figure, caption in CAPTIONS.items()
+    )
+    return f"{INTRODUCTION}\n## Figures\n\n{as_markdown(rows)}\n\n## Pictures\n\n{pictures}\n"

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the pictures of the studies have in common."""
+
+import io
+
+import numpy as np
+
+from piezo_common.picture_style import BLUE, LIMIT, label
+
+DOTS_PER_INCH = 85
+
+
+def draw_plane(figure, axes, levels_v, values, unit):
+    """Draw values over the Preisach plane.
+
+    Parameters
+    ----------
+    figure, axes : matplotlib objects
+    levels_v : ndarray, shape (L + 1,)
+    values : ndarray, shape (L, L)
+        Only those below and on the diagonal are drawn, and no NaN.
+    unit : str
+        Of the values, for the colour bar.
+    """
+    hidden = np.triu(np.ones(values.shape, dtype=bool), 1) | np.isnan(values)
+    shown = np.ma.array(values, mask=hidden)
+    image = axes.pcolormesh(levels_v, levels_v, shown, cmap="cividis")
+    figure.colorbar(image, ax=axes, label=unit)
+    axes.set_aspect("equal")
+    axes.locator_params(nbins=5, steps=[1, 2, 5, 10], integer=True)
+    label(axes, "switches off at (V)", "switches on at (V)")
+    axes.grid(False)
+
+
+def draw_singular_values(axes, values, threshold):
+    """Draw singular values from the largest down, and the one below which they are dropped."""
+    shown = values[values > 1e-9 * values[0]]
+    axes.semilogy(np.arange(1, shown.size + 1), shown, color=BLUE)
+    axes.axhline(threshold, label="truncated below", **LIMIT)
+    axes.legend()
+    label(axes, "number", "singular value (1)")
+
+
+def small_png(figure):
+    """Return a figure as the bytes of a small PNG file."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=DOTS_PER_INCH, pil_kwargs={"optimize": True})
+    return stream.getvalue()

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Algorithm 1 of section 3.3.2 beside the exact inverse of the same hysteresis.
+
+As it is printed, the next voltage chases the present sample, and the search ends only within the
+band, which a step may leap over. Read as: the same sample, and an end where the sign changes.
+"""
+
+import time
+
+import numpy as np
+
+from piezo_studies.thesis.table import Row, Study
+from piezo_studies.thesis.wrong_model import wrong_model
+
+SECTION = "3.3.2, Algorithm 1"
+HIGHEST_V, LEVELS = 60.0, 180
+STEP_V = HIGHEST_V / LEVELS
+"""(3.15) with a coefficient of 1, and the other numbers of section 3.4."""
+
+MOST_STEPS = LEVELS
+SAMPLES_PER_PERIOD, PERIODS = 1000, 3
+CENTRE_UM, AMPLITUDE_UM = 30.0, 40.0
+
+
+def study():
+    """Errors of the hysteresis' output, and the time that both inverses take.
+
+    Returns
+    -------
+    Study
+    """
+    hysteresis = wrong_model(0.0, 0).hysteresis
+    angle = 2.0 * np.pi * np.arange(SAMPLES_PER_PERIOD * PERIODS) / SAMPLES_PER_PERIOD
+    wanted_um = CENTRE_UM + AMPLITUDE_UM / 2 * np.sin(angle)
+    rows = []
+    for name, invert in (("by steps", invert_by_steps), ("exact", type(hysteresis).invert)):
+        invert(hysteresis, wanted_um[:2])  # compiles
+        begin_s = time.perf_counter()
+        voltage_v = invert(hysteresis, wanted_um)
+        taken_s = time.perf_counter() - begin_s
+        error_um = hysteresis.simulate(voltage_v) - wanted_um
+        rows.append(Row(
+            SECTION, f"e_rms of the hysteresis' inverse, {name}", None,
+            100.0 * np.std(error_um[SAMPLES_PER_PERIOD:]) / AMPLITUDE_UM, "%",
+            f"{1e6 * taken_s / wanted_um.size:.2g} us a sample"))
+    return Study(rows)
+
+
+def invert_by_steps(hysteresis, wanted_um, step_v=STEP_V, tolerance_um=0.0):
+    """Voltages found step by step, each sample from the voltage of the one before.
+
+    Parameters
+    ----------
+    hysteresis : PreisachModel
+    wanted_um : (N,) array
+    step_v : float
+        delta_h of (3.15).
+    tolerance_um : float
+        e_r: the search ends this near.
+
+    Returns
+    -------
+    (N,) array
+    """
+    memory = hysteresis.memory()
+    voltage_v = np.empty(len(wanted_um))
+    for k, wanted in enumerate(wanted_um):
+        direction = np.sign(wanted - memory.hysteresis_um)
+        for _ in range(MOST_STEPS):
+            missing_um = direction * (wanted - memory.hysteresis_um)
+            if missing_um <= tolerance_um:
+                break
+            hysteresis.simulate([memory.voltage_v + direction * step_v], memory)
+        voltage_v[k] = memory.voltage_v
+    return voltage_v
