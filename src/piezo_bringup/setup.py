@@ -19,12 +19,12 @@ setup(
     zip_safe=False,
     maintainer="The maintainers",
     maintainer_email="maintainers@example.org",
-    description="Launch files, parameters and the demo of the piezo stage packages.",
+    description="Launch files, parameters and viewer layouts of the piezo stage packages.",
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "demo = piezo_studies.demo.demo_node:main",
-            "diagnose_suite = piezo_studies.diagnosis_benchmark.command:main",
+            "demo = piezo_bringup.moved:demo",
+            "diagnose_suite = piezo_bringup.moved:diagnose_suite",
             "suite = piezo_bringup.suite_command:main",
         ],
     },

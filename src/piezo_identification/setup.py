@@ -23,7 +23,7 @@ setup(
     entry_points={
         "console_scripts": [
             "identification = piezo_identification.node.start:main",
-            "measured = piezo_studies.measured_devices.measured_command:main",
+            "measured = piezo_identification.node.moved:measured",
             "diagnose = piezo_identification.commands.diagnose_command:main",
             "identify = piezo_identification.commands.identify_command:main",
             "simulate = piezo_identification.commands.simulate_command:main",

@@ -29,7 +29,9 @@ def test_no_module_imports_the_model_or_its_users(path):
 
 
 def test_the_simulated_stage_loads_neither_model_nor_ros():
-    program = "import sys, piezo_sim.simulated_stage; print(*{name.split('.')[0] for name in sys.modules})"
+    program = (
+        "import sys, piezo_sim.simulated_stage; "
+        "print(*{name.split('.')[0] for name in sys.modules})")
     loaded = subprocess.run(
         [sys.executable, "-c", program],
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},

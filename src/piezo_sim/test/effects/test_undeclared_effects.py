@@ -21,6 +21,7 @@ from piezo_sim.effects.intermittent_contact import IntermittentContact
 from piezo_sim.effects.logarithmic_creep import LogarithmicCreep
 from piezo_sim.effects.mains_hum import MainsHum
 from piezo_sim.effects.parallel_mode import ParallelMode
+from piezo_sim.effects.placement import add_effect
 from piezo_sim.effects.self_heating import SelfHeating
 from piezo_sim.effects.soft_backlash import SoftBacklash
 from piezo_sim.effects.soft_saturation import SoftSaturation
@@ -33,7 +34,6 @@ from piezo_sim.plant.linear_effects import ElectricLag, LinearRunner, VibrationM
 from piezo_sim.plant.plant_effect import PlantConfigError, Surroundings
 from piezo_sim.plant.plant_file import EFFECTS, parse_plant, read_plant
 from piezo_sim.simulated_stage import SimulatedStage
-from piezo_studies.diagnosis_benchmark.effect_draws import add_effect
 
 PERIOD_S = 2.5e-5
 SURROUNDINGS = Surroundings(sample_period_s=PERIOD_S, rest_voltage_v=0.0, seed=4)

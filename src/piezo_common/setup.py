@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: BSD-3-Clause
+from setuptools import find_packages, setup
+
+package = "piezo_common"
+
+setup(
+    name=package,
+    version="0.1.0",
+    packages=find_packages(include=[package, package + ".*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + package]),
+        ("share/" + package, ["package.xml"]),
+    ],
+    zip_safe=False,
+    maintainer="The maintainers",
+    maintainer_email="maintainers@example.org",
+    description="What every package may use: files, command lines, report pages, progress.",
+    license="BSD-3-Clause",
+)

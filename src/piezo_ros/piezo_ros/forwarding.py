@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Run an executable from its new place, and say where that is."""
+
+import os
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+
+def forward(package: str, executable: str) -> NoReturn:
+    """Replace this process by an executable of another package, with the same arguments.
+
+    Parameters
+    ----------
+    package, executable : str
+        Where the executable is now.
+
+    Raises
+    ------
+    SystemExit
+        With status 2 where that package is not installed.
+    """
+    print(f"{executable} has moved: ./run {package} {executable}", file=sys.stderr, flush=True)
+    try:
+        path = Path(get_package_prefix(package), "lib", package, executable)
+    except PackageNotFoundError:
+        print(f"{executable}: the package {package} is not installed: build it", file=sys.stderr)
+        sys.exit(2)
+    os.execv(path, [str(path), *sys.argv[1:]])

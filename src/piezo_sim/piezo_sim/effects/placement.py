@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where an effect that no model is told of stands in the chain of a plant."""
+
+import dataclasses
+
+from piezo_sim.effects.current_limit import CurrentLimit
+from piezo_sim.effects.depolarisation import Depolarisation
+from piezo_sim.effects.hardening_spring import HardeningSpring
+from piezo_sim.effects.intermittent_contact import IntermittentContact
+from piezo_sim.effects.logarithmic_creep import LogarithmicCreep
+from piezo_sim.effects.parallel_mode import ParallelMode
+from piezo_sim.effects.self_heating import SelfHeating
+from piezo_sim.effects.soft_backlash import SoftBacklash
+from piezo_sim.effects.soft_saturation import SoftSaturation
+from piezo_sim.effects.switching_delay import SwitchingDelay
+from piezo_sim.effects.thermal_drift import ThermalDrift
+from piezo_sim.plant.continuous_preisach import PreisachHysteresis
+from piezo_sim.plant.linear_effects import VibrationMode
+from piezo_sim.plant.plant_effect import Effect
+from piezo_sim.plant.plant_file import PlantConfig
+from piezo_sim.plant.sensor import DisplacementSensor
+
+
+def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
+    """Put an undeclared effect where it belongs in the chain of a plant.
+
+    Parameters
+    ----------
+    plant : PlantConfig
+        A plant that holds the effects of the default plant at least.
+    effect : piezo_sim.plant.plant_effect.Effect
+        Any effect of this package.
+    """
+    stage = list(plant.stage)
+    linear = [i for i, other in enumerate(stage) if hasattr(other, "state_space")]
+    if isinstance(effect, CurrentLimit | SoftSaturation):
+        return dataclasses.replace(plant, amplifier=(*plant.amplifier, effect))
+    if isinstance(effect, SwitchingDelay):
+        stage.insert(0, effect)
+    elif isinstance(effect, HardeningSpring | SelfHeating | IntermittentContact | Depolarisation):
+        hysteresis = [isinstance(other, PreisachHysteresis) for other in stage].index(True)
+        stage.insert(hysteresis + 1, effect)
+    elif isinstance(effect, LogarithmicCreep):
+        stage.insert(linear[0], effect)
+    elif isinstance(effect, ParallelMode):
+        modes = [i for i in linear if isinstance(stage[i], VibrationMode)]
+        stage.insert(modes[-1] + 1, effect)
+    elif isinstance(effect, SoftBacklash | ThermalDrift):
+        stage.append(effect)
+    else:
+        sensor = list(plant.sensor)
+        converter = [isinstance(other, DisplacementSensor) for other in sensor].index(True)
+        sensor.insert(converter, effect)
+        return dataclasses.replace(plant, sensor=tuple(sensor))
+    return dataclasses.replace(plant, stage=tuple(stage))
