@@ -20,13 +20,13 @@ ROOT = Path(__file__).parents[1]
 PAGES = sorted(path for path in [*ROOT.glob("README.md"), *ROOT.glob("test/README.md"),
                                  *ROOT.glob("docs/**/*.md")] if path.name != "errors.md")
 COVERED = {
-    "make demo": "src/piezo_bringup/test/test_demo_summary.py",
+    "make demo": "src/piezo_studies/test/demo/test_demo_summary.py",
     "make test": "test/test_layering.py",
     "make setup": "test/test_documented_commands.py",
     "make bench": "src/piezo_identification/test/test_simulation_study.py",
-    "make reproduce": "src/piezo_bringup/test/test_reproduction.py",
-    "make measured": "src/piezo_identification/test/test_measured_command.py",
-    "make diagnose-suite": "src/piezo_bringup/test/test_diagnose_suite.py",
+    "make reproduce": "src/piezo_studies/test/thesis/test_reproduction.py",
+    "make measured": "src/piezo_studies/test/measured_devices/test_measured_command.py",
+    "make diagnose-suite": "src/piezo_studies/test/diagnosis_benchmark/test_diagnose_suite.py",
     "make docs": "test/test_error_table.py",
     "make api": "test/test_docstrings.py",
     "make long": "test/test_bad_input.py",
