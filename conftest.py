@@ -18,6 +18,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
 LONG = bool(os.environ.get("LONG_TESTS"))
+DOCS = Path(__file__).parent / "docs"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 WIDTHS_PX = {"phone": 390, "desk": 1280}
 # Each page is laid out in a frame of its width; what does not fit or load is written down.
@@ -184,3 +185,23 @@ def picture_faults():
             line_faults(axes) for figure in figures for axes in figure.axes)})
 
     return faults
+
+
+@pytest.fixture
+def package_of_page(tmp_path):
+    """Lay out the package that a page tells to write, as pip would install it; return its place."""
+    def lay_out(page):
+        text = (DOCS / page).read_text(encoding="utf-8")
+        code = re.search(r"```python\n(.*?)```", text, re.S)[1]
+        group, name, target = re.search(
+            r'```toml\n\[project\.entry-points\."(.*?)"\]\n(\w+) = "(.*?)"', text).groups()
+        module = target.partition(":")[0]
+        directory = tmp_path / f"package_{module}"
+        metadata = directory / f"{module}-1.0.dist-info"
+        metadata.mkdir(parents=True)
+        (directory / f"{module}.py").write_text(code)
+        (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
+        (metadata / "entry_points.txt").write_text(f"[{group}]\n{name} = {target}\n")
+        return directory
+
+    return lay_out

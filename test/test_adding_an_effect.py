@@ -3,10 +3,8 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,31 +14,12 @@ from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_document import ModelFileError
 from piezo_models.model_file import load_model, save_model
 
-PAGE = Path(__file__).parents[1] / "docs" / "adding_an_effect.md"
 COSINE_UM, SINE_UM = 0.03, -0.02
 
 
-def block(language):
-    """The code of the page in one language."""
-    return re.search(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)[1]
-
-
-@pytest.fixture
-def outside(tmp_path):
-    """Directory with what pip would install of the page's package."""
-    directory = tmp_path / "outside"
-    metadata = directory / "cyclic_error-1.0.dist-info"
-    metadata.mkdir(parents=True)
-    (directory / "cyclic_error.py").write_text(block("python"))
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: cyclic-error\nVersion: 1.0\n")
-    group, name, target = re.search(
-        r'entry-points\."(.*?)"\]\n(\w+) = "(.*?)"', block("toml")).groups()
-    (metadata / "entry_points.txt").write_text(f"[{group}]\n{name} = {target}\n")
-    return directory
-
-
 def test_an_effect_from_outside_is_found_and_kept_in_the_model_file(
-        outside, plain_model, save_csv, tmp_path):
+        package_of_page, plain_model, save_csv, tmp_path):
+    outside = package_of_page("adding_an_effect.md")
     save_model(tmp_path / "model.json", IdentifiedModel(plain_model, (-20.0, 120.0)))
     voltage_v = validation(arc_s=0.03, tones_s=0.1).voltage_v
     displacement_um = plain_model.simulate(voltage_v, 25e-6)

@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The named experiments of the identification: which voltage is played, and how fast."""
+"""The named experiments of the identification: which voltage is played, and how fast.
+
+A package of its own adds an experiment through an entry point of the group
+`piezo_identification.experiments`.
+"""
 
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
+from piezo_common.registered import registered
 from piezo_identification.experiments.diagnostic_waveform import diagnostic_block
 from piezo_identification.experiments.input_designs import arc, stair_amplitudes, stair_harmonics
-from piezo_identification.experiments.relay_feedback import relay
+from piezo_identification.experiments.relay_feedback import RelayExperiment, relay
 
 SWING_FRACTION = 0.3
 """Step of the square waves over the voltage range: large, yet within the slew limit."""
@@ -271,18 +276,37 @@ FURTHER_EXPERIMENTS = {"multisine": multisine, "relay": relay, "diagnostic": dia
 """Those that run when asked for; `relay` acts in feedback, the others play a waveform."""
 
 
-def named_experiment(name, limits=StageLimits()):
-    """Experiment of this name with its default parameters.
+GROUP = "piezo_identification.experiments"
+"""Entry points by which other packages offer their experiments: functions of the stage's limits."""
+
+
+def named_experiment(name: str,
+                     limits: StageLimits = StageLimits()) -> Experiment | RelayExperiment:
+    """Make the experiment of this name with its default parameters.
+
+    Parameters
+    ----------
+    name : str
+        Of an experiment of this module, or of another package's.
+    limits : StageLimits
+        What the stage allows.
 
     Raises
     ------
     ValueError
-        If there is none of this name, or it does not fit into the limits.
+        If there is none of this name, it does not fit into the limits, or another package's
+        cannot be imported or makes something else than an experiment.
     """
-    experiments = EXPERIMENTS | FURTHER_EXPERIMENTS
-    if name not in experiments:
-        raise ValueError(f"unknown experiment '{name}': choose one of {', '.join(experiments)}")
-    return experiments[name](limits)
+    known = registered(GROUP, EXPERIMENTS | FURTHER_EXPERIMENTS)
+    if name not in known:
+        raise ValueError(f"unknown experiment '{name}': choose one of {', '.join(known)}")
+    experiment = known[name](limits)
+    if isinstance(experiment, RelayExperiment):
+        return experiment
+    if not isinstance(experiment, Experiment) or experiment.name != name:
+        raise ValueError(f"what is registered as the experiment '{name}' makes something else: "
+                         "let it return an Experiment of this name")
+    return _fitting(limits, experiment)
 
 
 def _square_wave(limits, period_s, sample_period_s, swing_v):
@@ -307,6 +331,15 @@ def _arcs_and_tones(limits, turns, tones, arc_s, tones_s):
 
 def _fitting(limits, experiment):
     """Return the experiment; refuse it if the stage would not play it unchanged."""
+    if experiment.voltage_v.ndim != 1 or not np.isfinite(experiment.voltage_v).all() or (
+            experiment.voltage_v.size == 0):
+        raise ValueError(f"experiment '{experiment.name}' has no waveform of finite voltages: "
+                         "make voltage_v one sequence of them")
+    held = experiment.sample_period_s * limits.sample_rate_hz
+    if held < 0.5 or abs(held - round(held)) > 1e-6 * held:
+        raise ValueError(
+            f"experiment '{experiment.name}' holds each value for {experiment.sample_period_s:g} "
+            f"s: make it a whole number of samples of {1.0 / limits.sample_rate_hz:g} s")
     lowest_v, highest_v = experiment.voltage_v.min(), experiment.voltage_v.max()
     tolerance_v = 1e-9 * limits.span_v
     if lowest_v < limits.voltage_min_v - tolerance_v or (

@@ -4,8 +4,7 @@
 A package of its own adds one through an entry point of the group `piezo_models.effects`.
 """
 
-from importlib.metadata import entry_points
-
+from piezo_common.registered import registered
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
@@ -63,10 +62,6 @@ def known_effects():
     Raises
     ------
     ValueError
-        If two have one name.
+        If two have one name, or one of another package cannot be imported.
     """
-    known = {}
-    for effect in (*EFFECTS, *(point.load() for point in entry_points(group=GROUP))):
-        if known.setdefault(effect.name, effect) is not effect:
-            raise ValueError(f"two effects are named {effect.name}: rename or uninstall one")
-    return known
+    return dict(registered(GROUP, {effect.name: effect for effect in EFFECTS}))

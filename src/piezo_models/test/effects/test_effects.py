@@ -1,15 +1,24 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import json
+import sys
 from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint
 from typing import ClassVar
 
 import control
 import numpy as np
 import pytest
 
-from piezo_models import effects as registry
+from piezo_common import registered as registered_module
 from piezo_models.cascade import StageModel
-from piezo_models.effects import EFFECTS, Effect, fitted_values, known_effects, with_fitted_values
+from piezo_models.effects import (
+    EFFECTS,
+    GROUP,
+    Effect,
+    fitted_values,
+    known_effects,
+    with_fitted_values,
+)
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
@@ -305,24 +314,26 @@ class Leak(Effect):
         return [cls(0.0)]
 
 
-class EntryPoint:
-    def __init__(self, kind):
-        self.load = lambda: kind
+@pytest.fixture
+def announce(monkeypatch):
+    """Let another package announce a class of this module as an effect."""
+    def announce(name, class_name):
+        monkeypatch.setitem(sys.modules, "lab_effects", sys.modules[__name__])
+        points = [EntryPoint(name, f"lab_effects:{class_name}", GROUP)]
+        monkeypatch.setattr(registered_module, "entry_points", lambda group: points)
+
+    return announce
 
 
-def test_another_package_adds_an_effect_by_an_entry_point(monkeypatch, tmp_path):
-    monkeypatch.setattr(registry, "entry_points", lambda group: [EntryPoint(Leak)])
+def test_another_package_adds_an_effect_by_an_entry_point(announce, tmp_path):
+    announce("leak", "Leak")
     assert known_effects()["leak"] is Leak
     path = tmp_path / "model.json"
     save_model(path, IdentifiedModel(stage((Leak(0.1),)), (-20.0, 120.0)))
     assert load_model(path).model.effects == (Leak(0.1),)
 
 
-def test_two_effects_of_one_name_are_refused(monkeypatch):
-    @dataclass(frozen=True)
-    class Other(Leak):
-        name: ClassVar[str] = "delay"
-
-    monkeypatch.setattr(registry, "entry_points", lambda group: [EntryPoint(Other)])
+def test_two_effects_of_one_name_are_refused(announce):
+    announce("delay", "Leak")
     with pytest.raises(ValueError, match="two effects are named delay"):
         known_effects()

@@ -3,12 +3,14 @@
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
 import yaml
 
+from piezo_common.registered import registered
 from piezo_sim.effects.current_limit import CurrentLimit
 from piezo_sim.effects.depolarisation import Depolarisation
 from piezo_sim.effects.distributed_lag import DistributedLag
@@ -32,6 +34,9 @@ from piezo_sim.plant.continuous_preisach import PreisachHysteresis
 from piezo_sim.plant.linear_effects import Creep, ElectricLag, VibrationMode
 from piezo_sim.plant.plant_effect import Effect, PlantConfigError
 from piezo_sim.plant.sensor import DisplacementSensor
+
+GROUP = "piezo_sim.effects"
+"""Entry points by which other packages offer effects of the plant."""
 
 # A further effect of the plant is one new module and one more entry here.
 EFFECTS = {
@@ -154,16 +159,28 @@ def _check_names(where: str, mapping, expected: list[str]) -> None:
 
 def _effect(where: str, entry) -> Effect:
     name = entry.get("effect") if isinstance(entry, dict) else None
-    known = EFFECTS | FAULTS
+    known = _known_effects()
     if not isinstance(name, str) or name not in known:
         raise PlantConfigError(
             f"{where} names an unknown effect {name!r}; known are {', '.join(known)}."
         )
     where = f"{where} {name}"
-    fields = dataclasses.fields(known[name])
+    try:
+        kind = known[name]
+    except ValueError as error:
+        raise PlantConfigError(f"{where}: {error}.") from None
+    fields = dataclasses.fields(kind)
     _check_names(where, entry, ["effect"] + [field.name for field in fields])
     values = {field.name: _value(where, field, entry[field.name]) for field in fields}
-    return known[name](**values)
+    return kind(**values)
+
+
+def _known_effects() -> Mapping[str, type[Effect]]:
+    """Effects and faults by their names, those of other packages after those of this one."""
+    try:
+        return registered(GROUP, EFFECTS | FAULTS)
+    except ValueError as error:
+        raise PlantConfigError(f"{error}.") from None
 
 
 def _value(where: str, field: dataclasses.Field, entry):

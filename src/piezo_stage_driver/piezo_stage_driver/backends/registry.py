@@ -2,7 +2,8 @@
 """Find a backend by its name: ours, and those that other packages announce."""
 
 from dataclasses import dataclass
-from importlib.metadata import entry_points
+
+from piezo_common.registered import registered
 
 GROUP = "piezo_stage_driver.backends"
 
@@ -48,12 +49,8 @@ def create_backend(name, settings):
     ValueError
         If there is none of this name, or it cannot be loaded or made.
     """
-    known = {point.name: point for point in entry_points(group=GROUP)}
+    known = registered(GROUP)
     if name not in known:
         raise ValueError(f"there is no backend {name!r}: set the parameter backend to "
                          f"{' or '.join(sorted(known))}, or install the package that has it")
-    try:
-        create = known[name].load()
-    except (ImportError, AttributeError) as error:
-        raise ValueError(f"the backend {name!r} cannot be loaded: {error}") from None
-    return create(settings)
+    return known[name](settings)

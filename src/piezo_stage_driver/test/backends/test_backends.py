@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A backend of another package is found by its entry point, as docs/adding_a_backend.md says."""
 
-import re
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,21 +10,13 @@ from piezo_stage_driver.backends.registry import BackendSettings, create_backend
 from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.safety.limits import VoltageLimits
 
-PAGE = Path(__file__).parents[4] / "docs" / "adding_a_backend.md"
 SETTINGS = BackendSettings("", 40000.0, 40, -20.0, 120.0, 0.0, 2000.0)
 
 
 @pytest.fixture
-def other_package(tmp_path, monkeypatch):
+def other_package(package_of_page, monkeypatch):
     """The package of the page, as if it were installed."""
-    module, = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    (tmp_path / "my_lab_stage.py").write_text(module)
-    metadata = tmp_path / "my_lab_stage-1.0.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: my_lab_stage\nVersion: 1.0\n")
-    points, = re.findall(r"```ini\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    (metadata / "entry_points.txt").write_text(points)
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.syspath_prepend(package_of_page("adding_a_backend.md"))
     yield
     sys.modules.pop("my_lab_stage", None)
 

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Find what other installed packages add to an open list of this suite."""
+
+from collections.abc import Iterator, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+
+def registered(group: str, own: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
+    """List what may be chosen by name: the suite's own objects, then those of other packages.
+
+    Other packages announce theirs by entry points. Their code is imported when it is looked up,
+    so that a broken package disturbs only those who ask for it.
+
+    Parameters
+    ----------
+    group : str
+        Group of the entry points, whose last part is the plural of what it holds, such as
+        ``piezo_models.effects``.
+    own : mapping of str to object, optional
+        The objects of this suite by their names.
+
+    Returns
+    -------
+    mapping of str to object
+        A look-up raises ValueError if the object cannot be imported, or bears another name in its
+        attribute ``name`` than its entry point.
+
+    Raises
+    ------
+    ValueError
+        If two objects have one name.
+    """
+    known: dict[str, Any] = dict(own or {})
+    for point in entry_points(group=group):
+        # A package that is found twice on the path announces the same twice.
+        before = known.setdefault(point.name, point)
+        if not (isinstance(before, EntryPoint) and before.value == point.value):
+            raise ValueError(f"two {_plural(group)} are named {point.name}: "
+                             "rename one, or uninstall its package")
+    return _Registered(group, known)
+
+
+class _Registered(Mapping[str, Any]):
+    """Objects by name, of which those behind entry points are imported when they are looked up."""
+
+    def __init__(self, group: str, known: dict[str, Any]) -> None:
+        self._group = group
+        self._known = known
+
+    def __getitem__(self, name: str) -> Any:
+        entry = self._known[name]
+        return _load(self._group, entry) if isinstance(entry, EntryPoint) else entry
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._known)
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._known
+
+
+def _load(group: str, point: EntryPoint) -> Any:
+    kind = _plural(group).removesuffix("s")
+    try:
+        found = point.load()
+    except Exception as error:  # whatever the code of others does while it is imported
+        raise ValueError(f"the {kind} {point.name!r} cannot be loaded: {error}; mend or uninstall "
+                         "the package that announces it") from error
+    name = getattr(found, "name", point.name)
+    if name != point.name:
+        raise ValueError(f"the {kind} {point.name!r} calls itself {name!r}: "
+                         "give its entry point that name")
+    return found
+
+
+def _plural(group: str) -> str:
+    return group.rpartition(".")[2]
