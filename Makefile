@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test quick long kernels soak bench reproduce measured diagnose-suite docs api clean
+.PHONY: help setup demo test style quick long kernels soak bench reproduce measured diagnose-suite docs api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -17,7 +17,10 @@ demo: ## identify and control the simulated stage; report in runs/demo
 	@./run piezo_bringup demo --output runs/demo
 
 test: setup ## check the style, then run the unit and the integration tests
-	@$(in_environment) .venv/bin/ruff check . && .venv/bin/python -m mypy && tools/tests
+	@$(in_environment) tools/style && tools/tests
+
+style: setup ## check the style alone: code, docstrings, types, spelling, prose
+	@tools/style
 
 quick: setup ## run the numerics of the unit tests, in less than a minute
 	@$(in_environment) tools/tests quick

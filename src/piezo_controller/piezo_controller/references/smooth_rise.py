@@ -13,7 +13,7 @@ def minimum_jerk(count):
 
 
 def smooth_rise(share):
-    """The quintic of `minimum_jerk` at any time: 0 before 0, 1 after 1.
+    """Evaluate the quintic of `minimum_jerk` at any time: 0 before 0, 1 after 1.
 
     Parameters
     ----------
