@@ -51,9 +51,10 @@ CASES ?= 260
 diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite
 	@./run piezo_bringup diagnose_suite --cases $(CASES) --seed $(SEED) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
-docs: setup ## write docs/errors.md and docs/stage_states.md from the sources
+docs: setup ## write docs/errors.md, docs/stage_states.md and the picture of the rooms from the sources
 	@.venv/bin/python tools/error_table.py
 	@.venv/bin/python tools/stage_table.py
+	@.venv/bin/python tools/import_graph.py
 
 api: setup ## make the API pages of the docstrings; start at build/api/index.html
 	@tools/apart api

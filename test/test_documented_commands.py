@@ -17,7 +17,7 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted(path for path in [*ROOT.glob("README.md"), *ROOT.glob("test/README.md"),
+PAGES = sorted(path for path in [*ROOT.glob("*.md"), *ROOT.glob("test/README.md"),
                                  *ROOT.glob("docs/**/*.md")] if path.name != "errors.md")
 COVERED = {
     "make demo": "src/piezo_studies/test/demo/test_demo_summary.py",
@@ -28,14 +28,15 @@ COVERED = {
     "make measured": "src/piezo_studies/test/measured_devices/test_measured_command.py",
     "make diagnose-suite": "src/piezo_studies/test/diagnosis_benchmark/test_diagnose_suite.py",
     "make docs": "test/test_error_table.py",
+    "make style": "test/test_style.py",
     "make api": "test/test_docstrings.py",
     "make long": "test/test_bad_input.py",
     "make quick": "test/test_kernels.py",
     "make kernels": "test/test_kernels.py",
 }
 # Of programs that are not ours, or that need a device.
-NOT_OURS = ("source ", "pip install", "ros2 bag", "ros2 lifecycle", "ros2 param", "ros2 service",
-            "ros2 topic", "ros2 interface", "ros2 security", "git clone", "cd ")
+NOT_OURS = ("source ", "pip install", "pre-commit ", "ros2 bag", "ros2 lifecycle", "ros2 param",
+            "ros2 service", "ros2 topic", "ros2 interface", "ros2 security", "git clone", "cd ")
 
 
 class Parsed(Exception):
@@ -113,7 +114,7 @@ def assert_is_goal(name, type_name, text):
     goal = getattr(importlib.import_module("piezo_interfaces.action"),
                    type_name.rsplit("/", 1)[1]).Goal()
     fill(goal, yaml.safe_load(text))
-    sources = "".join(path.read_text() for path in ROOT.glob("src/*/piezo_*/*_node.py"))
+    sources = "".join(path.read_text() for path in ROOT.glob("src/*/piezo_*/**/*_node.py"))
     assert f'"{name.lstrip("/")}"' in sources, f"nobody serves {name}"
 
 

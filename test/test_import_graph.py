@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The picture of the rooms shows what the sources import; no two packages import each other."""
+
+import importlib.util
+import sys
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SPEC = importlib.util.spec_from_file_location("import_graph", ROOT / "tools" / "import_graph.py")
+graph = importlib.util.module_from_spec(SPEC)
+sys.modules["import_graph"] = graph
+SPEC.loader.exec_module(graph)
+
+ROOMS_IN_CIRCLES = 11
+"""Of rooms that import each other within a package; none is to be added."""
+
+
+@pytest.fixture(scope="module")
+def imports():
+    return graph.imports_between_rooms(ROOT / "src")
+
+
+def test_list_of_the_picture_is_that_of_the_sources(imports):
+    assert graph.main(["--check"]) == 0, "run make docs"
+    lines = graph.LIST.read_text(encoding="utf-8").splitlines()
+    listed, room = set(), ""
+    for line in lines[2:]:
+        if line.startswith("    -> "):
+            listed.add((room, line.removeprefix("    -> ")))
+        elif line:
+            room = line
+    assert listed == set(imports)
+    assert ("piezo_models/effects", "piezo_models/linear") in listed
+
+
+def test_packages_import_in_no_circle(imports):
+    assert graph.circles(graph.between_packages(imports)) == []
+
+
+def test_no_further_rooms_import_each_other(imports):
+    in_circles = graph.circles(imports)
+    assert sum(map(len, in_circles)) <= ROOMS_IN_CIRCLES, in_circles
+
+
+def test_every_package_of_the_picture_stands_above_those_that_it_imports(imports):
+    row_of = {package: number for number, row in enumerate(graph.ROWS) for package in row}
+    rooms = graph.rooms_of(ROOT / "src")
+    assert {graph.package_of(room) for room in rooms} == set(row_of)
+    for above, below in graph.between_packages(imports):
+        assert row_of[above] > row_of[below], f"move {above} above {below} in ROWS"
+
+
+def test_frames_of_the_picture_do_not_overlap_and_fit_its_width(imports):
+    rooms = graph.rooms_of(ROOT / "src")
+    for row in graph.ROWS:
+        spans = []
+        for package, middle in row.items():
+            frame = graph.Frame(package, [room for room in rooms
+                                          if graph.package_of(room) == package], imports)
+            spans.append((middle - frame.width / 2, middle + frame.width / 2))
+        assert min(span[0] for span in spans) >= 0.0
+        assert max(span[1] for span in spans) <= graph.WIDTH
+        for one, other in combinations(sorted(spans), 2):
+            assert one[1] < other[0]
+
+
+def test_picture_is_drawn_with_every_room(imports, tmp_path, monkeypatch):
+    monkeypatch.setattr(graph, "PICTURE", tmp_path / "rooms.svg")
+    rooms = graph.rooms_of(ROOT / "src")
+    graph.draw(imports, rooms)
+    text = graph.PICTURE.read_text()
+    for room in rooms:
+        name = room.rpartition("/")[2].replace("_", " ").split()[0] if "/" in room else room
+        assert f"<!-- {name}" in text, room
+
+
+def module(path, text=""):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+def test_imports_are_found_wherever_they_stand_and_those_of_others_are_not(tmp_path):
+    package = tmp_path / "piezo_a" / "piezo_a"
+    module(package / "__init__.py")
+    module(package / "low" / "one.py")
+    module(package / "high" / "two.py", "from piezo_a.low.one import thing\nimport numpy\n"
+                                        "def f():\n    import piezo_a.top\n")
+    module(package / "top.py", "from piezo_a import low\nfrom piezo_interfaces.msg import X\n")
+    assert graph.imports_between_rooms(tmp_path) == {
+        ("piezo_a/high", "piezo_a"): 1, ("piezo_a/high", "piezo_a/low"): 1}
+
+
+def test_circle_is_found_and_its_lightest_import_is_the_one_that_goes_up():
+    edges = {("a", "b"): 3, ("b", "c"): 2, ("c", "a"): 1, ("c", "d"): 1}
+    assert graph.circles(edges) == [["a", "b", "c"]]
+    down, up = graph.without_circles(edges)
+    assert up == {("c", "a"): 1}
+    assert graph.circles(down) == []
+
+
+def test_edge_that_follows_from_others_is_not_drawn():
+    edges = {("a", "b"): 1, ("b", "c"): 1, ("a", "c"): 1}
+    assert graph.reduced(edges) == [("a", "b"), ("b", "c")]
