@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One schema layer for every file of the suite: types, units, ranges, versions, one wording."""
+
+from piezo_common.schema.checking import SchemaError, check
+from piezo_common.schema.fields import (
+    Document,
+    Number,
+    NumberOrNumbers,
+    Numbers,
+    NumberTree,
+    Part,
+    entry,
+    violation,
+)
+from piezo_common.schema.reading import checked, load_document, parsed
+
+__all__ = [
+    "Document", "Number", "NumberOrNumbers", "NumberTree", "Numbers", "Part", "SchemaError",
+    "check", "checked", "entry", "load_document", "parsed", "violation",
+]

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Check content against its schema; a refusal says where, what was found, and what to do."""
+
+import json
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from piezo_common.schema.fields import HIDDEN, VIOLATION, Part
+
+LONGEST_FOUND = 40
+"""Characters of what was found that a sentence quotes."""
+
+KINDS_OF_VALUE = {
+    "float_type": "a finite number", "finite_number": "a finite number",
+    "int_type": "a whole number", "int_from_float": "a whole number",
+    "string_type": "a text", "bool_type": "true or false", "list_type": "a list",
+    "dict_type": "an object", "model_type": "an object", "model_attributes_type": "an object",
+}
+"""What should have been found, by pydantic's type of the error."""
+
+P = TypeVar("P", bound=Part)
+
+
+class SchemaError(ValueError):
+    """Content that does not fit its schema.
+
+    Attributes
+    ----------
+    problem : str
+        The field, and what was found there.
+    cure : str
+        What to do.
+    """
+
+    def __init__(self, problem: str, cure: str) -> None:
+        super().__init__(f"{problem}; {cure}")
+        self.problem, self.cure = problem, cure
+
+
+def check(kind: type[P], content: object, where: str = "", renew: str = "correct the file") -> P:
+    """Check content against a schema.
+
+    Parameters
+    ----------
+    kind : type
+        A class of parts.
+    content : object
+        As a parser of JSON or YAML gives it.
+    where : str
+        Path of the content inside its file; empty for the whole.
+    renew : str
+        What to do about a field that is missing or unknown.
+
+    Returns
+    -------
+    Part
+        Of the class `kind`.
+
+    Raises
+    ------
+    SchemaError
+        If a field is missing, unknown, of another type or out of its range.
+    """
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+    raise SchemaError(*_problem_and_cure(first, where, renew)) from None
+
+
+def _problem_and_cure(error: Mapping[str, Any], where: str, renew: str) -> tuple[str, str]:
+    context = error.get("ctx", {})
+    if error["type"] == VIOLATION:
+        path = path_of(error["loc"], where)
+        inner = context["field"]
+        path = f"{path}.{inner}" if path and inner else path + inner
+        return f"{path or 'the content'} {context['problem']}", context["cure"]
+    path = path_of(error["loc"], where) or "the content"
+    problem, cure = _problem(error["type"], context, error["input"], renew)
+    return f"{path} {problem}", cure
+
+
+def _problem(kind: str, context: Mapping[str, Any], found: object, renew: str) -> tuple[str, str]:
+    """Return what is wrong with a field, and what to do, of an error of pydantic's."""
+    if kind == "missing":
+        return "is missing", renew
+    if kind == "extra_forbidden":
+        return "is unknown to this version", "remove it"
+    if kind in KINDS_OF_VALUE:
+        wanted = KINDS_OF_VALUE[kind]
+        return f"is not {wanted} (found {quoted(found)})", f"give {wanted}"
+    for name, relation in (("gt", "a number above"), ("ge", "a number from"),
+                           ("lt", "a number below"), ("le", "a number up to")):
+        if name in context:
+            limit = f"{relation} {context[name]:g}"
+            return f"is out of range (found {quoted(found)})", f"give {limit}"
+    if kind == "too_short":
+        return (f"has {context['actual_length']} entries",
+                f"give at least {context['min_length']}")
+    if kind == "too_long":
+        return f"has more than {context['max_length']} entries", "give no more"
+    if kind == "literal_error":
+        return f"is not {context['expected']} (found {quoted(found)})", "give what is expected"
+    return f"is not as it should be (found {quoted(found)})", renew
+
+
+def path_of(location: tuple[str | int, ...], where: str = "") -> str:
+    """Return a path such as ``hysteresis.density_um_per_v2[3][2]``.
+
+    Parameters
+    ----------
+    location : tuple of str or int
+        As pydantic gives it.
+    where : str
+        What stands before it.
+    """
+    path = where
+    for name in location:
+        if isinstance(name, int):
+            path += f"[{name}]"
+        elif not name.startswith(HIDDEN):
+            path += f".{name}" if path and not path.endswith(" ") else name
+    return path
+
+
+def quoted(found: object) -> str:
+    """Return what was found in a file, cut to a length that fits a sentence."""
+    try:
+        text = json.dumps(found, ensure_ascii=False, default=repr)
+    except (ValueError, TypeError, RecursionError):
+        text = type(found).__name__
+    text = " ".join(text.split())
+    return text if len(text) <= LONGEST_FOUND else text[:LONGEST_FOUND] + " ..."
