@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Calibration file of a stage behind a data acquisition card."""
 
-import math
-from dataclasses import dataclass, fields
+from os import PathLike
+from typing import ClassVar
 
-import yaml
+from pydantic import model_validator
 
-from piezo_common.text_file import UnreadableFile, read_bounded_text
+from piezo_common.schema import Document, Number, SchemaError, entry, load_document, violation
 
 # Of NI-DAQmx.
 TERMINALS = ("DEFAULT", "DIFF", "RSE", "NRSE", "PSEUDO_DIFF")
@@ -16,8 +16,7 @@ class CalibrationError(ValueError):
     """A calibration file that cannot be used; the message says where and what to do."""
 
 
-@dataclass(frozen=True)
-class Calibration:
+class Calibration(Document):
     """From volts at the card to volts at the stage and to um.
 
     Attributes
@@ -43,29 +42,51 @@ class Calibration:
         what every answer and every stop is later.
     """
 
-    output_channel: str
-    input_channel: str
-    terminal_configuration: str
-    amplifier_gain: float
-    amplifier_offset_v: float
-    output_minimum_v: float
-    output_maximum_v: float
-    sensor_um_per_v: float
-    sensor_offset_um: float
-    input_minimum_v: float
-    input_maximum_v: float
-    lead_ticks: int
+    TITLE: ClassVar[str] = "calibration file"
+    SYNTAX: ClassVar[str] = "yaml"
+    RENEW: ClassVar[str] = "add it"
+
+    output_channel: str = entry("Physical channel of the card that drives the amplifier.")
+    input_channel: str = entry("Physical channel of the card that reads the sensor.")
+    terminal_configuration: str = entry(f"Wiring of the input: {', '.join(TERMINALS)}.")
+    amplifier_gain: Number = entry("Volts at the stage per volt at the card; not 0.", unit="V/V")
+    amplifier_offset_v: Number = entry("Voltage at the stage for 0 V at the card.", unit="V")
+    output_minimum_v: Number = entry("Lowest output of the card.", unit="V")
+    output_maximum_v: Number = entry("Highest output of the card.", unit="V")
+    sensor_um_per_v: Number = entry("Displacement per volt at the card; not 0.", unit="um/V")
+    sensor_offset_um: Number = entry("Displacement for 0 V at the card.", unit="um")
+    input_minimum_v: Number = entry("Lowest input of the card.", unit="V")
+    input_maximum_v: Number = entry("Highest input of the card.", unit="V")
+    lead_ticks: int = entry("How many ticks ahead the output is written.",
+                            at_least=1, at_most=1_000_000_000)
+
+    @model_validator(mode="after")
+    def _check_together(self) -> "Calibration":
+        if self.terminal_configuration not in TERMINALS:
+            raise violation(f"is none of {', '.join(TERMINALS)}", "give one of them",
+                            "terminal_configuration")
+        for name in ("amplifier_gain", "sensor_um_per_v"):
+            if getattr(self, name) == 0.0:
+                raise violation("is 0", "measure it", name)
+        for name in ("output", "input"):
+            if getattr(self, f"{name}_minimum_v") >= getattr(self, f"{name}_maximum_v"):
+                raise violation(f"is not below {name}_maximum_v", "give the lower one first",
+                                f"{name}_minimum_v")
+        if self.output_channel.split("/")[0] != self.device:
+            raise violation("is not on the device of input_channel", "use channels of one card",
+                            "output_channel")
+        return self
 
     @property
-    def device(self):
+    def device(self) -> str:
         """Name of the card."""
         return self.input_channel.split("/")[0]
 
     @property
-    def voltage_range_v(self):
+    def voltage_range_v(self) -> tuple[float, float]:
         """Lowest and highest voltage at the stage that the card can ask for."""
-        return tuple(sorted(self.voltage_v(card_v)
-                            for card_v in (self.output_minimum_v, self.output_maximum_v)))
+        ends_v = (self.voltage_v(self.output_minimum_v), self.voltage_v(self.output_maximum_v))
+        return min(ends_v), max(ends_v)
 
     def card_v(self, voltage_v):
         """Volts at the card's output for volts at the stage."""
@@ -80,7 +101,7 @@ class Calibration:
         return self.sensor_um_per_v * card_v + self.sensor_offset_um
 
 
-def load_calibration(path):
+def load_calibration(path: str | PathLike[str]) -> Calibration:
     """Read a calibration file (YAML); every entry of `Calibration` must be in it.
 
     Raises
@@ -89,47 +110,6 @@ def load_calibration(path):
         If the file cannot be read, or an entry is unknown, missing or impossible.
     """
     try:
-        content = yaml.safe_load(read_bounded_text(path))
-    except UnreadableFile as error:
-        raise CalibrationError(f"{path}: the calibration {error}") from None
-    except (yaml.YAMLError, RecursionError) as error:
-        raise CalibrationError(f"{path}: no YAML file: {' '.join(str(error).split())}") from None
-    names = [field.name for field in fields(Calibration)]
-    if not isinstance(content, dict):
-        raise CalibrationError(f"{path}: give the entries {', '.join(names)}")
-    for name in content:
-        if name not in names:
-            raise CalibrationError(f"{path}: unknown entry {name!r}; known are {', '.join(names)}")
-    for field in fields(Calibration):
-        if field.name not in content:
-            raise CalibrationError(f"{path}: {field.name} is missing: add it")
-        _check_type(path, field, content[field.name])
-    return _checked(path, Calibration(**content))
-
-
-def _check_type(path, field, value):
-    fits = {str: isinstance(value, str),
-            int: type(value) is int,
-            float: type(value) in (int, float) and math.isfinite(value)}[field.type]
-    if not fits:
-        wanted = {str: "a text", int: "a whole number", float: "a finite number"}[field.type]
-        raise CalibrationError(f"{path}: {field.name} is {value!r}: give {wanted}")
-
-
-def _checked(path, calibration):
-    for sentence, holds in {
-        f"terminal_configuration is none of {', '.join(TERMINALS)}":
-            calibration.terminal_configuration in TERMINALS,
-        "amplifier_gain is 0": calibration.amplifier_gain != 0.0,
-        "sensor_um_per_v is 0": calibration.sensor_um_per_v != 0.0,
-        "lead_ticks is below 1: the card needs its samples in advance": calibration.lead_ticks >= 1,
-        "output_minimum_v is not below output_maximum_v":
-            calibration.output_minimum_v < calibration.output_maximum_v,
-        "input_minimum_v is not below input_maximum_v":
-            calibration.input_minimum_v < calibration.input_maximum_v,
-        "output_channel and input_channel are not on one device":
-            calibration.output_channel.split("/")[0] == calibration.device,
-    }.items():
-        if not holds:
-            raise CalibrationError(f"{path}: {sentence}")
-    return calibration
+        return load_document(Calibration, path)
+    except SchemaError as error:
+        raise CalibrationError(f"{path}: {error}") from None

@@ -242,17 +242,17 @@ def test_calibration_scales_both_ways():
 
 
 @pytest.mark.parametrize(("change", "sentence"), [
-    ({"lead_ticks": 0}, "lead_ticks is below 1"),
-    ({"lead_ticks": 1.5}, "lead_ticks is 1.5: give a whole number"),
+    ({"lead_ticks": 0}, "lead_ticks is out of range .found 0.; give a number from 1"),
+    ({"lead_ticks": 1.5}, "lead_ticks is not a whole number .found 1.5.; give a whole number"),
     ({"amplifier_gain": 0.0}, "amplifier_gain is 0"),
-    ({"amplifier_gain": "ten"}, "amplifier_gain is 'ten': give a finite number"),
+    ({"amplifier_gain": "ten"}, 'amplifier_gain is not a finite number .found "ten".; give a finite number'),
     ({"amplifier_gain": float("nan")}, "give a finite number"),
     ({"amplifier_gain": True}, "give a finite number"),
-    ({"input_channel": "Dev2/ai0"}, "are not on one device"),
+    ({"input_channel": "Dev2/ai0"}, "is not on the device of input_channel"),
     ({"input_minimum_v": 10.0}, "input_minimum_v is not below"),
     ({"terminal_configuration": "SINGLE"}, "terminal_configuration is none of DEFAULT, DIFF"),
-    ({"gain": 1.0}, "unknown entry 'gain'"),
-    ({"sensor_um_per_v": None}, "sensor_um_per_v is None"),
+    ({"gain": 1.0}, "gain is unknown"),
+    ({"sensor_um_per_v": None}, "sensor_um_per_v is not a finite number .found null"),
 ])
 def test_impossible_calibration_is_refused_in_one_sentence(tmp_path, change, sentence):
     path = tmp_path / "calibration.yaml"
