@@ -95,13 +95,13 @@ def test_weights_of_the_thesis_are_its_but_for_the_integrators_pole():
 
 @pytest.mark.parametrize("path, value, message", [
     (("performance", "poles"), [1.0], "on or outside the unit circle"),
-    (("performance", "gain"), -0.1, "positive number"),
+    (("performance", "gain"), -0.1, "performance.gain is out of range .found -0.1.; give a number above 0"),
     (("noise", "zeros"), [0.1, 0.2], "more zeros than poles"),
-    (("noise", "zeros"), ["a"], "lists of real numbers"),
-    (("feedforward_error",), "much", "positive number"),
-    (("sample_period_s",), float("nan"), "positive number"),
-    (("disturbance",), 3, "exactly gain, zeros and poles"),
-    (("surprise",), 1, "exactly the entries"),
+    (("noise", "zeros"), ["a"], "noise.zeros.0. is not a finite number"),
+    (("feedforward_error",), "much", 'feedforward_error is not a finite number .found "much"'),
+    (("sample_period_s",), float("nan"), "sample_period_s is not a finite number .found NaN"),
+    (("disturbance",), 3, "disturbance is not an object .found 3"),
+    (("surprise",), 1, "surprise is unknown"),
 ])
 def test_weights_that_describe_no_design_are_refused(tmp_path, path, value, message):
     weights = default_weights()

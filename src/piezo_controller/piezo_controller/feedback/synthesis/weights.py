@@ -2,22 +2,22 @@
 """Weights of the feedback design: what is asked of the loop, at which frequency."""
 
 import math
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
 import control
-import yaml
 from scipy.signal import zpk2ss
 
-from piezo_common.text_file import UnreadableFile, read_bounded_text
+from piezo_common.schema import SchemaError, load_document
+from piezo_controller.feedback.synthesis.weights_document import WeightsDocument
 
 DISTURBANCE_HZ = 20.0
 """Bandwidth of the disturbances that the weights are made for, section 5.3.1."""
 
 DEFAULT = "default"
-BUILT_IN = {DEFAULT: files(__package__) / "weights.yaml",
-            "thesis": files(__package__) / "weights_thesis.yaml"}
+BUILT_IN = {DEFAULT: files("piezo_controller") / "weights.yaml",
+            "thesis": files("piezo_controller") / "weights_thesis.yaml"}
 
 
 class WeightsError(ValueError):
@@ -122,47 +122,13 @@ def load_weights(path=DEFAULT):
     """
     source = BUILT_IN.get(str(path), Path(path))
     try:
-        entries = yaml.safe_load(read_bounded_text(source))
-    except (UnreadableFile, yaml.YAMLError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise WeightsError(f"the weights file {source} cannot be read: {reason}") from None
-    names = [field.name for field in fields(DesignWeights)]
-    if not isinstance(entries, dict) or set(entries) != set(names):
-        raise WeightsError(f"the weights file {source} must have exactly the entries "
-                           f'{", ".join(names)}')
+        document = load_document(WeightsDocument, source)
+    except SchemaError as error:
+        raise WeightsError(f"the weights file {source}: {error}") from None
     return DesignWeights(**{
-        field.name: (_weight if field.type is Weight else _positive)(
-            entries[field.name], field.name, source)
-        for field in fields(DesignWeights)})
+        name: Weight(value.gain, tuple(value.zeros), tuple(value.poles))
+        if hasattr(value, "gain") else value for name, value in document})
 
 
 def _product(point, zeros, poles):
     return math.prod(point - zero for zero in zeros) / math.prod(point - pole for pole in poles)
-
-
-def _positive(value, name, source):
-    if not _is_number(value) or value <= 0:
-        raise WeightsError(f"{name} in the weights file {source} is {value!r}: "
-                           "give a positive number")
-    return float(value)
-
-
-def _weight(entry, name, source):
-    where = f"{name} in the weights file {source}"
-    if not isinstance(entry, dict) or set(entry) != {"gain", "zeros", "poles"}:
-        raise WeightsError(f"{where} must have exactly gain, zeros and poles")
-    roots = entry["zeros"], entry["poles"]
-    if not all(isinstance(r, list) and all(_is_number(x) for x in r) for r in roots):
-        raise WeightsError(f"zeros and poles of {where} must be lists of real numbers")
-    if len(entry["zeros"]) > len(entry["poles"]):
-        raise WeightsError(f"{where} has more zeros than poles: give as many poles")
-    if any(abs(pole) >= 1 for pole in entry["poles"]):
-        raise WeightsError(f"{where} has a pole on or outside the unit circle, for which no "
-                           "controller exists: use 0.9995 for integral action")
-    gain = _positive(entry["gain"], f"gain of {name}", source)
-    return Weight(gain, *(tuple(float(x) for x in r) for r in roots))
-
-
-def _is_number(value):
-    return (isinstance(value, (int, float)) and not isinstance(value, bool)
-            and math.isfinite(value))
