@@ -3,16 +3,23 @@
 
 import json
 import math
+from os import PathLike
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import model_validator
 
-from piezo_common.text_file import (
-    UnreadableFile,
-    is_something_else,
-    read_bounded_text,
-    replace_text,
+from piezo_common.schema import (
+    Document,
+    Number,
+    Numbers,
+    SchemaError,
+    entry,
+    load_document,
+    violation,
 )
+from piezo_common.text_file import is_something_else, replace_text
 from piezo_controller.feedback.feedback_design import (
     FeedbackController,
     UnstableLoop,
@@ -21,12 +28,40 @@ from piezo_controller.feedback.feedback_design import (
 
 FORMAT = "piezo_stage_controller"
 VERSION = 1
-FIELDS = ("format", "version", "model_sha256", "sample_period_s", "report", "weights",
-          "A", "B", "C", "D")
 
 
 class ControllerFileError(ValueError):
     """A controller file that cannot be read or written: says path, field and cure."""
+
+
+class ControllerDocument(Document):
+    """The controller file: the state space of a feedback at the tick's rate."""
+
+    TITLE: ClassVar[str] = "controller file"
+    FORMAT: ClassVar[str] = FORMAT
+    VERSION: ClassVar[int] = VERSION
+    RENEW: ClassVar[str] = "design the controller again"
+
+    format: str = entry(f"Always {FORMAT}.")
+    version: Number = entry(f"Always {VERSION}.")
+    model_sha256: str = entry("Hash of the model file that it was designed for, or empty.")
+    sample_period_s: Number = entry("Tick of the stage.", unit="s", above=0.0)
+    report: dict[str, Any] = entry("What is known of the loop; not checked.")
+    weights: dict[str, Any] = entry("Weights of the design; empty for PID; not checked.")
+    A: list[Numbers] = entry("System matrix, n x n.")
+    B: list[Numbers] = entry("Input matrix, n x 1; the input is the tracking error (um).")
+    C: list[Numbers] = entry("Output matrix, 1 x n; the output is the voltage (V).")
+    D: list[Numbers] = entry("Direct part, 1 x 1.", unit="V/um")
+
+    @model_validator(mode="after")
+    def _check_shapes(self) -> "ControllerDocument":
+        order = len(self.A)
+        for name, (rows, columns) in {
+                "A": (order, order), "B": (order, 1), "C": (1, order), "D": (1, 1)}.items():
+            matrix = getattr(self, name)
+            if len(matrix) != rows or any(len(row) != columns for row in matrix):
+                raise violation(f"is not a {rows} x {columns} matrix", self.RENEW, name)
+        return self
 
 
 def save_controller(path, controller):
@@ -61,7 +96,7 @@ def save_controller(path, controller):
                                   "choose a directory that exists and is writable") from None
 
 
-def load_controller(path):
+def load_controller(path: str | PathLike[str]) -> FeedbackController:
     """Read a controller file.
 
     Parameters
@@ -79,48 +114,16 @@ def load_controller(path):
         or invalid field.
     """
     try:
-        document = json.loads(read_bounded_text(path))
-    except UnreadableFile as error:
-        raise ControllerFileError(f"{path}: {error}; give a controller file") from None
-    except (ValueError, RecursionError):
-        raise ControllerFileError(f"{path}: is not JSON; give a controller file") from None
-
-    def refuse(name, problem):
-        raise ControllerFileError(f"{path}: {name} {problem}; design the controller again")
-
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise ControllerFileError(f'{path}: format is not "{FORMAT}"; give a controller file')
-    if document.get("version") != VERSION:
-        refuse("version", f"is {document.get('version')!r}, not {VERSION}")
-    for name in FIELDS:
-        if name not in document:
-            refuse(name, "is missing")
-    for name in document:
-        if name not in FIELDS:
-            refuse(name, "is unknown to this version")
-
-    period_s = document["sample_period_s"]
-    if not isinstance(period_s, float) or not 0 < period_s < math.inf:
-        refuse("sample_period_s", "is not a positive time")
-    for name, kind in (("model_sha256", str), ("report", dict), ("weights", dict)):
-        if not isinstance(document[name], kind):
-            refuse(name, f"is not a {kind.__name__}")
-    matrices = {}
-    for name in "ABCD":
-        try:
-            matrices[name] = np.array(document[name], dtype=float)
-        except (TypeError, ValueError):
-            refuse(name, "is not a matrix of numbers")
-        if not np.isfinite(matrices[name]).all():
-            refuse(name, "holds a value that is not finite")
-    order = len(matrices["A"]) if matrices["A"].ndim else 0
-    shapes = {"A": (order, order), "B": (order, 1), "C": (1, order), "D": (1, 1)}
-    for name, shape in shapes.items():
-        if matrices[name].shape != shape:
-            refuse(name, f"is {matrices[name].shape}, not {shape}")
-    return FeedbackController(sample_period_s=period_s, report=document["report"],
-                              weights=document["weights"], model_sha256=document["model_sha256"],
-                              **matrices)
+        document = load_document(ControllerDocument, path)
+    except SchemaError as error:
+        raise ControllerFileError(f"{path}: {error}") from None
+    order = len(document.A)
+    return FeedbackController(
+        A=np.reshape(np.array(document.A, dtype=float), (order, order)),
+        B=np.reshape(np.array(document.B, dtype=float), (order, 1)),
+        C=np.array(document.C, dtype=float), D=np.array(document.D, dtype=float),
+        sample_period_s=document.sample_period_s, report=document.report,
+        weights=document.weights, model_sha256=document.model_sha256)
 
 
 def load_stabilising_controller(path, model, tick_s, clock_period_s):

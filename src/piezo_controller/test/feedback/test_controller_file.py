@@ -37,12 +37,12 @@ def test_controller_comes_back_to_the_bit(controller, tmp_path):
 @pytest.mark.parametrize("change, message", [
     ({"format": "piezo_stage_model"}, "give a controller file"),
     ({"version": 2}, "version is 2, not 1"),
-    ({"sample_period_s": 0}, "sample_period_s is not a positive time"),
-    ({"report": []}, "report is not a dict"),
-    ({"model_sha256": None}, "model_sha256 is not a str"),
-    ({"A": [[1.0, 2.0]]}, "A is"),
-    ({"B": "x"}, "B is not a matrix"),
-    ({"D": [[float("nan")]]}, "D holds a value that is not finite"),
+    ({"sample_period_s": 0}, "sample_period_s is out of range"),
+    ({"report": []}, "report is not an object"),
+    ({"model_sha256": None}, "model_sha256 is not a text"),
+    ({"A": [[1.0, 2.0]]}, "A is not a 1 x 1 matrix"),
+    ({"B": "x"}, "B is not a list"),
+    ({"D": [[float("nan")]]}, r"D\[0\]\[0\] is not a finite number"),
     ({"extra": 1}, "extra is unknown"),
 ])
 def test_changed_file_is_refused_with_path_and_field(document, tmp_path, change, message):
@@ -66,7 +66,7 @@ def test_file_that_is_none_is_refused(tmp_path):
     with pytest.raises(ControllerFileError, match="cannot be read"):
         load_controller(tmp_path / "none.json")
     (tmp_path / "text.json").write_text("{")
-    with pytest.raises(ControllerFileError, match="is not JSON"):
+    with pytest.raises(ControllerFileError, match="is not valid JSON"):
         load_controller(tmp_path / "text.json")
 
 
