@@ -6,9 +6,12 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
+from pydantic import ConfigDict
 
+from piezo_common.schema import Document, Number, Numbers, SchemaError, entry, load_document
 from piezo_common.text_file import replace_text
 
 FORMAT = "piezo_learned_feedforward"
@@ -17,6 +20,29 @@ VERSION = 1
 
 class LearnedFileError(ValueError):
     """A file of a learned feedforward that cannot be used: says path and cure."""
+
+
+class LearnedDocument(Document):
+    """The file of a learned feedforward: a correction, and what it was learned for."""
+
+    # Notes that a later release adds do not keep an older one from playing the correction.
+    model_config = ConfigDict(extra="ignore")
+
+    TITLE: ClassVar[str] = "learned feedforward"
+    FORMAT: ClassVar[str] = FORMAT
+    VERSION: ClassVar[int] = VERSION
+    RENEW: ClassVar[str] = "learn anew"
+
+    format: str = entry(f"Always {FORMAT}.")
+    version: Number = entry(f"Always {VERSION}.")
+    reference: dict[str, Any] = entry("The reference, field by field as in the message.")
+    model_sha256: str = entry("Hash of the model file.")
+    sample_rate_hz: Number = entry("Rate of the correction.", unit="Hz", above=0.0)
+    iterations: Any = entry("How many periods were learned from; a note.", default=None)
+    error_rms_um: Any = entry("Error of the learned harmonics at its best; a note.", unit="um",
+                              default=None)
+    correction_um: Numbers = entry(
+        "One period of what is added to the reference.", unit="um", shortest=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,27 +111,14 @@ def load_correction(path, reference, model_sha256, sample_rate_hz):
     """
     begin = f"the learned feedforward {str(path)!r}"
     try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise LearnedFileError(f"{begin} cannot be read: {error.strerror}") from None
-    except ValueError:
-        raise LearnedFileError(f"{begin} is no JSON: learn anew") from None
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise LearnedFileError(f"{begin} has another format than {FORMAT}: learn anew")
-    if document.get("version") != VERSION:
-        raise LearnedFileError(f"{begin} has version {document.get('version')}, not {VERSION}: "
-                               "learn anew")
+        document = load_document(LearnedDocument, path)
+    except SchemaError as error:
+        raise LearnedFileError(f"{begin}: {error.problem}; learn anew") from None
     for name, wanted in (("reference", _plain(reference)), ("model_sha256", model_sha256),
                          ("sample_rate_hz", sample_rate_hz)):
-        if document.get(name) != wanted:
+        if getattr(document, name) != wanted:
             raise LearnedFileError(f"{begin} was learned with another {name}: learn anew")
-    try:
-        correction_um = np.array(document["correction_um"], dtype=float)
-    except (KeyError, TypeError, ValueError):
-        correction_um = np.empty(0)
-    if correction_um.ndim != 1 or not correction_um.size or not np.isfinite(correction_um).all():
-        raise LearnedFileError(f"{begin} has no correction_um of finite numbers: learn anew")
-    return correction_um
+    return np.array(document.correction_um)
 
 
 def _plain(reference):

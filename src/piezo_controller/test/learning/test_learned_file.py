@@ -37,13 +37,13 @@ def test_each_reference_and_model_has_a_file_of_its_own(tmp_path):
 
 
 @pytest.mark.parametrize(("change", "sentence"), [
-    ({"version": 2}, "has version 2, not 1"),
-    ({"format": "other"}, "has another format"),
+    ({"version": 2}, "version is 2, not 1"),
+    ({"format": "other"}, 'format is "other", not'),
     ({"model_sha256": "abd"}, "was learned with another model_sha256"),
     ({"sample_rate_hz": 20_000.0}, "was learned with another sample_rate_hz"),
     ({"reference": {}}, "was learned with another reference"),
-    ({"correction_um": ["x"]}, "has no correction_um of finite numbers"),
-    ({"correction_um": []}, "has no correction_um of finite numbers"),
+    ({"correction_um": ["x"]}, r"correction_um\[0\] is not a finite number"),
+    ({"correction_um": []}, "correction_um has 0 entries"),
 ])
 def test_file_that_does_not_fit_is_refused_in_one_sentence(path, change, sentence):
     path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
@@ -55,7 +55,7 @@ def test_file_that_does_not_fit_is_refused_in_one_sentence(path, change, sentenc
 
 def test_file_that_is_no_json_or_not_there_is_refused(path):
     path.write_text("{")
-    with pytest.raises(LearnedFileError, match="is no JSON"):
+    with pytest.raises(LearnedFileError, match="is not valid JSON"):
         load_correction(path, *SAME)
     with pytest.raises(LearnedFileError, match="No such file"):
         load_correction(path.with_name("none.json"), *SAME)
