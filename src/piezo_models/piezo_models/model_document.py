@@ -1,10 +1,23 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The JSON document of a model file, as it is written."""
+"""The schema of a model file, and the document of a model as it is written."""
 
 import json
 import math
+from typing import Annotated, ClassVar
 
 import numpy as np
+from pydantic import Field, model_validator
+
+from piezo_common.schema import (
+    Document,
+    Number,
+    NumberOrNumbers,
+    Numbers,
+    NumberTree,
+    Part,
+    entry,
+    violation,
+)
 
 FORMAT = "piezo_stage_model"
 VERSION = 1
@@ -12,6 +25,168 @@ VERSION = 1
 
 class ModelFileError(ValueError):
     """A model file that cannot be read or written: says path, field and cure."""
+
+
+class CreepPart(Part):
+    """Creep, a chain of first-order sections (3.20)."""
+
+    poles_rad_per_s: Numbers = entry("Poles; positive.", unit="rad/s")
+    zeros_rad_per_s: Numbers = entry("Zeros, one for each pole; positive.", unit="rad/s")
+
+
+class DynamicsPart(Part):
+    """Electric lag and modes of vibration (3.24)."""
+
+    time_constant_s: Number = entry("Time constant of the amplifier's lag; 0 for none.", unit="s")
+    mode_frequencies_rad_per_s: Numbers = entry("Natural frequencies of the modes.", unit="rad/s")
+    damping_ratios: Numbers = entry("Damping ratio of each mode.", unit="1")
+    antiresonance_frequencies_rad_per_s: Numbers = entry(
+        "Frequencies of the antiresonances, no more than modes.", unit="rad/s")
+    antiresonance_damping_ratios: Numbers = entry("Damping ratio of each of them.", unit="1")
+
+
+class HystereticCreepPart(Part):
+    """Creep of play operators beside the hysteresis (thesis 6.2)."""
+
+    half_widths_v: Numbers = entry("Half the width of each play; not negative.", unit="V")
+    time_constants_s: Numbers = entry("Time constant of each; positive.", unit="s")
+    weights_um_per_v: Numbers = entry("Weight of each.", unit="um/V")
+
+
+class HysteresisPart(Part):
+    """Preisach hysteresis on a triangle of cells (3.6)."""
+
+    voltage_min_v: Number = entry("Lower end of the range of the density.", unit="V")
+    voltage_max_v: Number = entry("Upper end, above the lower one.", unit="V")
+    offset_um: Number = entry("Displacement at negative saturation.", unit="um")
+    reversible_um_per_v: Numbers | None = entry(
+        "Reversible part, one number for a cell of the diagonal; not negative.", unit="um/V",
+        default=None)
+    density_um_per_v2: list[Numbers] = entry(
+        "Density, row i with its i + 1 cells; not negative.", unit="um/V^2", shortest=1)
+
+    @model_validator(mode="after")
+    def _check_triangle(self) -> "HysteresisPart":
+        for i, row in enumerate(self.density_um_per_v2):
+            name = f"density_um_per_v2[{i}]"
+            if len(row) != i + 1:
+                raise violation(f"is not a list of {i + 1} numbers (found {len(row)})",
+                                f"give {i + 1} numbers", name)
+            if min(row) < 0.0:
+                raise violation("holds a negative cell", "fit a non-negative density", name)
+        reversible, cells = self.reversible_um_per_v, len(self.density_um_per_v2)
+        if reversible is not None:
+            if len(reversible) != cells:
+                raise violation(f"is not a list of {cells} numbers (found {len(reversible)})",
+                                f"give {cells} numbers", "reversible_um_per_v")
+            if min(reversible) < 0.0:
+                raise violation("holds a negative number", "fit a non-negative density",
+                                "reversible_um_per_v")
+        return self
+
+
+class EffectPart(Part):
+    """An effect that extends the cascade."""
+
+    name: str = entry("Name of an effect that is installed.")
+    parameters: dict[str, NumberOrNumbers] = entry(
+        "Its parameters, units in the names; see `piezo_models.effects`.")
+
+
+Deviation = Number | None
+"""A standard deviation; null where no data told the parameter."""
+
+Deviations = list[Deviation]
+"""One for each number of a parameter."""
+
+
+class CreepDeviations(Part):
+    """Standard deviations of the creep's parameters."""
+
+    poles_rad_per_s: Deviations = entry("Of each pole.", unit="rad/s")
+    zeros_rad_per_s: Deviations = entry("Of each zero.", unit="rad/s")
+
+
+class DynamicsDeviations(Part):
+    """Standard deviations of the parameters of the dynamics."""
+
+    time_constant_s: Deviation = entry("Of the time constant.", unit="s")
+    mode_frequencies_rad_per_s: Deviations = entry("Of each mode's frequency.", unit="rad/s")
+    damping_ratios: Deviations = entry("Of each mode's damping ratio.", unit="1")
+    antiresonance_frequencies_rad_per_s: Deviations = entry(
+        "Of each antiresonance's frequency.", unit="rad/s")
+    antiresonance_damping_ratios: Deviations = entry("Of their damping ratios.", unit="1")
+
+
+class UncertaintiesPart(Part):
+    """Standard deviations, in the shape of the parameters; none is negative, null is not told."""
+
+    creep: CreepDeviations | None = entry("Of the creep.", default=None)
+    dynamics: DynamicsDeviations | None = entry("Of the dynamics.", default=None)
+
+
+class RecordingPart(Part):
+    """A recording that the model was identified from."""
+
+    path: str = entry("Where it was.")
+    sha256: str = entry("Hash of its content.")
+
+
+class ModelDocument(Document):
+    """The model file: an identified model of a stage, readable by eye."""
+
+    TITLE: ClassVar[str] = "model file"
+    FORMAT: ClassVar[str] = FORMAT
+    VERSION: ClassVar[int] = VERSION
+    RENEW: ClassVar[str] = "identify the model again with this release, or save it again"
+
+    format: str = entry(f"Always {FORMAT}.")
+    version: Number = entry(f"Always {VERSION}.")
+    created: str = entry("Time of creation, ISO 8601.")
+    voltage_range_v: Numbers = entry(
+        "Lowest and highest voltage of the identification.", unit="V", shortest=2, longest=2)
+    sample_periods_s: dict[str, Annotated[Number, Field(gt=0.0)]] = entry(
+        "Sample period of each experiment; positive.", unit="s")
+    errors: NumberTree = entry("Errors on data that was not fitted, units in the names.")
+    recordings: list[RecordingPart] = entry("Where the model came from.")
+    creep: CreepPart = entry("Creep.")
+    dynamics: DynamicsPart = entry("Electric and vibration dynamics.")
+    effects: list[EffectPart] = entry("Effects that extend the cascade.", default=[])
+    uncertainties: UncertaintiesPart = entry(
+        "Standard deviations of parameters.", default=UncertaintiesPart())
+    hysteretic_creep: HystereticCreepPart | None = entry(
+        "Creep that depends on the branch of the hysteresis.", default=None)
+    visited: list[str] | None = entry(
+        "Row i of the density: 1 for each of its i + 1 cells that the recordings determine, "
+        "else 0.", default=None)
+    hysteresis: HysteresisPart = entry("Hysteresis.")
+
+    @model_validator(mode="after")
+    def _check_together(self) -> "ModelDocument":
+        low_v, high_v = self.voltage_range_v
+        if not low_v < high_v:
+            raise violation("does not increase", "give [lowest, highest]", "voltage_range_v")
+        rows = self.visited
+        if rows is not None and not (
+                len(rows) == len(self.hysteresis.density_um_per_v2)
+                and all(len(row) == i + 1 and set(row) <= {"0", "1"}
+                        for i, row in enumerate(rows))):
+            raise violation(
+                "is no triangle of 0 and 1 like the density", "give row i with a 1 for each of "
+                "its i + 1 cells that was visited, or leave the field out", "visited")
+        self._check_deviations()
+        return self
+
+    def _check_deviations(self) -> None:
+        for part in ("creep", "dynamics"):
+            for name, deviation in getattr(self.uncertainties, part) or ():
+                parameter, path = getattr(getattr(self, part), name), f"uncertainties.{part}.{name}"
+                if isinstance(parameter, list) and len(deviation) != len(parameter):
+                    raise violation(f"is not a list of {len(parameter)} numbers",
+                                    f"give {len(parameter)} numbers", path)
+                told = [value for value in np.atleast_1d(deviation) if value is not None]
+                if min(told, default=0.0) < 0.0:
+                    raise violation("is negative", "give standard deviations", path)
 
 
 def document_of(identified):

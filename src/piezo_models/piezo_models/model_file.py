@@ -1,23 +1,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The model file: one versioned JSON document, written atomically and read strictly."""
 
-import json
+from os import PathLike
 from pathlib import Path
 
-from piezo_common.text_file import (
-    UnreadableFile,
-    is_something_else,
-    read_bounded_text,
-    replace_text,
+from piezo_common.schema import SchemaError, load_document
+from piezo_common.text_file import is_something_else, replace_text
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_document import (
+    FORMAT,
+    ModelDocument,
+    ModelFileError,
+    document_of,
+    rendered,
 )
-from piezo_models.model_document import FORMAT, ModelFileError, document_of, rendered
-from piezo_models.model_reader import identified_model_of
+from piezo_models.model_reader import built_model, identified_model_of
 
 # A density of 1000 x 1000 cells fits.
 _LARGEST_FILE_BYTES = 32 * 2**20
 
 
-def save_model(path, identified):
+def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
     """Write a model file; the file at `path` is replaced at once or not at all.
 
     Parameters
@@ -47,7 +50,7 @@ def save_model(path, identified):
         ) from error
 
 
-def load_model(path):
+def load_model(path: str | PathLike[str]) -> IdentifiedModel:
     """Read a model file.
 
     Parameters
@@ -64,28 +67,7 @@ def load_model(path):
         If the file is missing, is not a model file of this version, or has a missing, unknown or
         invalid field.
     """
-    path = Path(path)
     try:
-        text = read_bounded_text(path, _LARGEST_FILE_BYTES)
-    except UnreadableFile as error:
-        raise ModelFileError(f"{path}: {error}; give a model file") from None
-    try:
-        document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise ModelFileError(
-            f"{path}: is not valid JSON ({error}); save the model again"
-        ) from error
-    return identified_model_of(document, path)
-
-
-def _unique(pairs):
-    fields = {}
-    for name, value in pairs:
-        if name in fields:
-            raise ValueError(f"field {name} is repeated")
-        fields[name] = value
-    return fields
-
-
-def _refuse_constant(name):
-    raise ValueError(f"{name} is no number")
+        return built_model(load_document(ModelDocument, path, _LARGEST_FILE_BYTES))
+    except SchemaError as error:
+        raise ModelFileError(f"{path}: {error}") from None

@@ -111,7 +111,7 @@ def put(value, *names):
         (put(True, "hysteresis", "offset_um"), "hysteresis.offset_um is not a finite number"),
         (put(10**400, "hysteresis", "offset_um"), "hysteresis.offset_um is not a finite number"),
         (put(200.0, "hysteresis", "voltage_min_v"), "hysteresis: the voltage range"),
-        (put([], "hysteresis", "density_um_per_v2"), "density_um_per_v2 is not a list of rows"),
+        (put([], "hysteresis", "density_um_per_v2"), "density_um_per_v2 has 0 entries"),
         (put([1.0], "hysteresis", "density_um_per_v2", 3), "density_um_per_v2[3]"),
         (put(None, "hysteresis", "density_um_per_v2", 3, 2), "density_um_per_v2[3][2]"),
         (put(-1e-9, "hysteresis", "density_um_per_v2", 3, 2), "density_um_per_v2[3] holds a neg"),
