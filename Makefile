@@ -51,10 +51,11 @@ CASES ?= 260
 diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite
 	@./run piezo_bringup diagnose_suite --cases $(CASES) --seed $(SEED) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
-docs: setup ## write docs/errors.md, docs/stage_states.md and the picture of the rooms from the sources
+docs: setup ## write the tables and the picture in docs that are made from the sources
 	@.venv/bin/python tools/error_table.py
 	@.venv/bin/python tools/stage_table.py
 	@.venv/bin/python tools/import_graph.py
+	@$(in_environment) .venv/bin/python tools/file_tables.py
 
 api: setup ## make the API pages of the docstrings; start at build/api/index.html
 	@tools/apart api

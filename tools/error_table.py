@@ -17,6 +17,8 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "errors.md"
 # Calls that put the path, the field, the problem and the cure together themselves.
 REFUSERS = {"refuse", "_refuse"}
+# Errors that are given problem, cure and perhaps the field.
+PARTED = {"SchemaError", "violation"}
 TRIPS = {"stop"}
 # Of a Python caller who broke a rule of the language; no user reads them.
 OF_PYTHON = {"StopIteration", "AttributeError", "SystemExit"}
@@ -106,6 +108,11 @@ def refusal(node):
     if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
         if ast.unparse(node.exc.func) in OF_PYTHON:
             return None
+        if called(node.exc) in PARTED and len(node.exc.args) > 1:
+            texts = [template(argument) or f"<{ast.unparse(argument)}>"
+                     for argument in node.exc.args]
+            field = texts[2] + " " if len(texts) > 2 else ""
+            return f"{field}{texts[0]}; {texts[1]}"
         inner = [keyword.value for argument in node.exc.args if isinstance(argument, ast.Call)
                  for keyword in argument.keywords if keyword.arg == "message"]
         return next(filter(None, map(template, [*node.exc.args, *inner])), None)

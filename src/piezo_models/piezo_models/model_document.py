@@ -3,18 +3,20 @@
 
 import json
 import math
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from piezo_common.schema import (
     Document,
+    NotNegative,
     Number,
     NumberOrNumbers,
     Numbers,
     NumberTree,
     Part,
+    Positive,
     entry,
     violation,
 )
@@ -30,26 +32,27 @@ class ModelFileError(ValueError):
 class CreepPart(Part):
     """Creep, a chain of first-order sections (3.20)."""
 
-    poles_rad_per_s: Numbers = entry("Poles; positive.", unit="rad/s")
-    zeros_rad_per_s: Numbers = entry("Zeros, one for each pole; positive.", unit="rad/s")
+    poles_rad_per_s: list[Positive] = entry("Poles.", unit="rad/s")
+    zeros_rad_per_s: list[Positive] = entry("Zeros, one for each pole.", unit="rad/s")
 
 
 class DynamicsPart(Part):
     """Electric lag and modes of vibration (3.24)."""
 
-    time_constant_s: Number = entry("Time constant of the amplifier's lag; 0 for none.", unit="s")
-    mode_frequencies_rad_per_s: Numbers = entry("Natural frequencies of the modes.", unit="rad/s")
-    damping_ratios: Numbers = entry("Damping ratio of each mode.", unit="1")
-    antiresonance_frequencies_rad_per_s: Numbers = entry(
+    time_constant_s: NotNegative = entry("Time constant of the amplifier's lag; 0 for none.", unit="s")
+    mode_frequencies_rad_per_s: list[Positive] = entry(
+        "Natural frequencies of the modes.", unit="rad/s")
+    damping_ratios: list[Positive] = entry("Damping ratio of each mode.", unit="1")
+    antiresonance_frequencies_rad_per_s: list[Positive] = entry(
         "Frequencies of the antiresonances, no more than modes.", unit="rad/s")
-    antiresonance_damping_ratios: Numbers = entry("Damping ratio of each of them.", unit="1")
+    antiresonance_damping_ratios: list[Positive] = entry("Damping ratio of each of them.", unit="1")
 
 
 class HystereticCreepPart(Part):
     """Creep of play operators beside the hysteresis (thesis 6.2)."""
 
-    half_widths_v: Numbers = entry("Half the width of each play; not negative.", unit="V")
-    time_constants_s: Numbers = entry("Time constant of each; positive.", unit="s")
+    half_widths_v: list[NotNegative] = entry("Half the width of each play.", unit="V")
+    time_constants_s: list[Positive] = entry("Time constant of each.", unit="s")
     weights_um_per_v: Numbers = entry("Weight of each.", unit="um/V")
 
 
@@ -59,11 +62,11 @@ class HysteresisPart(Part):
     voltage_min_v: Number = entry("Lower end of the range of the density.", unit="V")
     voltage_max_v: Number = entry("Upper end, above the lower one.", unit="V")
     offset_um: Number = entry("Displacement at negative saturation.", unit="um")
-    reversible_um_per_v: Numbers | None = entry(
-        "Reversible part, one number for a cell of the diagonal; not negative.", unit="um/V",
+    reversible_um_per_v: list[NotNegative] | None = entry(
+        "Reversible part, one number for a cell of the diagonal.", unit="um/V",
         default=None)
-    density_um_per_v2: list[Numbers] = entry(
-        "Density, row i with its i + 1 cells; not negative.", unit="um/V^2", shortest=1)
+    density_um_per_v2: list[list[NotNegative]] = entry(
+        "Density, row i with its i + 1 cells.", unit="um/V^2", shortest=1)
 
     @model_validator(mode="after")
     def _check_triangle(self) -> "HysteresisPart":
@@ -72,16 +75,10 @@ class HysteresisPart(Part):
             if len(row) != i + 1:
                 raise violation(f"is not a list of {i + 1} numbers (found {len(row)})",
                                 f"give {i + 1} numbers", name)
-            if min(row) < 0.0:
-                raise violation("holds a negative cell", "fit a non-negative density", name)
         reversible, cells = self.reversible_um_per_v, len(self.density_um_per_v2)
-        if reversible is not None:
-            if len(reversible) != cells:
-                raise violation(f"is not a list of {cells} numbers (found {len(reversible)})",
-                                f"give {cells} numbers", "reversible_um_per_v")
-            if min(reversible) < 0.0:
-                raise violation("holds a negative number", "fit a non-negative density",
-                                "reversible_um_per_v")
+        if reversible is not None and len(reversible) != cells:
+            raise violation(f"is not a list of {cells} numbers (found {len(reversible)})",
+                            f"give {cells} numbers", "reversible_um_per_v")
         return self
 
 
@@ -93,7 +90,7 @@ class EffectPart(Part):
         "Its parameters, units in the names; see `piezo_models.effects`.")
 
 
-Deviation = Number | None
+Deviation = NotNegative | None
 """A standard deviation; null where no data told the parameter."""
 
 Deviations = list[Deviation]
@@ -119,7 +116,7 @@ class DynamicsDeviations(Part):
 
 
 class UncertaintiesPart(Part):
-    """Standard deviations, in the shape of the parameters; none is negative, null is not told."""
+    """Standard deviations, in the shape of the parameters; null where no data told it."""
 
     creep: CreepDeviations | None = entry("Of the creep.", default=None)
     dynamics: DynamicsDeviations | None = entry("Of the dynamics.", default=None)
@@ -145,8 +142,8 @@ class ModelDocument(Document):
     created: str = entry("Time of creation, ISO 8601.")
     voltage_range_v: Numbers = entry(
         "Lowest and highest voltage of the identification.", unit="V", shortest=2, longest=2)
-    sample_periods_s: dict[str, Annotated[Number, Field(gt=0.0)]] = entry(
-        "Sample period of each experiment; positive.", unit="s")
+    sample_periods_s: dict[str, Positive] = entry(
+        "Sample period of each experiment.", unit="s")
     errors: NumberTree = entry("Errors on data that was not fitted, units in the names.")
     recordings: list[RecordingPart] = entry("Where the model came from.")
     creep: CreepPart = entry("Creep.")
@@ -184,9 +181,6 @@ class ModelDocument(Document):
                 if isinstance(parameter, list) and len(deviation) != len(parameter):
                     raise violation(f"is not a list of {len(parameter)} numbers",
                                     f"give {len(parameter)} numbers", path)
-                told = [value for value in np.atleast_1d(deviation) if value is not None]
-                if min(told, default=0.0) < 0.0:
-                    raise violation("is negative", "give standard deviations", path)
 
 
 def document_of(identified):

@@ -4,17 +4,19 @@
 from piezo_common.schema.checking import SchemaError, check
 from piezo_common.schema.fields import (
     Document,
+    NotNegative,
     Number,
     NumberOrNumbers,
     Numbers,
     NumberTree,
     Part,
+    Positive,
     entry,
     violation,
 )
 from piezo_common.schema.reading import checked, load_document, parsed
 
 __all__ = [
-    "Document", "Number", "NumberOrNumbers", "NumberTree", "Numbers", "Part", "SchemaError",
-    "check", "checked", "entry", "load_document", "parsed", "violation",
+    "Document", "NotNegative", "Number", "NumberOrNumbers", "NumberTree", "Numbers", "Part",
+    "Positive", "SchemaError", "check", "checked", "entry", "load_document", "parsed", "violation",
 ]

@@ -21,6 +21,12 @@ Number = float
 Numbers = list[Number]
 """A list of finite numbers."""
 
+Positive = Annotated[Number, Field(gt=0.0)]
+"""A finite number above 0."""
+
+NotNegative = Annotated[Number, Field(ge=0.0)]
+"""A finite number from 0."""
+
 NumberOrNumbers = Annotated[
     Annotated[Number, Tag(_NUMBER)] | Annotated[Numbers, Tag(_LIST)],
     Discriminator(lambda value: _LIST if isinstance(value, (list, tuple)) else _NUMBER)]

@@ -95,7 +95,8 @@ def test_weights_of_the_thesis_are_its_but_for_the_integrators_pole():
 
 @pytest.mark.parametrize("path, value, message", [
     (("performance", "poles"), [1.0], "on or outside the unit circle"),
-    (("performance", "gain"), -0.1, "performance.gain is out of range .found -0.1.; give a number above 0"),
+    (("performance", "gain"), -0.1,
+     "performance.gain is out of range .found -0.1.; give a number above 0"),
     (("noise", "zeros"), [0.1, 0.2], "more zeros than poles"),
     (("noise", "zeros"), ["a"], "noise.zeros.0. is not a finite number"),
     (("feedforward_error",), "much", 'feedforward_error is not a finite number .found "much"'),

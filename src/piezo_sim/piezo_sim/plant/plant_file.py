@@ -2,15 +2,29 @@
 """Strict reading of a plant file: every parameter with value, unit and source."""
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import Any, ClassVar
 
-import yaml
+from pydantic import create_model, model_validator
 
 from piezo_common.registered import registered
+from piezo_common.schema import (
+    Document,
+    Number,
+    Numbers,
+    Part,
+    SchemaError,
+    check,
+    entry,
+    parsed,
+    violation,
+)
+from piezo_common.schema.checking import quoted
+from piezo_common.text_file import UnreadableFile, read_bounded_text
 from piezo_sim.effects.current_limit import CurrentLimit
 from piezo_sim.effects.depolarisation import Depolarisation
 from piezo_sim.effects.distributed_lag import DistributedLag
@@ -93,6 +107,55 @@ class PlantConfig:
     sensor: tuple[Effect, ...]
 
 
+class PlantDocument(Document):
+    """The plant file: effects in the order in which the signal passes them."""
+
+    TITLE: ClassVar[str] = "plant file"
+    SYNTAX: ClassVar[str] = "yaml"
+    RENEW: ClassVar[str] = "add it"
+
+    amplifier: list[dict[str, Any]] = entry(
+        "From the commanded voltage to the applied voltage (V); each entry names its `effect`, "
+        "and gives each parameter with `value`, `unit` and `source`.", shortest=1)
+    stage: list[dict[str, Any]] = entry(
+        "From the applied voltage (V) to the true displacement (um); entries as above.",
+        shortest=1)
+    sensor: list[dict[str, Any]] = entry(
+        "From the true to the measured displacement (um); entries as above.", shortest=1)
+
+
+class Parameter(Part):
+    """A parameter of an effect with its unit and its source."""
+
+    UNIT: ClassVar[str] = ""
+
+    value: Any = entry("A number, a whole number or a list of numbers, as the effect asks for.")
+    unit: str = entry("The unit that the effect states.")
+    source: str = entry("Where the value comes from; not empty.")
+
+    @model_validator(mode="after")
+    def _check_unit_and_source(self) -> "Parameter":
+        if self.unit != self.UNIT:
+            raise violation(f"is {quoted(self.unit)}", f'state the value in "{self.UNIT}"', "unit")
+        if not self.source.strip():
+            raise violation("is empty", "say where the value comes from", "source")
+        return self
+
+
+@cache
+def effect_schema(kind: type[Effect]) -> type[Part]:
+    """Return the schema of an effect's entry in a plant file, from the effect's own fields."""
+    def parameter(field: dataclasses.Field) -> type[Part]:
+        value = {int: int, float: Number}.get(field.type, Numbers)
+        typed = create_model("Value", __base__=Parameter, value=(value, ...))
+        typed.UNIT = field.metadata["unit"]
+        return typed
+
+    fields: dict[str, Any] = {field.name: (parameter(field), ...)
+                              for field in dataclasses.fields(kind)}
+    return create_model(kind.__name__, __base__=Part, effect=(str, ...), **fields)
+
+
 def read_plant(path: str | Path | None = None) -> PlantConfig:
     """Read a plant file.
 
@@ -109,12 +172,9 @@ def read_plant(path: str | Path | None = None) -> PlantConfig:
     """
     file = resources.files("piezo_sim") / "plant.yaml" if path is None else Path(path)
     try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise PlantConfigError(f"{file}: the plant file cannot be read: {reason}.") from None
-    try:
-        return parse_plant(text)
+        return parse_plant(read_bounded_text(file))
+    except UnreadableFile as error:
+        raise PlantConfigError(f"{file}: the plant file {error}.") from None
     except PlantConfigError as error:
         raise PlantConfigError(f"{file}: {error}") from None
 
@@ -122,57 +182,29 @@ def read_plant(path: str | Path | None = None) -> PlantConfig:
 def parse_plant(text: str) -> PlantConfig:
     """Parse the text of a plant file; see `read_plant`."""
     try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise PlantConfigError(f"not a YAML file: {' '.join(str(error).split())}.") from None
-    sections = [field.name for field in dataclasses.fields(PlantConfig)]
-    _check_names("the plant file", content, sections)
-    return PlantConfig(
-        **{
-            section: tuple(
-                _effect(f"{section}[{index}]", entry)
-                for index, entry in enumerate(_list(section, content[section]))
-            )
-            for section in sections
-        }
-    )
+        document = parsed(PlantDocument, text)
+        return PlantConfig(**{
+            section: tuple(_effect(f"{section}[{index}]", content)
+                           for index, content in enumerate(contents))
+            for section, contents in document})
+    except SchemaError as error:
+        raise PlantConfigError(f"{error}.") from None
 
 
-def _list(where: str, value) -> list:
-    if not isinstance(value, list) or not value:
-        raise PlantConfigError(f"{where} must be a list of at least one effect.")
-    return value
-
-
-def _check_names(where: str, mapping, expected: list[str]) -> None:
-    if not isinstance(mapping, dict):
-        raise PlantConfigError(f"{where} must hold {', '.join(expected)}.")
-    for name in mapping:
-        if name not in expected:
-            raise PlantConfigError(
-                f"{where} has an unknown entry {name!r}; it may hold {', '.join(expected)}."
-            )
-    for name in expected:
-        if name not in mapping:
-            raise PlantConfigError(f"{where} lacks {name}; add it.")
-
-
-def _effect(where: str, entry) -> Effect:
-    name = entry.get("effect") if isinstance(entry, dict) else None
+def _effect(where: str, content: dict[str, Any]) -> Effect:
+    name = content.get("effect")
     known = _known_effects()
     if not isinstance(name, str) or name not in known:
-        raise PlantConfigError(
-            f"{where} names an unknown effect {name!r}; known are {', '.join(known)}."
-        )
-    where = f"{where} {name}"
+        raise SchemaError(f"{where}.effect names an unknown effect (found {quoted(name)})",
+                          f"known are {', '.join(known)}")
     try:
         kind = known[name]
     except ValueError as error:
-        raise PlantConfigError(f"{where}: {error}.") from None
-    fields = dataclasses.fields(kind)
-    _check_names(where, entry, ["effect"] + [field.name for field in fields])
-    values = {field.name: _value(where, field, entry[field.name]) for field in fields}
-    return kind(**values)
+        raise SchemaError(f"{where}: {error}") from None
+    part = check(effect_schema(kind), content, f"{where} {name}: ", PlantDocument.RENEW)
+    values = {field.name: getattr(part, field.name).value for field in dataclasses.fields(kind)}
+    return kind(**{name: tuple(value) if isinstance(value, list) else value
+                   for name, value in values.items()})
 
 
 def _known_effects() -> Mapping[str, type[Effect]]:
@@ -180,32 +212,4 @@ def _known_effects() -> Mapping[str, type[Effect]]:
     try:
         return registered(GROUP, EFFECTS | FAULTS)
     except ValueError as error:
-        raise PlantConfigError(f"{error}.") from None
-
-
-def _value(where: str, field: dataclasses.Field, entry):
-    where = f"{where}: {field.name}"
-    _check_names(where, entry, ["value", "unit", "source"])
-    unit = field.metadata["unit"]
-    if entry["unit"] != unit:
-        raise PlantConfigError(f"{where} has the unit {entry['unit']!r}; state it in {unit!r}.")
-    if not isinstance(entry["source"], str) or not entry["source"].strip():
-        raise PlantConfigError(f"{where} has no source; say where the value comes from.")
-    value = entry["value"]
-    if field.type is int:
-        if type(value) is not int:
-            raise PlantConfigError(f"{where} must be an integer, not {value!r}.")
-        return value
-    if field.type is float:
-        return _number(where, value)
-    if not isinstance(value, list):
-        raise PlantConfigError(f"{where} must be a list of numbers, not {value!r}.")
-    return tuple(_number(where, item) for item in value)
-
-
-def _number(where: str, value) -> float:
-    if type(value) not in (int, float):
-        raise PlantConfigError(f"{where} must be a number, not {value!r}.")
-    if not math.isfinite(value):
-        raise PlantConfigError(f"{where} must be finite, not {value!r}.")
-    return float(value)
+        raise SchemaError(str(error)) from None

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Write the fields of a schema as a table in Markdown."""
+
+from collections.abc import Iterator
+from typing import Any, get_args, get_origin
+
+from pydantic.fields import FieldInfo
+
+from piezo_common.schema.fields import Document, NumberOrNumbers, NumberTree, Part
+
+HEAD = "| field | type | unit | range | meaning |\n|---|---|---|---|---|\n"
+RANGES = {"gt": "> {:g}", "ge": ">= {:g}", "lt": "< {:g}", "le": "<= {:g}",
+          "min_length": "{} or more entries", "max_length": "{} or fewer entries"}
+NAMES = {float: "number", int: "whole number", str: "text", bool: "true or false",
+         Any: "anything", type(None): "nothing"}
+
+
+def table(kind: type[Document]) -> str:
+    """Return the table of a document's fields, those of its parts under their own path.
+
+    Parameters
+    ----------
+    kind : type
+        A class of documents.
+    """
+    return HEAD + "".join(_rows(kind, ""))
+
+
+def _rows(kind: type[Part], prefix: str) -> Iterator[str]:
+    for name, field in kind.model_fields.items():
+        extra = field.json_schema_extra
+        unit = extra.get("unit", "") if isinstance(extra, dict) else ""
+        optional = "" if field.is_required() else " (may be left out)"
+        cells = (f"`{prefix}{name}`", type_name(field.annotation), unit, range_of(field),
+                 f"{field.description or ''}{optional}")
+        yield "| " + " | ".join(str(cell) for cell in cells) + " |\n"
+        part = _part(field.annotation)
+        if part:
+            brackets = "[]" if get_origin(field.annotation) is list else ""
+            yield from _rows(part, f"{prefix}{name}{brackets}.")
+
+
+def type_name(annotation: Any) -> str:
+    """Return what a reader of the documentation calls a type."""
+    if annotation is NumberTree:
+        return "numbers by name, nested"
+    if annotation == NumberOrNumbers:
+        return "number or list of numbers"
+    if annotation in NAMES:
+        return NAMES[annotation]
+    if isinstance(annotation, type) and issubclass(annotation, Part):
+        return "object"
+    if hasattr(annotation, "__metadata__"):
+        return type_name(annotation.__origin__)
+    arguments = [entry for entry in get_args(annotation) if entry is not type(None)]
+    origin = get_origin(annotation)
+    if origin is list:
+        return f"list of {_plural(type_name(arguments[0]))}"
+    if origin is dict:
+        return f"{_plural(type_name(arguments[1]))} by name"
+    return type_name(arguments[0])
+
+
+def _plural(name: str) -> str:
+    first, of, others = name.partition(" of ")
+    return name if name == "anything" or " or " in name else f"{first}s{of}{others}"
+
+
+def range_of(field: FieldInfo) -> str:
+    """Return the range of a number, or of the numbers and the length of a list."""
+    limits = [*_limits(field.annotation), *field.metadata]
+    return ", ".join(word.format(getattr(limit, name)) for limit in limits
+                     for name, word in RANGES.items() if getattr(limit, name, None) is not None)
+
+
+def _limits(annotation: Any) -> Iterator[Any]:
+    """Yield what limits the numbers that a list or an object holds."""
+    for part in get_args(annotation):
+        for info in getattr(part, "__metadata__", ()):
+            yield from getattr(info, "metadata", ())
+        yield from _limits(part)
+
+
+def _part(annotation: Any) -> type[Part] | None:
+    """Return the class of parts that a type holds, if it holds one."""
+    if isinstance(annotation, type) and issubclass(annotation, Part):
+        return annotation
+    return next(filter(None, map(_part, get_args(annotation))), None)

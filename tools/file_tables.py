@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Write the tables of fields in docs/files.md from the schemas of the files.
+
+    python tools/file_tables.py [--check]
+
+A table stands between two comments, `fields of NAME` and `end`; the text around them is written by
+hand and stays.
+"""
+
+import argparse
+import re
+import sys
+from importlib import import_module
+from pathlib import Path
+
+from piezo_common.schema.tables import table
+
+PAGE = Path(__file__).parents[1] / "docs" / "files.md"
+DOCUMENTS = {
+    "model": "piezo_models.model_document:ModelDocument",
+    "controller": "piezo_controller.feedback.controller_file:ControllerDocument",
+    "weights": "piezo_controller.feedback.synthesis.weights_document:WeightsDocument",
+    "learned": "piezo_controller.learning.learned_file:LearnedDocument",
+    "calibration": "piezo_stage_driver.backends.calibration:Calibration",
+    "plant": "piezo_sim.plant.plant_file:PlantDocument",
+}
+SECTION = re.compile(r"(<!-- fields of (\w+) -->\n).*?(<!-- end -->)", re.S)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the page, or with ``--check`` only say whether it is up to date."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--check", action="store_true", help="write nothing; status 1 if outdated")
+    options = parser.parse_args(arguments)
+    before = PAGE.read_text(encoding="utf-8")
+    after = page(before)
+    if not options.check:
+        PAGE.write_text(after, encoding="utf-8")
+    elif before != after:
+        print("file_tables: docs/files.md is outdated: run make docs", file=sys.stderr)
+        return 1
+    return 0
+
+
+def page(text: str) -> str:
+    """Return the text of the page with its tables written anew.
+
+    Raises
+    ------
+    ValueError
+        If the page lacks the section of a document, or has one too many.
+    """
+    found = [match[2] for match in SECTION.finditer(text)]
+    if sorted(found) != sorted(DOCUMENTS):
+        raise ValueError(f"docs/files.md has sections for {', '.join(found)}; "
+                         f"give one for each of {', '.join(DOCUMENTS)}")
+    return SECTION.sub(lambda match: match[1] + table_of(match[2]) + match[3], text)
+
+
+def table_of(name: str) -> str:
+    """Return the table of a document by its short name."""
+    module, _, kind = DOCUMENTS[name].partition(":")
+    return table(getattr(import_module(module), kind))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
