@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Write docs/stage_states.md: the states of the stage, from the table that its supervisor goes by.
 
-    python tools/stage_table.py [--check]
+python tools/stage_table.py [--check]
 """
 
 import argparse

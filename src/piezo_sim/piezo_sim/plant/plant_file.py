@@ -200,7 +200,7 @@ def _effect(where: str, content: dict[str, Any]) -> Effect:
     try:
         kind = known[name]
     except ValueError as error:
-        raise SchemaError(f"{where}: {error}") from None
+        raise _schema_error(f"{where}: {error}") from None
     part = check(effect_schema(kind), content, f"{where} {name}: ", PlantDocument.RENEW)
     values = {field.name: getattr(part, field.name).value for field in dataclasses.fields(kind)}
     return kind(**{name: tuple(value) if isinstance(value, list) else value
@@ -212,4 +212,9 @@ def _known_effects() -> Mapping[str, type[Effect]]:
     try:
         return registered(GROUP, EFFECTS | FAULTS)
     except ValueError as error:
-        raise SchemaError(str(error)) from None
+        raise _schema_error(str(error)) from None
+
+
+def _schema_error(text: str) -> SchemaError:
+    problem, _, cure = text.rpartition(": ")
+    return SchemaError(problem, cure)
