@@ -86,3 +86,15 @@ def test_package_that_is_found_twice_on_the_path_counts_once(install, monkeypatc
                         square="lab_shapes:Square")
     monkeypatch.syspath_prepend(directory)
     assert list(registered(GROUP)) == ["square"]
+
+
+def test_entry_points_are_read_once_until_the_path_changes(install, monkeypatch):
+    read = []
+    monkeypatch.setattr("piezo_common.registered.entry_points",
+                        lambda group: read.append(group) or ())
+    for _ in range(3):
+        registered("piezo_test.read_once")
+    assert read == ["piezo_test.read_once"]
+    install("lab_shapes", "", square="lab_shapes:Square")
+    registered("piezo_test.read_once")
+    assert len(read) == 2

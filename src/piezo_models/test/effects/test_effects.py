@@ -320,7 +320,7 @@ def announce(monkeypatch):
     def announce(name, class_name):
         monkeypatch.setitem(sys.modules, "lab_effects", sys.modules[__name__])
         points = [EntryPoint(name, f"lab_effects:{class_name}", GROUP)]
-        monkeypatch.setattr(registered_module, "entry_points", lambda group: points)
+        monkeypatch.setattr(registered_module, "_announced", lambda group, path: points)
 
     return announce
 
