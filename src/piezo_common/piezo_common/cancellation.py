@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """End long numerical work from outside, wherever in it."""
 
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-_check = ContextVar("check", default=lambda: None)
+_check: ContextVar[Callable[[], object]] = ContextVar("check", default=lambda: None)
 
 
 @contextmanager
-def checking(check):
-    """Have `check_cancelled` call a function meanwhile, in this thread.
+def checking(check: Callable[[], object]) -> Iterator[None]:
+    """Let `check_cancelled` call a function while the context lasts, in this thread.
 
     Parameters
     ----------
@@ -23,6 +24,6 @@ def checking(check):
         _check.reset(token)
 
 
-def check_cancelled():
-    """Called by the iterations of the estimators: raises where the work shall end."""
+def check_cancelled() -> None:
+    """Raise an exception if the work shall end; each iteration of an estimator calls this."""
     _check.get()()

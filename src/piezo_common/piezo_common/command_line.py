@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How the offline commands run, and how they refuse what they cannot use."""
 
+import argparse
 import sys
+from collections.abc import Callable, Sequence
 
 BAD_INPUT = 2
 
 
-def run_command(parser, work, arguments=None):
+def run_command(parser: argparse.ArgumentParser, work: Callable[[argparse.Namespace], object],
+                arguments: Sequence[str] | None = None) -> int:
     """Run a command; input that cannot be used becomes one line on stderr.
 
     Parameters
@@ -31,6 +34,6 @@ def run_command(parser, work, arguments=None):
     return 0
 
 
-def print_progress(stage, fraction):
-    """Tell how far a command is: what it works at, and what part of all is done."""
+def print_progress(stage: str, fraction: float) -> None:
+    """Print which step a command is at, and which part of the whole is done (0 to 1)."""
     print(f"{100.0 * fraction:3.0f} %  {stage}", flush=True)

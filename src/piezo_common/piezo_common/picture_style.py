@@ -7,7 +7,10 @@ it is the lightness.
 """
 
 import io
+from typing import Any
 
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
@@ -42,30 +45,31 @@ CURVES = tuple(
 """For smooth curves of equal rank."""
 
 
-def new_figure(height_in=3.8, width_in=WIDTH_IN):
-    """A figure of its own, apart from pyplot's global state and any display."""
+def new_figure(height_in: float = 3.8, width_in: float = WIDTH_IN) -> Figure:
+    """Make a figure apart from pyplot's global state and any display."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def label(axes, x=None, y=None, title=None):
-    """Label axes, with a light grid behind the lines."""
-    axes.set(**{key: text for key, text in (("xlabel", x), ("ylabel", y), ("title", title))
-                if text})
-    axes.title.set_size("medium")
+def label(axes: Axes, x: str | None = None, y: str | None = None,
+          title: str | None = None) -> None:
+    """Label axes, and draw a light grid behind the lines."""
+    texts: dict[str, Any] = {"xlabel": x, "ylabel": y, "title": title}
+    axes.set(**{key: text for key, text in texts.items() if text})
+    axes.title.set_fontsize("medium")
     axes.grid(True, color="0.88", linewidth=0.6)
     axes.set_axisbelow(True)
     for side in "top", "right":
         axes.spines[side].set_visible(False)
 
 
-def plain_numbers(axis):
+def plain_numbers(axis: Axis) -> None:
     """Write the numbers of a logarithmic axis as 0.1, 1, 10."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def to_png(figure, dots_per_inch=DOTS_PER_INCH):
+def to_png(figure: Figure, dots_per_inch: float = DOTS_PER_INCH) -> bytes:
     """Return a figure as the bytes of a small PNG file."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=dots_per_inch, pil_kwargs={"optimize": True})

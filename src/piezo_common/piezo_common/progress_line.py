@@ -4,6 +4,7 @@
 import shutil
 import sys
 import time
+from typing import TextIO
 
 REDRAW_PERIOD_S = 0.1
 BAR_WIDTH = 20
@@ -18,14 +19,14 @@ class ProgressLine:
         Where it is no terminal, each new step gets a line of its own and no bar.
     """
 
-    def __init__(self, stream=None):
+    def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stderr
         self._overwrites = self._stream.isatty()
-        self._step = None
+        self._step: str | None = None
         self._drawn_at = 0.0
 
-    def show(self, step, fraction, seconds_left=None):
-        """Show the state of a step; the seconds left where they are known."""
+    def show(self, step: str, fraction: float, seconds_left: float | None = None) -> None:
+        """Show which part of a step is done (0 to 1), and the seconds left if they are known."""
         new = step != self._step
         self._step = step
         if not self._overwrites:
@@ -36,20 +37,20 @@ class ProgressLine:
             self._drawn_at = time.monotonic()
             self._draw(progress_text(step, fraction, seconds_left))
 
-    def clear(self):
-        """Leave the line empty for what is printed next."""
+    def clear(self) -> None:
+        """Empty the line for what is printed next."""
         self._step = None
         if self._overwrites:
             self._draw("")
 
-    def _draw(self, text):
+    def _draw(self, text: str) -> None:
         width = shutil.get_terminal_size().columns - 1
         self._stream.write("\r\x1b[K" + text[:width])
         self._stream.flush()
 
 
-def progress_text(step, fraction, seconds_left):
-    """Return the text of the line."""
+def progress_text(step: str, fraction: float, seconds_left: float | None) -> str:
+    """Return a bar, the percentage, the seconds left and the step as one line of text."""
     filled = round(BAR_WIDTH * min(max(fraction, 0.0), 1.0))
     bar = "#" * filled + "." * (BAR_WIDTH - filled)
     left = "" if seconds_left is None else f"{seconds_left:.0f} s left"

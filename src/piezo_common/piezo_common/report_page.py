@@ -2,8 +2,11 @@
 """One self-contained HTML page of sections with text, tables and pictures: screen, phone, print."""
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+
+from matplotlib.figure import Figure
 
 from piezo_common.picture_style import to_png
 
@@ -73,12 +76,12 @@ class Section:
     """
 
     title: str
-    paragraphs: tuple = ()
-    table: tuple = ()
-    pictures: tuple = ()
+    paragraphs: Sequence[str] = ()
+    table: Sequence[Sequence[str]] = ()
+    pictures: Sequence[Picture] = ()
 
 
-def pictured(name, figure, caption, tall=False):
+def pictured(name: str, figure: Figure, caption: str, tall: bool = False) -> Picture:
     """Return a matplotlib figure as a `Picture`.
 
     Parameters
@@ -91,8 +94,8 @@ def pictured(name, figure, caption, tall=False):
     return Picture(name, caption, to_png(figure), tall)
 
 
-def render_page(title, paragraphs, sections):
-    """Return the page as text.
+def render_page(title: str, paragraphs: Sequence[str], sections: Sequence[Section]) -> str:
+    """Return the HTML of a page as text.
 
     Parameters
     ----------
@@ -118,7 +121,7 @@ def render_page(title, paragraphs, sections):
 """
 
 
-def _section(section):
+def _section(section: Section) -> str:
     parts = [f"<section>\n<h2>{escape(section.title)}</h2>", *map(_paragraph, section.paragraphs)]
     if section.table:
         parts.append(_table(section.table))
@@ -127,17 +130,17 @@ def _section(section):
     return "\n".join([*parts, "</section>"])
 
 
-def _paragraph(text):
+def _paragraph(text: str) -> str:
     return f"<p>{_inline(text)}</p>"
 
 
-def _inline(text):
+def _inline(text: str) -> str:
     parts = escape(text).split("`")
     return "".join(f"<code>{part}</code>" if index % 2 else part
                    for index, part in enumerate(parts))
 
 
-def _table(rows):
+def _table(rows: Sequence[Sequence[str]]) -> str:
     is_text = [not _is_number(text) for text in rows[1]]
     heads = _row("th", rows[0], is_text)
     body = "\n".join(_row("td", row, is_text) for row in rows[1:])
@@ -145,14 +148,14 @@ def _table(rows):
             "</table></div>")
 
 
-def _row(cell, texts, is_text):
+def _row(cell: str, texts: Sequence[str], is_text: Sequence[bool]) -> str:
     cells = "".join(f'<{cell} class="text">{_inline(text)}</{cell}>' if left
                     else f"<{cell}>{_inline(text)}</{cell}>"
                     for text, left in zip(texts, is_text, strict=True))
     return f"<tr>{cells}</tr>"
 
 
-def _is_number(text):
+def _is_number(text: str) -> bool:
     try:
         float(text)
     except ValueError:
@@ -160,7 +163,7 @@ def _is_number(text):
     return True
 
 
-def _figure(picture):
+def _figure(picture: Picture) -> str:
     data = base64.b64encode(picture.png).decode()
     kind = "tall" if picture.tall else "wide" if picture.wide else "usual"
     return (f'<figure class="{kind}"><img alt="{escape(picture.name)}" '

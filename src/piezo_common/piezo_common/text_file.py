@@ -3,6 +3,7 @@
 
 import json
 import os
+from os import PathLike
 from pathlib import Path
 
 LARGEST_BYTES = 10_000_000
@@ -12,7 +13,7 @@ class UnreadableFile(ValueError):
     """A file that is not read; the message says why, without its name."""
 
 
-def read_bounded_text(path, largest_bytes=LARGEST_BYTES):
+def read_bounded_text(path: str | PathLike[str], largest_bytes: int = LARGEST_BYTES) -> str:
     """Read a text file of a bounded size.
 
     Parameters
@@ -42,8 +43,8 @@ def read_bounded_text(path, largest_bytes=LARGEST_BYTES):
         raise UnreadableFile("is not text") from None
 
 
-def replace_text(path, text):
-    """Write a file; the one at `path` is replaced at once or not at all.
+def replace_text(path: str | PathLike[str], text: str) -> None:
+    """Write a file; one that is there already is replaced as a whole or not at all.
 
     Raises
     ------
@@ -62,8 +63,9 @@ def replace_text(path, text):
         temporary.unlink(missing_ok=True)
 
 
-def is_something_else(path, file_format, largest_bytes=LARGEST_BYTES):
-    """Whether there is a file that is not JSON of a format, such as a recording.
+def is_something_else(path: str | PathLike[str], file_format: str,
+                      largest_bytes: int = LARGEST_BYTES) -> bool:
+    """Tell whether a file is there that is not JSON of a format, such as a recording.
 
     Parameters
     ----------

@@ -5,9 +5,14 @@ What these three do not explain is added as effects, each at its place in the ca
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
+import control
 import numpy as np
+from numpy.typing import ArrayLike
 
+from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
 from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel
 from piezo_models.linear.dynamics import (
@@ -28,12 +33,12 @@ class StageMemory:
     """
 
     hysteresis: PreisachMemory
-    linear_state: np.ndarray
+    linear_state: FloatArray
     hysteretic_creep: HystereticCreepMemory | None = None
-    effects: dict = field(default_factory=dict)
+    effects: dict[int, Any] = field(default_factory=dict)
 
-    def copy(self):
-        """An independent memory with the same past."""
+    def copy(self) -> "StageMemory":
+        """Return an independent memory with the same past."""
         hysteretic = None if self.hysteretic_creep is None else self.hysteretic_creep.copy()
         return StageMemory(
             self.hysteresis.copy(), self.linear_state.copy(), hysteretic, dict(self.effects))
@@ -59,21 +64,21 @@ class StageModel:
     creep: CreepDynamics
     dynamics: ElectricVibrationDynamics
     hysteretic_creep: HystereticCreep | None = None
-    effects: tuple = ()
+    effects: tuple[Effect, ...] = ()
 
-    def effects_at(self, place):
-        """The effects of one of `piezo_models.effects.effect.PLACES`."""
+    def effects_at(self, place: str) -> tuple[Any, ...]:
+        """Return the effects at one of `piezo_models.effects.effect.PLACES`."""
         return tuple(effect for effect in self.effects if effect.place == place)
 
-    def linear(self):
-        """Continuous `control.StateSpace` from hysteresis output to displacement."""
+    def linear(self) -> control.StateSpace:
+        """Return the continuous state space from hysteresis output to displacement."""
         system = self.creep.state_space() * self.dynamics.state_space(self.effects_at("modes"))
         for effect in self.effects_at("linear"):
             system = effect.state_space() * system
         return system
 
-    def response(self, frequency_hz):
-        """Complex response of `linear` at the given frequencies."""
+    def response(self, frequency_hz: ArrayLike) -> ComplexArray:
+        """Return the complex response of `linear` at the given frequencies."""
         response = self.creep.response(frequency_hz) * self.dynamics.response(
             frequency_hz, self.effects_at("modes"))
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
@@ -81,18 +86,22 @@ class StageModel:
             response = response * effect.state_space()(s)
         return response
 
-    def amplified(self, voltage_v, sample_period_s, memory=None):
-        """The voltage behind the effects that act on it, shape (N,); of a `StageMemory` goes on."""
-        return self._behind(("voltage",), voltage_v, sample_period_s, memory)
+    def amplified(self, voltage_v: ArrayLike, sample_period_s: float,
+                  memory: StageMemory | None = None) -> FloatArray:
+        """Return the voltage behind the effects that act on it, shape (N,); a memory goes on."""
+        applied_v: FloatArray = np.asarray(voltage_v, dtype=float)
+        return self._behind(("voltage",), applied_v, sample_period_s, memory)
 
-    def sensed(self, displacement_um, sample_period_s, memory=None):
-        """What the sensor measures of the output of `linear`, behind the effects on either.
+    def sensed(self, displacement_um: FloatArray, sample_period_s: float,
+               memory: StageMemory | None = None) -> FloatArray:
+        """Return what the sensor measures of the output of `linear`, with the effects on both.
 
-        Those of a `StageMemory` go on from there.
+        Effects of a `StageMemory` go on from there.
         """
         return self._behind(("displacement", "sensor"), displacement_um, sample_period_s, memory)
 
-    def _behind(self, places, signal, sample_period_s, memory):
+    def _behind(self, places: tuple[str, ...], signal: FloatArray, sample_period_s: float,
+                memory: StageMemory | None) -> FloatArray:
         pasts = {} if memory is None else memory.effects
         for place in places:
             for index, effect in enumerate(self.effects):
@@ -101,8 +110,9 @@ class StageModel:
                         signal, sample_period_s, pasts.get(index))
         return signal
 
-    def memory(self, rest_voltage_v=0.0, hysteresis=None, settled=True):
-        """Memory of a stage at rest.
+    def memory(self, rest_voltage_v: float = 0.0, hysteresis: PreisachMemory | None = None,
+               settled: bool = True) -> StageMemory:
+        """Return the memory of a stage at rest.
 
         Parameters
         ----------
@@ -131,8 +141,9 @@ class StageModel:
             held += self.hysteretic_creep.held_um(hysteretic)
         return StageMemory(hysteresis, equilibrium_state(self.linear(), held), hysteretic)
 
-    def simulate(self, voltage_v, sample_period_s, memory=None):
-        """Displacement at the sample instants, each measured before its voltage acts.
+    def simulate(self, voltage_v: ArrayLike, sample_period_s: float,
+                 memory: StageMemory | None = None) -> FloatArray:
+        """Return the displacement at the sample instants, each measured before its voltage acts.
 
         Parameters
         ----------
@@ -153,15 +164,19 @@ class StageModel:
         Raises
         ------
         ValueError
-            If a voltage is not finite or the sample period is not positive.
+            If a voltage is not finite, the sample period is not positive, or the memory is that
+            of a model without hysteretic creep.
         """
         memory = self.memory() if memory is None else memory
         system = zoh(self.linear(), sample_period_s)
-        voltage_v = self.amplified(np.asarray(voltage_v, dtype=float), sample_period_s, memory)
-        hysteresis = self.hysteresis.simulate(voltage_v, memory.hysteresis)
+        applied_v = self.amplified(voltage_v, sample_period_s, memory)
+        hysteresis = self.hysteresis.simulate(applied_v, memory.hysteresis)
         if self.hysteretic_creep is not None:
+            if memory.hysteretic_creep is None:
+                raise ValueError("the memory has no part for the hysteretic creep; "
+                                 "take one from this model's memory()")
             hysteresis += self.hysteretic_creep.simulate(
-                voltage_v, sample_period_s, memory.hysteretic_creep
+                applied_v, sample_period_s, memory.hysteretic_creep
             )
         displacement, memory.linear_state = continue_linear(system, hysteresis, memory.linear_state)
         return self.sensed(displacement, sample_period_s, memory)

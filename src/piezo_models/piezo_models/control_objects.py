@@ -1,19 +1,39 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The linear part of a model as an object of python-control, and back."""
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
 import control
 import numpy as np
 
+from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics, zoh
 
-# Relative: two eigenvalues that differ by less are taken as real, or as one pair.
-ROUNDING = 1e-9
-# Of the response: how far the parameters found may be from the system that was given.
-RESPONSE_TOLERANCE = 1e-6
+
+@dataclass(frozen=True)
+class ConversionSettings:
+    """Numbers that steer the conversion of a system of python-control to a model.
+
+    Attributes
+    ----------
+    rounding : float
+        A root whose imaginary part is below this part of its size is taken as real: an eigenvalue
+        solver leaves a rest of that kind.
+    response_tolerance : float
+        The parameters found must give the response of the system to this part of it, a thousandth
+        of what an identification attains.
+    """
+
+    rounding: float = 1e-9
+    response_tolerance: float = 1e-6
 
 
-def to_control(model, sample_period_s=None):
-    """Return what lies behind the hysteresis as a system of python-control.
+SETTINGS = ConversionSettings()
+
+
+def to_control(model: StageModel, sample_period_s: float | None = None) -> control.StateSpace:
+    """Return the linear part of a model, behind its hysteresis, as a system of python-control.
 
     Parameters
     ----------
@@ -30,7 +50,8 @@ def to_control(model, sample_period_s=None):
     return control.ss(system, inputs=["hysteresis_um"], outputs=["displacement_um"])
 
 
-def from_control(system):
+def from_control(system: control.StateSpace | control.TransferFunction,
+                 ) -> tuple[CreepDynamics, ElectricVibrationDynamics, float]:
     """Return the creep, dynamics and gain that a system of python-control is made of.
 
     Real zeros are those of creep (4.4), each with one of the slowest real poles; the next real pole
@@ -69,38 +90,41 @@ def from_control(system):
     lag, overdamped = (fast[:1], fast[1:]) if len(fast) % 2 else ([], fast)
     modes += [(np.sqrt(p * q), (p + q) / (2.0 * np.sqrt(p * q)))
               for p, q in zip(overdamped[::2], overdamped[1::2], strict=True)]
-    creep = CreepDynamics(real_poles[:len(real_zeros)], real_zeros)
+    creep = CreepDynamics(tuple(real_poles[:len(real_zeros)]), tuple(real_zeros))
     dynamics = ElectricVibrationDynamics(
         1.0 / lag[0] if lag else 0.0, *_columns(modes), *_columns(antiresonances))
     return creep, dynamics, _gain(system, creep, dynamics)
 
 
-def _sorted_roots(roots, kind):
+def _sorted_roots(roots: Iterable[complex], kind: str,
+                  ) -> tuple[list[float], list[tuple[float, float]]]:
     """Rates of the real roots, rising, and (frequency, damping ratio) of each complex pair."""
     real, pairs = [], []
     for root in sorted(roots, key=abs):
         if not (np.isfinite(root) and root.real < 0.0):
             raise ValueError(f"the system has a {kind} at {root:.6g} rad/s; "
                              "give a stable one with all zeros on the left")
-        if abs(root.imag) <= ROUNDING * abs(root):
+        if abs(root.imag) <= SETTINGS.rounding * abs(root):
             real.append(float(-root.real))
         elif root.imag > 0.0:
             pairs.append((float(abs(root)), float(-root.real / abs(root))))
     return real, pairs
 
 
-def _columns(pairs):
-    return tuple(zip(*pairs, strict=True)) or ((), ())
+def _columns(pairs: Sequence[tuple[float, float]],
+             ) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return tuple(first for first, _ in pairs), tuple(second for _, second in pairs)
 
 
-def _gain(system, creep, dynamics):
+def _gain(system: control.StateSpace | control.TransferFunction, creep: CreepDynamics,
+          dynamics: ElectricVibrationDynamics) -> float:
     corners = np.array([*creep.poles_rad_per_s, *dynamics.mode_frequencies_rad_per_s, 1.0])
     rates = np.geomspace(corners.min() / 10.0, corners.max() * 10.0, 20)
     frequency_hz = rates / (2.0 * np.pi)
     found = creep.response(frequency_hz) * dynamics.response(frequency_hz)
     ratio = system(1j * rates) / found
     gain = float(np.mean(ratio.real))
-    if not np.all(np.abs(ratio - gain) <= RESPONSE_TOLERANCE * abs(gain)):
+    if not np.all(np.abs(ratio - gain) <= SETTINGS.response_tolerance * abs(gain)):
         raise ValueError("the system's poles and zeros cannot be told apart well enough; "
                          "give a smaller one, such as control.minreal(system)")
     return gain

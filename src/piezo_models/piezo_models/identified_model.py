@@ -3,8 +3,10 @@
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_models.cascade import StageModel
 
@@ -34,10 +36,10 @@ class IdentifiedModel:
     """
 
     model: StageModel
-    voltage_range_v: tuple
-    sample_periods_s: dict = field(default_factory=dict)
-    errors: dict = field(default_factory=dict)
-    recordings: list = field(default_factory=list)
+    voltage_range_v: tuple[float, float]
+    sample_periods_s: dict[str, float] = field(default_factory=dict)
+    errors: dict[str, Any] = field(default_factory=dict)
+    recordings: list[dict[str, str]] = field(default_factory=list)
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
-    uncertainties: dict = field(default_factory=dict)
-    visited: np.ndarray | None = None
+    uncertainties: dict[str, dict[str, Any]] = field(default_factory=dict)
+    visited: NDArray[np.bool_] | None = None

@@ -2,10 +2,14 @@
 """Error measures of the thesis, in percent."""
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from piezo_models.arrays import FloatArray
 
 
-def e_rms_percent(reference_um, displacement_um, remove_offset=False):
-    """RMS of reference minus displacement over the reference's peak-to-peak value, eq. (2.32).
+def e_rms_percent(reference_um: ArrayLike, displacement_um: ArrayLike,
+                  remove_offset: bool = False) -> float:
+    """Return the RMS tracking error in percent of the reference's peak-to-peak value, eq. (2.32).
 
     Parameters
     ----------
@@ -27,11 +31,12 @@ def e_rms_percent(reference_um, displacement_um, remove_offset=False):
     error = reference - displacement
     if remove_offset:
         error = error - error.mean()
-    return _percent(np.sqrt(np.mean(error**2)), np.ptp(reference))
+    return _percent(float(np.sqrt(np.mean(error**2))), float(np.ptp(reference)))
 
 
-def e_y_percent(measured_um, estimated_um, remove_offset=True):
-    """Norm of the model's error over the norm of the measured displacement, eq. (4.20).
+def e_y_percent(measured_um: ArrayLike, estimated_um: ArrayLike,
+                remove_offset: bool = True) -> float:
+    """Return the norm of the model's error in percent of that of the measurement, eq. (4.20).
 
     Parameters
     ----------
@@ -52,8 +57,9 @@ def e_y_percent(measured_um, estimated_um, remove_offset=True):
     return _norm_ratio_percent(measured_um, estimated_um, remove_offset)
 
 
-def e_r_percent(reference_um, displacement_um, remove_offset=True):
-    """Norm of the tracking error over the norm of the reference, eq. (4.23).
+def e_r_percent(reference_um: ArrayLike, displacement_um: ArrayLike,
+                remove_offset: bool = True) -> float:
+    """Return the norm of the tracking error in percent of that of the reference, eq. (4.23).
 
     Parameters
     ----------
@@ -74,15 +80,16 @@ def e_r_percent(reference_um, displacement_um, remove_offset=True):
     return _norm_ratio_percent(reference_um, displacement_um, remove_offset)
 
 
-def _norm_ratio_percent(truth, estimate, remove_offset):
-    truth, estimate = _pair(truth, estimate)
+def _norm_ratio_percent(truth_um: ArrayLike, estimate_um: ArrayLike,
+                        remove_offset: bool) -> float:
+    truth, estimate = _pair(truth_um, estimate_um)
     if remove_offset:
         truth, estimate = truth - truth.mean(), estimate - estimate.mean()
-    return _percent(np.linalg.norm(truth - estimate), np.linalg.norm(truth))
+    return _percent(float(np.linalg.norm(truth - estimate)), float(np.linalg.norm(truth)))
 
 
-def _pair(first, second):
-    first, second = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+def _pair(one: ArrayLike, other: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    first, second = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
     if first.ndim != 1 or first.shape != second.shape or first.size == 0:
         raise ValueError(
             f"the signals have shapes {first.shape} and {second.shape}; "
@@ -91,7 +98,7 @@ def _pair(first, second):
     return first, second
 
 
-def _percent(error, scale):
+def _percent(error: float, scale: float) -> float:
     if scale == 0:
         raise ValueError("the signal to compare with is constant; give one that moves")
     return float(100 * error / scale)

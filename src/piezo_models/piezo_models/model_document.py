@@ -3,7 +3,7 @@
 
 import json
 import math
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydantic import model_validator
@@ -20,6 +20,9 @@ from piezo_common.schema import (
     entry,
     violation,
 )
+
+if TYPE_CHECKING:
+    from piezo_models.identified_model import IdentifiedModel
 
 FORMAT = "piezo_stage_model"
 VERSION = 1
@@ -184,7 +187,7 @@ class ModelDocument(Document):
                                     f"give {len(parameter)} numbers", path)
 
 
-def document_of(identified):
+def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
     """Return the document of an `IdentifiedModel`: objects, lists, text and plain numbers."""
     model = identified.model
     hysteresis, dynamics = model.hysteresis, model.dynamics
@@ -245,7 +248,7 @@ def document_of(identified):
     }
 
 
-def _plain(value):
+def _plain(value: Any) -> Any:
     """Numbers of NumPy as plain ones and tuples as lists, in dicts of any depth."""
     if isinstance(value, dict):
         return {str(key): _plain(entry) for key, entry in value.items()}
@@ -254,8 +257,8 @@ def _plain(value):
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _untold_as_null(value):
-    """Standard deviations with null for infinite ones, as JSON has no infinity."""
+def _untold_as_null(value: Any) -> Any:
+    """Return standard deviations with null for infinite ones, as JSON has no infinity."""
     if isinstance(value, dict):
         return {key: _untold_as_null(entry) for key, entry in value.items()}
     if isinstance(value, list):
@@ -263,7 +266,7 @@ def _untold_as_null(value):
     return None if value == math.inf else value
 
 
-def rendered(value, indent=""):
+def rendered(value: Any, indent: str = "") -> str:
     """Return a document as JSON with one line per field, and per row of a matrix."""
     inner = indent + "  "
     if isinstance(value, dict) and value:

@@ -7,6 +7,7 @@ from os import PathLike
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.schema import SchemaError, checked
 from piezo_common.schema.checking import quoted
@@ -94,8 +95,10 @@ def _preisach(part: HysteresisPart) -> PreisachModel:
     density = np.zeros((len(rows), len(rows)))
     for i, row in enumerate(rows):
         density[i, : i + 1] = row
+    reversible = np.zeros(len(rows)) if part.reversible_um_per_v is None else np.array(
+        part.reversible_um_per_v)
     return PreisachModel(part.voltage_min_v, part.voltage_max_v, density, part.offset_um,
-                         part.reversible_um_per_v)
+                         reversible)
 
 
 def _effects(document: ModelDocument) -> tuple[Effect, ...]:
@@ -118,7 +121,7 @@ def _effects(document: ModelDocument) -> tuple[Effect, ...]:
     return tuple(effects)
 
 
-def _visited(rows: list[str] | None) -> np.ndarray | None:
+def _visited(rows: list[str] | None) -> NDArray[np.bool_] | None:
     if rows is None:
         return None
     return np.array([[cell == "1" for cell in row.ljust(len(rows), "0")] for row in rows])

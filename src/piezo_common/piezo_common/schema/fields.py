@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Types of the fields of a file: finite numbers with unit and range, parts and whole documents."""
 
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
@@ -32,9 +32,12 @@ NumberOrNumbers = Annotated[
     Discriminator(lambda value: _LIST if isinstance(value, (list, tuple)) else _NUMBER)]
 """A finite number, or a list of them."""
 
-NumberTree = TypeAliasType("NumberTree", dict[str, Annotated[  # type: ignore[misc]
-    Annotated[Number, Tag(_NUMBER)] | Annotated["NumberTree", Tag(_OBJECT)],
-    Discriminator(lambda value: _OBJECT if isinstance(value, dict) else _NUMBER)]])
+if TYPE_CHECKING:
+    NumberTree = dict[str, Any]
+else:
+    NumberTree = TypeAliasType("NumberTree", dict[str, Annotated[
+        Annotated[Number, Tag(_NUMBER)] | Annotated["NumberTree", Tag(_OBJECT)],
+        Discriminator(lambda value: _OBJECT if isinstance(value, dict) else _NUMBER)]])
 """Finite numbers by name, in objects of any depth."""
 
 

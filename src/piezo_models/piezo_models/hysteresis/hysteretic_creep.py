@@ -5,17 +5,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
+
+from piezo_models.arrays import FloatArray
 
 
 @dataclass(eq=False)
 class HystereticCreepMemory:
     """Positions of the play operators, and the relaxing states that follow them, in V."""
 
-    positions_v: np.ndarray
-    states_v: np.ndarray
+    positions_v: FloatArray
+    states_v: FloatArray
 
-    def copy(self):
-        """An independent memory with the same past."""
+    def copy(self) -> "HystereticCreepMemory":
+        """Return an independent memory with the same past."""
         return HystereticCreepMemory(self.positions_v.copy(), self.states_v.copy())
 
 
@@ -30,11 +33,11 @@ class HystereticCreep:
         weight w. Time constants are long beside a sample period.
     """
 
-    half_widths_v: tuple
-    time_constants_s: tuple
-    weights_um_per_v: tuple
+    half_widths_v: tuple[float, ...]
+    time_constants_s: tuple[float, ...]
+    weights_um_per_v: tuple[float, ...]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in ("half_widths_v", "time_constants_s", "weights_um_per_v"):
             values = tuple(float(value) for value in getattr(self, name))
             if not np.isfinite(values).all():
@@ -52,8 +55,8 @@ class HystereticCreep:
                 "an operator"
             )
 
-    def memory(self, extremes_v, settled=True):
-        """Memory after a sequence of voltages that begins at negative saturation.
+    def memory(self, extremes_v: ArrayLike, settled: bool = True) -> HystereticCreepMemory:
+        """Return the memory after a sequence of voltages that begins at negative saturation.
 
         Parameters
         ----------
@@ -76,12 +79,13 @@ class HystereticCreep:
             positions, positions.copy() if settled else np.zeros_like(positions)
         )
 
-    def held_um(self, memory):
-        """Output with the states of a memory."""
+    def held_um(self, memory: HystereticCreepMemory) -> float:
+        """Return the output with the states of a memory."""
         return float(np.dot(self.weights_um_per_v, memory.states_v))
 
-    def simulate(self, voltage_v, sample_period_s, memory):
-        """Output at the sample instants, in um.
+    def simulate(self, voltage_v: ArrayLike, sample_period_s: float,
+                 memory: HystereticCreepMemory) -> FloatArray:
+        """Return the output at the sample instants, in um.
 
         Parameters
         ----------
@@ -103,7 +107,8 @@ class HystereticCreep:
 
 
 @njit(cache=True)
-def _simulate(voltage, half_widths, decays, weights, positions, states):
+def _simulate(voltage: FloatArray, half_widths: FloatArray, decays: FloatArray,
+              weights: FloatArray, positions: FloatArray, states: FloatArray) -> FloatArray:
     output = np.zeros(voltage.size)
     for n in range(voltage.size):
         for i in range(half_widths.size):

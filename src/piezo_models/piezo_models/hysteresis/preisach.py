@@ -11,14 +11,31 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from piezo_models.arrays import FloatArray
 from piezo_models.hysteresis.preisach_kernels import everett_table, everett_values, invert, simulate
 
-# A target this far outside the output range, relative to its span, is rounding and not a mistake.
-_RANGE_TOLERANCE = 1e-9
 
-# A sum of Everett integrals is known to this part of the largest output.
-_ROUNDING = 16 * np.finfo(float).eps
+@dataclass(frozen=True)
+class InversionSettings:
+    """Numbers that steer the inverse of the hysteresis, each as a part of the output's span.
+
+    Attributes
+    ----------
+    range_tolerance : float
+        A target that lies outside the output range by less is limited to it: it is rounding, and
+        not a mistake of the caller.
+    rounding : float
+        A sum of Everett integrals is known so well, a few roundings of a double; no flat stretch
+        is crossed for a smaller rest.
+    """
+
+    range_tolerance: float = 1e-9
+    rounding: float = 16 * float(np.finfo(float).eps)
+
+
+INVERSION = InversionSettings()
 
 
 @dataclass(eq=False)
@@ -30,22 +47,22 @@ class PreisachMemory:
     """
 
     model: "PreisachModel"
-    extremes_v: np.ndarray
-    outputs_um: np.ndarray
+    extremes_v: FloatArray
+    outputs_um: FloatArray
     top: int
 
     @property
-    def voltage_v(self):
+    def voltage_v(self) -> float:
         """Present voltage, within the range of the model."""
         return float(self.extremes_v[self.top])
 
     @property
-    def hysteresis_um(self):
+    def hysteresis_um(self) -> float:
         """Present hysteresis output."""
         return float(self.outputs_um[self.top])
 
-    def copy(self):
-        """An independent memory with the same past."""
+    def copy(self) -> "PreisachMemory":
+        """Return an independent memory with the same past."""
         return replace(self, extremes_v=self.extremes_v.copy(), outputs_um=self.outputs_um.copy())
 
 
@@ -76,11 +93,11 @@ class PreisachModel:
 
     voltage_min_v: float
     voltage_max_v: float
-    density_um_per_v2: np.ndarray
+    density_um_per_v2: FloatArray
     offset_um: float = 0.0
-    reversible_um_per_v: np.ndarray | None = None
+    reversible_um_per_v: FloatArray = None  # type: ignore[assignment]  # becomes zeros
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         density = np.array(self.density_um_per_v2, dtype=float)
         if density.ndim != 2 or density.shape[0] != density.shape[1] or density.size == 0:
             raise ValueError(f"density_um_per_v2 has shape {density.shape}; give a square matrix")
@@ -115,34 +132,34 @@ class PreisachModel:
         object.__setattr__(self, "reversible_um_per_v", reversible)
 
     @property
-    def cell_width_v(self):
+    def cell_width_v(self) -> float:
         """Width of a cell of the grid."""
         return (self.voltage_max_v - self.voltage_min_v) / self.density_um_per_v2.shape[0]
 
     @property
-    def levels_v(self):
-        """(L + 1,) edges of the cells."""
+    def levels_v(self) -> FloatArray:
+        """Edges of the cells, shape (L + 1,)."""
         size = self.density_um_per_v2.shape[0]
         return np.linspace(self.voltage_min_v, self.voltage_max_v, size + 1)
 
     @property
-    def output_range_um(self):
+    def output_range_um(self) -> tuple[float, float]:
         """Output at negative and at positive saturation."""
         span = self.everett_um(self.voltage_max_v, self.voltage_min_v)
         return self.offset_um, self.offset_um + float(span)
 
     @cached_property
-    def _table(self):
+    def _table(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         return everett_table(
             self.density_um_per_v2, self.reversible_um_per_v, self.cell_width_v
         )
 
     @property
-    def _grid(self):
+    def _grid(self) -> tuple[float, float, float]:
         return self.voltage_min_v, self.voltage_max_v, self.cell_width_v
 
-    def everett_um(self, alpha_v, beta_v):
-        """Everett function: the integral of the density over beta_v <= beta <= alpha <= alpha_v.
+    def everett_um(self, alpha_v: ArrayLike, beta_v: ArrayLike) -> FloatArray:
+        """Integrate the density over beta_v <= beta <= alpha <= alpha_v: the Everett function.
 
         It is the rise of the output from a minimum beta_v to alpha_v, and the fall from a maximum
         alpha_v to beta_v.
@@ -169,13 +186,13 @@ class PreisachModel:
         values = everett_values(alpha.flatten(), beta.flatten(), self._grid, self._table)
         return values.reshape(alpha.shape)[()]
 
-    def memory(self):
-        """Memory wiped at `voltage_min_v`: all relays off."""
+    def memory(self) -> PreisachMemory:
+        """Return the memory that is wiped at `voltage_min_v`: all relays off."""
         extremes, outputs = np.empty(16), np.empty(16)
         extremes[0], outputs[0] = self.voltage_min_v, self.offset_um
         return PreisachMemory(self, extremes, outputs, 0)
 
-    def _own(self, memory):
+    def _own(self, memory: PreisachMemory | None) -> PreisachMemory:
         if memory is None:
             return self.memory()
         if memory.model is not self:
@@ -184,8 +201,9 @@ class PreisachModel:
             )
         return memory
 
-    def simulate(self, voltage_v, memory=None):
-        """Hysteresis output for a sequence of voltages.
+    def simulate(self, voltage_v: ArrayLike,
+                 memory: PreisachMemory | None = None) -> FloatArray:
+        """Return the hysteresis output for a sequence of voltages.
 
         Parameters
         ----------
@@ -211,8 +229,9 @@ class PreisachModel:
         )
         return output
 
-    def invert(self, hysteresis_um, memory=None):
-        """Voltages whose hysteresis output is the given sequence: the exact inverse.
+    def invert(self, hysteresis_um: ArrayLike,
+               memory: PreisachMemory | None = None) -> FloatArray:
+        """Return the voltages whose hysteresis output is the given sequence: the exact inverse.
 
         The output tells the voltage only where it has a slope. Where the density leaves it flat,
         the voltage moves no further than it must: it stays while the target stays, goes to the
@@ -240,13 +259,13 @@ class PreisachModel:
             left untouched.
         """
         target = _finite_sequence(hysteresis_um, "hysteresis_um")
-        if (self.density_um_per_v2 < 0).any() or (self.reversible_um_per_v < 0).any():
+        if np.any(self.density_um_per_v2 < 0) or np.any(self.reversible_um_per_v < 0):
             raise ValueError(
                 "the density has negative cells, so the hysteresis has no inverse; "
                 "fit it by non-negative least squares"
             )
         low, high = self.output_range_um
-        slack = _RANGE_TOLERANCE * (high - low)
+        slack = INVERSION.range_tolerance * (high - low)
         if target.size and (target.min() < low - slack or target.max() > high + slack):
             raise ValueError(
                 f"the hysteresis output cannot span {target.min():.6g} to {target.max():.6g} um; "
@@ -255,7 +274,7 @@ class PreisachModel:
         memory = self._own(memory)
         voltage, memory.extremes_v, memory.outputs_um, memory.top = invert(
             np.clip(target, low, high),
-            _ROUNDING * (abs(low) + high - low),
+            INVERSION.rounding * (abs(low) + high - low),
             memory.extremes_v,
             memory.outputs_um,
             memory.top,
@@ -264,8 +283,8 @@ class PreisachModel:
         )
         return voltage
 
-    def gain_um_per_v(self, voltage_v=None):
-        """Smallest and largest gain of the hysteresis, eq. (3.16).
+    def gain_um_per_v(self, voltage_v: ArrayLike | None = None) -> tuple[float, float]:
+        """Return the smallest and largest gain of the hysteresis, eq. (3.16).
 
         The gain is that of the secant from negative saturation. At one voltage it is smallest on
         the way up from negative saturation and largest on the way down from positive saturation.
@@ -290,8 +309,8 @@ class PreisachModel:
         return float((rising / travel).min()), float((falling / travel).max())
 
 
-def _finite_sequence(values, name):
-    values = np.ascontiguousarray(values, dtype=float)
+def _finite_sequence(sequence: ArrayLike, name: str) -> FloatArray:
+    values = np.ascontiguousarray(sequence, dtype=float)
     if values.ndim != 1:
         raise ValueError(f"{name} has {values.ndim} dimensions; give one sequence")
     if not np.isfinite(values).all():

@@ -9,9 +9,16 @@ laid out as in `preisach.PreisachMemory`.
 import numpy as np
 from numba import njit
 
+from piezo_models.arrays import FloatArray
 
-def everett_table(density, reversible, cell_width):
-    """Tables that give the Everett function inside any cell in closed form.
+Grid = tuple[float, float, float]
+Table = tuple[FloatArray, FloatArray, FloatArray]
+Past = tuple[FloatArray, FloatArray, FloatArray, int]
+"""What a simulation or an inversion returns: its result, and the memory to go on from."""
+
+
+def everett_table(density: FloatArray, reversible: FloatArray, cell_width: float) -> Table:
+    """Return tables that give the Everett function inside any cell in closed form.
 
     Returns
     -------
@@ -41,13 +48,14 @@ def everett_table(density, reversible, cell_width):
 
 
 @njit(cache=True)
-def cell_of(position, size):
-    """Index of the cell in which a position lies; the last one has its upper end, too."""
+def cell_of(position: float, size: int) -> int:
+    """Return the index of the cell in which a position lies; the last one has its upper end."""
     return min(int(position), size - 1)
 
 
 @njit(cache=True)
-def _everett(alpha, beta, cells, diagonal, reversible):
+def _everett(alpha: float, beta: float, cells: FloatArray, diagonal: FloatArray,
+             reversible: FloatArray) -> float:
     """Everett function at two positions, in cells from voltage_min_v; alpha >= beta."""
     size = diagonal.size
     i = cell_of(alpha, size)
@@ -64,8 +72,9 @@ def _everett(alpha, beta, cells, diagonal, reversible):
 
 
 @njit(cache=True)
-def everett_values(alpha_v, beta_v, grid, table):
-    """Everett function at pairs of voltages.
+def everett_values(alpha_v: FloatArray, beta_v: FloatArray, grid: Grid,
+                   table: Table) -> FloatArray:
+    """Return the Everett function at pairs of voltages.
 
     Parameters
     ----------
@@ -90,8 +99,8 @@ def everett_values(alpha_v, beta_v, grid, table):
 
 
 @njit(cache=True)
-def branch_start(extremes, top, value):
-    """Index of the extreme from which the branch to `value` starts, after wiping out; -1 if none.
+def branch_start(extremes: FloatArray, top: int, value: float) -> int:
+    """Return the index of the extreme from which the branch to `value` starts; -1 if none is left.
 
     `value` differs from the present point `extremes[top]` and is not below `extremes[0]`.
     """
@@ -109,8 +118,8 @@ def branch_start(extremes, top, value):
 
 
 @njit(cache=True)
-def with_room(stack, top):
-    """The stack itself, or a longer copy if `top` does not fit into it."""
+def with_room(stack: FloatArray, top: int) -> FloatArray:
+    """Return the stack itself, or a longer copy if `top` does not fit into it."""
     if top < stack.size:
         return stack
     longer = np.empty(2 * stack.size)
@@ -119,8 +128,9 @@ def with_room(stack, top):
 
 
 @njit(cache=True)
-def simulate(voltage_v, extremes, outputs, top, grid, table):
-    """Hysteresis output for voltages that continue a remembered past.
+def simulate(voltage_v: FloatArray, extremes: FloatArray, outputs: FloatArray, top: int,
+             grid: Grid, table: Table) -> Past:
+    """Return the hysteresis output for voltages that continue a remembered past.
 
     Parameters
     ----------
@@ -160,7 +170,7 @@ def simulate(voltage_v, extremes, outputs, top, grid, table):
 
 
 @njit(cache=True)
-def _root(quadratic, linear, value):
+def _root(quadratic: float, linear: float, value: float) -> float:
     """Root of quadratic x^2 + linear x = value in [0, 1]; all non-negative, so nothing cancels."""
     denominator = linear + np.sqrt(linear * linear + 4.0 * quadratic * value)
     if denominator <= 0.0:
@@ -169,7 +179,8 @@ def _root(quadratic, linear, value):
 
 
 @njit(cache=True)
-def _rise(target, rounding, beta, cells, diagonal, reversible):
+def _rise(target: float, rounding: float, beta: float, cells: FloatArray,
+          diagonal: FloatArray, reversible: FloatArray) -> float:
     """Lowest position alpha, in cells, at which the Everett function from `beta` is `target`.
 
     No flat stretch is crossed for a rest within `rounding`.
@@ -195,7 +206,8 @@ def _rise(target, rounding, beta, cells, diagonal, reversible):
 
 
 @njit(cache=True)
-def _fall(target, rounding, alpha, cells, diagonal, reversible):
+def _fall(target: float, rounding: float, alpha: float, cells: FloatArray,
+          diagonal: FloatArray, reversible: FloatArray) -> float:
     """Highest position beta, in cells, at which the Everett function to `alpha` is `target`.
 
     No flat stretch is crossed for a rest within `rounding`.
@@ -221,8 +233,9 @@ def _fall(target, rounding, alpha, cells, diagonal, reversible):
 
 
 @njit(cache=True)
-def invert(target_um, rounding_um, extremes, outputs, top, grid, table):
-    """Voltages that bring the output to each target, from a remembered past on.
+def invert(target_um: FloatArray, rounding_um: float, extremes: FloatArray,
+           outputs: FloatArray, top: int, grid: Grid, table: Table) -> Past:
+    """Return the voltages that bring the output to each target, from a remembered past on.
 
     Parameters
     ----------

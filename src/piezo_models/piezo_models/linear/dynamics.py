@@ -6,12 +6,20 @@ their input, so that creep poles of hundredths of rad/s and modes of thousands o
 by side without the cancellation of high-order polynomials.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from typing import Any
 
 import control
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
+
+from piezo_models.arrays import ComplexArray, FloatArray
+
+Section = tuple[Any, Any, Any, Any]
+"""Matrices A, B, C and D of a section of the cascade."""
 
 
 @dataclass(frozen=True)
@@ -24,10 +32,10 @@ class CreepDynamics:
         Positive p and z, as many of one as of the other. Empty for no creep.
     """
 
-    poles_rad_per_s: tuple = ()
-    zeros_rad_per_s: tuple = ()
+    poles_rad_per_s: tuple[float, ...] = ()
+    zeros_rad_per_s: tuple[float, ...] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _set_positive(self, "poles_rad_per_s")
         _set_positive(self, "zeros_rad_per_s")
         if len(self.poles_rad_per_s) != len(self.zeros_rad_per_s):
@@ -36,16 +44,16 @@ class CreepDynamics:
                 "zeros; give one zero for each pole"
             )
 
-    def state_space(self):
-        """Continuous `control.StateSpace`."""
+    def state_space(self) -> control.StateSpace:
+        """Return the continuous state space of the creep."""
         sections = [
             ([[-p]], [[p]], [[z / p - 1.0]], [[1.0]])
             for p, z in zip(self.poles_rad_per_s, self.zeros_rad_per_s, strict=True)
         ]
         return _cascade(sections)
 
-    def response(self, frequency_hz):
-        """Complex response at the given frequencies, in the shape of `frequency_hz`."""
+    def response(self, frequency_hz: ArrayLike) -> ComplexArray:
+        """Return the complex response at the given frequencies, in the shape of `frequency_hz`."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
         response = np.ones_like(s)
         for p, z in zip(self.poles_rad_per_s, self.zeros_rad_per_s, strict=True):
@@ -74,12 +82,12 @@ class ElectricVibrationDynamics:
     """
 
     time_constant_s: float = 0.0
-    mode_frequencies_rad_per_s: tuple = ()
-    damping_ratios: tuple = ()
-    antiresonance_frequencies_rad_per_s: tuple = ()
-    antiresonance_damping_ratios: tuple = ()
+    mode_frequencies_rad_per_s: tuple[float, ...] = ()
+    damping_ratios: tuple[float, ...] = ()
+    antiresonance_frequencies_rad_per_s: tuple[float, ...] = ()
+    antiresonance_damping_ratios: tuple[float, ...] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not (np.isfinite(self.time_constant_s) and self.time_constant_s >= 0):
             raise ValueError(
                 f"time_constant_s is {self.time_constant_s}; give a positive time, or 0 for no lag"
@@ -114,13 +122,13 @@ class ElectricVibrationDynamics:
             )
 
     @property
-    def is_static(self):
+    def is_static(self) -> bool:
         """True if there is neither a lag nor a mode."""
         return self.time_constant_s == 0.0 and not self.mode_frequencies_rad_per_s
 
-    def _modes(self):
+    def _modes(self) -> Iterator[tuple[float, float, tuple[float, float] | None]]:
         """For each mode its w, zeta, and the pair of zeros that share its section, or None."""
-        antiresonances = list(
+        antiresonances: list[tuple[float, float] | None] = list(
             zip(
                 self.antiresonance_frequencies_rad_per_s,
                 self.antiresonance_damping_ratios,
@@ -132,15 +140,15 @@ class ElectricVibrationDynamics:
             self.mode_frequencies_rad_per_s, self.damping_ratios, antiresonances, strict=True
         )
 
-    def state_space(self, beside=()):
-        """Continuous `control.StateSpace`.
+    def state_space(self, beside: Sequence[Any] = ()) -> control.StateSpace:
+        """Return the continuous state space of the lag and the modes.
 
         Parameters
         ----------
         beside : sequence of `piezo_models.effects.vibration_mode.VibrationMode`
             Further modes: each takes its participation of the displacement from these.
         """
-        lag = []
+        lag: list[Section] = []
         if self.time_constant_s > 0.0:
             rate = 1.0 / self.time_constant_s
             lag = [([[-rate]], [[rate]], [[1.0]], [[0.0]])]
@@ -150,8 +158,8 @@ class ElectricVibrationDynamics:
             modes = sum((mode.participation * mode.state_space() for mode in beside), modes)
         return modes * _cascade(lag)
 
-    def _series_of_modes(self):
-        sections = []
+    def _series_of_modes(self) -> control.StateSpace:
+        sections: list[Section] = []
         for w, zeta, antiresonance in self._modes():
             position, velocity, direct = 1.0, 0.0, 0.0
             if antiresonance is not None:
@@ -169,8 +177,8 @@ class ElectricVibrationDynamics:
             )
         return _cascade(sections)
 
-    def response(self, frequency_hz, beside=()):
-        """Complex response at the given frequencies, in their shape; see `state_space`."""
+    def response(self, frequency_hz: ArrayLike, beside: Sequence[Any] = ()) -> ComplexArray:
+        """Return the complex response at frequencies, in their shape; see `state_space`."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
         response = np.ones_like(s)
         for w, zeta, antiresonance in self._modes():
@@ -184,26 +192,26 @@ class ElectricVibrationDynamics:
         return response / (self.time_constant_s * s + 1.0)
 
 
-def _quadratic(s, frequency, damping):
+def _quadratic(s: ComplexArray, frequency: float, damping: float) -> ComplexArray:
     ratio = s / frequency
     return ratio * ratio + 2.0 * damping * ratio + 1.0
 
 
-def _set_positive(instance, name):
+def _set_positive(instance: object, name: str) -> None:
     values = tuple(float(value) for value in getattr(instance, name))
     if not all(np.isfinite(value) and value > 0 for value in values):
         raise ValueError(f"{name} is {values}; give positive numbers")
     object.__setattr__(instance, name, values)
 
 
-def _cascade(sections):
+def _cascade(sections: Sequence[Section]) -> control.StateSpace:
     """Series connection, the first section first."""
     systems = [control.ss(*matrices) for matrices in sections]
     return reduce(lambda first, second: second * first, systems, control.ss([], [], [], [[1.0]]))
 
 
-def zoh(system, sample_period_s):
-    """Exact discrete system for an input held over each sample period.
+def zoh(system: control.StateSpace, sample_period_s: float) -> control.StateSpace:
+    """Return the exact discrete system for an input held over each sample period.
 
     Parameters
     ----------
@@ -230,8 +238,9 @@ def zoh(system, sample_period_s):
     return system.sample(sample_period_s, method="zoh")
 
 
-def zoh_response(system, frequency_hz, sample_period_s):
-    """Response of the ZOH-sampled system: that of the discrete system at exp(j 2 pi f T).
+def zoh_response(system: control.StateSpace, frequency_hz: ArrayLike,
+                 sample_period_s: float) -> ComplexArray:
+    """Return the response of the ZOH-sampled system: that of the discrete one at exp(j 2 pi f T).
 
     Parameters
     ----------
@@ -260,8 +269,8 @@ def zoh_response(system, frequency_hz, sample_period_s):
     return response.reshape(frequency.shape)[()]
 
 
-def equilibrium_state(system, held_input=1.0):
-    """State of a continuous system in which it rests under a constant input.
+def equilibrium_state(system: control.StateSpace, held_input: float = 1.0) -> FloatArray:
+    """Return the state in which a continuous system rests under a constant input.
 
     The ZOH-sampled system shares its states and so its equilibrium.
 
@@ -278,8 +287,9 @@ def equilibrium_state(system, held_input=1.0):
     return np.linalg.solve(system.A, -held_input * system.B[:, 0])
 
 
-def simulate_linear(discrete_system, input, initial_state=None):
-    """Output y[n] = C x[n] + D v[n] of a discrete system with x[n + 1] = A x[n] + B v[n].
+def simulate_linear(discrete_system: control.StateSpace, input: ArrayLike,
+                    initial_state: ArrayLike | None = None) -> FloatArray:
+    """Simulate y[n] = C x[n] + D v[n] of a discrete system with x[n + 1] = A x[n] + B v[n].
 
     Parameters
     ----------
@@ -298,8 +308,9 @@ def simulate_linear(discrete_system, input, initial_state=None):
     return continue_linear(discrete_system, input, state)[0]
 
 
-def continue_linear(discrete_system, input, state):
-    """Output of `simulate_linear` and the state after the last sample, to go on from.
+def continue_linear(discrete_system: control.StateSpace, input: ArrayLike,
+                    state: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return the output of `simulate_linear`, and the state after the last sample to go on from.
 
     Parameters
     ----------
@@ -337,7 +348,7 @@ def continue_linear(discrete_system, input, state):
     return output, state
 
 
-def _check_single(system):
+def _check_single(system: control.StateSpace) -> None:
     if (system.ninputs, system.noutputs) != (1, 1):
         raise ValueError(
             f"the system has {system.ninputs} inputs and {system.noutputs} outputs; "
@@ -346,7 +357,8 @@ def _check_single(system):
 
 
 @njit(cache=True)
-def _run(transposed, gains, weights, direct, samples, state):
+def _run(transposed: FloatArray, gains: FloatArray, weights: FloatArray, direct: float,
+         samples: FloatArray, state: FloatArray) -> FloatArray:
     size = state.size
     output = np.empty(samples.size)
     following = np.empty(size)

@@ -1,18 +1,40 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Inverse of the linear dynamics for periodic references."""
 
-import numpy as np
+from dataclasses import dataclass
 
+import control
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezo_models.arrays import FloatArray
 from piezo_models.linear.dynamics import zoh_response
 
-# Harmonics below this part of the largest one are rounding, not reference.
-_NEGLIGIBLE_CONTENT = 1e-12
-# Below this part of the DC gain the inverse would amplify rounding into the result.
-_SMALLEST_GAIN = 1e-6
+
+@dataclass(frozen=True)
+class PeriodicInversionSettings:
+    """Numbers that steer the inversion for periodic references.
+
+    Attributes
+    ----------
+    negligible_content : float
+        Harmonics below this part of the largest one are rounding of the Fourier transform, and not
+        the reference.
+    smallest_gain : float
+        Where the gain is below this part of the DC gain, the inverse would amplify the rounding of
+        a harmonic more than a million times; the reference is refused.
+    """
+
+    negligible_content: float = 1e-12
+    smallest_gain: float = 1e-6
 
 
-def invert_linear_periodic(reference_um, system, sample_period_s, dc_gain=None):
-    """Input whose steady output, held and sampled, is the periodic reference.
+SETTINGS = PeriodicInversionSettings()
+
+
+def invert_linear_periodic(reference_um: ArrayLike, system: control.StateSpace,
+                           sample_period_s: float, dc_gain: float | None = None) -> FloatArray:
+    """Return the input whose steady output, held and sampled, is the periodic reference.
 
     Each harmonic of the Fourier series is divided by the response of the ZOH-sampled system,
     eq. (4.22) with the sampled in place of the continuous response, so the inverse is exact.
@@ -45,16 +67,16 @@ def invert_linear_periodic(reference_um, system, sample_period_s, dc_gain=None):
         raise ValueError("the reference holds a value that is not finite; remove or replace it")
     harmonics = np.fft.rfft(reference)
     size = np.abs(harmonics)
-    used = np.flatnonzero(size > _NEGLIGIBLE_CONTENT * size.max())
+    used = np.flatnonzero(size > SETTINGS.negligible_content * size.max())
     frequency_hz = used / (reference.size * sample_period_s)
     response = zoh_response(system, frequency_hz, sample_period_s)
     gain = np.abs(response)
     static_gain = float(np.real(zoh_response(system, 0.0, sample_period_s)))
-    lost = gain < _SMALLEST_GAIN * abs(static_gain)
+    lost = gain < SETTINGS.smallest_gain * abs(static_gain)
     if lost.any():
         raise ValueError(
             f"the reference has content at {frequency_hz[lost][0]:.6g} Hz, where the system passes "
-            f"less than {_SMALLEST_GAIN:g} of its DC gain; smooth the reference"
+            f"less than {SETTINGS.smallest_gain:g} of its DC gain; smooth the reference"
         )
     if dc_gain is not None:
         response = np.where(used == 0, dc_gain, response)

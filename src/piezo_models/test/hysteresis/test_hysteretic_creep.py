@@ -79,7 +79,7 @@ def test_the_model_file_keeps_it_and_names_what_is_wrong_with_it(stage, tmp_path
     document = json.loads(path.read_text())
     document["hysteretic_creep"]["time_constants_s"][0] = -1.0
     path.write_text(json.dumps(document))
-    with pytest.raises(ModelFileError, match="hysteretic_creep: time_constants_s"):
+    with pytest.raises(ModelFileError, match=r"hysteretic_creep.time_constants_s\[0\] is out"):
         load_model(path)
 
 
@@ -99,3 +99,9 @@ def test_a_model_without_it_is_saved_without_the_field(stage, tmp_path):
 def test_parameters_that_cannot_be_are_refused(arguments, named):
     with pytest.raises(ValueError, match=named):
         HystereticCreep(*arguments)
+
+
+def test_memory_of_a_model_without_it_is_refused(stage):
+    plain = replace(stage, hysteretic_creep=None)
+    with pytest.raises(ValueError, match="no part for the hysteretic creep; take one from this"):
+        stage.simulate([0.0, 1.0], 1e-3, plain.memory())
