@@ -175,7 +175,10 @@ class ActionCaller:
                       look=look)
 
     def _in_executor(self, work):
-        self._node.executor.create_task(work)
+        executor = self._node.executor
+        if executor is None:
+            raise CallFailed(f"this node ended before {self._name} answered: start it again")
+        executor.create_task(work)
 
 
 def _await(send, context, is_served, name, timeout_s, repeatable=False, look=lambda: None):

@@ -163,6 +163,8 @@ class GoalServers(ManagedEntity):
         except Exception as error:
             result.message = f"internal error: {error!r}"
             self._node.get_logger().error(traceback.format_exc())
-        # Executed now that it is over: the executor polls, busily, a goal that waits.
-        self._node.executor.create_task(goal_handle.execute, functools.partial(
-            self._end_goal, result=result, end=end))
+        executor = self._node.executor
+        if executor is not None:  # else the node has ended without waiting any longer
+            # Executed now that it is over: the executor polls, busily, a goal that waits.
+            executor.create_task(goal_handle.execute, functools.partial(
+                self._end_goal, result=result, end=end))
