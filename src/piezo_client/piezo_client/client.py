@@ -56,7 +56,7 @@ class ServiceFailed(GoalFailed):
 
 
 class StoodStill(ServiceFailed):
-    """This process did nothing for so long that the nodes gave it up and ended what it asked for.
+    """Tell that the nodes gave this process up, as it did nothing for so long, and ended its goals.
 
     Parameters
     ----------

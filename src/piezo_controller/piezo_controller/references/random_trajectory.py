@@ -53,7 +53,7 @@ class RandomTrajectory(Trajectory):
         self._coefficients = lru_cache(maxsize=8)(self._draw)
 
     def sample(self, first, count):
-        """See `Trajectory`."""
+        """Do what `Trajectory` says."""
         values, hop = np.zeros(count), self._samples - self._fade
         for number in range((first - self._fade) // hop, (first + count - 1) // hop + 1):
             begin = number * hop
@@ -73,7 +73,7 @@ class RandomTrajectory(Trajectory):
         return np.concatenate([self.sample(int(begin), SURVEYED_SAMPLES) for begin in begins])
 
     def _block(self, number, first, count):
-        """Samples of a block, computed row by row of a table: sines of sums are products."""
+        """Return the samples of a block, row by row of a table, as sines of sums are products."""
         rows = np.arange(first // ROW_SAMPLES, (first + count - 1) // ROW_SAMPLES + 1)
         columns = self._coefficients(number) * _turns(self._lines, rows * ROW_SAMPLES)
         table = columns.real @ self._row.real.T - columns.imag @ self._row.imag.T
@@ -90,5 +90,5 @@ class RandomTrajectory(Trajectory):
 
 
 def _turns(lines, samples):
-    """Unit vectors of each line at each sample, shape (samples, lines)."""
+    """Return the unit vectors of each line at each sample, shape (samples, lines)."""
     return np.exp(2j * np.pi * (np.outer(samples, lines) % 1.0))

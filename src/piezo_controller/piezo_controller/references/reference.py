@@ -279,7 +279,7 @@ def _components(reference, sample_rate_hz):
 
 
 def _cycles_per_sample(frequency_hz, sample_rate_hz):
-    """The frequency as a fraction of the sample rate with a period short enough to upload."""
+    """Return the frequency, in cycles a sample, whose period is short enough to upload."""
     wanted = frequency_hz / sample_rate_hz
     longest = int(LONGEST_PERIOD_S * sample_rate_hz)
     # The continued fraction meets the shortest exact period first.

@@ -27,7 +27,7 @@ class Trajectory(ABC):
 
     @abstractmethod
     def survey(self, samples: int) -> np.ndarray:
-        """Some displacements (um) of the first samples, for their extremes; no more than enough."""
+        """Return some displacements (um) of the first samples, enough to find their extremes."""
 
 
 class FormulaTrajectory(Trajectory):
@@ -43,7 +43,7 @@ class FormulaTrajectory(Trajectory):
         self._formula = formula
 
     def sample(self, first, count):
-        """See `Trajectory`."""
+        """Do what `Trajectory` says."""
         return self._formula(np.arange(first, first + count))
 
     def survey(self, samples):
@@ -74,7 +74,7 @@ class JoinedTrajectory(Trajectory):
         self._begins = np.r_[0, np.cumsum(durations[:-1], dtype=np.int64)]
 
     def sample(self, first, count):
-        """See `Trajectory`."""
+        """Do what `Trajectory` says."""
         joined = np.empty(count)
         ends = np.r_[self._begins[1:], np.iinfo(np.int64).max]
         for n, (begin, end) in enumerate(zip(self._begins, ends, strict=True)):
@@ -92,7 +92,7 @@ class JoinedTrajectory(Trajectory):
         return joined
 
     def survey(self, samples):
-        """See `Trajectory`."""
+        """Do what `Trajectory` says."""
         left = np.clip(samples - self._begins, 0, self._durations)
         left[-1] = max(samples - self._begins[-1], 0)
         return np.concatenate([part.survey(int(count)) for part, count in
@@ -115,7 +115,7 @@ class KeptTrajectory(Trajectory):
         self._lock = threading.Lock()
 
     def sample(self, first, count):
-        """See `Trajectory`."""
+        """Do what `Trajectory` says."""
         at, last, pieces = first, first + count, [np.empty(0)]
         while at < last:
             number, offset = divmod(at, BLOCK_SAMPLES)
@@ -125,7 +125,7 @@ class KeptTrajectory(Trajectory):
         return np.concatenate(pieces)
 
     def survey(self, samples):
-        """See `Trajectory`."""
+        """Do what `Trajectory` says."""
         return self._trajectory.survey(samples)
 
     def _block(self, number):

@@ -36,7 +36,7 @@ def _summed(angle_rad, orders):
 
 
 def _closed(angle_rad, orders):
-    """The same to 1e-9, at a cost that does not depend on the number of orders."""
+    """Return the same to 1e-9, at a cost that does not depend on the number of orders."""
     from_crest = np.abs(np.mod(angle_rad + np.pi / 2, 2 * np.pi) - np.pi)
     from_tip = np.minimum(from_crest, np.pi - from_crest)
     sign = np.where(from_crest < np.pi / 2, 1.0, -1.0)

@@ -97,7 +97,7 @@ class IdentificationNode(LifecycleNode):
         return note, recording
 
     def _play(self, experiment, report, progress, recording):
-        """Play a waveform."""
+        """Play a waveform on the stage and wait for its end."""
         try:
             played = self._player.run(
                 PlayWaveform.Goal(voltage_v=experiment.voltage_v.tolist(),
@@ -210,7 +210,7 @@ class IdentificationNode(LifecycleNode):
             setattr(result, f"after_{name}", float(diagnosis.after[name]))
 
     def _writable(self, goal):
-        """The directory in which a goal's files are made."""
+        """Return the directory in which a goal's files are made."""
         return self._data_root.writable(goal.directory or self._directory)
 
 

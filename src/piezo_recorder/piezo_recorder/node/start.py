@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Start the node of this package; nothing else is imported before Ctrl-C is seen to."""
+"""Start the node of this package; Ctrl-C is handled before anything else is imported."""
 
 from piezo_ros.starting import node_entry
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Judge whether the stage played what it was asked to in a run of the loop."""
+"""Tell whether the stage played what it was asked to in a run of the loop."""
 
 from piezo_interfaces.msg import SampleBlock
 

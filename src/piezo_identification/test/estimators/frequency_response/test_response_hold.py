@@ -180,8 +180,8 @@ def test_options_that_do_not_fit_the_response_are_refused(tmp_path, capsys, save
     try:
         status = identify_main(["--dynamics", str(data), "--hysteresis", str(hysteresis),
                                 "--output", str(tmp_path / "model.json"), *more])
-    except SystemExit as exit:
-        status = exit.code
+    except SystemExit as end:
+        status = end.code
     assert status == 2
     assert said in capsys.readouterr().err
 
