@@ -7,6 +7,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from piezo_models.effects.isolated_samples import (
+    JUMP,
     isolated,
     typical_answer_per_v,
     typical_range,
@@ -82,9 +83,9 @@ def outliers_of_residual(residual_um, measured_um, voltage_v, noise_um=0.0):
     -------
     (N,) array of bool
     """
-    # Model and stage may answer at different times: what is left moves as fast as the stage.
+    # Model and stage may answer a jump at different times: what is left moves as the stage does.
     return isolated(residual_um, voltage_v, typical_answer_per_v(measured_um, voltage_v),
-                    max(noise_um, SMALL * typical_range(measured_um)))
+                    max(noise_um, SMALL * typical_range(measured_um)), JUMP)
 
 
 def outlier_text(path, wrong, time_s):

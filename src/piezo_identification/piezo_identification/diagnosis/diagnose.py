@@ -78,8 +78,10 @@ def diagnose(model, recordings, holdout=None, progress=None):
     else:
         verdict = "explained" if effects else "none"
     effects.sort(key=lambda entry: -entry["error_reduction_percent"])
-    extended = contest.extended_model(trial) if trial.effects else model
-    before, after, where = held_out.errors(trial)
+    # Outliers had bent the model's own parameters if it was identified with them.
+    changes = trial.effects or outliers and held_out.improves(trial)
+    extended = contest.extended_model(trial) if changes else model
+    before, after, where = held_out.errors(trial if changes else None)
     if outliers:
         extended = replace(extended, effects=(*extended.effects, outliers.effect(contest)))
     named = {entry["name"] for entry in effects}

@@ -20,10 +20,10 @@ def verdict_sentence(diagnosis):
     if diagnosis.verdict == "none":
         return f"The model lacks nothing that the data shows: {before:.3g} nm RMS are left."
     if diagnosis.verdict == "explained":
-        if not after < before:
-            # Outliers are left out before and after.
-            return (f"The sensor has {names}: without those samples {after:.3g} nm RMS are left on "
-                    "held-out data.")
+        if [entry["name"] for entry in diagnosis.effects] == ["outliers"]:
+            # They are left out before and after; what changes is the model's own parameters.
+            return (f"The sensor has outliers: without them {before:.3g} nm RMS are left on "
+                    f"held-out data, and {after:.3g} nm with the model tuned to the other samples.")
         return (f"The model lacks {names}: with it the error on held-out data falls from "
                 f"{before:.3g} to {after:.3g} nm RMS.")
     beside = f" beside {names}" if names else ""

@@ -35,8 +35,8 @@ class HeldOut:
 
         Parameters
         ----------
-        trial : Trial
-            The model as given where it has no effects.
+        trial : Trial or None
+            None for the model as given.
 
         Returns
         -------
@@ -73,14 +73,17 @@ class HeldOut:
                 break
             refused[trial.effects[number].name] = self._worse(without_um, with_um)
             trial = other
-        if trial.effects:
-            nothing = self.contest.trial(())
-            without_um, with_um = self._rms_um(nothing, trial)
-            if not with_um < without_um:
-                refused |= {effect.name: self._worse(without_um, with_um)
-                            for effect in trial.effects}
-                trial = nothing
+        if trial.effects and not self.improves(trial):
+            without_um, with_um = self._rms_um(None, trial)
+            refused |= {effect.name: self._worse(without_um, with_um)
+                        for effect in trial.effects}
+            trial = self.contest.trial(())
         return trial, refused
+
+    def improves(self, trial):
+        """Whether the error of a trial is smaller than that of the model as given."""
+        given_um, trial_um = self._rms_um(None, trial)
+        return trial_um < given_um
 
     def _possible(self, trial):
         """A trial without the effects that no stage can have, and why those were taken out."""
@@ -128,8 +131,8 @@ class HeldOut:
         return self._rows(left)
 
     def _of(self, trial):
-        """Samples of the model extended by a trial; as given without effects."""
-        if not trial.effects:
+        """Samples of the model extended by a trial, or as given without one."""
+        if trial is None:
             return self._given
         if self.holdout is not None:
             return _predicted(self.contest.extended_model(trial), self.holdout)

@@ -43,7 +43,7 @@ MOST = 0.1
 """Part of the samples: where more stand out, it is the signal that does."""
 
 
-def isolated(signal, voltage_v, answer_per_v=None, noise=0.0):
+def isolated(signal, voltage_v, answer_per_v=None, noise=0.0, answered_part=0.0):
     """Mask of single samples and short runs that stand out of a signal on both sides.
 
     The signal leaves by a step that is large beside the noise and beside the steps around, all
@@ -61,6 +61,8 @@ def isolated(signal, voltage_v, answer_per_v=None, noise=0.0):
         jumps of the voltage show that it is slower.
     noise : float
         Standard deviation of the signal's noise, at least.
+    answered_part : float
+        Part of the voltage's range below which its steps explain none of the signal.
 
     Returns
     -------
@@ -72,12 +74,17 @@ def isolated(signal, voltage_v, answer_per_v=None, noise=0.0):
         return np.zeros(signal.size, dtype=bool)
     if answer_per_v is None:
         answer_per_v = typical_answer_per_v(signal, voltage_v)
+    changes_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
+    changes_v[changes_v < answered_part * typical_range(voltage_v)] = 0.0
+    # The window lies before the sample, and takes in a change at the sample itself.
+    answer = answer_per_v * maximum_filter1d(
+        changes_v, ANSWER, origin=ANSWER // 2 - 1, mode="nearest")
     good = np.arange(signal.size)
     for longest in LENGTHS:
         for way in (slice(None), slice(None, None, -1)):
             if good.size < 2 * AROUND:
                 break
-            left, limit = signal[good], _limits(signal, voltage_v, good, answer_per_v, noise)
+            left, limit = signal[good], _limits(signal[good], answer[good], noise)
             walk = STEPS * _beside(np.abs(np.diff(left, prepend=left[0])))
             if way.step:
                 # The limit of a step stands at its second sample.
@@ -121,20 +128,16 @@ def typical_range(values):
     return float(high - low)
 
 
-def _limits(signal, voltage_v, good, answer_per_v, noise):
-    """Step between each good sample and the one before that a good signal does not exceed."""
-    left = signal[good]
+def _limits(left, answer, noise):
+    """Step between each sample and the one before that a good signal does not exceed, (N,)."""
     steps = np.abs(np.diff(left, prepend=left[0]))
     bends = np.abs(np.diff(left, 2, prepend=left[0], append=left[-1]))
     spread = 1.4826 / np.sqrt(6.0) * _beside(bends)
     values = np.unique(left)
     rounding = np.diff(values).min(initial=np.inf) if values.size > 1 else 0.0
-    changes_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
-    # The window lies before the sample, and takes in a change at the sample itself.
-    lately_v = maximum_filter1d(changes_v, ANSWER, origin=ANSWER // 2 - 1, mode="nearest")
     return np.maximum.reduce([
         SPREAD * np.maximum(spread, noise), STEPS * _beside(steps),
-        np.full(left.size, ROUNDINGS * rounding), answer_per_v * lately_v[good],
+        np.full(left.size, ROUNDINGS * rounding), answer,
     ])
 
 
