@@ -39,7 +39,8 @@ def test_any_trajectory_is_tracked_better_with_feedback(suite, model, tmp_path):
     printed = suite.beside(run_example, "track_any_trajectory", model, tmp_path, *ON_LEFT)
     feedforward, composite = (float(line.split("e_rms ")[1].split(" %")[0])
                               for line in printed.splitlines())
-    assert composite < feedforward < 5.0
+    # Without feedback the creep of the runs before shows, whichever these were.
+    assert composite < 0.5 * feedforward < 5.0
 
 
 def test_waveform_of_ones_own_is_played_and_read_back(suite, tmp_path):

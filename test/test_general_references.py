@@ -97,7 +97,7 @@ def test_learning_reaches_the_noise_and_begins_there_the_next_time(suite, model,
 
 @pytest.mark.parametrize(("fields", "sentence"), [
     ({"then": [Reference(**RANDOM)], "then_duration_s": [1.0]}, "learning repeats one reference"),
-    ({"learned": "/no/learned.json"}, "the learned feedforward '/no/learned.json' cannot be read"),
+    ({"learned": "/no/learned.json"}, "the learned feedforward '/no/learned.json': cannot be read"),
     ({"reference": Reference(**RANDOM)}, "random reference that is not repeated has no period"),
     ({"mode": "open_loop", "inversion": "zero_phase"}, "open_loop plays one reference"),
     ({"mode": "feedforward", "inversion": "magic"}, "unknown inversion 'magic'"),

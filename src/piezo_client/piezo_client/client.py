@@ -16,6 +16,7 @@ from unique_identifier_msgs.msg import UUID
 from piezo_client.paths import with_absolute_paths
 from piezo_ros.calls import number_request
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
+from piezo_ros.heartbeat import Heartbeat
 
 SERVER_TIMEOUT_S = 30.0
 LOST_RESPONSE_S = 10.0
@@ -86,6 +87,7 @@ class Client:
         self.node = rclpy.create_node(name, namespace=namespace, context=self._context)
         self._executor = EventsExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self._heartbeat = Heartbeat()
         self._actions = {
             name: ActionClient(self.node, action_type, topic)
             for name, (action_type, topic) in ACTIONS.items()}
@@ -99,6 +101,7 @@ class Client:
 
     def close(self):
         """Leave ROS."""
+        self._heartbeat.end()
         # Without this the executor keeps what it waits on, and the stage a reader that hangs.
         self._executor.remove_node(self.node)
         self._executor.shutdown()
@@ -317,11 +320,10 @@ class Client:
         """
         deadline = time.monotonic() + timeout_s
         while not condition():
-            now = time.monotonic()
-            if now > deadline:
+            if time.monotonic() > deadline:
                 return False
             self._executor.spin_once(timeout_sec=0.05)
-            standstill_s = time.monotonic() - now
+            standstill_s = self._heartbeat.standstill_s()
             if standstill_s > LONGEST_STANDSTILL_S:
                 raise StoodStill(standstill_s)
         return True
