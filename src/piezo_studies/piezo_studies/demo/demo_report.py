@@ -57,7 +57,7 @@ def _errors_section(summary):
     return Section(
         "Tracking errors",
         ("Each run lasts one second after an approach. Before it the stage was at its lowest "
-         "voltage and then at rest for a minute of its own time, so that no run inherits the creep of "
+         "voltage, then at rest for a minute of its own time: no run inherits the creep of "
          "another. The table gives e_rms, the RMS of the error over the reference's "
          "peak-to-peak value, by the sensor; the thesis' figure; e_rms of the simulator's true "
          "position; e_rms by the sensor with the mean error removed; and the largest error by "
