@@ -239,7 +239,7 @@ class Soak:
             self.losses += [f"{self._number} ({disturbance}): {problem}" for problem in problems]
 
     def _wait_until_closed(self, path):
-        """Check that the recorder closes what a killed client began after a while."""
+        """Wait until the recorder has closed what a killed client began."""
         file = path / f"{path.name}_0.mcap"
         self.client.spin_until(
             lambda: not file.exists() or file.read_bytes().endswith(b"\x89MCAP0\r\n"), 10.0)
