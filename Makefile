@@ -14,7 +14,7 @@ setup: ## make the environment and build the packages; skips what is done
 	@tools/setup
 
 demo: ## identify and control the simulated stage; report in runs/demo
-	@./run piezo_bringup demo --output runs/demo
+	@./run piezo_studies demo --output runs/demo
 
 test: setup ## check the style, then run the unit and the integration tests
 	@$(in_environment) tools/style && tools/tests
@@ -33,7 +33,7 @@ kernels: setup ## compare the demo's figures under three BLAS kernels; in runs/k
 
 SECONDS_OF_SOAK ?= 3600
 SEED ?= 1
-soak: setup ## run everything at random, with faults, for SECONDS_OF_SOAK from SEED; in runs/soak
+soak: setup ## run random goals and faults for SECONDS_OF_SOAK, drawn from SEED; in runs/soak
 	@$(in_environment) .venv/bin/python benchmarks/soak.py --seconds $(SECONDS_OF_SOAK) --seed $(SEED)
 
 bench: setup ## measure speed and accuracy beside peers
@@ -41,15 +41,15 @@ bench: setup ## measure speed and accuracy beside peers
 	@$(in_environment) .venv/bin/python benchmarks/run.py
 
 DATA ?= ../shared/data
-measured: ## identify from measured data in DATA, beside its published figures; in runs/measured
-	@./run piezo_identification measured --data "$(DATA)" --output runs/measured
+measured: ## identify from measured data in DATA, compare with its published figures; in runs/measured
+	@./run piezo_studies measured --data "$(DATA)" --output runs/measured
 
 reproduce: setup ## run the studies of the thesis' chapters 2 to 5; writes docs/reproduction.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.thesis
 
 CASES ?= 260
 diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite
-	@./run piezo_bringup diagnose_suite --cases $(CASES) --seed $(SEED) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
+	@./run piezo_studies diagnose_suite --cases $(CASES) --seed $(SEED) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 docs: setup ## write the tables and the picture in docs that are made from the sources
 	@.venv/bin/python tools/error_table.py

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a tick's answer takes to compute, without any message."""
+"""Measure what the answer to a tick takes to compute, without any message."""
 
 import time
 
@@ -18,7 +18,7 @@ WARM_UP = 200
 
 
 def computing_times_s():
-    """Times of the answers of the run's account with its feedback.
+    """Return the times of the answers of the run's account with its feedback.
 
     Returns
     -------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The diagnosis of a million samples beside one simulation of them."""
+"""Time the diagnosis of a million samples beside one simulation of them."""
 
 import time
 from dataclasses import replace

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Preisach forward and inverse beside the plain relay grid, in samples per second."""
+"""Compare Preisach model and relay grid, forward and inverse, in samples per second."""
 
 import timeit
 
@@ -78,7 +78,7 @@ def invert_relays(output_um, alpha_v, beta_v, weight_um):
 
 
 def _speed(function, sequence, *arguments):
-    """Samples per second, the fastest of a few repeats."""
+    """Return samples per second, the fastest of a few repeats."""
     function(sequence[:10], *arguments)  # compiles
     times_s = timeit.repeat(lambda: function(sequence, *arguments), number=1, repeat=REPEATS)
     return len(sequence) / min(times_s)

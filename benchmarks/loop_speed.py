@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Closed loop: simulated seconds per second, and the tick's round trip beside a ping-pong."""
+"""Time the closed loop: simulated seconds per second, and the round trip of a tick."""
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray

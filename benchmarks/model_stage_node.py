@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The stage over the model, which keeps how long every answer took."""
+"""Run the stage over a model, and keep how long every answer took."""
 
 import array
 import time
@@ -25,7 +25,7 @@ class TimedModelStage(ModelStage):
         self.measured_at_s = {}
 
     def exchange(self, voltage_v):
-        """Play voltages."""
+        """Play voltages on the model in place of a plant."""
         displacement_um = super().exchange(voltage_v)
         self._due_s += len(voltage_v) / self.sample_rate_hz
         now_s = time.perf_counter()

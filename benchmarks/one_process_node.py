@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The stage over the model and the controller in one process with one executor."""
+"""Run the stage over a model and the controller in one process with one executor."""
 
 import rclpy
 from rclpy.executors import ExternalShutdownException

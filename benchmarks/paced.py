@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The stage at 1 kHz of wall-clock time: python paced.py [SECONDS].
+"""Run the stage at 1 kHz of wall-clock time: python paced.py [SECONDS].
 
 A client of its own process answers every block. Every sample is accounted for: the feedforward
 exactly as uploaded, plus an answer that was sent; an answer that came too late is counted.
@@ -26,7 +26,7 @@ DIAGNOSTICS_S = 3.0
 
 
 def answer_v(tick):
-    """The answer to a block: another one for every tick of a second."""
+    """Return the answer to a block: another one for every tick of a second."""
     return ANSWER_V * (tick % TICKS_PER_S)
 
 

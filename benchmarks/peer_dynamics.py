@@ -31,7 +31,7 @@ def sippy(method, options, input, output, sample_period_s):
 
 
 def pysib(estimator, orders, input, output, sample_period_s):
-    """pysib: the polynomials B and A F, filled up to equal length."""
+    """Return the polynomials B and A F of pysib, filled up to equal length."""
     import pysib
 
     _, model = getattr(pysib, estimator)(input, output, *orders, 1)
@@ -39,7 +39,7 @@ def pysib(estimator, orders, input, output, sample_period_s):
 
 
 def nfoursid(input, output, sample_period_s):
-    """nfoursid: matrices of the state space."""
+    """Return the matrices of the state space of nfoursid."""
     import pandas
     from nfoursid.nfoursid import NFourSID
 

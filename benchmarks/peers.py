@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Identification beside what else there is to take, on the same data: python peers.py.
+"""Compare identification with public libraries on the same data: python peers.py.
 
 Dynamics: public libraries fit square-wave records of a known plant. Hysteresis: the dense
 regression on the relay grid is solved by NumPy's singular value decomposition.
@@ -113,7 +113,7 @@ def _add_peer(rows, title, method, records, truth, our_fits):
 
 
 def _fit_ours(wave, outputs_um):
-    """The fits in the form of `peer_dynamics.fit_all`."""
+    """Return the fits in the form of `peer_dynamics.fit_all`."""
     fits = []
     for output_um in outputs_um:
         start_s = time.perf_counter()
@@ -125,7 +125,7 @@ def _fit_ours(wave, outputs_um):
 
 
 def _run_peer(method, records):
-    """Result of a method of `peer_dynamics`; RuntimeError tells why there is none."""
+    """Return the result of a method of `peer_dynamics`; RuntimeError tells why there is none."""
     if not PEERS_PYTHON.exists():
         raise RuntimeError("not measured: tools/apart could not install it")
     result = OUTPUT / "result.json"
@@ -205,12 +205,12 @@ def density_by_numpy(voltage_v, output_um, levels_v, samples, cutoff):
 
 
 def with_offset(areas):
-    """The regression with a column of ones."""
+    """Return the regression with a column of ones."""
     return np.column_stack([areas, np.ones(len(areas))])
 
 
 def _timed(function):
-    """Result and time (s) of a call."""
+    """Return the result and the time (s) of a call."""
     start_s = time.perf_counter()
     return function(), time.perf_counter() - start_s
 

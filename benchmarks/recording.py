@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A long recording at the full sample clock, in simulated time: python recording.py [SECONDS].
+"""Record for long at the full sample clock, in simulated time: python recording.py [SECONDS].
 
 Accounts for every sample, and tells the recorder's memory on the way.
 """

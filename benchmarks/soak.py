@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A long run of everything at random: python soak.py [--seconds S] [--seed N].
+"""Run random goals and faults for long: python soak.py [--seconds S] [--seed N].
 
 Lockstep tracking and experiments, each recorded, into which faults break: emergency stops,
 cancellations, lost sensors, killed clients and recorders, restarts. After each the stage must be
@@ -239,7 +239,7 @@ class Soak:
             self.losses += [f"{self._number} ({disturbance}): {problem}" for problem in problems]
 
     def _wait_until_closed(self, path):
-        """The recorder closes what a killed client began after a while."""
+        """Wait until the recorder has closed what a killed client began."""
         file = path / f"{path.name}_0.mcap"
         self.client.spin_until(
             lambda: not file.exists() or file.read_bytes().endswith(b"\x89MCAP0\r\n"), 10.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A stage model without identification, and a backend that plays it."""
+"""Make a stage model without identification, and a backend that plays it."""
 
 import numpy as np
 
@@ -38,7 +38,7 @@ def preisach_model(levels):
 
 
 def stage_model():
-    """The dynamics of thesis 4.7.1 behind a hysteresis of the same size as the thesis'."""
+    """Return the dynamics of thesis 4.7.1 behind a hysteresis of the same size as the thesis'."""
     return StageModel(preisach_model(50), CREEP, DYNAMICS)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The benchmarks' table: printed, and written as JSON."""
+"""Print the table of the benchmarks, and write it as JSON."""
 
 import json
 from collections import defaultdict

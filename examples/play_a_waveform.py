@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Play a voltage of your own and look at the answer. The stage and the recorder must run.
+"""Play a voltage of your own and look at the response. The stage and the recorder must run.
 
     python examples/play_a_waveform.py runs/example
 """

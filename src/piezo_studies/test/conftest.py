@@ -34,7 +34,7 @@ class TrackingRecordings:
               truth=True):
         """Write a run whose displacement is the reference minus the given errors.
 
-        Before the periodic part lies a lead-in far away from the reference, and samples at rest
+        Before the periodic part lies an approach far away from the reference, and samples at rest
         lie around the whole. Blocks are logged ``block_wall_s`` apart while tracking, a second
         apart otherwise.
         """

@@ -5,7 +5,7 @@ import numpy as np
 
 
 def remove_polynomial_drift(time_s, displacement_um, rest_samples, degree=2):
-    """Take off a polynomial through the samples at rest, eq. (3.21).
+    """Remove a polynomial through the samples at rest, eq. (3.21).
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ class NormalEquations:
         self.count = 0
 
     def add(self, rows, output):
-        """Add samples.
+        """Add samples to the normal equations.
 
         Parameters
         ----------
@@ -72,7 +72,7 @@ class NormalEquations:
 
 
 def accumulate(voltage_v, output_um, levels_v, samples=None):
-    """Normal equations of a whole recording on the relay grid, block by block.
+    """Sum the normal equations of a whole recording on the relay grid, block by block.
 
     Parameters
     ----------

@@ -110,7 +110,7 @@ def truncated_svd(equations, ratio=1e-3, rank=None):
 
 
 def density_by_svd(decomposition, voltage_v, levels_v, offset_um=0.0):
-    """Density from the decomposition, in the common form.
+    """Return the density of the decomposition, in the form that all estimators share.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def density_by_svd(decomposition, voltage_v, levels_v, offset_um=0.0):
         The samples used, for what they visit.
     levels_v : ndarray, shape (L + 1,)
     offset_um : float
-        Output with all relays off, taken off the outputs before.
+        Output with all relays off, removed from the outputs before.
 
     Returns
     -------
@@ -134,7 +134,7 @@ def density_by_svd(decomposition, voltage_v, levels_v, offset_um=0.0):
 
 
 def density_of_weights(method, weights_um, voltage_v, levels_v, offset_um=0.0, **results):
-    """Common form of an estimate X of the relays' weights mu * s, (2.3).
+    """Turn an estimate X of the relays' weights mu * s, (2.3), into a density.
 
     Parameters
     ----------

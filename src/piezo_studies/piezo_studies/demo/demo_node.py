@@ -21,7 +21,7 @@ from piezo_common.progress_line import ProgressLine
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import read_recording
 from piezo_studies.demo.demo_report import render_report
-from piezo_studies.demo.extended_model_section import SecondHalf
+from piezo_studies.demo.extended_model_section import ExtendedModel
 from piezo_studies.demo.run_directory import claim_directory
 from piezo_studies.demo.summary import (
     format_model_errors,
@@ -159,7 +159,7 @@ def _identify(client, processes, directory, progress):
 
 
 def _diagnose(client, processes, identified, directory, progress):
-    """Record the diagnostic experiment and find what the model lacks; judge on the validation."""
+    """Record the diagnostic experiment and find what the model lacks; validate."""
     def show(feedback):
         progress.show(f"diagnose, {feedback.stage}", feedback.fraction, feedback.seconds_left)
 
@@ -217,12 +217,12 @@ def _report(directory, identified, tracks, diagnosis, tracks_after, command):
     shown = {name: read_recording(_recording_of(name, identified))
              for name in ("creep", "dynamics", "validation")}
     model = load_model(identified.model).model
-    second_half = SecondHalf(
+    extended = ExtendedModel(
         diagnosis.sentence, verdict, load_model(diagnosis.extended_model).model, runs_after)
     (directory / "tracking.png").write_bytes(to_png(
         draw_errors(summary["tracking"], summary["tracking_after"])))
     (directory / "report.html").write_text(
-        render_report(summary, runs, model, shown, second_half, command, directory),
+        render_report(summary, runs, model, shown, extended, command, directory),
         encoding="utf-8")
     return summary
 

@@ -4,14 +4,14 @@
 from piezo_common.report_page import Section, pictured, render_page
 from piezo_identification.prediction import predict
 from piezo_studies.demo import identification_pictures, tracking_pictures
-from piezo_studies.demo.extended_model_section import second_half_sections
+from piezo_studies.demo.extended_model_section import extended_model_sections
 from piezo_studies.demo.square_wave_response import square_wave_response
 from piezo_studies.demo.summary import table_rows
 
 TITLE = "A piezo stage, identified and controlled"
 
 
-def render_report(summary, runs, model, recordings, second_half, command, directory):
+def render_report(summary, runs, model, recordings, extended, command, directory):
     """Return the report as one HTML page.
 
     Parameters
@@ -22,7 +22,7 @@ def render_report(summary, runs, model, recordings, second_half, command, direct
     model : piezo_models.cascade.StageModel
     recordings : dict of str to Recording
         Of the experiments ``creep``, ``dynamics`` and ``validation``.
-    second_half : SecondHalf
+    extended : ExtendedModel
         What came of the diagnosis.
     command : str
         That made it all.
@@ -35,19 +35,19 @@ def render_report(summary, runs, model, recordings, second_half, command, direct
         *(_frequency_section(frequency_hz, [run for run in runs
                                             if run.frequency_hz == frequency_hz])
           for frequency_hz in sorted({run.frequency_hz for run in runs})),
-        *second_half_sections(summary, runs, model, recordings["validation"], second_half),
+        *extended_model_sections(summary, runs, model, recordings["validation"], extended),
         _measures_section(summary),
     ])
 
 
 def _introduction(command):
     return (
-        "A simulated stage was identified from its own measurements, and then made to follow sines "
-        "with the model so found. The stage has more to it than the model was allowed to have: a "
-        "diagnostic recording told what, the model was extended by it, and the same sines were "
-        "followed again. Stage, recorder, identification and controller ran as separate "
-        "ROS 2 nodes in lockstep, so the machine's speed changes no number except the speed "
-        "itself.",
+        "A simulated stage was identified from its own measurements. It then followed sines, "
+        "controlled with the identified model. The stage does more than the model was "
+        "allowed to describe. A diagnostic recording showed what, the model was extended by it, "
+        "and the stage followed the same sines again. Stage, recorder, identification and "
+        "controller ran as separate ROS 2 nodes in lockstep: the speed of the machine changes no "
+        "number except the speed itself.",
         f"All numbers and pictures come from one run of `{command}`. The recordings, the model and "
         "the numbers (`summary.json`) lie beside this page.",
     )
@@ -56,14 +56,14 @@ def _introduction(command):
 def _errors_section(summary):
     return Section(
         "Tracking errors",
-        ("Each run lasts one second after a lead-in, and begins with a stage that has been at its "
-         "lowest voltage and then at rest for a minute of its own time, so that no run inherits "
-         "the creep of another. The table gives e_rms, the RMS of the error over the reference's "
+        ("Each run lasts one second after an approach. Before it the stage was at its lowest "
+         "voltage, then at rest for a minute of its own time: no run inherits the creep of "
+         "another. The table gives e_rms, the RMS of the error over the reference's "
          "peak-to-peak value, by the sensor; the thesis' figure; e_rms of the simulator's true "
-         "position; e_rms by the sensor with the mean error taken off; and the largest error by "
+         "position; e_rms by the sensor with the mean error removed; and the largest error by "
          "the sensor.",
-         "Open loop knows no more of the stage than its gain over the whole range. Feedforward "
-         "inverts the identified model, but repeats one period throughout, so that the creep "
+         "Open loop divides the reference by the gain of the stage over the whole range. "
+         "Feedforward inverts the identified model, but repeats one period throughout: the creep "
          "within the run stays in its error as a drift. Composite adds the feedback.",
          "The thesis' figures were measured on a real stage, ours on a simulated one: they tell "
          "the scale. A dash stands where the thesis gives none."),
@@ -71,8 +71,8 @@ def _errors_section(summary):
         (pictured("Errors over frequency", tracking_pictures.draw_errors(
                       summary["tracking"], summary["tracking_after"]),
                   "Tracking error of each mode over the frequency; that of composite once more "
-                  "with the extended model. What the sensor adds by its noise is the way from the "
-                  "hollow to the full circles."),))
+                  "with the extended model. The distance between hollow and full circles is the "
+                  "sensor's noise."),))
 
 
 def _identification_section(errors, model, recordings, directory):
@@ -103,7 +103,7 @@ def _identification_section(errors, model, recordings, directory):
                   "to this recording."),
          pictured("Step response",
                   identification_pictures.draw_step_response(predictions["dynamics"], period_s),
-                  "Answer to one period of the square wave to which the dynamics were fitted, "
+                  "Response to one period of the square wave to which the dynamics were fitted, "
                   "measured and modelled."),
          pictured("Frequency response", identification_pictures.draw_frequency_response(
                       model.linear(), sample_period_s, measured),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The second half of the demo's report: what the model lacked, and what its extension is worth."""
+"""The demo's report on the extended model: what the model lacked, and what the extension brings."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,8 @@ from piezo_studies.demo.summary import model_error_rows, tracking_error_rows
 
 
 @dataclass(frozen=True, eq=False)
-class SecondHalf:
-    """What came of the diagnosis.
+class ExtendedModel:
+    """What the diagnosis found, and the runs with the extended model.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class SecondHalf:
     runs: list
 
 
-def second_half_sections(summary, runs, model, validation, second_half):
+def extended_model_sections(summary, runs, model, validation, extended):
     """Return the sections of the report.
 
     Parameters
@@ -44,12 +44,12 @@ def second_half_sections(summary, runs, model, validation, second_half):
     model : piezo_models.cascade.StageModel
         As it was.
     validation : Recording
-        On which the model is judged.
-    second_half : SecondHalf
+        On which the models are compared.
+    extended : ExtendedModel
     """
-    return (_effects_section(second_half.sentence, second_half.verdict["effects"]),
-            _model_section(summary, model, validation, second_half),
-            _tracking_section(summary, runs, second_half))
+    return (_effects_section(extended.sentence, extended.verdict["effects"]),
+            _model_section(summary, model, validation, extended),
+            _tracking_section(summary, runs, extended))
 
 
 def _effects_section(sentence, effects):
@@ -64,16 +64,16 @@ def _effects_section(sentence, effects):
                          "-" if deviation is None else _number(deviation)])
     return Section(
         "What the model lacks",
-        (f"{sentence} Nothing told the diagnosis what the stage carries: it had the model and one "
-         "recording of the experiment `diagnostic`, in which every effect shows that it knows.",
+        (f"{sentence} The diagnosis had only the model and one recording of the experiment "
+         "`diagnostic`, which shows every effect that the diagnosis knows.",
          "The page `diagnosis/report.html` beside this one holds the residuals, what was tried and "
          "rejected, and what the data could not decide; `diagnosis/verdict.json` holds the "
          "numbers."),
         rows if len(rows) > 1 else ())
 
 
-def _model_section(summary, model, validation, second_half):
-    before, after = (predict(each, validation) for each in (model, second_half.model))
+def _model_section(summary, model, validation, extended):
+    before, after = (predict(each, validation) for each in (model, extended.model))
     sample_period_s = 1.0 / validation.sample_rate_hz
     return Section(
         "The model before and after",
@@ -85,12 +85,12 @@ def _model_section(summary, model, validation, second_half):
                   "Spectrum of measured minus simulated displacement on the validation recording, "
                   "and the sensor's noise."),
          pictured("Response before and after", extension_pictures.draw_responses(
-                      model, second_half.model, sample_period_s),
+                      model, extended.model, sample_period_s),
                   "From the hysteresis' output to the displacement, without and with what was "
                   "added.")))
 
 
-def _tracking_section(summary, runs, second_half):
+def _tracking_section(summary, runs, extended):
     return Section(
         "Tracking before and after",
         ("The same sines, modes and rests, with the extended model in place of the first; e_rms "
@@ -98,7 +98,7 @@ def _tracking_section(summary, runs, second_half):
         tracking_error_rows(summary),
         (pictured("Tracking errors before and after",
                   extension_pictures.draw_tracking_errors(
-                      _composite(runs), _composite(second_half.runs)),
+                      _composite(runs), _composite(extended.runs)),
                   "Error of composite over the last periods, by the sensor.", tall=True),))
 
 

@@ -14,7 +14,7 @@ from piezo_recorder.reading.reader import GROUND_TRUTH, read_recording
 
 @dataclass(frozen=True, eq=False)
 class TrackedRun:
-    """The periodic part of a run: what the reference repeats in, after the lead-in.
+    """The periodic part of a run, which follows the approach.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ def _true_displacement_um(path, part):
 
 
 def _loop_times(path, first_sample, last_sample):
-    """Samples and wall time from the first block of the loop to the last; answers missed."""
+    """Return samples and wall time of the loop, first block to last, and the missed answers."""
     with AnyReader([Path(path)]) as reader:
         samples = [connection for connection in reader.connections
                    if connection.msgtype.endswith("/SampleBlock")

@@ -25,7 +25,7 @@ MODE_MARKERS = {"open_loop": "s", "feedforward": "^", "composite": "o"}
 
 
 def draw_errors(entries, entries_after=()):
-    """The error e_rms of every mode over the frequency, and the thesis' composite controller.
+    """Draw the error e_rms of every mode over the frequency, and the thesis' composite controller.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def _plot_errors(axes, entries, key, **style):
 
 
 def draw_tracking(runs):
-    """Reference and displacement of the runs of one frequency, and the errors on their scales.
+    """Draw reference, displacement and error of the runs of one frequency.
 
     Parameters
     ----------
@@ -177,5 +177,5 @@ def _last_periods(run):
 
 
 def _scaled(error_um):
-    """An error with the unit that suits its size."""
+    """Format an error with the unit that suits its size."""
     return (error_um, "um") if np.abs(error_um).max() > 0.5 else (1e3 * error_um, "nm")

@@ -62,7 +62,7 @@ class Case:
         return any(cause in CAUSES_OUTSIDE for cause in self.causes)
 
     def random(self, purpose):
-        """Generator of what is random for a purpose."""
+        """Return the random generator for one purpose."""
         return np.random.default_rng([self.seed, self.number, *purpose.encode()])
 
 
@@ -111,6 +111,6 @@ def _in_turn(items, count, random):
 
 
 def _another(name, random):
-    """A second effect that a recording can show beside the first."""
+    """Draw a second effect that a recording can show beside the first."""
     apart = (FAST_ONLY if name in SLOW_ONLY else SLOW_ONLY if name in FAST_ONLY else set())
     return str(random.choice([other for other in CAUSES if other not in apart | {name}]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a case came to, and the figures of all."""
+"""Classify the result of each case, and count the results of all."""
 
 from collections import Counter
 
@@ -38,7 +38,7 @@ def strongest(result):
 
 
 def refused(case, error):
-    """Result of a case that could not be diagnosed.
+    """Return the result of a case that could not be diagnosed.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def _group_of_refused(result):
 
 
 def outcome(result):
-    """What a case came to.
+    """Classify the result of a case.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def outcome(result):
 
 
 def summary(results):
-    """The figures beside their targets, the confusion table and the outcomes.
+    """Return the figures beside their targets, the confusion table and the outcomes.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def _percent(part, whole):
 
 
 def as_text(document):
-    """The summary as lines for people."""
+    """Return the summary as lines for people."""
     lines = ["what was there -> what came first (contributions above "
              f"{CLEAR:g} x noise; clean and outside the list: the verdict)"]
     for row, counts in document["confusion"].items():

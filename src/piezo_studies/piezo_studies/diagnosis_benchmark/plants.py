@@ -12,7 +12,7 @@ from piezo_sim.plant.sensor import DisplacementSensor
 
 
 def draw_plant(seed):
-    """A plant of the default structure with parameters of its own.
+    """Draw a plant of the default structure with parameters of its own.
 
     Parameters
     ----------
@@ -52,12 +52,12 @@ def draw_plant(seed):
 
 
 def noise_um(plant):
-    """Standard deviation of the sensor's noise of a sample."""
+    """Return the standard deviation of the sensor's noise of a sample."""
     return next(e.noise_rms_um for e in plant.sensor if isinstance(e, DisplacementSensor))
 
 
 def _factor(random, most):
-    """A factor between 1 / most and most."""
+    """Draw a factor between 1 / most and most."""
     return float(np.exp(random.uniform(-np.log(most), np.log(most))))
 
 

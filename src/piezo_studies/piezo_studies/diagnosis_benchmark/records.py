@@ -25,7 +25,7 @@ MOST_CHANGE_V = 45.0
 
 
 def designed(random, slow):
-    """The validation experiment; with a slow logger steps held for seconds."""
+    """Return the validation experiment; with a slow logger steps held for seconds."""
     if slow:
         levels_v = 50.0 + 0.5 * random.uniform(-60.0, 60.0, 7)
         return _held("steps", levels_v, 4.0, SLOW_HZ)
@@ -33,7 +33,7 @@ def designed(random, slow):
 
 
 def sweep(random, slow):
-    """A sine whose frequency rises over two decades or more."""
+    """Return a sine whose frequency rises over two decades or more."""
     rate_hz, duration_s = (SLOW_HZ, 28.0) if slow else (FAST_HZ, 0.8)
     first_hz, last_hz = (0.1, 30.0) if slow else (5.0, random.uniform(600.0, 1500.0))
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
@@ -52,7 +52,7 @@ def random_levels(random, slow):
 
 
 def tracking(random, slow):
-    """What an operator tracks on an ordinary day: a scan line with something on top."""
+    """Return what an operator tracks on an ordinary day: a scan line with something on top."""
     rate_hz, duration_s = (SLOW_HZ, 28.0) if slow else (FAST_HZ, 0.8)
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
     line_hz = random.uniform(0.2, 1.0) if slow else random.uniform(6.0, 20.0)
@@ -110,7 +110,7 @@ def surroundings(experiment, seed):
 
 
 def clock_samples(experiment):
-    """Samples of the stage's clock for each of the experiment."""
+    """Return the samples of the stage's clock for each of the experiment."""
     return max(1, round(LEAST_CLOCK_HZ * experiment.sample_period_s))
 
 

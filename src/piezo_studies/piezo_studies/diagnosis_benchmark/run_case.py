@@ -24,7 +24,7 @@ WEAKEST_MULTIPLE = 1e-2
 
 
 def identified_model(plant, seed):
-    """The model that `identify` finds from designed experiments on a plant, effects and all.
+    """Return the model that `identify` finds from designed experiments on a plant, effects and all.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def identified_model(plant, seed):
 
 
 def _identified(recordings, order):
-    """The model of an order, with fewer pairs where the creep does not show that many."""
+    """Identify a model of an order, with fewer pairs where the creep does not show that many."""
     try:
         return identify(**recordings, order=order).model
     except CreepNotShown:
@@ -61,7 +61,7 @@ def clean_model(seed, plant):
 
 
 def run_case(case, model):
-    """Run a case.
+    """Record a drawn case, diagnose it, and return what was found.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def _lacking_um(diagnosis):
 
 
 def _drawn(cause, plant, voltage_v, surroundings, multiple, seed, clock_samples):
-    """The effect, half as strong as often as it takes for the recording to show it."""
+    """Draw the effect, half as strong as often as it takes for the recording to show it."""
     while True:
         try:
             return draw_effect(

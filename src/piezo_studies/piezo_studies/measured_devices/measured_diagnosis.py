@@ -67,7 +67,7 @@ class Finding:
     left: str = ""
 
     def text(self):
-        """A few lines for people."""
+        """Return a few lines for people."""
         refitted = "" if self.refitted_percent is None else (
             f", {self.refitted_percent:.3g} % by a fit without that restriction")
         if self.refitted_percent is not None and self.refitted_percent < self.after_percent:
@@ -122,7 +122,7 @@ def nanopositioner_without_creep(directory):
 
 
 def scanner_without_asymmetry(directory):
-    """Diagnose a symmetric hysteresis on the loops it was fitted on, judged on the others."""
+    """Diagnose a symmetric hysteresis on the loops it was fitted on, tested on the others."""
     nested, major = (read_recording(Path(directory) / name) for name in (NESTED_LOOPS, MAJOR_LOOPS))
     for fitted, unseen, names in ((major, nested, ("major", "nested")),
                                   (nested, major, ("nested", "major"))):
@@ -138,7 +138,7 @@ def scanner_without_asymmetry(directory):
 
 
 def symmetric(hysteresis):
-    """The hysteresis whose way down is its way up turned by half a circle, nearest to a given one.
+    """Return the nearest symmetric hysteresis: its way down is its way up turned by 180 degrees.
 
     Its density does not change where both thresholds are mirrored at the middle.
 

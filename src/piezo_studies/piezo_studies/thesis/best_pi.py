@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a PI can reach at best on the stage, however it is tuned."""
+"""The best that any PI controller can attain on the stage, however it is tuned."""
 
 from functools import cache
 from itertools import product
@@ -23,10 +23,10 @@ SINE_PERCENT = 100.0 / (2.0 * np.sqrt(2.0))
 
 
 @cache
-def least_error_percent(frequency_hz):
-    """Least e_rms of a sine under any PI at the rate of the sample clock, by the model.
+def best_error_percent(frequency_hz):
+    """Return the least e_rms that any PI at the rate of the sample clock leaves of a sine.
 
-    Offset and noise not counted.
+    The identified model predicts it; offset and noise are not counted.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ def study():
 
     rows = [
         Row(SECTION, "Fig. 4.10: shift of the mode, hysteresis ignored", None,
-            shift_percent(ignored), "%", "the thesis shows it lower, without a figure"),
+            shift_percent(ignored), "%", "the thesis shows a lower one, without a figure"),
         Row(SECTION, "Fig. 4.10: shift of the mode, hysteresis known", None,
             shift_percent(known), "%"),
         Row(SECTION, "Fig. 4.10: lag of the hysteresis, taken for dynamics", None,
@@ -57,7 +57,7 @@ def study():
         Row(SECTION, "Fig. 4.10: DC gain of the fit to the chirp", None, gain, "um/V",
             "that of the dynamics is 1, that of the hysteresis in the last row"),
         Row(SECTION, "Fig. 4.10: gain of the hysteresis, a fifth of the amplitude", None, small,
-            "um/V", "DC gain is a matter of the amplitude"),
+            "um/V", "the DC gain depends on the amplitude"),
         Row(SECTION, "Fig. 4.10: gain of the hysteresis, full amplitude", None, large, "um/V"),
     ]
     fitted = gain * ignored.response(frequency_hz)

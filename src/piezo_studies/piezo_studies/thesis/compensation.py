@@ -43,12 +43,13 @@ def study():
     settled = time_s >= 1.0
     return Study([
         Row(SECTION, "RMS error, feedforward", 5.02, _rms(reference_um - feedforward_um), "um",
-            "almost all of it the offset of 5 um; it is taken as -5 um, +5 needs less than 0 V"),
+            "almost all of it the offset of 5 um; taken as -5 um, because +5 um needs less than "
+            "0 V"),
         Row(SECTION, "RMS error, feedforward, offset removed", None,
             float(np.std(reference_um - feedforward_um)), "um",
             "the thesis' 5.02 um leaves 0.45 um"),
         Row(SECTION, "RMS error, composite", 0.22, _rms(reference_um - composite_um), "um",
-            "over 10 s with the start; the thesis does not tell how long"),
+            "over 10 s with the start; the thesis does not say how long"),
         Row(SECTION, "RMS error, composite, after the first second", None,
             _rms((reference_um - composite_um)[settled]), "um"),
     ])

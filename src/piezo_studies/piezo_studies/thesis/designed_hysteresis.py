@@ -71,7 +71,7 @@ def study():
             "creep within the harmonics remains", below=True),
         Row(SECTION, "drift of the stage in 100 s", float(DRIFT(100.0) - DRIFT(0.0)),
             float(drift(100.0) - drift(0.0)), "um",
-            "the simulated stage's creep; the thesis' stage drifts otherwise"),
+            "the simulated stage's creep; the thesis' stage drifts differently"),
         Row(SECTION, "drift left at the samples at rest, RMS", None,
             float(np.std(steady_um[starts])), "um"),
         Row(SECTION, "quadratic term of the thesis' drift, added and found", 1.21e-4,

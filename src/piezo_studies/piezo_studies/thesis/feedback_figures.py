@@ -51,7 +51,7 @@ def study():
         Row(SECTION, "ultimate frequency by relay", 500.0, ultimate_hz, "Hz"),
         Row(SECTION, "feedback rate by (5.10)", 1000.0,
             1 / CLOCK_PERIOD_S / rules.samples_per_tick, "Hz",
-            f"lower bound {rules.lowest_rate_hz:.0f} Hz; the thesis is on its bound, too"),
+            f"lower bound {rules.lowest_rate_hz:.0f} Hz; the thesis is at its bound, too"),
     ]
     frequency_hz = np.geomspace(1.0, 500.0, 500)
     figure = new_figure(3.4)

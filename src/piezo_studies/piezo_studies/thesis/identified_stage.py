@@ -40,7 +40,7 @@ def identified_stage():
 
 
 def study():
-    """Identified parameters beside those of the thesis.
+    """List the identified parameters beside those of the thesis.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def study():
     found = (dynamics.time_constant_s, *dynamics.mode_frequencies_rad_per_s,
              *dynamics.damping_ratios)
     rows = [
-        Row(SECTION, "creep poles", 5, poles.size, "1", "as many as the criterion justifies"),
+        Row(SECTION, "creep poles", 5, poles.size, "1", "the number that the criterion chooses"),
         Row(SECTION, "slowest creep pole", CREEP_POLES_RAD_PER_S[0], poles.min(), "rad/s"),
         Row(SECTION, "fastest creep pole", CREEP_POLES_RAD_PER_S[-1], poles.max(), "rad/s"),
         *(Row(SECTION, name, thesis, ours, unit)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Section 4.6.2: the density of a known plant from few samples, creep and dynamics taken off."""
+"""Section 4.6.2: the density of a known plant from few samples, creep and dynamics removed."""
 
 import numpy as np
 
@@ -72,7 +72,7 @@ def study():
 
     rows = [
         Row(SECTION, "sampled points", 66, descending.size, "1",
-            "those on the way down; rule (4.10) with both ways gives the next row"),
+            "those on the way down; with both ways, rule (4.10) gives the next row"),
         Row(SECTION, "sampled points, both ways", None, samples.size, "1"),
         Row(SECTION, "rank of A^T A", 55,
             excitation_rank(voltage_v[samples], levels_v), "1"),
@@ -95,7 +95,7 @@ def _draw(record, output_um, estimate):
     left.plot(record.voltage_v, record.displacement_um, color=GREY, linewidth=0.8,
               label="measured")
     left.plot(record.voltage_v, output_um, **{**MODELLED, "linewidth": 0.8,
-                                              "label": "creep taken off"})
+                                              "label": "creep removed"})
     left.legend()
     label(left, "voltage (V)", "displacement (um)")
     draw_plane(figure, right, estimate.levels_v, estimate.density_um_per_v2, "density (um/V²)")

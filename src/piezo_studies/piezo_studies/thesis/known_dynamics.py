@@ -45,7 +45,7 @@ def study():
             "straight from voltage to displacement, as in the thesis, whose 0.02 is rounded"),
         Row(SECTION, "error of the time constant", 1.6, time_constant, "%", least[0]),
         Row(SECTION, "error of the mode's frequency", 0.007, frequency, "%",
-            f"{least[1]}; single draws come as near as the thesis'"),
+            f"{least[1]}; single draws come as near as the thesis' value"),
         Row(SECTION, "error of the damping", 1.1, damping, "%", least[2]),
     ])
 

@@ -55,7 +55,7 @@ class LearnedRun:
 
 
 def study():
-    """Median errors.
+    """Learn every sine with several wrong models; return the median errors.
 
     Returns
     -------

@@ -60,7 +60,7 @@ def study():
                    for mode in ("composite_single_rate", "composite"))
     rows += [
         Row("5.3.3", "e_rms at 250 Hz, one rate of 1 kHz", None, slow.e_rms_percent, "%",
-            "from 500 Hz on such a rate cannot even name the reference"),
+            "from 500 Hz on, this rate cannot represent the reference (Nyquist)"),
         Row("5.3.3", "e_rms at 250 Hz, multirate", None, multi.e_rms_percent, "%"),
         *_computing_rows(), *_inverse_rows(),
     ]
@@ -101,7 +101,7 @@ def draw_spectra(axes, tracked, title):
 
 
 def _computing_rows():
-    """What a tick takes to compute, at both rates."""
+    """Measure what a tick takes to compute, at both rates."""
     rows = []
     for name, samples_per_tick in (("multirate", 40), ("one rate of 40 kHz", FAST)):
         found = controller("h_infinity", samples_per_tick)
@@ -115,7 +115,7 @@ def _computing_rows():
 
 
 def _inverse_rows():
-    """What it brings to let the feedback pass the inverse hysteresis."""
+    """Compare feedback before and behind the inverse hysteresis."""
     rows = []
     for frequency_hz, amplitude_um in INVERSE_SINES:
         for name, before_inverse in (("behind", False), ("before", True)):

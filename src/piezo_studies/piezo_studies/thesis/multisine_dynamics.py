@@ -24,7 +24,7 @@ SECTION = "3.4.2"
 
 
 def multisine_v():
-    """A climb from rest, then the sines."""
+    """Return a climb from rest, then the sines."""
     climb = np.arange(round(CLIMB_S * CLOCK_HZ)) / (CLIMB_S * CLOCK_HZ)
     time_s = np.arange(round(TONES_S * CLOCK_HZ)) / CLOCK_HZ
     tones_v = sum(

@@ -26,7 +26,7 @@ SECTION = "2.2.4"
 
 
 def input_v(time_s):
-    """The sine of the thesis, read as 5 (1 - cos 5 t): it spans the plane from 0 to 10 V."""
+    """Return the sine of the thesis, read as 5 (1 - cos 5 t): it spans the plane from 0 to 10 V."""
     return 0.5 * HIGHEST_V * (1.0 - np.cos(5.0 * time_s))
 
 
@@ -121,9 +121,9 @@ def study():
         Row(SECTION, "density error, projection", 128.3, projection_norm, "um/V^2",
             "without the diagonal: only then is the density's norm the thesis' 140"),
         Row(SECTION, "density error, projection, relative", 91.6, projection_percent, "%",
-            "gain 0.5, floor 1: the thesis names neither"),
+            "gain 0.5, floor 1: the thesis gives neither"),
         Row(SECTION, "density error, projection, gain 0.001", 91.6, data.density_error(slow)[1],
-            "%", "the error is a matter of the gain"),
+            "%", "the error depends on the gain"),
         Row(SECTION, "density error, SVD, r = 64", 6.67, svd_norm, "um/V^2",
             "without the diagonal"),
         Row(SECTION, "density error, SVD, r = 64, relative", 4.7, svd_percent, "%"),
@@ -134,7 +134,7 @@ def study():
             data.output_error_um(growing[0]), "um", "all 99 directions kept"),
         Row(SECTION, "output error on unseen input, after 50 new points", None,
             data.output_error_um(growing[-1]), "um",
-            "with a direction more for each new point: this is what updating betters"),
+            "with one more direction for each new point: updating improves this"),
     ]
     return Study(rows, {
         "2.2": _draw_errors(data, projected, estimate),

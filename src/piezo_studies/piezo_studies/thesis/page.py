@@ -9,16 +9,21 @@ INTRODUCTION = """\
 
 Written by `make reproduce`; do not edit.
 
-Every numerical study of chapters 2 to 5 and of the appendix, done again: the figure in the thesis
-beside ours. Where the thesis measured its stage, we measure the simulated one, whose dynamics are
-those that chapter 4 identified and whose sensor has the same noise of 9 nm; its hysteresis and its
-drift are its own. Sections 2.2.4, 2.3.3 and 4.6 simulate in the thesis, too, with these plants and
-this noise. Errors are simulation errors by the noisy sensor unless the row says otherwise; the
-error of a density is that against the true one. The remark says why a figure does not come out, or
-what ours is. A dash stands where the thesis gives no figure. Closed loops run with the model that
-was identified in 4.7.1, under an offset of 2.1 um, a drift of 50 nm/s, the sensor's noise, and the
-tick of computing time; "composite" is the 40 kHz feedforward with the 1 kHz H-infinity feedback.
-Learning begins with models that are 5 % off, without offset and drift.
+This page repeats every numerical study of chapters 2 to 5 and of the appendix. The table has the
+figure of the thesis beside ours. A dash stands where the thesis gives no figure. The remark says
+why a figure does not come out, or what ours is.
+
+Where the thesis measured its stage, we measure the simulated one. Its dynamics are those that
+chapter 4 identified, and its sensor has the same noise of 9 nm. Its hysteresis and its drift
+differ from those of the thesis. The thesis itself simulates in sections 2.2.4, 2.3.3 and 4.6; we
+simulate the same plants with the same noise.
+
+Errors are simulation errors by the noisy sensor unless the row says otherwise. The error of a
+density is its difference from the true density. Closed loops run with the model that was identified
+in 4.7.1, under an offset of 2.1 um, a drift of 50 nm/s, the sensor's noise, and one tick of
+computing time. "Composite" is the 40 kHz feedforward with the 1 kHz H-infinity feedback. Ms is the
+peak sensitivity. Learning begins with models that are 5 % off, without offset and drift. The
+[glossary](glossary.md) explains the terms.
 """
 
 

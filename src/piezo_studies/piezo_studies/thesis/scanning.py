@@ -7,7 +7,7 @@ rows show that.
 """
 
 from piezo_common.picture_style import MODE_STYLES, REFERENCE, label, new_figure
-from piezo_studies.thesis.best_pi import PEAK_SENSITIVITY, least_error_percent
+from piezo_studies.thesis.best_pi import PEAK_SENSITIVITY, best_error_percent
 from piezo_studies.thesis.table import Row, Study
 from piezo_studies.thesis.tracked_stage import FAST, PRINTED_PI, controller, track
 
@@ -26,14 +26,14 @@ THESIS_PERCENT = {
     "open loop": (12.9, 29.1, 74.8), "PI (3.23) as printed": (6.31, 15.6, 40.1),
     "composite, PI at 40 kHz": (0.75, 1.21, 1.76), "composite": (0.75, 1.21, 1.76)}
 OPEN_LOOP = "the thesis sets the gain at each frequency; ours is that of the whole range"
-LEAST = f"by the identified model, with a peak sensitivity of up to {PEAK_SENSITIVITY:g}"
+BEST_PI = f"by the identified model, with a peak sensitivity of up to {PEAK_SENSITIVITY:g}"
 THESIS_COMPARED_PERCENT = 1.76
 FIRST_MODE_HZ = 453.5
 """That Table 3.2 compares scanning frequencies with."""
 
 
 def study():
-    """Tables 3.1 and 3.2.
+    """Track the sines of Tables 3.1 and 3.2.
 
     Returns
     -------
@@ -57,8 +57,9 @@ def study():
                             tracked.e_rms_percent, "%", remark))
             if method == PRINTED_PI:
                 rows.append(Row(
-                    SECTION, f"Table 3.1: e_rms at {frequency_hz:g} Hz, least of any PI", thesis,
-                    least_error_percent(frequency_hz), "%", LEAST))
+                    SECTION,
+                    f"Table 3.1: e_rms at {frequency_hz:g} Hz, best attainable with any PI",
+                    thesis, best_error_percent(frequency_hz), "%", BEST_PI))
             if name in ("open loop", "composite"):
                 period = slice(-round(40_000 / frequency_hz), None)
                 reference_um = tracked.reference_um[period]

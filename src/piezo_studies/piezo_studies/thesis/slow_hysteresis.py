@@ -42,7 +42,7 @@ def full_swing_v():
 
 
 def preparation_v():
-    """A full swing, then rest."""
+    """Return a full swing, then rest."""
     return np.append(full_swing_v(), np.zeros(round(REST_S * CLOCK_HZ)))
 
 
@@ -115,7 +115,7 @@ def study():
 
 
 def _settled_loop(period_v):
-    """The last of ten periods, with the mean of the displacement taken off."""
+    """Return the last of ten periods, with the mean of the displacement removed."""
     played = record_stage("loop", np.tile(period_v, 10), preparation_v(), clock_hz=CLOCK_HZ)
     last = slice(-period_v.size, None)
     displacement_um = played.displacement_um[last]

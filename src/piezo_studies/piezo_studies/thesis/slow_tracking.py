@@ -35,8 +35,8 @@ def study():
     report = controller("pid", FAST).report
     rows = [
         Row("2.4.2", "ultimate gain by relay", 2.62, report["ultimate_gain_v_per_um"], "V/um",
-            "by a relay over the whole range; a smaller swing promises more than a large one "
-            "endures"),
+            "by a relay over the whole range; a small swing shows a larger gain than a large "
+            "one allows"),
         Row("2.4.2", "ultimate period by relay", 0.002, report["ultimate_period_s"], "s"),
     ]
     figure = new_figure(3.2)

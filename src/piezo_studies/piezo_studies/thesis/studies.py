@@ -54,7 +54,7 @@ CAPTIONS = {
     "3.6": "Singular values of the normal equations of 3661 chosen samples, and the density.",
     "3.8": "Six sines, measured and modelled.",
     "3.10": "Displacement over reference in open loop and under composite control.",
-    "4.9": "Known plant: loops with creep and after it was taken off; the density found.",
+    "4.9": "Known plant: loops with creep and after it was removed; the density found.",
     "4.10": "Known plant: dynamics that a chirp shows if the hysteresis is ignored.",
     "4.11": "Density of the simulated stage.",
     "4.12": "Loops of the simulated stage under inputs that were not fitted.",

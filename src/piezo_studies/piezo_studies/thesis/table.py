@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 
 @dataclass(frozen=True)
 class Row:
-    """One figure.
+    """One figure of the thesis beside ours.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Row:
         object.__setattr__(self, "ours", float(self.ours))
 
     def cells(self):
-        """The row as texts: section, quantity, thesis, ours, unit, remark."""
+        """Return the row as texts: section, quantity, thesis, ours, unit, remark."""
         thesis = "-" if self.thesis is None else _digits(self.thesis)
         thesis = f"< {thesis}" if self.below else thesis
         unit = "" if self.unit == "1" else self.unit
@@ -64,7 +64,7 @@ HEADER = ("section", "quantity", "thesis", "ours", "unit", "remark")
 
 
 def as_text(rows):
-    """The table for a terminal, columns aligned."""
+    """Format the table for a terminal, columns aligned."""
     lines = [HEADER, *(row.cells() for row in rows)]
     widths = [max(len(line[column]) for line in lines) for column in range(len(HEADER) - 1)]
     return "\n".join(
@@ -75,13 +75,13 @@ def as_text(rows):
 
 
 def as_markdown(rows):
-    """The table for a page."""
+    """Format the table for a page."""
     lines = [HEADER, ("---", "---", "---:", "---:", "---", "---"), *(row.cells() for row in rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def as_json(rows):
-    """The table for programs: a list of rows."""
+    """Format the table for programs: a list of rows."""
     return json.dumps([asdict(row) for row in rows], indent=1, allow_nan=False) + "\n"
 
 

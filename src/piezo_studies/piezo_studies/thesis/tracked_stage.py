@@ -42,7 +42,7 @@ FAST = 1
 
 @dataclass(frozen=True)
 class Tracked:
-    """One run.
+    """The errors of one tracking run.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Tracked:
 
 @cache
 def controller(method="h_infinity", samples_per_tick=40):
-    """The feedback designed for the identified model at a tick."""
+    """Return the feedback designed for the identified model at a tick."""
     clock = StageClock(samples_per_tick=samples_per_tick)
     if method == PRINTED_PI:
         one = np.ones((1, 1))
@@ -89,7 +89,7 @@ def controller(method="h_infinity", samples_per_tick=40):
 @cache
 def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURATION_S,
           method=None, jump_s=None, before_inverse=False):
-    """Track a sine.
+    """Track a sine with the identified model on the simulated stage.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ def sine_v(frequency_hz, clock_hz, duration_s):
 
 
 def multi_frequency_v(duration_s):
-    """The input of Fig. 4.12 (e)."""
+    """Return the input of Fig. 4.12 (e)."""
     time_s = np.arange(round(duration_s * CLOCK_HZ)) / CLOCK_HZ
     phase = 2.0 * np.pi * time_s
     return 11.0 + (2.0 * np.sin(100.0 * phase) + np.sin(300.0 * phase)
@@ -76,7 +76,7 @@ def study():
             SECTION, f"e_y, {name}" + (" (100 Hz in the text)" if name == "250 Hz" else ""),
             thesis, prediction.e_y_percent(settled), "%",
             f"noise of the sensor alone: {floor:.2g} %"
-            + ("; 5 V move this stage little" if name == "multi-frequency" else ""),
+            + ("; 5 V move this stage only a little" if name == "multi-frequency" else ""),
         ))
         loops[name] = (prediction.voltage_v[settled], measured_um, prediction.simulated_um[settled])
     return Study(rows, {"4.12": _draw(loops)})

@@ -43,7 +43,7 @@ def wrong_model(part, seed):
 
 
 def _hysteresis(plant, lowest_v, highest_v, wrong):
-    """The plant's density with wrong parameters, averaged over the cells of a grid."""
+    """Return the plant's density with wrong parameters, averaged over the cells of a grid."""
     broad, ridge, width_v, modulation, centre_v, period_v, offset_um = wrong([
         plant.broad_density_um_per_v2, plant.ridge_density_um_per_v2, plant.ridge_width_v,
         plant.position_modulation, plant.modulation_centre_v, plant.modulation_period_v,

@@ -17,7 +17,7 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 from piezo_studies.demo.demo_report import render_report
-from piezo_studies.demo.extended_model_section import SecondHalf
+from piezo_studies.demo.extended_model_section import ExtendedModel
 from piezo_studies.demo.square_wave_response import CLEARANCE, square_wave_response
 from piezo_studies.demo.summary import summarise, summarise_run
 from piezo_studies.demo.tracked_run import read_tracked_run
@@ -82,11 +82,11 @@ def drawn(model, recordings, tracking_recordings, tmp_path_factory, picture_faul
     summary = {
         **summarise(runs, {"e_y_percent": 0.0412}, directory), "diagnosis": verdict,
         "tracking_after": [summarise_run(run, directory) for run in runs_after]}
-    second_half = SecondHalf("The model lacks a mode.", verdict,
+    extended = ExtendedModel("The model lacks a mode.", verdict,
                              replace(model, effects=(MODE,)), runs_after)
     pages = []
     faults = picture_faults(lambda: pages.append(render_report(
-        summary, runs, model, recordings, second_half, "demo --output <here>", directory)))
+        summary, runs, model, recordings, extended, "demo --output <here>", directory)))
     return pages[0], faults
 
 
