@@ -14,7 +14,7 @@ from piezo_controller.feedforward.approach import (
 from piezo_controller.feedforward.feasibility import (
     STATIC_DISPLACEMENT,
     VOLTAGE,
-    OutOfReach,
+    Infeasible,
     check_range,
     check_slew,
     unreachable,
@@ -48,7 +48,7 @@ class FeedforwardPlan:
         Repeated from then on.
     feedback_start_sample : int
         Where feedback may begin: before it the stage's past is not the model's.
-    left_alone : tuple of str
+    uncompensated : tuple of str
         Effects of the model that come from outside at times of their own, and stay in the error.
     """
 
@@ -57,7 +57,7 @@ class FeedforwardPlan:
     reference_once_um: np.ndarray
     reference_period_um: np.ndarray
     feedback_start_sample: int
-    left_alone: tuple = ()
+    uncompensated: tuple = ()
 
     @property
     def begin_sample(self):
@@ -120,7 +120,7 @@ def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v
         start_voltage_v=start_voltage_v, duration_s=duration_s)
     try:
         return planner.plan(reference_um)
-    except OutOfReach as reason:
+    except Infeasible as reason:
         def scaled(centre_um, scale):
             return planner.plan(centre_um + scale * (reference_um - centre_um))
 
@@ -140,7 +140,7 @@ class FeedforwardPlanner:
         check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
         self.model = replace(model, effects=tuple(
             effect for effect in model.effects if effect.follows_voltage))
-        self.left_alone = tuple(
+        self.uncompensated = tuple(
             effect.name for effect in model.effects if not effect.follows_voltage)
         self.hysteresis = model.hysteresis
         self.period = period
@@ -175,19 +175,19 @@ class FeedforwardPlanner:
         return aligned_samples(time_s, self.sample_period_s)
 
     def plan(self, reference_um, correction_um=0.0):
-        """The plan for one reference; raises `OutOfReach`.
+        """Plan one reference; raise `Infeasible`.
 
         A correction is played on top of the reference, but not expected.
         """
         for target_um in self._behind_linear(reference_um):
             try:
                 return self._plan_target(target_um + correction_um, reference_um)
-            except OutOfReach as error:
+            except Infeasible as error:
                 reason = error
         raise reason
 
     def _plan_target(self, target_um, reference_um):
-        """The plan for which the linear part's output is the target, period by period."""
+        """Make the plan for which the linear part's output is the target, period by period."""
         mean_um = target_um.mean()
         wave = self._wave(target_um - mean_um)
         level, level_gain = mean_um, self._mean_over_run_um(
@@ -204,7 +204,7 @@ class FeedforwardPlanner:
                    self.slew_limit_v_per_s)
         return FeedforwardPlan(voltage_v[:self.once], voltage_v[self.once:],
                                self._expected_once_um(hysteresis_um, reference_um),
-                               reference_um.copy(), self.fade_start, self.left_alone)
+                               reference_um.copy(), self.fade_start, self.uncompensated)
 
     def _behind_linear(self, reference_um):
         """Periods of the linear part's output for which the sensor measures the reference.
@@ -231,7 +231,7 @@ class FeedforwardPlanner:
             try:
                 wanted = effect.compensate(wanted, self.sample_period_s)
             except ValueError as error:
-                raise OutOfReach(str(error)) from None
+                raise Infeasible(str(error)) from None
         return wanted
 
     def _wave(self, alternating_um):
@@ -281,7 +281,7 @@ class FeedforwardPlanner:
                                  deviation_um[self.once:], self.periods)
 
     def _expected_once_um(self, hysteresis_um, reference_um):
-        """What the model measures in the once part, led over to the reference by its end."""
+        """Return what the model measures in the once part, led over to the reference by its end."""
         deviation_um = hysteresis_um[:self.once] - self.rest_hysteresis_um
         expected_um = self.model.sensed(
             self.rest_displacement_um + simulate_linear(self.sampled, deviation_um),

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from piezo_controller.feedforward.feasibility import OutOfReach, UnreachableReference
+from piezo_controller.feedforward.feasibility import Infeasible, UnreachableReference
 from piezo_controller.references.smooth_rise import minimum_jerk
 
 FADE_S = 0.01
@@ -42,7 +42,7 @@ class LearningFeedforward:
         Where the best has settled; the latest that is possible as long as it is not known.
     iteration : int
         The present one; 0 once the best is played.
-    left_alone : tuple of str
+    uncompensated : tuple of str
         Effects of the model that are not compensated.
 
     Raises
@@ -68,7 +68,7 @@ class LearningFeedforward:
         plan = self._plan_first()
         self.once_voltage_v = plan.once_voltage_v
         self.feedback_start_sample = plan.feedback_start_sample
-        self.left_alone = plan.left_alone
+        self.uncompensated = plan.uncompensated
         self._expected_plan = plan
         self._period_v = plan.period_voltage_v
         self._loaded = plan.begin_sample
@@ -87,7 +87,7 @@ class LearningFeedforward:
             played_um = part * correction_um - (1.0 - part) * alternating_um
             try:
                 plan = self._planner.plan(self._reference_um, played_um)
-            except OutOfReach as error:
+            except Infeasible as error:
                 reason = error
                 continue
             self._correction_um = played_um
@@ -119,7 +119,7 @@ class LearningFeedforward:
                 displacement_um[max(window[0] - first, 0):window[1] - first]))
 
     def next_voltage_v(self):
-        """The next voltages behind `once_voltage_v`.
+        """Compute the next voltages behind `once_voltage_v`.
 
         Returns
         -------
@@ -147,19 +147,19 @@ class LearningFeedforward:
         return self._load(self._part, voltage_v)
 
     def _go_on(self):
-        """Some more of the best."""
+        """Load some more of the best."""
         count = min(self._left_samples, self._part)
         self._left_samples -= count
         return self._load(count, self._period_v)
 
     def _plan(self, correction_um):
-        """A period of voltages for a correction, or for as much of its change as is in reach."""
+        """Plan a period for a correction, or for as much of its change as is feasible."""
         before_um, part = self._correction_um, 1.0
         for _ in range(HALVINGS):
             wanted_um = before_um + part * (correction_um - before_um)
             try:
                 plan = self._planner.plan(self._reference_um, wanted_um)
-            except OutOfReach:
+            except Infeasible:
                 part /= 2
                 continue
             self._correction_um = wanted_um
@@ -167,7 +167,7 @@ class LearningFeedforward:
         return self._period_v
 
     def _load(self, count, period_v):
-        """The next voltages, faded over from the last period to a new one."""
+        """Return the next voltages, faded over from the last period to a new one."""
         phase = np.arange(self._loaded, self._loaded + count) - self._expected_plan.begin_sample
         phase %= period_v.size
         voltage_v = period_v[phase]

@@ -16,7 +16,7 @@ from rclpy.lifecycle import LifecycleNode
 from piezo_controller.feedback.controller_file import load_stabilising_controller
 from piezo_controller.feedback.feedback_before_inverse import FeedbackBeforeInverse
 from piezo_controller.feedback.feedback_design import design_feedback
-from piezo_controller.feedback.integral_feedback import design_mean_keeper
+from piezo_controller.feedback.integral_feedback import design_integral_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.synthesis.weights import DEFAULT, load_weights
 from piezo_controller.feedforward.streamed import StreamPlan
@@ -124,9 +124,9 @@ class ControllerNode(LifecycleNode):
                     f"the stage stopped before the end: {self._tracker.why_ended()}")
         progress.check()
         learned = save and not account.failure and save(result)
-        left_alone = plan.left_alone and ("the feedforward leaves alone: "
-                                          f'{", ".join(plan.left_alone)}')
-        notes = learned, left_alone, run.lateness, recording.note
+        uncompensated = plan.uncompensated and (
+            f'the feedforward does not compensate: {", ".join(plan.uncompensated)}')
+        notes = learned, uncompensated, run.lateness, recording.note
         if account.failure:
             raise CallFailed("; ".join(filter(None, (account.failure, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))
@@ -171,7 +171,7 @@ class ControllerNode(LifecycleNode):
         correction_um = None
         if goal.learned or path.exists():
             correction_um = load_correction(path, reference, key, self._stage.sample_rate_hz)
-        controller = design_mean_keeper(
+        controller = design_integral_feedback(
             model, self._stage.tick_s, self._stage.sample_period_s, key)
         samples = self._whole_ticks(goal.duration_s)
         plan, learner = plan_learning(reference, samples, model, controller, self._stage,
