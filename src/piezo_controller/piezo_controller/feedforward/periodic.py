@@ -4,6 +4,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_controller.feedforward.approach import (
     FADE_S,
@@ -37,7 +38,7 @@ CORRECTIONS = 2
 
 @dataclass(frozen=True, eq=False)
 class FeedforwardPlan:
-    """Voltage to play and displacement to expect, sample by sample.
+    """Voltage to play and displacement to expect, sample by sample: a `TrackingPlan`.
 
     Attributes
     ----------
@@ -52,29 +53,39 @@ class FeedforwardPlan:
         Effects of the model that come from outside at times of their own, and stay in the error.
     """
 
-    once_voltage_v: np.ndarray
-    period_voltage_v: np.ndarray
-    reference_once_um: np.ndarray
-    reference_period_um: np.ndarray
+    once_voltage_v: NDArray[np.float64]
+    period_voltage_v: NDArray[np.float64]
+    reference_once_um: NDArray[np.float64]
+    reference_period_um: NDArray[np.float64]
     feedback_start_sample: int
-    uncompensated: tuple = ()
+    uncompensated: tuple[str, ...] = ()
+
+    streamed = open_ended = False
+    iteration = 0
 
     @property
-    def begin_sample(self):
+    def begin_sample(self) -> int:
         """Where the reference begins: what is played once has ended."""
         return len(self.once_voltage_v)
 
-    def voltage_v(self, first_sample, count):
-        """Voltages of `count` samples from `first_sample` on (V)."""
+    def voltage_v(self, first_sample: int, count: int) -> NDArray[np.float64]:
+        """Return the voltages of `count` samples from `first_sample` on (V)."""
         return _play(self.once_voltage_v, self.period_voltage_v, first_sample, count)
 
-    def expected_um(self, first_sample, count):
-        """Displacements to expect of `count` samples from `first_sample` on (um)."""
+    def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
+        """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
         return _play(self.reference_once_um, self.reference_period_um, first_sample, count)
 
-    def travel_um(self, samples):
-        """Largest minus smallest displacement of the first samples of the reference (um)."""
+    def travel_um(self, samples: int) -> float:
+        """Return the peak-to-peak displacement of the first samples of the reference (um)."""
         return float(np.ptp(self.reference_period_um[:samples]))
+
+    def continuation(self) -> None:
+        """Return None: the stage repeats the period by itself."""
+        return None
+
+    def take(self, displacement_um: NDArray[np.float64]) -> None:
+        """Ignore what was measured: the plan does not depend on it."""
 
 
 def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v=(-20.0, 120.0),

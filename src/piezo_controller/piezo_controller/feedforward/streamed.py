@@ -2,10 +2,13 @@
 """Voltage for a general reference, computed chunk by chunk while the stage plays."""
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import control
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_controller.feedforward.approach import (
     ALIGNMENT_SAMPLES,
@@ -42,7 +45,7 @@ CHECKED_S = 20.0
 
 @dataclass(frozen=True, eq=False)
 class StreamPlan:
-    """What to play first, and where the voltages of the reference come from.
+    """What to play first, and what gives the voltages of the reference: a `TrackingPlan`.
 
     Attributes
     ----------
@@ -65,33 +68,48 @@ class StreamPlan:
         How far ahead the inverse looks.
     """
 
-    once_voltage_v: np.ndarray
+    once_voltage_v: NDArray[np.float64]
     expected: Trajectory
     reference: Trajectory
     samples: int
     begin_sample: int
-    uncompensated: tuple
+    uncompensated: tuple[str, ...]
     inverse: OnlineInverse
     limits: "StreamLimits"
     margin_samples: int
 
+    streamed, open_ended = True, False
+    iteration = 0
+
     @property
-    def feedback_start_sample(self):
+    def period_voltage_v(self) -> NDArray[np.float64]:
+        """Nothing is repeated."""
+        return np.empty(0)
+
+    @property
+    def feedback_start_sample(self) -> int:
         """Where feedback may begin."""
         return len(self.once_voltage_v)
 
-    def expected_um(self, first_sample, count):
-        """Displacements to expect of `count` samples from `first_sample` on (um)."""
+    def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
+        """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
         return self.expected.sample(first_sample, count)
 
-    def travel_um(self, samples):
-        """Largest minus smallest displacement of the first samples of the reference (um).
+    def travel_um(self, samples: int) -> float:
+        """Return the peak-to-peak displacement of the first samples of the reference (um).
 
         Of a long one as far as a survey tells.
         """
         return float(np.ptp(self.reference.survey(samples)))
 
-    def chunks(self, chunk_samples=CHUNK_SAMPLES):
+    def continuation(self) -> Callable[[], NDArray[np.float64]]:
+        """Return what gives the next of `chunks`, and at the end an empty array."""
+        return partial(next, self.chunks(), np.empty(0))
+
+    def take(self, displacement_um: NDArray[np.float64]) -> None:
+        """Ignore what was measured: the plan does not depend on it."""
+
+    def chunks(self, chunk_samples: int = CHUNK_SAMPLES) -> Iterator[NDArray[np.float64]]:
         """Yield the voltages behind `once_voltage_v`, chunk by chunk.
 
         A chunk is computed from the reference up to its end and the preview, no further; its time

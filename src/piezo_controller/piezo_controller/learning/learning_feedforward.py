@@ -2,8 +2,10 @@
 """A feedforward that learns while the stage plays it: iterations first, then the best of them."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_controller.feedforward.feasibility import Infeasible, UnreachableReference
 from piezo_controller.references.smooth_rise import minimum_jerk
@@ -18,7 +20,7 @@ HALVINGS = 6
 
 
 class LearningFeedforward:
-    """Voltages of a learning run, part by part, and the displacement to expect.
+    """Voltages of a learning run, part by part, and what to expect: a `TrackingPlan`.
 
     Each part plays one iterate, faded in from the one before: it settles, is measured, and goes on
     while the next is computed. The last part plays the best.
@@ -50,6 +52,8 @@ class LearningFeedforward:
     UnreachableReference
         The amplifier cannot follow half of the reference's amplitude by the model.
     """
+
+    streamed = open_ended = True
 
     def __init__(self, planner, reference_um, learner, iterations, run_samples,
                  samples_per_tick=40):
@@ -98,19 +102,23 @@ class LearningFeedforward:
             f"{np.ptp(self._reference_um):.4g} um peak to peak: {reason}", 0.0)
 
     @property
-    def learning(self):
-        """Whether the best is not known yet."""
-        return self._left_samples is None
+    def period_voltage_v(self) -> NDArray[np.float64]:
+        """Nothing is repeated: each part is loaded."""
+        return np.empty(0)
 
-    def expected_um(self, first_sample, count):
-        """Displacements to expect of `count` samples from `first_sample` on (um)."""
+    def continuation(self) -> Callable[[], NDArray[np.float64] | None]:
+        """Return the method that computes each next part."""
+        return self.next_voltage_v
+
+    def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
+        """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
         return self._expected_plan.expected_um(first_sample, count)
 
-    def travel_um(self, samples):
-        """Largest minus smallest displacement of the first samples of the reference (um)."""
+    def travel_um(self, samples: int) -> float:
+        """Return the peak-to-peak displacement of the first samples of the reference (um)."""
         return self._expected_plan.travel_um(samples)
 
-    def take(self, displacement_um):
+    def take(self, displacement_um: NDArray[np.float64]) -> None:
         """Take the samples that were measured next, from the run's first on."""
         first, window = self._taken, self._window
         self._taken += len(displacement_um)
@@ -118,7 +126,7 @@ class LearningFeedforward:
             self._taken_um.append(np.array(
                 displacement_um[max(window[0] - first, 0):window[1] - first]))
 
-    def next_voltage_v(self):
+    def next_voltage_v(self) -> NDArray[np.float64] | None:
         """Compute the next voltages behind `once_voltage_v`.
 
         Returns

@@ -19,7 +19,7 @@ class TrackingRun:
 
     Parameters
     ----------
-    plan : FeedforwardPlan, StreamPlan or LearningFeedforward
+    plan : TrackingPlan
         What the stage plays from the run's first sample on.
     run_samples : int
         How long the reference is to be followed after the approach; the error is that of this part.
