@@ -110,7 +110,8 @@ class RandomKind:
 
     def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
         """Refuse to sample a period, as there is none."""
-        raise InvalidReference("a random reference has no period: use a mode that streams it")
+        raise InvalidReference("a random reference that is not repeated has no period: "
+                               "use a mode that streams it")
 
     def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
         """Check the band, and draw from the seed."""
