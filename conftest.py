@@ -67,25 +67,27 @@ def save_csv():
 
 @pytest.fixture(scope="session")
 def under_each_kernel():
-    """Compute the same under each kernel of OpenBLAS that this processor runs.
+    """Compute the same under three kernels of OpenBLAS that this processor runs.
 
     Give it the source of a program that makes a dictionary ``result`` of arrays; it returns these
     dictionaries by the kernel's name. Skips where there are fewer than three kernels to choose.
     """
-    path = Path(__file__).parent / "tools" / "blas_kernels.py"
-    spec = importlib.util.spec_from_file_location("blas_kernels", path)
-    blas_kernels = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(blas_kernels)
-    kernels = blas_kernels.usable_kernels()
-    if len(kernels) < 3:
-        pytest.skip(f"this processor and its BLAS run the kernels {kernels} alone: three needed")
+    path = Path(__file__).parent / "tools" / "kernels.py"
+    spec = importlib.util.spec_from_file_location("kernels_tool", path)
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    own, others = tool.kernels_that_work()
+    kernels = [*own, *others]
+    if len(kernels) < tool.KERNELS_WANTED:
+        pytest.skip(f"this processor and its BLAS run the kernels {kernels} alone: "
+                    f"{tool.KERNELS_WANTED} needed")
 
     def compute(source):
         write = "import sys, numpy; numpy.savez(sys.stdout.buffer, **result)"
         results = {}
         for kernel in kernels:
             run = subprocess.run([sys.executable, "-c", f"{source}\n{write}\n"], timeout=300,
-                                 env=blas_kernels.environment(kernel), capture_output=True)
+                                 env=tool.environment(kernel), capture_output=True)
             assert run.returncode == 0, run.stderr.decode()
             results[kernel] = dict(np.load(io.BytesIO(run.stdout)))
         return results

@@ -52,6 +52,15 @@ def test_command_runs_under_each_other_kernel_and_a_failure_is_kept(kernels, wor
     assert sorted(printed) == sorted(others)
 
 
+def test_results_are_computed_under_each_kernel_that_the_tool_finds(
+        kernels, working, under_each_kernel):
+    own, others = working
+    program = f"import os, numpy; result = {{os.environ['{kernels.VARIABLE}']: numpy.ones(1)}}"
+    results = under_each_kernel(program)
+    assert {name: list(result) for name, result in results.items()} == {
+        kernel: [kernel] for kernel in [*own, *others]}
+
+
 def test_kernel_that_cannot_be_chosen_is_skipped_and_told(kernels, monkeypatch, capsys):
     # As where the variable is without effect, and where a kernel's instructions are missing.
     monkeypatch.setattr(kernels, "kernels_in_use", lambda requested=None: (

@@ -42,15 +42,20 @@ for path in libraries:
 """
 
 
-def kernels_in_use(requested=None):
+def environment(kernel: str) -> dict[str, str]:
+    """Return the variables of a process in which OpenBLAS takes a kernel."""
+    return os.environ | {VARIABLE: kernel}
+
+
+def kernels_in_use(requested: str | None = None) -> set[str]:
     """Return the names of the kernels that NumPy and SciPy use, as it is or if one is requested."""
-    environment = os.environ | ({VARIABLE: requested} if requested else {})
-    probe = subprocess.run([sys.executable, "-c", PROBE], env=environment,
-                           capture_output=True, text=True, check=False)
+    probe = subprocess.run([sys.executable, "-c", PROBE],
+                           env=environment(requested) if requested else None, capture_output=True,
+                           text=True, check=False)
     return set(probe.stdout.split()) if probe.returncode == 0 else set()
 
 
-def kernels_that_work():
+def kernels_that_work() -> tuple[set[str], list[str]]:
     """Return the kernel in use here, a set, and others that take effect: KERNELS_WANTED in all."""
     own = kernels_in_use()
     others = [kernel for kernel in CANDIDATES
@@ -58,7 +63,7 @@ def kernels_that_work():
     return own, others[:KERNELS_WANTED - 1]
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Run the command; return the first exit status that is not 0."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--others", action="store_true",
@@ -75,7 +80,7 @@ def main(arguments=None):
     status = 0
     for kernel in kernels:
         print(f"kernels: under {kernel}: {' '.join(options.command)}", flush=True)
-        ended = subprocess.run(options.command, env=os.environ | {VARIABLE: kernel}, check=False)
+        ended = subprocess.run(options.command, env=environment(kernel), check=False)
         status = status or ended.returncode
     return status
 

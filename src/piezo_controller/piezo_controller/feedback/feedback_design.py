@@ -69,7 +69,7 @@ class FeedbackController:
     model_sha256: str = ""
 
     def state_space(self):
-        """The controller as a ``control.StateSpace``."""
+        """Return the controller as a ``control.StateSpace``."""
         return control.ss(self.A, self.B, self.C, self.D, self.sample_period_s)
 
 
@@ -227,7 +227,7 @@ def structured_singular_value(problem, controller):
 
 
 def _measures(controller, model, plant, gain_um_per_v):
-    """The part of a report that every controller has."""
+    """Make the part of a report that every controller has."""
     spread = hysteresis_gain_range(model)[1] / gain_um_per_v - 1
     return {"order": controller.nstates, "hysteresis_gain_um_per_v": gain_um_per_v,
             "hysteresis_gain_spread": spread,

@@ -12,7 +12,7 @@ BANDWIDTH_HZ = 8.0
 SEPARATION = 4.0
 
 
-def design_mean_keeper(model, tick_s=1e-3, clock_period_s=25e-6, model_sha256=""):
+def design_integral_feedback(model, tick_s=1e-3, clock_period_s=25e-6, model_sha256=""):
     """Design two integrations below the frequencies of what is learned.
 
     A fast feedback amplifies errors about its bandwidth, where what it makes of a correction hangs
@@ -39,4 +39,4 @@ def design_mean_keeper(model, tick_s=1e-3, clock_period_s=25e-6, model_sha256=""
     first = control.tf([rate / gain_um_per_v, 0.0], [1.0, -1.0], tick_s)
     second = control.tf([1.0, rate / SEPARATION - 1.0], [1.0, -1.0], tick_s)
     return feedback_from_control(
-        control.ss(first) * control.ss(second), model, clock_period_s, model_sha256, "mean_keeper")
+        control.ss(first) * control.ss(second), model, clock_period_s, model_sha256, "integral")

@@ -73,7 +73,7 @@ def measure_loop(plant, controller, gain_spread):
 
 
 def _first_rise_hz(frequency_hz, holds):
-    """The first frequency at which something begins to hold; None if it never begins to."""
+    """Find the first frequency at which something begins to hold; None if it never does."""
     begins = np.flatnonzero(~holds[:-1] & holds[1:])
     return float(frequency_hz[begins[0] + 1]) if begins.size else None
 

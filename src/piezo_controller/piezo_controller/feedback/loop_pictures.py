@@ -98,7 +98,7 @@ def draw_nyquist(path, plant, controller, gain_spread):
 
 
 def draw_weights(path, weights):
-    """The weights over frequency.
+    """Draw the weights over frequency.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ def _parameters(model):
 
 
 def _with_errors(model, errors):
-    """The model with relative errors in the parameters of its linear dynamics."""
+    """Return the model with relative errors in the parameters of its linear dynamics."""
     first, fields = 2 * len(model.creep.poles_rad_per_s), {}
     creep = with_creep_errors(model.creep, errors[:first])
     for name in DYNAMICS:

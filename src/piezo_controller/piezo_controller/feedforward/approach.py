@@ -9,7 +9,7 @@ ALIGNMENT_SAMPLES = 40
 
 
 def aligned_samples(time_s, sample_period_s):
-    """Samples of a time, up to the next multiple of `ALIGNMENT_SAMPLES`."""
+    """Count the samples of a time, up to the next multiple of `ALIGNMENT_SAMPLES`."""
     ticks = math.ceil(time_s / sample_period_s / ALIGNMENT_SAMPLES - 1e-9)
     return ticks * ALIGNMENT_SAMPLES
 

@@ -26,7 +26,7 @@ class UnreachableReference(ValueError):
         self.reachable_um = reachable_um
 
 
-class OutOfReach(Exception):
+class Infeasible(Exception):
     """Why the amplifier cannot follow."""
 
 
@@ -42,34 +42,34 @@ def check_range(values, lowest, highest, quantity):
 
     Raises
     ------
-    OutOfReach
+    Infeasible
     """
     if values.min() < lowest or values.max() > highest:
         name, unit = quantity
-        raise OutOfReach(f"it takes {name} from {values.min():.4g} to {values.max():.4g} "
+        raise Infeasible(f"it takes {name} from {values.min():.4g} to {values.max():.4g} "
                          f"{unit}, available are {lowest:.4g} to {highest:.4g} {unit}")
 
 
 def check_slew(voltage_v, sample_period_s, slew_limit_v_per_s):
-    """Raise `OutOfReach` if a voltage changes too fast."""
+    """Raise `Infeasible` if a voltage changes too fast."""
     slew_v_per_s = np.abs(np.diff(voltage_v)).max(initial=0.0) / sample_period_s
     if slew_v_per_s > slew_limit_v_per_s:
-        raise OutOfReach(f"it takes {slew_v_per_s:.3g} V/s, more than the slew limit of "
+        raise Infeasible(f"it takes {slew_v_per_s:.3g} V/s, more than the slew limit of "
                          f"{slew_limit_v_per_s:.3g} V/s")
 
 
 def unreachable(plan, reference_um, output_range_um, reason, watch=None):
-    """The refusal that names the largest amplitude within reach, found by bisection.
+    """Make the refusal that names the largest feasible amplitude, found by bisection.
 
     Parameters
     ----------
     plan : callable
-        ``plan(centre_um, scale)`` plans the reference scaled about a centre; raises `OutOfReach`.
+        ``plan(centre_um, scale)`` plans the reference scaled about a centre; raises `Infeasible`.
     reference_um : ndarray
         The reference, or as much of it as shows its mean and its extremes.
     output_range_um : tuple of float
         Of the hysteresis.
-    reason : OutOfReach
+    reason : Infeasible
     watch : callable, optional
         Called now and then with the part that is done; may raise.
 
@@ -80,14 +80,14 @@ def unreachable(plan, reference_um, output_range_um, reason, watch=None):
     mean_um, travel_um = reference_um.mean(), np.ptp(reference_um)
     watch = watch or (lambda fraction: None)
 
-    def within_reach(scale):
+    def feasible(scale):
         try:
             plan(mean_um, scale)
-        except OutOfReach:
+        except Infeasible:
             return False
         return True
 
-    if not within_reach(0.0):
+    if not feasible(0.0):
         low_um, high_um = output_range_um
         return UnreachableReference(
             f"the amplifier cannot hold the reference's mean of {mean_um:.4g} um: "
@@ -96,7 +96,7 @@ def unreachable(plan, reference_um, output_range_um, reason, watch=None):
     for bisection in range(BISECTIONS):
         watch(bisection / BISECTIONS)
         middle = (reachable + beyond) / 2
-        if within_reach(middle):
+        if feasible(middle):
             reachable = middle
         else:
             beyond = middle

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import control
 import numpy as np
 
-from piezo_controller.feedforward.feasibility import STATIC_DISPLACEMENT, OutOfReach, check_range
+from piezo_controller.feedforward.feasibility import STATIC_DISPLACEMENT, Infeasible, check_range
 from piezo_controller.feedforward.preview_inverse import PreviewInverse
 from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import continue_linear
@@ -16,7 +16,7 @@ EFFECT_MARGIN_SAMPLES = 80
 
 
 def compensated_effects(model):
-    """The effects that a stream compensates, the last first."""
+    """Return the effects that a stream compensates, the last first."""
     return tuple(effect for place in ("sensor", "displacement")
                  for effect in reversed(model.effects_at(place)) if effect.follows_voltage)
 
@@ -39,7 +39,7 @@ class OnlineInverse:
     window_um: np.ndarray
 
     def copy(self):
-        """An inverse with a memory of its own."""
+        """Return the same inverse with a memory of its own."""
         return replace(self, hysteresis=self.hysteresis.copy())
 
     def look_ahead(self, displacement_um):
@@ -47,7 +47,7 @@ class OnlineInverse:
         self.continue_with(displacement_um, look_ahead_only=True)
 
     def continue_with(self, displacement_um, look_ahead_only=False):
-        """Voltages for which the stage will have followed the next displacements.
+        """Compute the voltages for which the stage will have followed the next displacements.
 
         Parameters
         ----------
@@ -61,7 +61,7 @@ class OnlineInverse:
 
         Raises
         ------
-        OutOfReach
+        Infeasible
         """
         wanted_um, self.preview_state = self.preview.apply(
             self._before_effects(displacement_um), self.preview_state)
@@ -74,7 +74,7 @@ class OnlineInverse:
         return hysteresis.invert(hysteresis_um, self.hysteresis)
 
     def _before_effects(self, displacement_um):
-        """The displacement in front of the effects on it, a margin earlier."""
+        """Return the displacement in front of the effects on it, a margin earlier."""
         effects = compensated_effects(self.model)
         if not effects:
             return displacement_um
@@ -86,5 +86,5 @@ class OnlineInverse:
             try:
                 period_um = effect.compensate(period_um, self.sample_period_s)
             except ValueError as error:
-                raise OutOfReach(str(error)) from None
+                raise Infeasible(str(error)) from None
         return period_um[EFFECT_MARGIN_SAMPLES:window_um.size - EFFECT_MARGIN_SAMPLES]

@@ -4,6 +4,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_controller.feedforward.approach import (
     FADE_S,
@@ -14,7 +15,7 @@ from piezo_controller.feedforward.approach import (
 from piezo_controller.feedforward.feasibility import (
     STATIC_DISPLACEMENT,
     VOLTAGE,
-    OutOfReach,
+    Infeasible,
     check_range,
     check_slew,
     unreachable,
@@ -37,7 +38,7 @@ CORRECTIONS = 2
 
 @dataclass(frozen=True, eq=False)
 class FeedforwardPlan:
-    """Voltage to play and displacement to expect, sample by sample.
+    """Voltage to play and displacement to expect, sample by sample: a `TrackingPlan`.
 
     Attributes
     ----------
@@ -48,33 +49,43 @@ class FeedforwardPlan:
         Repeated from then on.
     feedback_start_sample : int
         Where feedback may begin: before it the stage's past is not the model's.
-    left_alone : tuple of str
+    uncompensated : tuple of str
         Effects of the model that come from outside at times of their own, and stay in the error.
     """
 
-    once_voltage_v: np.ndarray
-    period_voltage_v: np.ndarray
-    reference_once_um: np.ndarray
-    reference_period_um: np.ndarray
+    once_voltage_v: NDArray[np.float64]
+    period_voltage_v: NDArray[np.float64]
+    reference_once_um: NDArray[np.float64]
+    reference_period_um: NDArray[np.float64]
     feedback_start_sample: int
-    left_alone: tuple = ()
+    uncompensated: tuple[str, ...] = ()
+
+    streamed = open_ended = False
+    iteration = 0
 
     @property
-    def begin_sample(self):
+    def begin_sample(self) -> int:
         """Where the reference begins: what is played once has ended."""
         return len(self.once_voltage_v)
 
-    def voltage_v(self, first_sample, count):
-        """Voltages of `count` samples from `first_sample` on (V)."""
+    def voltage_v(self, first_sample: int, count: int) -> NDArray[np.float64]:
+        """Return the voltages of `count` samples from `first_sample` on (V)."""
         return _play(self.once_voltage_v, self.period_voltage_v, first_sample, count)
 
-    def expected_um(self, first_sample, count):
-        """Displacements to expect of `count` samples from `first_sample` on (um)."""
+    def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
+        """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
         return _play(self.reference_once_um, self.reference_period_um, first_sample, count)
 
-    def travel_um(self, samples):
-        """Largest minus smallest displacement of the first samples of the reference (um)."""
+    def travel_um(self, samples: int) -> float:
+        """Return the peak-to-peak displacement of the first samples of the reference (um)."""
         return float(np.ptp(self.reference_period_um[:samples]))
+
+    def continuation(self) -> None:
+        """Return None: the stage repeats the period by itself."""
+        return None
+
+    def take(self, displacement_um: NDArray[np.float64]) -> None:
+        """Ignore what was measured: the plan does not depend on it."""
 
 
 def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v=(-20.0, 120.0),
@@ -120,7 +131,7 @@ def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v
         start_voltage_v=start_voltage_v, duration_s=duration_s)
     try:
         return planner.plan(reference_um)
-    except OutOfReach as reason:
+    except Infeasible as reason:
         def scaled(centre_um, scale):
             return planner.plan(centre_um + scale * (reference_um - centre_um))
 
@@ -140,7 +151,7 @@ class FeedforwardPlanner:
         check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
         self.model = replace(model, effects=tuple(
             effect for effect in model.effects if effect.follows_voltage))
-        self.left_alone = tuple(
+        self.uncompensated = tuple(
             effect.name for effect in model.effects if not effect.follows_voltage)
         self.hysteresis = model.hysteresis
         self.period = period
@@ -175,19 +186,19 @@ class FeedforwardPlanner:
         return aligned_samples(time_s, self.sample_period_s)
 
     def plan(self, reference_um, correction_um=0.0):
-        """The plan for one reference; raises `OutOfReach`.
+        """Plan one reference; raise `Infeasible`.
 
         A correction is played on top of the reference, but not expected.
         """
         for target_um in self._behind_linear(reference_um):
             try:
                 return self._plan_target(target_um + correction_um, reference_um)
-            except OutOfReach as error:
+            except Infeasible as error:
                 reason = error
         raise reason
 
     def _plan_target(self, target_um, reference_um):
-        """The plan for which the linear part's output is the target, period by period."""
+        """Make the plan for which the linear part's output is the target, period by period."""
         mean_um = target_um.mean()
         wave = self._wave(target_um - mean_um)
         level, level_gain = mean_um, self._mean_over_run_um(
@@ -204,7 +215,7 @@ class FeedforwardPlanner:
                    self.slew_limit_v_per_s)
         return FeedforwardPlan(voltage_v[:self.once], voltage_v[self.once:],
                                self._expected_once_um(hysteresis_um, reference_um),
-                               reference_um.copy(), self.fade_start, self.left_alone)
+                               reference_um.copy(), self.fade_start, self.uncompensated)
 
     def _behind_linear(self, reference_um):
         """Periods of the linear part's output for which the sensor measures the reference.
@@ -231,7 +242,7 @@ class FeedforwardPlanner:
             try:
                 wanted = effect.compensate(wanted, self.sample_period_s)
             except ValueError as error:
-                raise OutOfReach(str(error)) from None
+                raise Infeasible(str(error)) from None
         return wanted
 
     def _wave(self, alternating_um):
@@ -281,7 +292,7 @@ class FeedforwardPlanner:
                                  deviation_um[self.once:], self.periods)
 
     def _expected_once_um(self, hysteresis_um, reference_um):
-        """What the model measures in the once part, led over to the reference by its end."""
+        """Return what the model measures in the once part, led over to the reference by its end."""
         deviation_um = hysteresis_um[:self.once] - self.rest_hysteresis_um
         expected_um = self.model.sensed(
             self.rest_displacement_um + simulate_linear(self.sampled, deviation_um),

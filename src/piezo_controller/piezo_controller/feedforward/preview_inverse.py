@@ -83,8 +83,8 @@ def preview_inverse(system, sample_period_s, method="least_squares",
     sample_period_s : float
     method : str
         ``least_squares``: a finite filter that fits the inverse up to `BANDWIDTH_HZ`.
-        ``zero_phase``: zero phase error tracking (Tomizuka), whose gain error is taken off by as
-        many powers of its series as the preview allows (extended bandwidth).
+        ``zero_phase``: zero phase error tracking (Tomizuka), whose gain error is removed by as many
+        powers of its series as the preview allows (extended bandwidth).
         ``derivatives``: the polynomial in s of the inverse on the derivatives of the polynomial
         that fits the samples around best; these average noise (Savitzky and Golay), for measured
         or operator-given references. Half a sample of advance makes up for the hold.

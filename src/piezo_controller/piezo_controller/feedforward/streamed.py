@@ -2,10 +2,13 @@
 """Voltage for a general reference, computed chunk by chunk while the stage plays."""
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import control
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_controller.feedforward.approach import (
     ALIGNMENT_SAMPLES,
@@ -17,7 +20,7 @@ from piezo_controller.feedforward.approach import (
 from piezo_controller.feedforward.feasibility import (
     DISPLACEMENT,
     VOLTAGE,
-    OutOfReach,
+    Infeasible,
     UnreachableReference,
     check_range,
     check_slew,
@@ -34,7 +37,7 @@ from piezo_controller.references.trajectory import KeptTrajectory, Trajectory
 from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh
 
 REST_S = 0.02
-LEAD_IN_S = 0.15
+APPROACH_S = 0.15
 CHUNK_SAMPLES = 4000
 # As long as the longest period: of what repeats itself as fast all is checked before the run.
 CHECKED_S = 20.0
@@ -42,7 +45,7 @@ CHECKED_S = 20.0
 
 @dataclass(frozen=True, eq=False)
 class StreamPlan:
-    """What to play first, and where the voltages of the reference come from.
+    """What to play first, and what gives the voltages of the reference: a `TrackingPlan`.
 
     Attributes
     ----------
@@ -55,8 +58,8 @@ class StreamPlan:
     samples : int
         Of the reference that are played.
     begin_sample : int
-        Where the lead-in has ended and the reference begins.
-    left_alone : tuple of str
+        Where the approach has ended and the reference begins.
+    uncompensated : tuple of str
         Effects of the model that are not compensated.
     inverse : OnlineInverse
         As it is when `once_voltage_v` has been played.
@@ -65,33 +68,48 @@ class StreamPlan:
         How far ahead the inverse looks.
     """
 
-    once_voltage_v: np.ndarray
+    once_voltage_v: NDArray[np.float64]
     expected: Trajectory
     reference: Trajectory
     samples: int
     begin_sample: int
-    left_alone: tuple
+    uncompensated: tuple[str, ...]
     inverse: OnlineInverse
     limits: "StreamLimits"
     margin_samples: int
 
+    streamed, open_ended = True, False
+    iteration = 0
+
     @property
-    def feedback_start_sample(self):
+    def period_voltage_v(self) -> NDArray[np.float64]:
+        """Nothing is repeated."""
+        return np.empty(0)
+
+    @property
+    def feedback_start_sample(self) -> int:
         """Where feedback may begin."""
         return len(self.once_voltage_v)
 
-    def expected_um(self, first_sample, count):
-        """Displacements to expect of `count` samples from `first_sample` on (um)."""
+    def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
+        """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
         return self.expected.sample(first_sample, count)
 
-    def travel_um(self, samples):
-        """Largest minus smallest displacement of the first samples of the reference (um).
+    def travel_um(self, samples: int) -> float:
+        """Return the peak-to-peak displacement of the first samples of the reference (um).
 
         Of a long one as far as a survey tells.
         """
         return float(np.ptp(self.reference.survey(samples)))
 
-    def chunks(self, chunk_samples=CHUNK_SAMPLES):
+    def continuation(self) -> Callable[[], NDArray[np.float64]]:
+        """Return what gives the next of `chunks`, and at the end an empty array."""
+        return partial(next, self.chunks(), np.empty(0))
+
+    def take(self, displacement_um: NDArray[np.float64]) -> None:
+        """Ignore what was measured: the plan does not depend on it."""
+
+    def chunks(self, chunk_samples: int = CHUNK_SAMPLES) -> Iterator[NDArray[np.float64]]:
         """Yield the voltages behind `once_voltage_v`, chunk by chunk.
 
         A chunk is computed from the reference up to its end and the preview, no further; its time
@@ -107,7 +125,7 @@ class StreamPlan:
             for voltage_v in self._chunks(self.begin_sample + self.samples, chunk_samples):
                 yield voltage_v
                 computed += voltage_v.size
-        except OutOfReach as reason:
+        except Infeasible as reason:
             begin_s, end_s = (self.limits.sample_period_s * max(at - self.begin_sample, 0)
                               for at in (computed, computed + chunk_samples))
             raise UnreachableReference(
@@ -116,7 +134,7 @@ class StreamPlan:
                 math.nan) from None
 
     def check(self, end, watch):
-        """Compute the voltages up to a sample; raise `OutOfReach` if one is beyond the limits."""
+        """Compute the voltages up to a sample; raise `Infeasible` if one is beyond the limits."""
         start = computed = self.feedback_start_sample
         for voltage_v in self._chunks(end, CHUNK_SAMPLES):
             computed += voltage_v.size
@@ -150,7 +168,7 @@ class StreamLimits:
     sample_period_s: float
 
     def check(self, last_v, voltage_v):
-        """Raise `OutOfReach` for voltages beyond the limits, behind those played last."""
+        """Raise `Infeasible` for voltages beyond the limits, behind those played last."""
         check_range(voltage_v, self.lowest_v, self.highest_v, VOLTAGE)
         check_slew(np.r_[last_v, voltage_v], self.sample_period_s, self.slew_limit_v_per_s)
 
@@ -166,7 +184,7 @@ def plan_stream(reference, samples, model, method="least_squares", *,
     Parameters
     ----------
     reference : Trajectory
-        Displacement. `lead_in_samples` before its beginning it is faded in.
+        Displacement. `approach_samples` before its beginning it is faded in.
     samples : int
         How much of it is played.
     model : piezo_models.cascade.StageModel
@@ -196,14 +214,14 @@ def plan_stream(reference, samples, model, method="least_squares", *,
                              watch or (lambda fraction: None))
     try:
         return planner.plan(reference, samples)
-    except OutOfReach as reason:
+    except Infeasible as reason:
         refused = reason
     raise planner.refusal(reference, samples, refused)
 
 
-def lead_in_samples(sample_period_s=25e-6):
-    """Samples of a reference before its beginning that `plan_stream` takes."""
-    return aligned_samples(LEAD_IN_S, sample_period_s)
+def approach_samples(sample_period_s=25e-6):
+    """Count the samples of a reference before its beginning that `plan_stream` takes."""
+    return aligned_samples(APPROACH_S, sample_period_s)
 
 
 class _StreamPlanner:
@@ -224,31 +242,32 @@ class _StreamPlanner:
         self.sampled_slow = zoh(self.slow, self.sample_period_s)
         compensated = compensated_effects(model)
         self.margin = self.preview.preview_samples + (EFFECT_MARGIN_SAMPLES if compensated else 0)
-        self.left_alone = tuple(
+        self.uncompensated = tuple(
             effect.name for effect in model.effects
             if effect not in compensated and effect.place not in ("modes", "linear"))
 
     def plan(self, reference, samples):
-        """The plan for one reference; raises `OutOfReach`."""
-        lead_in = lead_in_samples(self.sample_period_s)
-        once_v, memory, slow_um, slow_state = self._lead_in(reference.sample(-lead_in, 1)[0])
+        """Plan one reference; raise `Infeasible`."""
+        approach = approach_samples(self.sample_period_s)
+        once_v, memory, slow_um, slow_state = self._approach(reference.sample(-approach, 1)[0])
         rest_um = slow_um[-1]
         level_um = self.model.sensed(np.full(ALIGNMENT_SAMPLES, rest_um), self.sample_period_s)[-1]
         inverse = OnlineInverse(
             self.model, self.preview, _inverse(self.sampled_slow), self.sample_period_s,
             self.preview.state(rest_um), slow_state, memory,
             np.full(2 * EFFECT_MARGIN_SAMPLES, level_um))
-        expected = _FadedIn(slow_um, level_um, reference, lead_in,
+        expected = _FadedIn(slow_um, level_um, reference, approach,
                             aligned_samples(FADE_S, self.sample_period_s))
         plan = StreamPlan(once_v, KeptTrajectory(expected), reference, samples,
-                          once_v.size + lead_in, self.left_alone, inverse, self.limits, self.margin)
+                          once_v.size + approach, self.uncompensated, inverse, self.limits,
+                          self.margin)
         self._check_extremes(reference.survey(samples))
         checked = round(CHECKED_S / self.sample_period_s)
         plan.check(plan.begin_sample + min(samples, checked), self.watch)
         return plan
 
     def refusal(self, reference, samples, reason):
-        """What is told of a reference that is out of reach."""
+        """Make the refusal of an infeasible reference."""
         checked = min(samples, round(CHECKED_S / self.sample_period_s))
 
         def scaled(centre_um, scale):
@@ -265,7 +284,7 @@ class _StreamPlanner:
         reached_um = np.outer(gains, self.hysteresis.output_range_um)
         check_range(reference_um, reached_um.min(), reached_um.max(), DISPLACEMENT)
 
-    def _lead_in(self, first_um):
+    def _approach(self, first_um):
         """Voltages from rest to the lowest and up to the first displacement, and what they leave.
 
         That is the memory of the hysteresis, and displacement and state of the slow part.
@@ -288,22 +307,22 @@ class _StreamPlanner:
 class _FadedIn(Trajectory):
     """What a run displaces: its beginning, and then a reference that is faded in from a level."""
 
-    def __init__(self, once_um, level_um, reference, lead_in, fade_samples):
+    def __init__(self, once_um, level_um, reference, approach, fade_samples):
         self._once_um, self._level_um, self._reference = once_um, level_um, reference
-        self._lead_in, self._fade_samples = lead_in, fade_samples
+        self._approach, self._fade_samples = approach, fade_samples
 
     def sample(self, first, count):
-        """See `Trajectory`."""
+        """Do what `Trajectory` says."""
         once_um = self._once_um[max(first, 0):max(first + count, 0)]
         at = first + once_um.size - self._once_um.size
-        reference_um = self._reference.sample(at - self._lead_in, count - once_um.size)
+        reference_um = self._reference.sample(at - self._approach, count - once_um.size)
         if at < self._fade_samples:
             fade = smooth_rise(np.arange(at, at + reference_um.size) / self._fade_samples)
             reference_um = self._level_um + fade * (reference_um - self._level_um)
         return np.r_[once_um, reference_um]
 
     def survey(self, samples):
-        """See `Trajectory`."""
+        """Do what `Trajectory` says."""
         return self._reference.survey(samples)
 
 
@@ -314,11 +333,11 @@ class _Scaled(Trajectory):
         self._trajectory, self._centre_um, self._scale = trajectory, centre_um, scale
 
     def sample(self, first, count):
-        """See `Trajectory`."""
+        """Do what `Trajectory` says."""
         return self._scaled(self._trajectory.sample(first, count))
 
     def survey(self, samples):
-        """See `Trajectory`."""
+        """Do what `Trajectory` says."""
         return self._scaled(self._trajectory.survey(samples))
 
     def _scaled(self, displacement_um):

@@ -122,5 +122,5 @@ def load_correction(path, reference, model_sha256, sample_rate_hz):
 
 
 def _plain(reference):
-    """The reference as it looks after a way through JSON."""
+    """Return the reference as it looks after a way through JSON."""
     return json.loads(json.dumps(dataclasses.asdict(reference)))

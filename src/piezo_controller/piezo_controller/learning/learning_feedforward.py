@@ -2,10 +2,12 @@
 """A feedforward that learns while the stage plays it: iterations first, then the best of them."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from piezo_controller.feedforward.feasibility import OutOfReach, UnreachableReference
+from piezo_controller.feedforward.feasibility import Infeasible, UnreachableReference
 from piezo_controller.references.smooth_rise import minimum_jerk
 
 FADE_S = 0.01
@@ -18,7 +20,7 @@ HALVINGS = 6
 
 
 class LearningFeedforward:
-    """Voltages of a learning run, part by part, and the displacement to expect.
+    """Voltages of a learning run, part by part, and what to expect: a `TrackingPlan`.
 
     Each part plays one iterate, faded in from the one before: it settles, is measured, and goes on
     while the next is computed. The last part plays the best.
@@ -42,7 +44,7 @@ class LearningFeedforward:
         Where the best has settled; the latest that is possible as long as it is not known.
     iteration : int
         The present one; 0 once the best is played.
-    left_alone : tuple of str
+    uncompensated : tuple of str
         Effects of the model that are not compensated.
 
     Raises
@@ -50,6 +52,8 @@ class LearningFeedforward:
     UnreachableReference
         The amplifier cannot follow half of the reference's amplitude by the model.
     """
+
+    streamed = open_ended = True
 
     def __init__(self, planner, reference_um, learner, iterations, run_samples,
                  samples_per_tick=40):
@@ -68,7 +72,7 @@ class LearningFeedforward:
         plan = self._plan_first()
         self.once_voltage_v = plan.once_voltage_v
         self.feedback_start_sample = plan.feedback_start_sample
-        self.left_alone = plan.left_alone
+        self.uncompensated = plan.uncompensated
         self._expected_plan = plan
         self._period_v = plan.period_voltage_v
         self._loaded = plan.begin_sample
@@ -87,7 +91,7 @@ class LearningFeedforward:
             played_um = part * correction_um - (1.0 - part) * alternating_um
             try:
                 plan = self._planner.plan(self._reference_um, played_um)
-            except OutOfReach as error:
+            except Infeasible as error:
                 reason = error
                 continue
             self._correction_um = played_um
@@ -98,19 +102,23 @@ class LearningFeedforward:
             f"{np.ptp(self._reference_um):.4g} um peak to peak: {reason}", 0.0)
 
     @property
-    def learning(self):
-        """Whether the best is not known yet."""
-        return self._left_samples is None
+    def period_voltage_v(self) -> NDArray[np.float64]:
+        """Nothing is repeated: each part is loaded."""
+        return np.empty(0)
 
-    def expected_um(self, first_sample, count):
-        """Displacements to expect of `count` samples from `first_sample` on (um)."""
+    def continuation(self) -> Callable[[], NDArray[np.float64] | None]:
+        """Return the method that computes each next part."""
+        return self.next_voltage_v
+
+    def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
+        """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
         return self._expected_plan.expected_um(first_sample, count)
 
-    def travel_um(self, samples):
-        """Largest minus smallest displacement of the first samples of the reference (um)."""
+    def travel_um(self, samples: int) -> float:
+        """Return the peak-to-peak displacement of the first samples of the reference (um)."""
         return self._expected_plan.travel_um(samples)
 
-    def take(self, displacement_um):
+    def take(self, displacement_um: NDArray[np.float64]) -> None:
         """Take the samples that were measured next, from the run's first on."""
         first, window = self._taken, self._window
         self._taken += len(displacement_um)
@@ -118,8 +126,8 @@ class LearningFeedforward:
             self._taken_um.append(np.array(
                 displacement_um[max(window[0] - first, 0):window[1] - first]))
 
-    def next_voltage_v(self):
-        """The next voltages behind `once_voltage_v`.
+    def next_voltage_v(self) -> NDArray[np.float64] | None:
+        """Compute the next voltages behind `once_voltage_v`.
 
         Returns
         -------
@@ -147,19 +155,19 @@ class LearningFeedforward:
         return self._load(self._part, voltage_v)
 
     def _go_on(self):
-        """Some more of the best."""
+        """Load some more of the best."""
         count = min(self._left_samples, self._part)
         self._left_samples -= count
         return self._load(count, self._period_v)
 
     def _plan(self, correction_um):
-        """A period of voltages for a correction, or for as much of its change as is in reach."""
+        """Plan a period for a correction, or for as much of its change as is feasible."""
         before_um, part = self._correction_um, 1.0
         for _ in range(HALVINGS):
             wanted_um = before_um + part * (correction_um - before_um)
             try:
                 plan = self._planner.plan(self._reference_um, wanted_um)
-            except OutOfReach:
+            except Infeasible:
                 part /= 2
                 continue
             self._correction_um = wanted_um
@@ -167,7 +175,7 @@ class LearningFeedforward:
         return self._period_v
 
     def _load(self, count, period_v):
-        """The next voltages, faded over from the last period to a new one."""
+        """Return the next voltages, faded over from the last period to a new one."""
         phase = np.arange(self._loaded, self._loaded + count) - self._expected_plan.begin_sample
         phase %= period_v.size
         voltage_v = period_v[phase]

@@ -126,7 +126,7 @@ class PeriodicLearner:
         Parameters
         ----------
         displacement_um : (n P,) array
-            Measured over whole periods, two at least; their linear drift is taken off.
+            Measured over whole periods, two at least; their linear drift is removed.
 
         Returns
         -------

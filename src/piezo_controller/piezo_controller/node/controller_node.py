@@ -2,7 +2,6 @@
 """Track references with the stage: the action ``controller/track``."""
 
 import dataclasses
-import functools
 import hashlib
 import json
 import math
@@ -13,25 +12,10 @@ import numpy as np
 from piezo_interfaces.action import Track
 from rclpy.lifecycle import LifecycleNode
 
-from piezo_controller.feedback.controller_file import load_stabilising_controller
-from piezo_controller.feedback.feedback_before_inverse import FeedbackBeforeInverse
-from piezo_controller.feedback.feedback_design import design_feedback
-from piezo_controller.feedback.integral_feedback import design_mean_keeper
-from piezo_controller.feedback.multirate_feedback import MultirateFeedback
-from piezo_controller.feedback.synthesis.weights import DEFAULT, load_weights
-from piezo_controller.feedforward.streamed import StreamPlan
-from piezo_controller.learning.learned_file import (
-    Learned,
-    learned_path,
-    load_correction,
-    save_learned,
-)
-from piezo_controller.learning.learning_feedforward import LearningFeedforward
 from piezo_controller.references.reference import Reference
-from piezo_controller.tracking.run_plan import plan_learning, plan_references
-from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock, feedback_room_v
-from piezo_controller.tracking.tracking_run import TrackingRun
-from piezo_models.model_file import load_model
+from piezo_controller.tracking.feedbacks import PLACES, Feedbacks, FeedbackSettings
+from piezo_controller.tracking.track import TrackRequest, prepare
+from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_ros.calls import CallFailed
 from piezo_ros.goals import GoalServers
 from piezo_ros.parameters import declare, declare_data_root
@@ -40,10 +24,6 @@ from piezo_ros.stage_runs.recording_calls import RecorderCaller
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import REPORT_PERIOD_S, StageTracker
 
-PLACES = ("behind_inverse", "before_inverse")
-LONGEST_DURATION_S = 3600.0
-LEARNING_ITERATIONS = 10
-
 
 class ControllerNode(LifecycleNode):
     """Plan the feedforward, let the stage play it, and answer its blocks."""
@@ -51,7 +31,7 @@ class ControllerNode(LifecycleNode):
     def __init__(self):
         super().__init__("controller")
         self._declare_parameters()
-        self._feedback_designs = {}
+        self._feedbacks = Feedbacks(self._feedback_settings, self._stage)
         self._tracker = StageTracker(self)
         self._recorder = RecorderCaller(self)
         self._goals = GoalServers(self)
@@ -75,19 +55,20 @@ class ControllerNode(LifecycleNode):
                 "Rate of the stage's sample clock (Hz).", 1000.0, 200000.0),
             samples_per_tick=declare(
                 self, "samples_per_tick", 40, "Samples of one feedback period.", 1, 4000))
-        self._max_feedback_v = declare(
-            self, "max_feedback_v", 20.0, "Largest feedback voltage (V).", 0.001, 1000.0)
-        self._weights_file = declare(
-            self, "weights", "",
-            "Weights of the feedback design: a file (YAML), thesis, or empty for the default.")
-        self._controller_file = declare(
-            self, "controller_file", "",
-            "Feedback of the composite modes, as design wrote it; empty to design it for the "
-            "model.")
-        self._feedback_place = declare(
-            self, "feedback_place", PLACES[0],
-            "Where the feedback of the composite modes enters: behind_inverse, as a voltage; "
-            "before_inverse, as an output of the hysteresis.", choices=PLACES)
+        self._feedback_settings = FeedbackSettings(
+            max_feedback_v=declare(
+                self, "max_feedback_v", 20.0, "Largest feedback voltage (V).", 0.001, 1000.0),
+            weights=declare(
+                self, "weights", "",
+                "Weights of the feedback design: a file (YAML), thesis, or empty for the default."),
+            controller_file=declare(
+                self, "controller_file", "",
+                "Feedback of the composite modes, as design wrote it; empty to design it for the "
+                "model."),
+            place=declare(
+                self, "feedback_place", PLACES[0],
+                "Where the feedback of the composite modes enters: behind_inverse, as a voltage; "
+                "before_inverse, as an output of the hysteresis.", choices=PLACES))
         self._data_root = declare_data_root(self)
         self._directory = declare(
             self, "directory", "runs", "Where recordings go if a goal names no place.")
@@ -101,16 +82,19 @@ class ControllerNode(LifecycleNode):
         directory = self._data_root.writable(goal.directory or self._directory)
         self._locate_files(goal)
         model_text = _read_text(goal.model)
-        run, plan, feedback, save = self._plan(goal, model_text, directory, progress)
+        prepared = prepare(
+            _request(goal, model_text, directory), self._stage, self._feedbacks,
+            _Preparing(progress, goal.tolerance_um), self._data_root.writable, REPORT_PERIOD_S)
         progress.check()
-        account = RunAccount(**self._run_limits, answered=feedback is not None,
-                             streamed=isinstance(plan, (StreamPlan, LearningFeedforward)))
+        run, plan = prepared.run, prepared.plan
+        account = RunAccount(**self._run_limits, answered=prepared.feedback is not None,
+                             streamed=plan.streamed)
         with self._recorder.record(directory, f"track_{goal.mode}", {
                 "model.json": model_text, "parameters.json": _parameters(goal)},
                 goal.unrecorded) as recording:
             result.recording = recording.path
             try:
-                self._play(run, plan, account, feedback is not None, progress, recording)
+                self._play(prepared, account, progress, recording)
             finally:
                 recording.last_sample = self._tracker.last_sample
                 result.missed_feedback = self._tracker.missed_feedback
@@ -123,10 +107,10 @@ class ControllerNode(LifecycleNode):
                 raise CallFailed(
                     f"the stage stopped before the end: {self._tracker.why_ended()}")
         progress.check()
-        learned = save and not account.failure and save(result)
-        left_alone = plan.left_alone and ("the feedforward leaves alone: "
-                                          f'{", ".join(plan.left_alone)}')
-        notes = learned, left_alone, run.lateness, recording.note
+        learned = "" if account.failure else _keep_learned(prepared.learning, result)
+        uncompensated = plan.uncompensated and (
+            f'the feedforward does not compensate: {", ".join(plan.uncompensated)}')
+        notes = learned, uncompensated, run.lateness, recording.note
         if account.failure:
             raise CallFailed("; ".join(filter(None, (account.failure, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))
@@ -137,116 +121,35 @@ class ControllerNode(LifecycleNode):
         for reference in (goal.reference, *goal.then):
             reference.file = self._data_root.readable(reference.file)
 
-    def _plan(self, goal, model_text, directory, progress):
-        if not 0.0 < goal.duration_s <= LONGEST_DURATION_S:
-            raise ValueError(f"duration_s is {goal.duration_s:g}: "
-                             f"give more than 0 and at most {LONGEST_DURATION_S:g} s")
-        if not 0.0 <= goal.tolerance_um < math.inf:
-            raise ValueError(f"tolerance_um is {goal.tolerance_um:g}: give a positive number, or 0")
-        model = load_model(goal.model).model
-        durations_s = [goal.duration_s, *goal.then_duration_s]
-        feedback = save = None
-        preparing = _Preparing(progress, goal.tolerance_um)
-        preparing.watch(0.0)
-        if goal.mode == "learning":
-            plan, feedback, save = self._plan_learning(goal, model, model_text, directory)
-        else:
-            plan = plan_references(
-                goal.mode, [_reference(message) for message in (goal.reference, *goal.then)],
-                durations_s, model, self._stage, goal.inversion, preparing.watch)
-        if goal.mode in FEEDBACK_METHODS:
-            preparing.begin("design the feedback")
-            feedback = self._feedback(goal.mode, model, model_text, plan)
-        run = TrackingRun(plan, self._whole_ticks(sum(durations_s)), feedback, self._stage.tick_s,
-                          goal.tolerance_um, round(REPORT_PERIOD_S * self._stage.sample_rate_hz))
-        return run, plan, feedback, save
-
-    def _plan_learning(self, goal, model, model_text, directory):
-        """Plan, feedback, and what to call at the end: it keeps what was learned, and tells."""
-        if goal.then or goal.inversion:
-            raise ValueError("learning repeats one reference by its exact inverse: "
-                             "leave then and inversion empty")
-        reference, key = _reference(goal.reference), _sha256(model_text)
-        path = self._data_root.writable(goal.learned or learned_path(directory, reference, key))
-        correction_um = None
-        if goal.learned or path.exists():
-            correction_um = load_correction(path, reference, key, self._stage.sample_rate_hz)
-        controller = design_mean_keeper(
-            model, self._stage.tick_s, self._stage.sample_period_s, key)
-        samples = self._whole_ticks(goal.duration_s)
-        plan, learner = plan_learning(reference, samples, model, controller, self._stage,
-                                      goal.iterations or LEARNING_ITERATIONS, correction_um)
-
-        def save(result):
-            save_learned(path, Learned(
-                reference, key, self._stage.sample_rate_hz, learner.best_um, learner.best_rms_um,
-                learner.iterations))
-            result.learned, result.iterations = str(path), learner.iterations
-            return f"learning ended after {learner.iterations} iterations: {learner.finished}"
-
-        return plan, MultirateFeedback(controller, self._max_feedback_v), save
-
-    def _whole_ticks(self, duration_s):
-        ticks = math.ceil(duration_s / self._stage.tick_s - 1e-9)
-        return ticks * self._stage.samples_per_tick
-
-    def _feedback(self, mode, model, model_text, plan):
-        composite = FEEDBACK_METHODS[mode] == "h_infinity"
-        if composite and self._controller_file:
-            controller = load_stabilising_controller(
-                self._controller_file, model, self._stage.tick_s, self._stage.sample_period_s)
-        else:
-            controller = self._design_feedback(FEEDBACK_METHODS[mode], model, model_text)
-        if not composite:
-            # All of the travel is the feedback's work.
-            return MultirateFeedback(
-                controller, feedback_room_v(plan, self._stage.voltage_range_v))
-        if self._feedback_place == "behind_inverse":
-            return MultirateFeedback(controller, self._max_feedback_v)
-        if isinstance(plan, StreamPlan):
-            raise ValueError("a streamed reference takes its feedback behind the inverse: set "
-                             "feedback_place to behind_inverse")
-        return FeedbackBeforeInverse(
-            controller, model, plan, self._stage.samples_per_tick, self._max_feedback_v,
-            self._stage.rest_voltage_v)
-
-    def _design_feedback(self, method, model, model_text):
-        digest = _sha256(model_text)
-        if (digest, method) not in self._feedback_designs:
-            weights = load_weights(self._weights_file or DEFAULT).at_tick(self._stage.tick_s)
-            self._feedback_designs[digest, method] = design_feedback(
-                model, weights, self._stage.sample_period_s, digest, method)
-        return self._feedback_designs[digest, method]
-
-    def _play(self, run, plan, account, answering, progress, recording):
-        ticks, more = math.ceil(run.total_samples / self._stage.samples_per_tick), None
-        period_v = getattr(plan, "period_voltage_v", np.empty(0))
-        learning = isinstance(plan, LearningFeedforward)
-        if isinstance(plan, StreamPlan):
-            more = functools.partial(next, plan.chunks(), np.empty(0))
-        elif learning:
-            ticks, more = 0, plan.next_voltage_v  # how long is not known yet
+    def _play(self, prepared, account, progress, recording):
+        plan, run = prepared.plan, prepared.run
 
         def take(block):
-            displacement_um = np.frombuffer(block.displacement_um)
             if not run.complete:
                 account.take(block.flags)
-            if learning:
-                plan.take(displacement_um)
-            return run.take(displacement_um)
+            return prepared.take(np.frombuffer(block.displacement_um))
 
         def shall_end():
-            return (progress.cancelled or recording.must_stop
-                    or (learning and run.complete))
+            return progress.cancelled or recording.must_stop or prepared.over
 
         def report():
             progress.report(
                 run.fraction, stage="play", e_rms_percent=run.e_rms_percent(running=True),
-                on_target=run.on_target, tolerance_um=run.tolerance_um,
-                iteration=plan.iteration if learning else 0)
+                on_target=run.on_target, tolerance_um=run.tolerance_um, iteration=plan.iteration)
 
-        self._tracker.run(plan.once_voltage_v, period_v, ticks, take, answering, shall_end,
-                          report, more)
+        self._tracker.run(
+            plan.once_voltage_v, plan.period_voltage_v,
+            prepared.ticks(self._stage.samples_per_tick), take, prepared.feedback is not None,
+            shall_end, report, plan.continuation())
+
+
+def _keep_learned(learning, result):
+    """Write what was learned, if anything was to be; return what to tell of it."""
+    if learning is None:
+        return ""
+    learning.keep()
+    result.learned, result.iterations = str(learning.path), learning.learner.iterations
+    return learning.account
 
 
 class _Preparing:
@@ -254,25 +157,31 @@ class _Preparing:
 
     def __init__(self, progress, tolerance_um):
         self._progress, self._tolerance_um = progress, tolerance_um
-        self._stage, self._told_s = "plan", -math.inf
+        self._step, self._told_s = "", -math.inf
 
-    def begin(self, stage):
-        """Tell that another stage begins."""
-        self._stage, self._told_s = stage, -math.inf
+    def begin(self, step):
+        """Tell that another step begins."""
+        self._step, self._told_s = step, -math.inf
         self.watch(0.0)
 
     def watch(self, fraction):
-        """Tell how much of the present stage is done; raise ``Cancelled`` if it shall end."""
+        """Tell how much of the present step is done; raise ``Cancelled`` if it shall end."""
         self._progress.check()
         now_s = time.monotonic()
         if now_s - self._told_s >= REPORT_PERIOD_S:
             self._told_s = now_s
-            self._progress.report(fraction, stage=self._stage, e_rms_percent=math.nan,
+            self._progress.report(fraction, stage=self._step, e_rms_percent=math.nan,
                                   tolerance_um=self._tolerance_um)
 
 
-def _sha256(text):
-    return hashlib.sha256(text.encode()).hexdigest()
+def _request(goal, model_text, directory):
+    return TrackRequest(
+        mode=goal.mode, model=goal.model,
+        model_sha256=hashlib.sha256(model_text.encode()).hexdigest(),
+        references=[_reference(message) for message in (goal.reference, *goal.then)],
+        durations_s=[goal.duration_s, *goal.then_duration_s], tolerance_um=goal.tolerance_um,
+        inversion=goal.inversion, learned=goal.learned, iterations=goal.iterations,
+        directory=directory)
 
 
 def _reference(message):

@@ -5,7 +5,14 @@ import math
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
+from piezo_controller.references.kind import (
+    LOWEST_FREQUENCY_HZ,
+    InvalidReference,
+    Reference,
+    Watch,
+)
 from piezo_controller.references.smooth_rise import smooth_rise
 from piezo_controller.references.trajectory import Trajectory
 
@@ -40,8 +47,8 @@ class RandomTrajectory(Trajectory):
     sample_rate_hz : float
     """
 
-    def __init__(self, low_hz, high_hz, amplitude_um, centre_um=0.0, seed=0,
-                 sample_rate_hz=40000.0):
+    def __init__(self, low_hz: float, high_hz: float, amplitude_um: float, centre_um: float = 0.0,
+                 seed: int = 0, sample_rate_hz: float = 40000.0) -> None:
         width_hz = high_hz - low_hz
         self._lines = low_hz + width_hz * np.linspace(EDGE, 1 - EDGE, LINES)
         self._lines /= sample_rate_hz  # in cycles per sample
@@ -52,7 +59,7 @@ class RandomTrajectory(Trajectory):
         # Two threads ask for neighbours.
         self._coefficients = lru_cache(maxsize=8)(self._draw)
 
-    def sample(self, first, count):
+    def sample(self, first: int, count: int) -> NDArray[np.float64]:
         """Do what `Trajectory` says."""
         values, hop = np.zeros(count), self._samples - self._fade
         for number in range((first - self._fade) // hop, (first + count - 1) // hop + 1):
@@ -64,7 +71,7 @@ class RandomTrajectory(Trajectory):
                 values[low - first:high - first] += weight * self._block(number, at[0], at.size)
         return self._centre_um + values
 
-    def survey(self, samples):
+    def survey(self, samples: int) -> NDArray[np.float64]:
         """See `Trajectory`: pieces of its first blocks; longer runs come closer to the range."""
         if samples <= SURVEYED_PIECES * SURVEYED_SAMPLES:
             return self.sample(0, samples)
@@ -72,7 +79,7 @@ class RandomTrajectory(Trajectory):
         begins = np.linspace(0, end, SURVEYED_PIECES).astype(np.int64)
         return np.concatenate([self.sample(int(begin), SURVEYED_SAMPLES) for begin in begins])
 
-    def _block(self, number, first, count):
+    def _block(self, number: int, first: int, count: int) -> NDArray[np.float64]:
         """Return the samples of a block, row by row of a table, as sines of sums are products."""
         rows = np.arange(first // ROW_SAMPLES, (first + count - 1) // ROW_SAMPLES + 1)
         columns = self._coefficients(number) * _turns(self._lines, rows * ROW_SAMPLES)
@@ -80,8 +87,8 @@ class RandomTrajectory(Trajectory):
         begin = first - rows[0] * ROW_SAMPLES
         return table.ravel()[begin:begin + count]
 
-    def _draw(self, number):
-        """Complex amplitudes of the lines of a block (um), shape (LINES,)."""
+    def _draw(self, number: int) -> NDArray[np.complex128]:
+        """Draw the complex amplitudes of the lines of a block (um), shape (LINES,)."""
         generator = np.random.default_rng([self._seed, FIRST_SEQUENCE + number])
         drawn = generator.standard_normal(LINES) + 1j * generator.standard_normal(LINES)
         envelope = np.abs(np.fft.fft(drawn, ENVELOPE_POINTS * LINES)).max()
@@ -89,6 +96,42 @@ class RandomTrajectory(Trajectory):
         return self._amplitude_um / 2 / bound * drawn
 
 
-def _turns(lines, samples):
+def _turns(lines: NDArray[np.float64], samples: NDArray[np.int64]) -> NDArray[np.complex128]:
     """Return the unit vectors of each line at each sample, shape (samples, lines)."""
     return np.exp(2j * np.pi * (np.outer(samples, lines) % 1.0))
+
+
+class RandomKind:
+    """Random references have no period: they are streamed."""
+
+    def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
+        """Tell that there is no period."""
+        return False
+
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+        """Refuse to sample a period, as there is none."""
+        raise InvalidReference("a random reference that is not repeated has no period: "
+                               "use a mode that streams it")
+
+    def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
+        """Check the band, and draw from the seed."""
+        edges_hz, amplitude_um = tuple(reference.frequency_hz), tuple(reference.amplitude_um)
+        if len(edges_hz) not in (1, 2) or len(amplitude_um) != 1:
+            raise InvalidReference("a random reference has one or two frequencies, the edges of "
+                                   f"its band, and one amplitude, not {len(edges_hz)} and "
+                                   f"{len(amplitude_um)}: give those")
+        low_hz, high_hz = (0.0, *edges_hz)[-2:]
+        if not 0 <= low_hz < high_hz < sample_rate_hz / 2:
+            raise InvalidReference(f"the band from {low_hz:g} to {high_hz:g} Hz is not between 0 "
+                                   f"and half the sample rate of {sample_rate_hz:g} Hz: choose "
+                                   "one that is")
+        if high_hz - low_hz < LOWEST_FREQUENCY_HZ:
+            raise InvalidReference(f"the band from {low_hz:g} to {high_hz:g} Hz is narrower than "
+                                   f"{LOWEST_FREQUENCY_HZ:g} Hz: use a harmonic")
+        if not 0 < amplitude_um[0] < math.inf:
+            raise InvalidReference(f"amplitude_um {amplitude_um[0]:g} is not a positive number: "
+                                   "give it from peak to peak")
+        if reference.seed < 0:
+            raise InvalidReference(f"seed {reference.seed} is negative: give 0 or more")
+        return RandomTrajectory(low_hz, high_hz, amplitude_um[0], reference.centre_um,
+                                reference.seed, sample_rate_hz)

@@ -7,8 +7,19 @@ fast one goes back, and after the last line it flies back to the first.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from piezo_controller.references.kind import (
+    LONGEST_PERIOD_S,
+    InvalidReference,
+    Reference,
+    Watch,
+    one_component,
+)
 from piezo_controller.references.smooth_rise import smooth_rise
+from piezo_controller.references.trajectory import FormulaTrajectory, Trajectory
+
+AXES = ("fast", "slow")
 
 TURN = 0.1
 """Part of a line's period that each turn of the fast axis takes."""
@@ -20,8 +31,8 @@ FLYBACK = 0.05
 """Lines that the slow axis' way back takes, as a part of those of the frame."""
 
 
-def fast_axis(lines):
-    """Position of the axis that draws the lines, which begin in the middle of the way forward.
+def fast_axis(lines: ArrayLike) -> NDArray[np.float64]:
+    """Draw the lines, which begin in the middle of the way forward.
 
     Its speed is constant between the turns, where the displacement goes from -0.5 to 0.5; in the
     turns it overshoots.
@@ -45,19 +56,19 @@ def fast_axis(lines):
     return position / (0.5 - TURN)
 
 
-def _risen(share):
-    """Integral of `smooth_rise`."""
+def _risen(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Integrate `smooth_rise` from 0 to its argument."""
     within = np.clip(share, 0.0, 1.0)
     return within**4 * (2.5 - 3 * within + within**2) + np.maximum(share - 1.0, 0.0)
 
 
-def flyback_lines(lines):
-    """Lines that the way back of a frame takes."""
+def flyback_lines(lines: int) -> int:
+    """Count the lines that the way back of a frame takes."""
     return max(1, round(FLYBACK * lines))
 
 
-def slow_axis(at_line, lines):
-    """Position of the axis that steps: a staircase from -0.5 to 0.5, and the way back.
+def slow_axis(at_line: NDArray[np.float64], lines: int) -> NDArray[np.float64]:
+    """Step from line to line on a staircase from -0.5 to 0.5, and fly back.
 
     Parameters
     ----------
@@ -79,3 +90,50 @@ def slow_axis(at_line, lines):
     way = smooth_rise((clock - (lines - 1 + STEP_BEGINS)) / (back + STEP_ENDS - STEP_BEGINS))
     # What lies behind the frame's end on the common clock belongs to the next first line.
     return np.where(clock < lines + back, staircase * (1.0 - way), 0.0) - 0.5
+
+
+class Raster:
+    """One axis of a raster; its period is a line of the fast axis, or a frame of the slow one."""
+
+    def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
+        """Tell whether the period is short enough to be uploaded."""
+        return _period_samples(reference, sample_rate_hz) <= LONGEST_PERIOD_S * sample_rate_hz
+
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+        """Sample a line of the fast axis, or a frame of the slow one."""
+        return _displacement_um(reference, sample_rate_hz,
+                                np.arange(_period_samples(reference, sample_rate_hz)))
+
+    def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
+        """Repeat the period, however long it is, without keeping it."""
+        samples = _period_samples(reference, sample_rate_hz)
+        return FormulaTrajectory(
+            lambda at: _displacement_um(reference, sample_rate_hz, at % samples))
+
+
+def _line_samples(reference: Reference, sample_rate_hz: float) -> int:
+    line_rate_hz, _, _ = one_component(reference, sample_rate_hz)
+    samples = round(sample_rate_hz / line_rate_hz)
+    if abs(samples * line_rate_hz / sample_rate_hz - 1) > 1e-9:
+        raise InvalidReference(
+            f"a line at {line_rate_hz:.12g} Hz has no whole number of samples: the nearest that "
+            f"has is {sample_rate_hz / samples:.12g} Hz")
+    if reference.axis not in AXES:
+        raise InvalidReference(f"unknown axis {reference.axis!r} of the raster: "
+                               f'use one of {", ".join(AXES)}')
+    if reference.axis == "slow" and reference.lines < 2:
+        raise InvalidReference(f"the raster has {reference.lines} lines: give at least 2")
+    return samples
+
+
+def _period_samples(reference: Reference, sample_rate_hz: float) -> int:
+    samples = _line_samples(reference, sample_rate_hz)
+    lines = 1 if reference.axis == "fast" else reference.lines + flyback_lines(reference.lines)
+    return samples * lines
+
+
+def _displacement_um(reference: Reference, sample_rate_hz: float,
+                     at: NDArray[np.int64]) -> NDArray[np.float64]:
+    lines = at / _line_samples(reference, sample_rate_hz)
+    shape = fast_axis(lines) if reference.axis == "fast" else slow_axis(lines, reference.lines)
+    return reference.centre_um + reference.amplitude_um[0] * shape

@@ -3,15 +3,28 @@
 
 import os
 import tempfile
+from collections.abc import Iterator
 from itertools import islice
+from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
+
+from piezo_controller.references.kind import (
+    LONGEST_DURATION_S,
+    LONGEST_PERIOD_S,
+    InvalidReference,
+    Reference,
+    Watch,
+)
+from piezo_controller.references.trajectory import FormulaTrajectory, Trajectory
 
 COLUMNS = ["time_s", "displacement_um"]
 LINES_AT_ONCE = 100_000
 
 
-def read_samples(path, sample_rate_hz, longest_s, watch=None):
+def read_samples(path: str, sample_rate_hz: float, longest_s: float,
+                 watch: Watch | None = None) -> NDArray[np.float64]:
     """Read a reference that is sampled at the sample rate.
 
     The samples are kept in a temporary file that is mapped: a long way takes no memory.
@@ -37,7 +50,7 @@ def read_samples(path, sample_rate_hz, longest_s, watch=None):
     samples, begin_s = 0, 0.0
     with tempfile.TemporaryFile() as kept:
         for time_s, displacement_um in _pieces(path, watch or (lambda fraction: None)):
-            begin_s = begin_s if samples else time_s[0]
+            begin_s = begin_s if samples else float(time_s[0])
             expected_s = begin_s + np.arange(samples, samples + time_s.size) / sample_rate_hz
             if np.abs(time_s - expected_s).max() > 0.01 / sample_rate_hz:
                 raise ValueError(f"the reference file {path!r} is not sampled at "
@@ -54,7 +67,7 @@ def read_samples(path, sample_rate_hz, longest_s, watch=None):
         return np.memmap(kept, dtype=float, mode="r", shape=(samples,))
 
 
-def _keep(kept, displacement_um):
+def _keep(kept: BinaryIO, displacement_um: NDArray[np.float64]) -> None:
     try:
         kept.write(displacement_um.tobytes())
         kept.flush()
@@ -63,7 +76,7 @@ def _keep(kept, displacement_um):
                          f"{error.strerror}; let TMPDIR name another directory") from None
 
 
-def _pieces(path, watch):
+def _pieces(path: str, watch: Watch) -> Iterator[NDArray[np.float64]]:
     """Yield times and displacements of the file, some lines at a time."""
     try:
         with open(path, newline=None, encoding="utf-8") as stream:
@@ -82,7 +95,7 @@ def _pieces(path, watch):
         raise ValueError(f"the reference file {path!r} cannot be read: {reason}") from None
 
 
-def _numbers(path, lines):
+def _numbers(path: str, lines: list[str]) -> NDArray[np.float64]:
     try:
         values = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
     except ValueError:
@@ -94,3 +107,35 @@ def _numbers(path, lines):
         raise ValueError(f"the reference file {path!r} holds a value that is not finite: "
                          "remove or replace it")
     return values.T
+
+
+class FileKind:
+    """A reference from a file: one period, or with `once` the whole way, whose end is held."""
+
+    def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
+        """Tell whether the file is one period."""
+        return not reference.once
+
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+        """Read the period."""
+        if reference.once:
+            raise InvalidReference("a file reference that is not repeated has no period: "
+                                   "use a mode that streams it")
+        return reference.centre_um + _read(reference, sample_rate_hz, LONGEST_PERIOD_S)
+
+    def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
+        """Read the way, which rests at its first and its last value, or repeat the period."""
+        centre_um, once = float(reference.centre_um), reference.once
+        way_um = _read(reference, sample_rate_hz,
+                       LONGEST_DURATION_S if once else LONGEST_PERIOD_S, watch)
+        last = way_um.size - 1
+        return FormulaTrajectory(lambda at: centre_um + way_um[
+            np.clip(at, 0, last) if once else at % way_um.size])
+
+
+def _read(reference: Reference, sample_rate_hz: float, longest_s: float,
+          watch: Watch | None = None) -> NDArray[np.float64]:
+    try:
+        return read_samples(reference.file, sample_rate_hz, longest_s, watch)
+    except ValueError as error:
+        raise InvalidReference(str(error)) from None

@@ -2,17 +2,18 @@
 """The smooth rise that all transitions take: the reference's and the voltage's."""
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 
-def minimum_jerk(count):
-    """Smooth rise from 0 towards 1, which the sample after the last would reach.
+def minimum_jerk(count: int) -> NDArray[np.float64]:
+    """Rise smoothly from 0 towards 1, which the sample after the last would reach.
 
     The quintic has neither speed nor acceleration at its ends, and so excites no vibration.
     """
     return smooth_rise(np.arange(count) / count)
 
 
-def smooth_rise(share):
+def smooth_rise(share: ArrayLike) -> NDArray[np.float64]:
     """Evaluate the quintic of `minimum_jerk` at any time: 0 before 0, 1 after 1.
 
     Parameters

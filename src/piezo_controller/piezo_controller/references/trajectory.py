@@ -4,8 +4,10 @@
 import threading
 from abc import ABC, abstractmethod
 from collections import OrderedDict
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_controller.references.smooth_rise import smooth_rise
 
@@ -19,14 +21,14 @@ class Trajectory(ABC):
     """A displacement over time; its samples do not depend on the pieces they are asked for in."""
 
     @abstractmethod
-    def sample(self, first: int, count: int) -> np.ndarray:
-        """Displacements of `count` samples from `first` on, shape (count,), in um.
+    def sample(self, first: int, count: int) -> NDArray[np.float64]:
+        """Return the displacements (um) of `count` samples from `first` on, shape (count,).
 
         Sample 0 is where the trajectory begins; negative ones lie before.
         """
 
     @abstractmethod
-    def survey(self, samples: int) -> np.ndarray:
+    def survey(self, samples: int) -> NDArray[np.float64]:
         """Return some displacements (um) of the first samples, enough to find their extremes."""
 
 
@@ -39,14 +41,14 @@ class FormulaTrajectory(Trajectory):
         Displacements (um) of sample numbers, shape (N,).
     """
 
-    def __init__(self, formula):
+    def __init__(self, formula: Callable[[NDArray[np.int64]], NDArray[np.float64]]) -> None:
         self._formula = formula
 
-    def sample(self, first, count):
+    def sample(self, first: int, count: int) -> NDArray[np.float64]:
         """Do what `Trajectory` says."""
         return self._formula(np.arange(first, first + count))
 
-    def survey(self, samples):
+    def survey(self, samples: int) -> NDArray[np.float64]:
         """See `Trajectory`: all of a short one, of a long one samples at irregular distances."""
         if samples <= SURVEYED_SAMPLES:
             return self.sample(0, samples)
@@ -69,11 +71,12 @@ class JoinedTrajectory(Trajectory):
         no derivative up to the second jumps.
     """
 
-    def __init__(self, parts, durations, transition):
+    def __init__(self, parts: Sequence[Trajectory], durations: Sequence[int],
+                 transition: int) -> None:
         self._parts, self._durations, self._transition = parts, durations, transition
         self._begins = np.r_[0, np.cumsum(durations[:-1], dtype=np.int64)]
 
-    def sample(self, first, count):
+    def sample(self, first: int, count: int) -> NDArray[np.float64]:
         """Do what `Trajectory` says."""
         joined = np.empty(count)
         ends = np.r_[self._begins[1:], np.iinfo(np.int64).max]
@@ -91,7 +94,7 @@ class JoinedTrajectory(Trajectory):
             joined[low - first:high - first] = piece
         return joined
 
-    def survey(self, samples):
+    def survey(self, samples: int) -> NDArray[np.float64]:
         """Do what `Trajectory` says."""
         left = np.clip(samples - self._begins, 0, self._durations)
         left[-1] = max(samples - self._begins[-1], 0)
@@ -109,12 +112,12 @@ class KeptTrajectory(Trajectory):
     trajectory : Trajectory
     """
 
-    def __init__(self, trajectory):
+    def __init__(self, trajectory: Trajectory) -> None:
         self._trajectory = trajectory
-        self._blocks = OrderedDict()
+        self._blocks: OrderedDict[int, NDArray[np.float64]] = OrderedDict()
         self._lock = threading.Lock()
 
-    def sample(self, first, count):
+    def sample(self, first: int, count: int) -> NDArray[np.float64]:
         """Do what `Trajectory` says."""
         at, last, pieces = first, first + count, [np.empty(0)]
         while at < last:
@@ -124,11 +127,11 @@ class KeptTrajectory(Trajectory):
             at += piece.size
         return np.concatenate(pieces)
 
-    def survey(self, samples):
+    def survey(self, samples: int) -> NDArray[np.float64]:
         """Do what `Trajectory` says."""
         return self._trajectory.survey(samples)
 
-    def _block(self, number):
+    def _block(self, number: int) -> NDArray[np.float64]:
         with self._lock:
             if number in self._blocks:
                 self._blocks.move_to_end(number)

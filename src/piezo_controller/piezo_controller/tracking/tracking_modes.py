@@ -99,7 +99,7 @@ def plan_mode(mode, reference, model, stage, duration_s, watch=None):
 
 
 def _with_reference(plan, reference_um, sample_period_s):
-    """A plan that holds the mean, but expects the reference; it is faded in."""
+    """Make a plan that holds the mean, but expects the reference, faded in."""
     once = plan.reference_once_um.size
     fade_start = plan.feedback_start_sample
     fading = min(round(FADE_S / sample_period_s), once - fade_start)
@@ -111,7 +111,7 @@ def _with_reference(plan, reference_um, sample_period_s):
 
 
 def _held(plan, samples, reference_um):
-    """A plan at the tick's rate, played by the sample clock."""
+    """Make a plan at the tick's rate, played by the sample clock."""
     once = plan.reference_once_um.size
     expected_um = np.interp(np.arange(once * samples) / samples, np.arange(once),
                             plan.reference_once_um)

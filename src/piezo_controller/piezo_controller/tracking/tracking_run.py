@@ -19,10 +19,10 @@ class TrackingRun:
 
     Parameters
     ----------
-    plan : FeedforwardPlan, StreamPlan or LearningFeedforward
+    plan : TrackingPlan
         What the stage plays from the run's first sample on.
     run_samples : int
-        How long the reference is to be followed after the lead-in; the error is that of this part.
+        How long the reference is to be followed after the approach; the error is that of this part.
     feedback : MultirateFeedback, optional
         Answers the blocks; None where only the feedforward acts.
     tick_s : float
@@ -54,7 +54,7 @@ class TrackingRun:
 
     @property
     def total_samples(self):
-        """Samples of the lead-in and of the part that counts."""
+        """Samples of the approach and of the part that counts."""
         return self._plan.begin_sample + self._run_samples
 
     @property

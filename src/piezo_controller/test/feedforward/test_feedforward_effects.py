@@ -69,7 +69,7 @@ def test_the_sensor_follows_the_reference_through_every_effect_of_the_model(
         without_creep, effect, left_percent):
     model = replace(without_creep, effects=(effect,))
     plan = plan_feedforward(harmonic(), model)
-    assert plan.left_alone == ()
+    assert plan.uncompensated == ()
     assert rms_percent(tracking_error_um(model, plan)) < left_percent
 
 
@@ -90,7 +90,7 @@ def test_effects_of_every_place_are_compensated_together(without_creep, frequenc
     assert rms_percent(tracking_error_um(model, knowing), amplitude_um) < 0.01
 
 
-def test_the_lead_in_expects_what_the_sensor_will_measure(without_creep):
+def test_the_approach_expects_what_the_sensor_will_measure(without_creep):
     model = replace(without_creep, effects=(THIRD_MODE, SensorLag(1e-4)))
     plan = plan_feedforward(harmonic(500.0, 21.0), model)
     begin = len(plan.once_voltage_v)
@@ -102,7 +102,7 @@ def test_the_lead_in_expects_what_the_sensor_will_measure(without_creep):
 def test_what_comes_from_outside_is_left_alone_and_named(without_creep, effect):
     model = replace(without_creep, effects=(effect,))
     plan = plan_feedforward(harmonic(), model)
-    assert plan.left_alone == (effect.name,)
+    assert plan.uncompensated == (effect.name,)
     np.testing.assert_array_equal(
         plan.period_voltage_v, plan_feedforward(harmonic(), without_creep).period_voltage_v)
 

@@ -108,15 +108,15 @@ def test_effects_on_displacement_and_sensor_are_compensated_and_the_others_named
     effects = (SensorLag(2e-4), SensorNonlinearity(0.0, 0.5, 0.0, 0.0, 50.0, 50.0))
     model = replace(stage_model, effects=effects)
     plan = planned(RANDOM, model)
-    assert plan.left_alone == ()
+    assert plan.uncompensated == ()
     limited = replace(stage_model, effects=(*effects, SlewLimit(1e6)))
-    assert planned(RANDOM, limited).left_alone == ("slew_limit",)
+    assert planned(RANDOM, limited).uncompensated == ("slew_limit",)
     assert 100 * rms(streamed_error_um(plan, model)) / 30.0 < 0.05
     blind = planned(RANDOM, stage_model)
     assert 100 * rms(streamed_error_um(blind, model)) / 30.0 > 0.5
 
 
-def test_reference_out_of_reach_is_refused_with_the_amplitude_within_reach(stage_model):
+def test_infeasible_reference_is_refused_with_the_feasible_amplitude(stage_model):
     reference = Reference("random", (1500.0,), (90.0,), (), 50.0)
     with pytest.raises(UnreachableReference, match="is within reach") as refusal:
         planned(reference, stage_model, samples=4000)

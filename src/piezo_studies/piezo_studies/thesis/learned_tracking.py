@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezo_controller.feedback.integral_feedback import design_mean_keeper
+from piezo_controller.feedback.integral_feedback import design_integral_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.run_plan import plan_learning
@@ -90,7 +90,7 @@ def learn(frequency_hz, amplitude_um, seed, part=MODEL_ERROR):
     LearnedRun
     """
     model = wrong_model(part, seed)
-    controller = design_mean_keeper(model)
+    controller = design_integral_feedback(model)
     reference = Reference("harmonic", (frequency_hz,), (amplitude_um,), (), CENTRE_UM)
     feedforward, learner = plan_learning(
         reference, round(DURATION_S * CLOCK_HZ), model, controller, StageClock(), ITERATIONS)

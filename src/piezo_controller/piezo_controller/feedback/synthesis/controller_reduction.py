@@ -8,7 +8,7 @@ from piezo_controller.feedback.synthesis.h_infinity import is_stable
 
 
 def reduce_order(controller, acceptable):
-    """The controller of lowest order that is still acceptable.
+    """Find the controller of lowest order that is still acceptable.
 
     The order is lowered step by step until one is not.
 

@@ -98,7 +98,7 @@ class _Iteration:
         self._best = np.inf, None
 
     def synthesise(self, scalings):
-        """K-step."""
+        """Design the controller for the present scalings (K-step)."""
         controller, _ = synthesise(scale(self._plant, scalings), tolerance=COARSE)
         self._take(scalings, controller)
 
@@ -124,13 +124,13 @@ class _Iteration:
         self.synthesise(np.exp(found.x))
 
     def fitted_scalings(self):
-        """Dynamic D-step."""
+        """Fit dynamic scalings to the present controller (D-step)."""
         importance = (self.mu / self.mu.max()) ** IMPORTANCE
         return [fit_scaling(self._frequency_hz, profile, importance, self._plant.dt)
                 for profile in self._profiles.T]
 
     def best(self, slack):
-        """The synthesis with the best scalings, relaxed by the slack."""
+        """Synthesise with the best scalings, relaxed by the slack."""
         controller, gamma = synthesise(scale(self._plant, self._best[1]), slack)
         self._take(self._best[1], controller)
         return RobustSynthesis(controller, gamma, tuple(self._best[1]), self._history)

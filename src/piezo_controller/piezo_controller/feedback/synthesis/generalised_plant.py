@@ -12,7 +12,7 @@ UNCERTAINTIES = 2
 
 
 def design_plant(model, tick_s, clock_period_s, at_once=False):
-    """The linear plant that the feedback is designed on.
+    """Make the linear plant that the feedback is designed on.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def hysteresis_gain_range(model):
 
 
 def generalised_plant(plant, hysteresis_gain_um_per_v, weights):
-    """The design problem of thesis figs. 5.2 and 5.5.
+    """Pose the design problem of thesis figs. 5.2 and 5.5.
 
     Two complex numbers of at most 1 are unknown: the hysteresis' gain varies by ``w_u`` times the
     first about its nominal value, and the feedforward leaves ``w_delta`` times the second of the

@@ -88,7 +88,7 @@ def is_stable(system):
 
 
 def _admissible(plant, norm):
-    """The controller for one bound, or None where there is none."""
+    """Return the controller for one bound, or None where there is none."""
     outputs, inputs = plant.D.shape
     try:
         _, *matrices = sb10dd(plant.nstates, inputs, outputs, 1, 1, norm,

@@ -33,13 +33,13 @@ class Weight:
     poles: tuple = ()
 
     def state_space(self, sample_period_s):
-        """The weight as a discrete ``control.StateSpace``."""
+        """Return the weight as a discrete ``control.StateSpace``."""
         if not self.poles:
             return control.ss([], [], [], [[self.gain]], sample_period_s)
         return control.ss(*zpk2ss(self.zeros, self.poles, self.gain), sample_period_s)
 
     def stretched(self, factor):
-        """The same weight with its frequencies, as Tustin's rule counts them, times `factor`."""
+        """Multiply the frequencies of the weight, as Tustin's rule counts them, by `factor`."""
         if factor == 1:
             return self
 
@@ -83,7 +83,7 @@ class DesignWeights:
     hysteresis_uncertainty: float
 
     def at_tick(self, sample_period_s):
-        """The same demands at another tick."""
+        """Return the same demands at another tick."""
         return self._stretched(("performance", "control", "reference", "noise", "disturbance"),
                                sample_period_s / self.sample_period_s,
                                sample_period_s=sample_period_s)

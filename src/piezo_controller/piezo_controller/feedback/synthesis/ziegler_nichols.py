@@ -126,7 +126,9 @@ def ultimate_point_by_response(plant, largest_gain_um_per_v):
 
 
 def pid(ultimate, tick_s):
-    """(2.31), made discrete by Tustin's rule.
+    """Make a PID by the rule of Ziegler and Nichols, discrete by Tustin's rule.
+
+    It is 0.6 Ku (1 + 2 / (Tu s) + Tu s / 8), (2.31), with a lag on the derivative.
 
     Parameters
     ----------
@@ -147,7 +149,7 @@ def pid(ultimate, tick_s):
 
 
 def proportional_integral(ultimate, tick_s):
-    """(3.20).
+    """Make a PI, discrete by Tustin's rule: 0.6 Ku (1 + 2 / (Tu s)), (3.20).
 
     Parameters
     ----------

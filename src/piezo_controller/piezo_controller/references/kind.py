@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What every kind of reference has in common: its fields, and what the controller asks of it."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_controller.references.trajectory import FormulaTrajectory, Trajectory
+
+LONGEST_PERIOD_S = 20.0
+LONGEST_DURATION_S = 3600.0
+LOWEST_FREQUENCY_HZ = 0.001
+
+Watch = Callable[[float], None]
+"""Called now and then with the part that is done, from 0 to 1; may raise to end the work."""
+
+Components = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+
+
+class InvalidReference(ValueError):
+    """A reference that has no whole period of samples, or no meaning."""
+
+
+class NoPeriod(InvalidReference):
+    """A reference without a period of whole samples that is short enough to be repeated."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A trajectory, field by field as in ``piezo_interfaces/Reference``.
+
+    Attributes
+    ----------
+    kind : str
+        ``harmonic``, ``multi_frequency`` (sum of sines, (4.21)), ``triangle``, ``raster``,
+        ``random`` or ``file``, or a kind of another package.
+    frequency_hz, amplitude_um, phase_rad : tuple of float
+        Of each sine ``amplitude_um / 2 * sin(2 pi frequency_hz t + phase_rad)``; the amplitude is
+        peak to peak; a random reference stays within it, and comes close to it now and then. No
+        phase means zero. Of a raster the rate of the lines, and the range of the axis; of a random
+        reference the edges of its band, the lower one 0 if there is only one. Empty for ``file``.
+    centre_um : float
+        Mean displacement (um); for ``file`` it is added to the file's displacement.
+    file : str
+        CSV with the columns ``time_s,displacement_um``: one period at the sample rate.
+    once : bool
+        A file that is not one period but the whole way; its last value is then held.
+    axis : str
+        Of a raster: ``fast``, whose lines are straight over the range and turn beyond it, or
+        ``slow``, which steps from line to line and flies back after the last.
+    lines : int
+        Of a raster's frame.
+    seed : int
+        Of a random reference.
+    """
+
+    kind: str
+    frequency_hz: tuple[float, ...] = ()
+    amplitude_um: tuple[float, ...] = ()
+    phase_rad: tuple[float, ...] = ()
+    centre_um: float = 0.0
+    file: str = ""
+    once: bool = False
+    axis: str = "fast"
+    lines: int = 512
+    seed: int = 0
+
+
+class ReferenceKind(Protocol):
+    """What the controller asks of a kind of reference.
+
+    Displacements (um) contain the reference's `centre_um`, which is finite. Each method raises
+    `InvalidReference` if the fields of the reference make no sense for the kind.
+    """
+
+    def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
+        """Tell whether `period_um` has a period for this reference."""
+
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+        """Sample one period, shape (P,); its repetition must be exactly periodic."""
+
+    def trajectory(self, reference: Reference, sample_rate_hz: float,
+                   watch: Watch) -> Trajectory:
+        """Make the trajectory, which can be sampled anywhere, also before its beginning."""
+
+
+class PeriodicKind:
+    """Base of the kinds that always have a period: such a kind needs to define only `period_um`."""
+
+    def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
+        """Tell whether the period is short enough to be uploaded."""
+        return len(self.period_um(reference, sample_rate_hz)) <= LONGEST_PERIOD_S * sample_rate_hz
+
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+        """Sample one period, shape (P,)."""
+        raise NotImplementedError
+
+    def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
+        """Repeat the period, also before the beginning."""
+        period_um = self.period_um(reference, sample_rate_hz)
+        return FormulaTrajectory(lambda at: period_um[at % len(period_um)])
+
+
+def one_component(reference: Reference, sample_rate_hz: float) -> tuple[float, float, float]:
+    """Check a reference of one frequency, and return it with its amplitude and phase.
+
+    Raises
+    ------
+    InvalidReference
+        If it has more than one, or `components` refuses it.
+    """
+    frequencies_hz, amplitudes_um, phases_rad = components(reference, sample_rate_hz, most=1)
+    return frequencies_hz[0], amplitudes_um[0], phases_rad[0]
+
+
+def components(reference: Reference, sample_rate_hz: float,
+               most: float = math.inf) -> Components:
+    """Check the frequencies, amplitudes and phases of a reference.
+
+    Parameters
+    ----------
+    reference : Reference
+    sample_rate_hz : float
+    most : float
+        How many components the reference may have.
+
+    Returns
+    -------
+    frequency_hz, amplitude_um, phase_rad : tuple of float
+        One of each per component; without phases they are zero.
+
+    Raises
+    ------
+    InvalidReference
+        If their numbers differ, a frequency is not between 0.001 Hz and half the sample rate, an
+        amplitude is not positive, or a phase is not finite.
+    """
+    frequencies, amplitudes = reference.frequency_hz, reference.amplitude_um
+    phases = reference.phase_rad if len(reference.phase_rad) else (0.0,) * len(frequencies)
+    if not len(frequencies) == len(amplitudes) == len(phases) or not len(frequencies):
+        raise InvalidReference(
+            f"the reference has {len(frequencies)} frequencies, {len(amplitudes)} amplitudes and "
+            f"{len(reference.phase_rad)} phases: give one of each per component")
+    if len(frequencies) > most:
+        raise InvalidReference(f"a {reference.kind} reference has one frequency, not "
+                               f"{len(frequencies)}: use multi_frequency")
+    for frequency_hz, amplitude_um, phase in zip(frequencies, amplitudes, phases, strict=True):
+        if not LOWEST_FREQUENCY_HZ <= frequency_hz < sample_rate_hz / 2:
+            raise InvalidReference(f"frequency_hz {frequency_hz:g} is not between "
+                                   f"{LOWEST_FREQUENCY_HZ:g} Hz and half the "
+                                   f"sample rate of {sample_rate_hz:g} Hz: choose one that is")
+        if not 0 < amplitude_um < math.inf:
+            raise InvalidReference(f"amplitude_um {amplitude_um:g} is not a positive number: "
+                                   "give it from peak to peak")
+        if not math.isfinite(phase):
+            raise InvalidReference("phase_rad of the reference is not a finite number: "
+                                   "give one of each per component, or none")
+    return frequencies, amplitudes, phases

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""References made of periodic waves: one of a given shape, or a sum of sines (4.21)."""
+
+import math
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_controller.references.kind import (
+    LONGEST_PERIOD_S,
+    Components,
+    NoPeriod,
+    Reference,
+    Watch,
+    components,
+)
+from piezo_controller.references.trajectory import FormulaTrajectory, Trajectory
+
+Shape = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
+
+
+class Waves:
+    """Waves of one shape, each with its frequency, amplitude and phase.
+
+    Parameters
+    ----------
+    shape : callable
+        Wave between -1 and 1 from its angle (rad) and its frequency (Hz).
+    most : float
+        How many waves a reference may have.
+    """
+
+    def __init__(self, shape: Shape, most: float = 1) -> None:
+        self._shape = shape
+        self._most = most
+
+    def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
+        """Tell whether a common period of all waves is short enough."""
+        try:
+            _common_period(self._components(reference, sample_rate_hz)[0], sample_rate_hz)
+        except NoPeriod:
+            return False
+        return True
+
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+        """Sample the shortest period that holds whole cycles of every wave."""
+        frequencies, amplitudes, phases = self._components(reference, sample_rate_hz)
+        cycles, length = _common_period(frequencies, sample_rate_hz)
+        displacement_um = np.full(length, float(reference.centre_um))
+        for cycle, frequency_hz, amplitude_um, phase in zip(cycles, frequencies, amplitudes, phases,
+                                                            strict=True):
+            turns = (cycle.numerator * (length // cycle.denominator) * np.arange(length)) % length
+            angle_rad = 2 * np.pi * turns / length + phase
+            displacement_um += amplitude_um / 2 * self._shape(angle_rad, frequency_hz)
+        return displacement_um
+
+    def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
+        """Sample the formula, whether it has a period or not."""
+        waves = list(zip(*self._components(reference, sample_rate_hz), strict=True))
+        centre_um = float(reference.centre_um)
+
+        def formula(at: NDArray[np.int64]) -> NDArray[np.float64]:
+            displacement_um = np.full(at.size, centre_um)
+            for frequency_hz, amplitude_um, phase in waves:
+                angle_rad = 2 * np.pi * (at * (frequency_hz / sample_rate_hz) % 1.0) + phase
+                displacement_um += amplitude_um / 2 * self._shape(angle_rad, frequency_hz)
+            return displacement_um
+
+        return FormulaTrajectory(formula)
+
+    def _components(self, reference: Reference, sample_rate_hz: float) -> Components:
+        return components(reference, sample_rate_hz, self._most)
+
+
+def _common_period(frequencies_hz: Sequence[float],
+                   sample_rate_hz: float) -> tuple[list[Fraction], int]:
+    """Return each frequency in cycles per sample, and the samples of the common period."""
+    cycles = [_cycles_per_sample(f, sample_rate_hz) for f in frequencies_hz]
+    length = math.lcm(*(c.denominator for c in cycles))
+    if length > LONGEST_PERIOD_S * sample_rate_hz:
+        raise NoPeriod(
+            f"the common period of the frequencies is {length / sample_rate_hz:g} s, longer than "
+            f"{LONGEST_PERIOD_S:g} s: use multiples of {1 / LONGEST_PERIOD_S:g} Hz")
+    return cycles, length
+
+
+def _cycles_per_sample(frequency_hz: float, sample_rate_hz: float) -> Fraction:
+    """Return the frequency, in cycles a sample, whose period is short enough to upload."""
+    wanted = frequency_hz / sample_rate_hz
+    longest = int(LONGEST_PERIOD_S * sample_rate_hz)
+    # The continued fraction meets the shortest exact period first.
+    for limit in np.unique(np.geomspace(2, longest, 200).astype(int)):
+        fraction = Fraction(wanted).limit_denominator(int(limit))
+        if abs(float(fraction) - wanted) <= 1e-10 * wanted:
+            return fraction
+    step_hz = 1 / LONGEST_PERIOD_S
+    possible = [max(round(frequency_hz / step_hz), 1) * step_hz,
+                sample_rate_hz / min(round(sample_rate_hz / frequency_hz), longest)]
+    nearest_hz = min(possible, key=lambda hz: abs(hz - frequency_hz))
+    raise NoPeriod(
+        f"{frequency_hz:.12g} Hz has no period of whole samples within {LONGEST_PERIOD_S:g} s at "
+        f"{sample_rate_hz:g} samples a second: the nearest that has is {nearest_hz:.12g} Hz")
+
+
+def _sine(angle_rad: NDArray[np.float64], _frequency_hz: float) -> NDArray[np.float64]:
+    return np.sin(angle_rad)
+
+
+HARMONIC = Waves(_sine)
+MULTI_FREQUENCY = Waves(_sine, most=math.inf)

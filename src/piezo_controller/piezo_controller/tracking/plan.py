@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a tracking run asks of a plan, whether it repeats a period, is streamed, or learns."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class TrackingPlan(Protocol):
+    """Voltages for the stage to play and displacements to expect, from the run's first sample on.
+
+    `FeedforwardPlan`, `StreamPlan` and `LearningFeedforward` fulfil it.
+
+    Attributes
+    ----------
+    once_voltage_v : ndarray, shape (n,)
+        Played first.
+    period_voltage_v : ndarray, shape (m,)
+        Repeated from then on; empty if the plan is streamed.
+    streamed : bool
+        Whether further voltages come from `continuation` while the stage plays.
+    open_ended : bool
+        Whether how long the run takes is known only while it is played.
+    begin_sample : int
+        Where the part begins whose error counts; of an open-ended plan the latest possible, until
+        it is known.
+    feedback_start_sample : int
+        Where feedback may begin: before it the stage's past is not the model's.
+    iteration : int
+        The present iteration of the learning; 0 where none is made.
+    uncompensated : tuple of str
+        Effects of the model that stay in the error.
+    """
+
+    # As properties, because a run only reads them.
+    @property
+    def once_voltage_v(self) -> NDArray[np.float64]: ...  # noqa: D102
+    @property
+    def period_voltage_v(self) -> NDArray[np.float64]: ...  # noqa: D102
+    @property
+    def streamed(self) -> bool: ...  # noqa: D102
+    @property
+    def open_ended(self) -> bool: ...  # noqa: D102
+    @property
+    def begin_sample(self) -> int: ...  # noqa: D102
+    @property
+    def feedback_start_sample(self) -> int: ...  # noqa: D102
+    @property
+    def iteration(self) -> int: ...  # noqa: D102
+    @property
+    def uncompensated(self) -> tuple[str, ...]: ...  # noqa: D102
+
+    def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
+        """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
+
+    def travel_um(self, samples: int) -> float:
+        """Return the peak-to-peak displacement of the first samples of the reference (um)."""
+
+    def continuation(self) -> Callable[[], NDArray[np.float64] | None] | None:
+        """Return what gives the voltages behind `once_voltage_v`; None unless `streamed`.
+
+        Each call of it gives the next voltages (V), shape (k,): none at the end, and None while
+        they depend on what is not measured yet.
+        """
+
+    def take(self, displacement_um: NDArray[np.float64]) -> None:
+        """Take the samples that were measured next, from the run's first on."""

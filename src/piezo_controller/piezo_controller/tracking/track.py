@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The way from a request to track to the run that answers the stage's blocks, step by step.
+
+`prepare` checks the request, loads the model, plans the voltages, makes the feedback, and joins
+them in a `TrackingRun`. The stage then plays the plan; each block of samples goes to
+`PreparedRun.take`. At the end `PreparedRun.keep_learned` writes what was learned.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_controller.feedback.integral_feedback import design_integral_feedback
+from piezo_controller.learning.learned_file import (
+    Learned,
+    learned_path,
+    load_correction,
+    save_learned,
+)
+from piezo_controller.learning.periodic_learner import PeriodicLearner
+from piezo_controller.references.reference import LONGEST_DURATION_S, Reference
+from piezo_controller.tracking.feedbacks import Feedback, Feedbacks
+from piezo_controller.tracking.plan import TrackingPlan
+from piezo_controller.tracking.run_plan import plan_learning, plan_references
+from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock
+from piezo_controller.tracking.tracking_run import TrackingRun
+from piezo_models.cascade import StageModel
+from piezo_models.model_file import load_model
+
+LEARNING_ITERATIONS = 10
+
+
+@dataclass(frozen=True)
+class TrackRequest:
+    """What a goal of ``controller/track`` asks for.
+
+    Attributes
+    ----------
+    mode : str
+        One of `tracking_modes.MODES`.
+    model, model_sha256 : str
+        Path of the model's file, and the hash of its text.
+    references : sequence of Reference
+        They follow each other.
+    durations_s : sequence of float
+        Of each.
+    tolerance_um : float
+        See `TrackingRun`.
+    inversion : str
+        See `plan_references`.
+    learned : str
+        File of a learned feedforward; empty for one in `directory`, named by what it is for.
+    iterations : int
+        Of the learning at most; 0 for `LEARNING_ITERATIONS`.
+    directory : str
+        Where a learned feedforward is kept.
+    """
+
+    mode: str
+    model: str
+    model_sha256: str
+    references: Sequence[Reference]
+    durations_s: Sequence[float]
+    tolerance_um: float = 0.0
+    inversion: str = ""
+    learned: str = ""
+    iterations: int = 0
+    directory: str = "."
+
+
+class Steps(Protocol):
+    """Who is told of the steps of a preparation; both calls may raise to end it."""
+
+    def begin(self, step: str) -> None:
+        """Hear that a step begins."""
+
+    def watch(self, fraction: float) -> None:
+        """Hear how much of the present step is done, from 0 to 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Learning:
+    """What a learning run learns, and the file that keeps it."""
+
+    learner: PeriodicLearner
+    path: Path
+    reference: Reference
+    model_sha256: str
+    sample_rate_hz: float
+
+    @property
+    def account(self) -> str:
+        """What to tell of the learning at its end."""
+        return (f"learning ended after {self.learner.iterations} iterations: "
+                f"{self.learner.finished}")
+
+    def keep(self) -> None:
+        """Write the best correction; raises `LearnedFileError`."""
+        save_learned(self.path, Learned(
+            self.reference, self.model_sha256, self.sample_rate_hz, self.learner.best_um,
+            self.learner.best_rms_um, self.learner.iterations))
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRun:
+    """A run that the stage can begin.
+
+    Attributes
+    ----------
+    plan : TrackingPlan
+    feedback : Feedback or None
+    run : TrackingRun
+    learning : Learning or None
+        Of the mode ``learning``.
+    """
+
+    plan: TrackingPlan
+    feedback: Feedback | None
+    run: TrackingRun
+    learning: Learning | None = None
+
+    def ticks(self, samples_per_tick: int) -> int:
+        """Count the ticks to play; 0 if how long is not known before."""
+        if self.plan.open_ended:
+            return 0
+        return math.ceil(self.run.total_samples / samples_per_tick)
+
+    @property
+    def over(self) -> bool:
+        """Whether the stage must be stopped, as it was not told how long to play."""
+        return self.plan.open_ended and self.run.complete
+
+    def take(self, displacement_um: NDArray[np.float64]) -> float:
+        """Take the displacements of a block, and return the answer to it (V)."""
+        self.plan.take(displacement_um)
+        return self.run.take(displacement_um)
+
+
+def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, steps: Steps,
+            writable: Callable[[str | Path], str | Path] = Path,
+            window_s: float = 0.1) -> PreparedRun:
+    """Prepare the run of a request.
+
+    Parameters
+    ----------
+    request : TrackRequest
+    stage : StageClock
+    feedbacks : Feedbacks
+    steps : Steps
+        Is told of the planning and of the design.
+    writable : callable
+        Returns the path under which a file may be written; raises ValueError if none may.
+    window_s : float
+        Of the running error (s).
+
+    Raises
+    ------
+    ValueError
+        Says what cannot be done, and what to change.
+    """
+    check_times(request)
+    model = load_model(request.model).model
+    steps.begin("plan")
+    learning = None
+    if request.mode == "learning":
+        plan, feedback, learning = prepare_learning(request, model, stage, feedbacks, writable)
+    else:
+        plan = plan_references(request.mode, request.references, request.durations_s, model, stage,
+                               request.inversion, steps.watch)
+        feedback = None
+    if request.mode in FEEDBACK_METHODS:
+        steps.begin("design the feedback")
+        feedback = feedbacks.of_mode(request.mode, model, request.model_sha256, plan)
+    run = TrackingRun(plan, whole_ticks(sum(request.durations_s), stage), feedback, stage.tick_s,
+                      request.tolerance_um, round(window_s * stage.sample_rate_hz))
+    return PreparedRun(plan, feedback, run, learning)
+
+
+def check_times(request: TrackRequest) -> None:
+    """Refuse a first duration or a tolerance without meaning; raise ValueError."""
+    duration_s, tolerance_um = request.durations_s[0], request.tolerance_um
+    if not 0.0 < duration_s <= LONGEST_DURATION_S:
+        raise ValueError(f"duration_s is {duration_s:g}: "
+                         f"give more than 0 and at most {LONGEST_DURATION_S:g} s")
+    if not 0.0 <= tolerance_um < math.inf:
+        raise ValueError(f"tolerance_um is {tolerance_um:g}: give a positive number, or 0")
+
+
+def prepare_learning(request: TrackRequest, model: StageModel, stage: StageClock,
+                     feedbacks: Feedbacks, writable: Callable[[str | Path], str | Path],
+                     ) -> tuple[TrackingPlan, Feedback, Learning]:
+    """Plan to learn one reference, beginning with what a file holds of it.
+
+    Raises
+    ------
+    ValueError
+        If several references or an inversion are asked for, the file was learned for something
+        else, or the planner refuses the reference.
+    """
+    if len(request.references) > 1 or request.inversion:
+        raise ValueError("learning repeats one reference by its exact inverse: "
+                         "leave then and inversion empty")
+    reference, key = request.references[0], request.model_sha256
+    path = Path(writable(request.learned or learned_path(request.directory, reference, key)))
+    correction_um = None
+    if request.learned or path.exists():
+        correction_um = load_correction(path, reference, key, stage.sample_rate_hz)
+    controller = design_integral_feedback(model, stage.tick_s, stage.sample_period_s, key)
+    plan, learner = plan_learning(
+        reference, whole_ticks(request.durations_s[0], stage), model, controller, stage,
+        request.iterations or LEARNING_ITERATIONS, correction_um)
+    return plan, feedbacks.limited(controller), Learning(
+        learner, path, reference, key, stage.sample_rate_hz)
+
+
+def whole_ticks(duration_s: float, stage: StageClock) -> int:
+    """Count the samples of a time, up to the end of a tick."""
+    return math.ceil(duration_s / stage.tick_s - 1e-9) * stage.samples_per_tick

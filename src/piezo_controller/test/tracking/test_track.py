@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A request to track is prepared, and whatever its plan is, one loop plays it to its end."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from piezo_controller.references.reference import Reference
+from piezo_controller.tracking.feedbacks import Feedbacks, FeedbackSettings
+from piezo_controller.tracking.track import TrackRequest, prepare
+from piezo_controller.tracking.tracking_modes import StageClock
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_file import save_model
+
+STAGE = StageClock()
+HARMONIC = Reference("harmonic", (100.0,), (10.0,), (), 50.0)
+RANDOM = Reference("random", (200.0,), (10.0,), (), 50.0, seed=1)
+
+
+class Heard:
+    """Writes down what it is told of the preparation."""
+
+    def __init__(self):
+        self.steps = []
+
+    def begin(self, step):
+        self.steps.append(step)
+
+    def watch(self, fraction):
+        assert 0.0 <= fraction <= 1.0
+
+
+@pytest.fixture
+def request_of(stage_model, tmp_path):
+    path = tmp_path / "model.json"
+    save_model(path, IdentifiedModel(stage_model, (-20.0, 120.0)))
+
+    def make(mode, *references, **changes):
+        return TrackRequest(mode, str(path), "0" * 64, references, [0.1] * len(references),
+                            directory=str(tmp_path), **changes)
+
+    return make
+
+
+def prepared_for(request, settings=None, heard=None):
+    return prepare(request, STAGE, Feedbacks(settings or FeedbackSettings(), STAGE),
+                   heard or Heard())
+
+
+def voltages(plan):
+    """The voltages of a plan, tick by tick, by nothing but what every plan has."""
+    more, loaded_v = plan.continuation(), plan.once_voltage_v
+    assert (more is not None) == plan.streamed == (not plan.period_voltage_v.size)
+    more = more or (lambda: plan.period_voltage_v)
+    while True:
+        while loaded_v.size < STAGE.samples_per_tick:
+            further_v = more()
+            assert further_v is not None and further_v.size
+            loaded_v = np.r_[loaded_v, further_v]
+        yield loaded_v[:STAGE.samples_per_tick]
+        loaded_v = loaded_v[STAGE.samples_per_tick:]
+
+
+def play(prepared, exchange):
+    """Close the loop around a stage; the answer to a tick acts after the next."""
+    answers_v, ticks = [0.0, 0.0], 0
+    for voltage_v in voltages(prepared.plan):
+        answers_v.append(prepared.take(exchange(voltage_v + answers_v.pop(0))))
+        ticks += 1
+        if prepared.over or ticks == prepared.ticks(STAGE.samples_per_tick):
+            return
+
+
+@pytest.mark.parametrize(("mode", "references", "changes"), [
+    ("open_loop", [HARMONIC], {}),
+    ("feedforward", [HARMONIC], {}),
+    ("feedforward", [HARMONIC], {"inversion": "least_squares"}),
+    ("feedforward", [RANDOM], {}),
+    ("feedforward", [HARMONIC, RANDOM], {}),
+    ("learning", [HARMONIC], {"iterations": 2}),
+])
+def test_every_plan_is_played_to_its_end_by_the_same_loop(
+        request_of, exchange_with, stage_model, mode, references, changes):
+    heard = Heard()
+    prepared = prepared_for(request_of(mode, *references, **changes), heard=heard)
+    assert heard.steps == ["plan"]
+    assert prepared.plan.uncompensated == ()
+    assert prepared.plan.iteration == 0
+    play(prepared, exchange_with(stage_model))
+    assert prepared.run.complete
+    assert prepared.run.e_rms_percent() < (40.0 if mode == "open_loop" else 1.0)
+
+
+def test_what_was_learned_is_kept_and_taken_up_again(
+        request_of, exchange_with, stage_model, tmp_path):
+    request = request_of("learning", HARMONIC, iterations=2)
+    prepared = prepared_for(request)
+    learning = prepared.learning
+    assert not learning.path.exists() and learning.path.parent == tmp_path
+    play(prepared, exchange_with(stage_model))
+    learning.keep()
+    assert learning.account.startswith(f"learning ended after {learning.learner.iterations} ")
+    again = prepared_for(request)
+    np.testing.assert_allclose(again.learning.learner.correction_um, learning.learner.best_um,
+                               atol=1e-9)
+    other = dataclasses.replace(request, model_sha256="1" * 64, learned=str(learning.path))
+    with pytest.raises(ValueError, match="learned with another model_sha256"):
+        prepared_for(other)
+
+
+def test_feedback_is_a_step_of_its_own_and_a_design_is_made_once(request_of, monkeypatch):
+    designed = []
+    monkeypatch.setattr(
+        "piezo_controller.tracking.feedbacks.design_feedback",
+        lambda *given: designed.append(given[-1]) or _integrator())
+    feedbacks, heard = Feedbacks(FeedbackSettings(), STAGE), Heard()
+    for mode in ("composite", "pi", "composite", "composite_single_rate"):
+        prepared = prepare(request_of(mode, HARMONIC), STAGE, feedbacks, heard)
+        assert prepared.feedback is not None
+    assert heard.steps == ["plan", "design the feedback"] * 4
+    assert designed == ["h_infinity", "pi"]
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"durations_s": [0.0]}, "duration_s is 0: give more than 0"),
+    ({"durations_s": [float("nan")]}, "duration_s is nan"),
+    ({"tolerance_um": -1.0}, "tolerance_um is -1: give a positive number"),
+    ({"mode": "learning", "inversion": "zero_phase"}, "leave then and inversion empty"),
+    ({"mode": "learnt"}, "unknown mode 'learnt'"),
+    ({"mode": "pi", "references": [RANDOM]}, "pi plays one reference that has a period"),
+])
+def test_request_without_meaning_is_refused_in_one_sentence(request_of, change, message):
+    request = dataclasses.replace(request_of("feedforward", HARMONIC), **change)
+    with pytest.raises(ValueError, match=message) as refusal:
+        prepared_for(request)
+    assert "\n" not in str(refusal.value)
+
+
+def test_streamed_reference_refuses_a_feedback_before_the_inverse(request_of, monkeypatch):
+    monkeypatch.setattr("piezo_controller.tracking.feedbacks.design_feedback",
+                        lambda *given: _integrator())
+    with pytest.raises(ValueError, match="set feedback_place to behind_inverse"):
+        prepared_for(request_of("composite", RANDOM), FeedbackSettings(place="before_inverse"))
+
+
+def _integrator():
+    return SimpleNamespace(A=np.eye(1), B=np.full((1, 1), 0.1), C=np.eye(1), D=np.zeros((1, 1)),
+                           report={}, sample_period_s=1e-3)
