@@ -38,12 +38,6 @@ CLEARLY_FEWER = 2
 
 MOST_EFFECTS = 3
 
-NEAR_TWINS = (
-    {"delay", "sensor_lag"}, {"creep", "thermal_drift"}, {"slew_limit", "vibration_mode"},
-    {"stiffening", "sensor_nonlinearity"},
-)
-"""Effects that do much the same: where one is found, the other is tried in its place."""
-
 RIVALS = 4
 """Sets of one size that go on, and how many times as much as the best they may leave."""
 RIVAL = 1.5
@@ -261,7 +255,7 @@ def _near_twins(contest, kinds, best):
         others = (*best.effects[:number], *best.effects[number + 1 :])
         present = {other.name for other in others}
         for kind in kinds:
-            if {kind.name, effect.name} in NEAR_TWINS and kind.name not in present:
+            if kind.is_indistinguishable_from(type(effect)) and kind.name not in present:
                 trial = contest.challenge(kind, others, contest.evidences(others))
                 if trial and _alike(contest, best, contest.fit_effects(trial.effects)):
                     twins[kind.name] = effect.name
