@@ -12,8 +12,8 @@ from piezo_identification.commands.response_options import (
     useless_response_options,
 )
 from piezo_identification.conditioning.sensor_sign import sign_text
-from piezo_identification.diagnosis.diagnosis_report import verdict_sentence
-from piezo_identification.diagnosis.response_results import (
+from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
+from piezo_identification.diagnosis.response.response_results import (
     diagnose_response_file,
     response_sentence,
 )

@@ -6,7 +6,7 @@ from datetime import datetime
 from pathlib import Path
 
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
-from piezo_identification.diagnosis.diagnosis_report import render_report
+from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import read_recording, sha256_of

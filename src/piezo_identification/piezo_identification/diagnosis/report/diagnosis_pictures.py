@@ -2,6 +2,7 @@
 """Pictures of a diagnosis: before and after on the same axes."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.picture_style import (
     AFTER,
@@ -13,13 +14,16 @@ from piezo_common.picture_style import (
     new_figure,
     to_png,
 )
-from piezo_identification.diagnosis.residual import (
+from piezo_identification.diagnosis.evidence.residual_tests import (
     dependences,
     error_response,
     input_correlation,
     spectrum,
     whiteness,
 )
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+
+FloatArray = NDArray[np.float64]
 
 MODEL = {"color": BLACK, "linewidth": 0.8}
 DOTS_PER_INCH = 110
@@ -29,12 +33,12 @@ LOWEST_SHOWN = 0.1
 """Of the noise, in spectra."""
 
 
-def draw_residuals(part, before_um, after_um):
+def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> bytes:
     """Residuals over time, before and after: of the whole, and close where most was gained.
 
     Parameters
     ----------
-    part : PreparedRecording
+    part : SimulatedRecording
     before_um, after_um : (N,) array
 
     Returns
@@ -71,12 +75,13 @@ def _closest_look(part, before_um, after_um):
     return slice(start, start + samples)
 
 
-def draw_spectra(part, before_um, after_um, noise_um):
+def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
+                 noise_um: float) -> bytes:
     """Spectra of both residuals, of the model's displacement, and of white noise; PNG bytes.
 
     Parameters
     ----------
-    part : PreparedRecording
+    part : SimulatedRecording
     before_um, after_um : ndarray, shape (N,)
         Residuals.
     noise_um : float
@@ -99,7 +104,7 @@ def draw_spectra(part, before_um, after_um, noise_um):
     return to_png(figure, DOTS_PER_INCH)
 
 
-def draw_tests(part, before_um, after_um):
+def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> bytes:
     """Whiteness and correlation with the input, with the band of 99 %; PNG bytes."""
     figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2)
@@ -117,7 +122,8 @@ def draw_tests(part, before_um, after_um):
     return to_png(figure, DOTS_PER_INCH)
 
 
-def draw_error_response(part, before_um, after_um):
+def draw_error_response(part: SimulatedRecording, before_um: FloatArray,
+                        after_um: FloatArray) -> bytes:
     """Residual over the model's displacement at each frequency at which they go together; PNG."""
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
@@ -131,7 +137,8 @@ def draw_error_response(part, before_um, after_um):
     return to_png(figure, DOTS_PER_INCH)
 
 
-def draw_dependences(part, before_um, after_um):
+def draw_dependences(part: SimulatedRecording, before_um: FloatArray,
+                     after_um: FloatArray) -> bytes:
     """Mean residual over each quantity that an effect may go with; PNG bytes."""
     figure = new_figure(6.0, WIDE_IN)
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):

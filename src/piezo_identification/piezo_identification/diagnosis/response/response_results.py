@@ -5,7 +5,7 @@ from pathlib import Path
 
 from piezo_common.picture_style import AFTER, BEFORE, BLACK, WIDE_IN, label, new_figure
 from piezo_common.report_page import Picture, Section, render_page
-from piezo_identification.diagnosis.response_diagnosis import diagnose_response
+from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_identification.estimators.frequency_response.response_file import read_frequency_response
 from piezo_models.model_file import load_model
