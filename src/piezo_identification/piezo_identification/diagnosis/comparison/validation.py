@@ -144,7 +144,7 @@ class Validation:
         return self._at_rows(regression.nuisance_remainder(regression.difference(())))
 
     def _of(self, fit):
-        """Samples of the model extended by a fit; as given without effects."""
+        """Return samples of the model extended by a fit; as given without effects."""
         if not fit.effects:
             return self._given
         if self.holdout is not None:
@@ -152,7 +152,7 @@ class Validation:
         return self._at_rows(fit.residual)
 
     def _at_rows(self, left):
-        """Samples of what is left at the rows of the data set, over the tolerance."""
+        """Return samples of what is left, over the tolerance, at the rows of the data set."""
         dataset = self.regression.dataset
         measured_um = dataset.at_rows([part.measured_um for part in dataset.simulated])
         time_s = dataset.at_rows([part.time_s for part in dataset.simulated])

@@ -146,7 +146,7 @@ def _tried(selection: Selection) -> Iterator[Section]:
 
 
 def _outcome(attempt: Attempt, best: Attempt, selection: Selection) -> str:
-    """What became of a candidate, in words."""
+    """Tell in words what became of a candidate."""
     added = {effect.name for effect in selection.end.effects}
     if attempt.fit is None:
         among = "added already" if attempt.name in added else "nothing hints at it"
@@ -177,7 +177,7 @@ def _undecided(diagnosis):
 
 
 def _other_parameters(before: StageModel, after: StageModel) -> Section:
-    """The model's own parameters before and after; what they gained alone is no effect's."""
+    """Tabulate the model's own parameters; what they gain alone is no effect's."""
     rows = [("parameter", "before", "after", "change (%)")]
     for old, new in ((before.dynamics, after.dynamics), (before.creep, after.creep)):
         for field in fields(old):

@@ -136,7 +136,7 @@ class ResponseProblem:
             self.model, dynamics=dynamics, effects=(*self.model.effects, *effects))
 
     def _residual(self, changes, effects):
-        """What the gain that fits best leaves, over tolerance, (N,)."""
+        """Return what the gain that fits best leaves, over tolerance, (N,)."""
         check_cancelled()
         response = full_response(self._model(changes, effects), self.measured.frequency_hz)
         response, wanted = response / self.tolerance, self.measured.gain / self.tolerance
