@@ -8,6 +8,7 @@ import numpy as np
 
 from piezo_identification.diagnosis.candidates.effect_fit import fit_one_more, impossible_effects
 from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.comparison.measures_of_fits import (
     distance,
     mean_square,
@@ -16,9 +17,6 @@ from piezo_identification.diagnosis.comparison.measures_of_fits import (
 )
 from piezo_identification.diagnosis.residual.regression import Fit, Regression
 from piezo_models.effects import Effect, Evidence
-
-VISIBLE = 0.1
-"""Part of a contribution that other parameters of the model must leave for it to be seen."""
 
 SAME_AS_OTHER_PARAMETERS = "here a model with slightly other parameters does the same"
 
@@ -90,7 +88,7 @@ def _attempt(regression: Regression, kind: type[Effect], current: Fit,
         return Attempt(kind.name, None, remark="; ".join(impossible.values()))
     before, after = mean_square(regression, current), mean_square(regression, fit)
     remark = ""
-    if visible_part(regression, current, fit) < VISIBLE:
+    if visible_part(regression, current, fit) < CRITERIA.visible:
         remark = SAME_AS_OTHER_PARAMETERS
     return Attempt(
         kind.name, fit, significance(regression, current, fit),

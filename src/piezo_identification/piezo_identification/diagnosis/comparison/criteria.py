@@ -36,6 +36,8 @@ class Criteria:
         Size of a contribution, in tolerances, below which no effect is named.
     beside : float
         The same as a part of all that the model did not explain: an effect is not known any better.
+    visible : float
+        Part of a contribution that other parameters of the model must leave for it to be seen.
     told_apart : float
         Standard deviations by which one set must be better than another to be told from it.
     penalty : float
@@ -53,6 +55,7 @@ class Criteria:
     significant: float = 5.0
     noticeable: float = 0.25
     beside: float = 0.02
+    visible: float = 0.1
     told_apart: float = 3.0
     penalty: float = 10.0
     clearly_fewer: int = 2

@@ -34,7 +34,7 @@ LOWEST_SHOWN = 0.1
 
 
 def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> bytes:
-    """Residuals over time, before and after: of the whole, and close where most was gained.
+    """Draw the residuals over time: of the whole, and close where most was gained.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: Fl
 
 
 def _closest_look(part, before_um, after_um):
-    """Slice of the samples in which the scatter of the residual fell most."""
+    """Return the slice of samples in which the scatter of the residual fell most."""
     samples = min(CLOSE_SAMPLES, before_um.size - part.begin)
     windows = (before_um.size - part.begin) // samples
     scatters = [
@@ -77,7 +77,7 @@ def _closest_look(part, before_um, after_um):
 
 def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
                  noise_um: float) -> bytes:
-    """Spectra of both residuals, of the model's displacement, and of white noise; PNG bytes.
+    """Draw spectra of both residuals, of the model's displacement, and of white noise; PNG bytes.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: Floa
 
 
 def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> bytes:
-    """Whiteness and correlation with the input, with the band of 99 %; PNG bytes."""
+    """Draw whiteness and correlation with the input, with the band of 99 %; PNG bytes."""
     figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2)
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
@@ -124,7 +124,7 @@ def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatA
 
 def draw_error_response(part: SimulatedRecording, before_um: FloatArray,
                         after_um: FloatArray) -> bytes:
-    """Residual over the model's displacement at each frequency at which they go together; PNG."""
+    """Draw the residual over the displacement, at frequencies where they go together; PNG bytes."""
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
     simulated_um = part.simulate()[part.begin :]
@@ -139,7 +139,7 @@ def draw_error_response(part: SimulatedRecording, before_um: FloatArray,
 
 def draw_dependences(part: SimulatedRecording, before_um: FloatArray,
                      after_um: FloatArray) -> bytes:
-    """Mean residual over each quantity that an effect may go with; PNG bytes."""
+    """Draw the mean residual over each quantity that an effect may go with; PNG bytes."""
     figure = new_figure(6.0, WIDE_IN)
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
         found = dependences(
