@@ -3,7 +3,7 @@
 
 `diagnose` reads from top to bottom. Each step takes what the steps before have returned:
 recordings, conditioned, simulated, residual, candidates, fits, comparison, verdict. The report of
-it is written by `piezo_identification.diagnosis.results`.
+it is written by `piezo_identification.diagnosis.report.results`.
 """
 
 from collections.abc import Callable, Sequence
