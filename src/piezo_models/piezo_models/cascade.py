@@ -83,7 +83,7 @@ class StageModel:
             frequency_hz, self.effects_at("modes"))
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
         for effect in self.effects_at("linear"):
-            response = response * effect.state_space()(s)
+            response = response * effect.response(s)
         return response
 
     def amplified(self, voltage_v: ArrayLike, sample_period_s: float,

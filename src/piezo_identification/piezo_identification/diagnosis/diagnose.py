@@ -1,23 +1,59 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""From a model and recordings to a verdict: what the model lacks, and how much better it gets."""
+"""From a model and recordings to a verdict: what the model lacks, and how much better it gets.
 
-from dataclasses import dataclass, fields, replace
+`diagnose` reads from top to bottom. Each step takes what the steps before have returned:
+recordings, conditioned, simulated, residual, candidates, fits, comparison, verdict. The report of
+it is written by `piezo_identification.diagnosis.report.results`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from piezo_identification.diagnosis.comparison import Contest
-from piezo_identification.diagnosis.held_out import HeldOut
-from piezo_identification.diagnosis.outliers import found_outliers, left_out
-from piezo_identification.diagnosis.residual import dependences, spectrum, whiteness
-from piezo_identification.diagnosis.selection import NOISE, select
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA
+from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
+from piezo_identification.diagnosis.comparison.selection import (
+    Selection,
+    left_rms_um,
+    select_effects,
+)
+from piezo_identification.diagnosis.comparison.validation import Validation
+from piezo_identification.diagnosis.evidence.effect_entries import effect_entries
+from piezo_identification.diagnosis.evidence.found_outliers import (
+    FoundOutliers,
+    found_outliers,
+    left_out,
+)
+from piezo_identification.diagnosis.evidence.residual_description import describe_residual
+from piezo_identification.diagnosis.residual.dataset import simulate_recordings
+from piezo_identification.diagnosis.residual.regression import Fit, first_regression
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.prediction import CLEARLY_LESS, conditioned
+from piezo_models.cascade import StageModel
+from piezo_recorder.reading.recording import Recording
 
-EXPLAINED = 0.03
-"""Part of the structure's power that may be left where effects explain it, a sixth of its size."""
+Progress = Callable[[str, float], None]
 
-GUESS = 0.5
-"""Part of the structure's power that may be left before the effects found are mere guesses."""
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """Parts of the lack of fit that may be left.
+
+    Attributes
+    ----------
+    explained : float
+        Where effects explain the residual: a sixth of its size.
+    guess : float
+        Before the effects found are mere guesses.
+    """
+
+    explained: float = 0.03
+    guess: float = 0.5
+
+
+SETTINGS = VerdictSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,15 +62,55 @@ class Diagnosis(Verdict):
 
     Attributes
     ----------
-    contest, selection :
-        For the report.
+    selection : Selection
+        The comparison that led to it, for the report.
     """
 
-    contest: object
-    selection: object
+    selection: Selection
 
 
-def diagnose(model, recordings, holdout=None, progress=None):
+@dataclass(frozen=True)
+class Conditioned:
+    """Recordings with the sign of the model, and their outliers marked.
+
+    Attributes
+    ----------
+    recordings : list of Recording
+        To be diagnosed.
+    holdout : Recording or None
+        On which the errors are measured.
+    reversed : list of str
+        Paths of those whose sign was changed.
+    """
+
+    recordings: list[Recording]
+    holdout: Recording | None
+    reversed: list[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What is decided of the effects that a comparison selected.
+
+    Attributes
+    ----------
+    verdict : str
+        "none", "explained" or "unexplained".
+    fit : Fit
+        With the effects that are named.
+    outliers : FoundOutliers or None
+    refused : dict of str to str
+        Effects that the held-out data refuse, and why.
+    """
+
+    verdict: str
+    fit: Fit
+    outliers: FoundOutliers | None
+    refused: dict[str, str]
+
+
+def diagnose(model: StageModel, recordings: Sequence[Recording],
+             holdout: Recording | None = None, progress: Progress | None = None) -> Diagnosis:
     """Find what a model lacks to explain recordings.
 
     Parameters
@@ -56,139 +132,148 @@ def diagnose(model, recordings, holdout=None, progress=None):
     ValueError
         If there is no recording, or one cannot be used.
     """
+    given = condition(model, recordings, holdout)
+    selection = compare_effects(model, given.recordings, progress)
+    validation = Validation(selection.regression, given.holdout)
+    decision = decide(selection, validation)
+    return tell(model, given, selection, validation, decision)
+
+
+def condition(model: StageModel, recordings: Sequence[Recording],
+              holdout: Recording | None) -> Conditioned:
+    """Give the recordings the sign of the model, and mark their outliers.
+
+    Parameters
+    ----------
+    model : StageModel
+    recordings : sequence of Recording
+    holdout : Recording or None
+
+    Returns
+    -------
+    Conditioned
+
+    Raises
+    ------
+    ValueError
+        If there is no recording.
+    """
     if not recordings:
         raise ValueError("there is no recording to diagnose: give one")
     given = [*recordings, *([] if holdout is None else [holdout])]
     signed, changed = zip(*(conditioned(model, recording) for recording in given), strict=True)
-    if holdout is not None:
-        *signed, holdout = signed
-    contest, selection = _contested(model, signed, progress)
-    held_out = HeldOut(contest, holdout)
-    trial, refused = held_out.kept(selection.end)
-    start, end = contest.structure(selection.start), contest.structure(trial)
-    allowed = max(NOISE**2, EXPLAINED * start)
-    if end > allowed and end > GUESS * start:
-        trial = selection.start
-    effects = _effect_entries(contest, trial)
-    outliers = found_outliers(contest)
-    if outliers:
-        effects.append(outliers.entry(contest, trial))
-    if end > allowed:
-        verdict = "unexplained"
-    else:
-        verdict = "explained" if effects else "none"
-    effects.sort(key=lambda entry: -entry["error_reduction_percent"])
-    # Outliers had bent the model's own parameters if it was identified with them.
-    changes = trial.effects or outliers and held_out.improves(trial)
-    extended = contest.extended_model(trial) if changes else model
-    before, after, where = held_out.errors(trial if changes else None)
-    if outliers:
-        extended = replace(extended, effects=(*extended.effects, outliers.effect(contest)))
-    named = {entry["name"] for entry in effects}
-    reasons = {name: why for name, why in (selection.blind | refused).items() if name not in named}
-    for name, twin in selection.twins.items():
-        if name not in named and twin in named:
-            reasons[name] = f"the data does not tell it from {twin}"
-    left = _description(contest, trial) if verdict == "unexplained" else ""
-    return Diagnosis(
-        verdict, effects, extended, before, after, float(np.median(contest.noise_um)), where,
-        reasons, left,
+    return Conditioned(
+        list(signed[: len(recordings)]), None if holdout is None else signed[-1],
         [str(recording.path) for recording, is_reversed in zip(given, changed, strict=True)
-         if is_reversed],
-        [*left_out(contest), *held_out.left_out()], contest, selection,
+         if is_reversed])
+
+
+def compare_effects(model: StageModel, recordings: Sequence[Recording],
+                    progress: Progress | None) -> Selection:
+    """Simulate the recordings, and compare the effects that may explain the residual.
+
+    A past of the hysteresis that fits best beside a model that lacks something may be there only to
+    make up for it. The comparison is made without any past too, and the better one is returned.
+
+    Parameters
+    ----------
+    model : StageModel
+    recordings : sequence of Recording
+        With the sign of the model, and their outliers marked.
+    progress : callable or None
+
+    Returns
+    -------
+    Selection
+    """
+    simulated = [simulate_recordings(model, recordings)]
+    if any(part.past_v for part in simulated[0].simulated):
+        simulated.append(simulate_recordings(model, recordings, past_v=()))
+    selections = []
+    for number, dataset in enumerate(simulated):
+        residual = first_regression(dataset)
+        selections.append(
+            select_effects(residual, _part_of(progress, number, len(simulated))))
+    with_past, plain = selections[0], selections[-1]
+    return with_past if left_rms_um(with_past) < CLEARLY_LESS * left_rms_um(plain) else plain
+
+
+def decide(selection: Selection, validation: Validation) -> Decision:
+    """Decide which of the selected effects are named, and whether they explain the residual.
+
+    Parameters
+    ----------
+    selection : Selection
+    validation : Validation
+
+    Returns
+    -------
+    Decision
+    """
+    regression = selection.regression
+    fit, refused = validation.accepted(selection.end)
+    start, end = lack_of_fit(regression, selection.start), lack_of_fit(regression, fit)
+    is_explained = end <= max(CRITERIA.noise**2, SETTINGS.explained * start)
+    if not is_explained and end > SETTINGS.guess * start:
+        fit = selection.start
+    outliers = found_outliers(regression)
+    verdict = "unexplained"
+    if is_explained:
+        verdict = "explained" if fit.effects or outliers else "none"
+    return Decision(verdict, fit, outliers, refused)
+
+
+def tell(model: StageModel, given: Conditioned, selection: Selection, validation: Validation,
+         decision: Decision) -> Diagnosis:
+    """Put the verdict together with its numbers and reasons.
+
+    Parameters
+    ----------
+    model : StageModel
+    given : Conditioned
+    selection : Selection
+    validation : Validation
+    decision : Decision
+
+    Returns
+    -------
+    Diagnosis
+    """
+    regression, fit, outliers = selection.regression, decision.fit, decision.outliers
+    effects = effect_entries(regression, fit)
+    # Outliers had bent the parameters of a model that was identified with them.
+    is_changed = bool(fit.effects or outliers and validation.improves(fit))
+    extended = regression.extended_model(fit) if is_changed else model
+    if outliers:
+        effects.append(outliers.entry(regression, fit))
+        extended = replace(extended, effects=(*extended.effects, outliers.effect(regression)))
+    effects.sort(key=lambda entry: -entry["error_reduction_percent"])
+    errors = validation.errors(fit if is_changed else None)
+    return Diagnosis(
+        verdict=decision.verdict, effects=effects, model=extended,
+        before=errors.before, after=errors.after,
+        noise_floor_um=float(np.median(regression.noise.noise_um)), holdout=errors.where,
+        not_decidable=_not_decidable(selection, decision, effects),
+        left=describe_residual(regression, fit) if decision.verdict == "unexplained" else "",
+        reversed=given.reversed, left_out=[*left_out(regression), *validation.left_out()],
+        selection=selection,
     )
 
 
-def _contested(model, recordings, progress):
-    """The contest and its selection, with that past of the hysteresis that leaves less.
-
-    A past that fits best beside a model that lacks something may be there only to make up for it.
-    """
-    contests = [Contest(model, recordings)]
-    if any(part.past_v for part in contests[0].prepared):
-        contests.append(Contest(model, recordings, past_v=()))
-    contested = [
-        (contest, select(contest, _part_of(progress, number, len(contests))))
-        for number, contest in enumerate(contests)
-    ]
-    with_past, plain = contested[0], contested[-1]
-    return with_past if _left_um(*with_past) < CLEARLY_LESS * _left_um(*plain) else plain
+def _not_decidable(selection: Selection, decision: Decision,
+                   effects: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """Return the effects that are not named though they are not excluded either, and why."""
+    named = {entry["name"] for entry in effects}
+    reasons = {name: why for name, why in (selection.not_shown | decision.refused).items()
+               if name not in named}
+    for name, found in selection.indistinguishable.items():
+        if name not in named and found in named:
+            reasons[name] = f"the data does not tell it from {found}"
+    return reasons
 
 
-def _part_of(progress, number, count):
-    """Progress of one of several works."""
+def _part_of(progress: Progress | None, number: int, count: int) -> Progress | None:
+    """Return the progress of one of several works."""
     if progress is None:
         return None
     return lambda what, fraction: progress(what, (number + fraction) / count)
-
-
-def _left_um(contest, selection):
-    """RMS of what a selection leaves, noise and all."""
-    left = selection.end.residual * contest.tolerance_um
-    return float(np.sqrt(np.mean(left[contest.judge] ** 2)))
-
-
-def _effect_entries(contest, trial):
-    entries = []
-    for number, effect in enumerate(trial.effects):
-        others = (*trial.effects[:number], *trial.effects[number + 1 :])
-        # Without it and everything else as it is, the error would be larger by what it contributes.
-        added = contest.contribution(contest.trial(others), trial)
-        left = np.sqrt(contest.held_out_square(trial))
-        entry = {"name": effect.name, "parameters": effect.parameters(),
-                 "error_reduction_percent": float(100.0 * (1.0 - left / np.hypot(left, added)))}
-        entries.append(entry)
-    _add_deviations(entries, trial)
-    return entries
-
-
-def _add_deviations(entries, trial):
-    """Standard deviations of the fitted parameters."""
-    if trial.covariance is None:
-        return
-    deviations = np.sqrt(np.maximum(np.diag(trial.covariance), 0.0))
-    start = 0
-    for entry, effect in zip(entries, trial.effects, strict=True):
-        entry["standard_deviations"] = named = {}
-        for field in fields(effect):
-            value, scale = getattr(effect, field.name), field.metadata["scale"]
-            if scale == "fixed":
-                continue
-            size = len(value) if isinstance(value, tuple) else 1
-            spread = deviations[start : start + size]
-            start += size
-            if scale == "logarithm":
-                spread = spread * np.atleast_1d(value)
-            named[field.name] = (
-                [float(number) for number in spread] if isinstance(value, tuple)
-                else float(spread[0])
-            )
-
-
-def _description(contest, trial):
-    """Where, when, how large and at which frequencies something is left."""
-    sentences = []
-    for index, part in enumerate(contest.prepared):
-        residual = contest.residual_um(index, trial.effects)
-        residual = np.where(contest.wrong[index], 0.0, residual)[part.begin :]
-        frequency_hz, density = spectrum(residual, part.sample_period_s)
-        power = np.cumsum(density[1:])
-        low, high = frequency_hz[1:][np.searchsorted(power, [0.1 * power[-1], 0.9 * power[-1]])]
-        peak_hz = frequency_hz[1:][np.argmax(density[1:])]
-        found = dependences(residual, part.simulate(trial.effects)[part.begin :],
-                            part.voltage_v[part.begin :], part.time_s[part.begin :])
-        strongest = max(found, key=lambda dependence: dependence.share)
-        worst = part.begin + int(np.argmax(np.abs(residual)))
-        text = (
-            f"{part.path}: {1e3 * np.sqrt(np.mean(residual**2)):.3g} nm RMS beside "
-            f"{1e3 * contest.noise_um[index]:.3g} nm of noise; largest at "
-            f"{part.time_s[worst]:.4g} s, {part.voltage_v[worst]:.4g} V; most of it from "
-            f"{low:.3g} to {high:.3g} Hz, strongest at {peak_hz:.4g} Hz"
-        )
-        if strongest.share > 0.05:
-            text += (f"; {100 * strongest.share:.0f} % of its power goes with "
-                     f"{strongest.quantity.split(' / ')[0]}")
-        if whiteness(residual).passed:
-            text += "; neighbouring samples are not alike"
-        sentences.append(text + ".")
-    return " ".join(sentences)

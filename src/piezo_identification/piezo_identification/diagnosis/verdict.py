@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every diagnosis ends with, and the files that keep it."""
+"""The verdict that every diagnosis ends with, and the files that keep it."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
 
+from piezo_models.cascade import StageModel
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import sha256_of
 
@@ -36,19 +42,19 @@ class Verdict:
     """
 
     verdict: str
-    effects: list
-    model: object
-    before: dict
-    after: dict
+    effects: list[dict[str, Any]]
+    model: StageModel
+    before: dict[str, float]
+    after: dict[str, float]
     noise_floor_um: float
-    holdout: dict
-    not_decidable: dict
+    holdout: dict[str, object]
+    not_decidable: dict[str, str]
     left: str
-    reversed: list
-    left_out: list
+    reversed: list[str]
+    left_out: list[str]
 
-    def document(self):
-        """The content of verdict.json."""
+    def document(self) -> dict[str, Any]:
+        """Return the content of `verdict.json`."""
         return {
             "verdict": self.verdict,
             "effects": self.effects,
@@ -64,8 +70,8 @@ class Verdict:
         }
 
 
-def write_verdict(path, verdict):
-    """Write verdict.json.
+def write_verdict(path: Path, verdict: Verdict) -> None:
+    """Write a verdict to its file, `verdict.json`.
 
     Parameters
     ----------
@@ -76,7 +82,8 @@ def write_verdict(path, verdict):
         json.dumps(verdict.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def save_extended_model(path, identified, verdict, data):
+def save_extended_model(path: Path, identified: IdentifiedModel, verdict: Verdict,
+                        data: Sequence[str | PathLike[str]]) -> None:
     """Save the model that a verdict leads to, with what it was found in.
 
     Parameters

@@ -7,8 +7,8 @@ import numpy as np
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment
 from rclpy.lifecycle import LifecycleNode
 
-from piezo_identification.diagnosis.diagnosis_report import verdict_sentence
-from piezo_identification.diagnosis.results import diagnose_files
+from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
+from piezo_identification.diagnosis.report.results import diagnose_files
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.experiments.catalogue import EXPERIMENTS, StageLimits, named_experiment
 from piezo_identification.experiments.relay_feedback import (

@@ -7,10 +7,21 @@ import pytest
 
 from piezo_identification.commands.diagnose_command import main
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.diagnosis.comparison import Contest
+from piezo_identification.diagnosis.comparison.measures_of_fits import significance
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.diagnosis_report import render_report
-from piezo_identification.diagnosis.prepared_recording import PreparedRecording, retuned
+from piezo_identification.diagnosis.report.diagnosis_report import render_report
+from piezo_identification.diagnosis.residual.dataset import simulate_recordings
+from piezo_identification.diagnosis.residual.noise_estimate import residual_um
+from piezo_identification.diagnosis.residual.parameter_sensitivities import (
+    parameter_sensitivities,
+    perturbed,
+)
+from piezo_identification.diagnosis.residual.regression import (
+    first_regression,
+    fit_without_effects,
+    reweighted,
+)
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.prediction import predict
 from piezo_models.effects.delay import Delay
@@ -101,8 +112,8 @@ def test_an_effect_on_the_voltage_acts_on_what_the_hysteresis_remembers(plant, o
     limit, recording = of_levels
     beside = predict(replace(plant, effects=(limit,)), recording)
     assert np.std(beside.measured_um - beside.simulated_um) < 1.1 * 0.009
-    contest = Contest(plant, [recording], past_v=())
-    left = contest.residual_um(0, (limit,))[contest.prepared[0].begin :]
+    dataset = simulate_recordings(plant, [recording], past_v=())
+    left = residual_um(dataset, 0, (limit,))[dataset.simulated[0].begin :]
     assert np.std(left) < 1.1 * 0.009
 
 
@@ -111,19 +122,16 @@ def test_no_past_is_made_up_to_explain_an_effect(plant, of_levels):
     diagnosis = diagnose(plant, [recording])
     assert [entry["name"] for entry in diagnosis.effects] == ["voltage_clipping"]
     assert diagnosis.effects[0]["parameters"]["highest_v"] == pytest.approx(limit.highest_v, abs=1)
-    assert diagnosis.contest.prepared[0].past_v == ()
+    assert diagnosis.selection.regression.dataset.simulated[0].past_v == ()
 
 
-def test_without_effects_tuning_is_priced_by_what_it_leaves(plant, record):
-    contest = Contest(plant, [record(MODE)])
-
-    def left_um(trial):
-        return np.sqrt(np.mean((trial.residual * contest.tolerance_um)[contest.judge] ** 2))
-
-    before = left_um(contest.trial(()))
-    contest.review((MODE,))
-    assert left_um(contest.trial(())) < 0.8 * before
-    assert left_um(contest.bare()) == pytest.approx(before, rel=0.02)
+def test_the_prior_of_the_parameters_goes_with_what_is_left_beside_the_effects(plant, record):
+    regression = first_regression(simulate_recordings(plant, [record(MODE)]))
+    before = regression.left_um(regression.fit(()))
+    beside = reweighted(regression, (MODE,))
+    assert regression.left_um(regression.fit(())) == before
+    assert beside.left_um(beside.fit(())) < 0.8 * before
+    assert beside.left_um(fit_without_effects(beside)) == pytest.approx(before, rel=0.02)
 
 
 def test_a_line_that_the_voltage_drives_is_no_disturbance(plant, record):
@@ -161,28 +169,28 @@ def test_what_no_candidate_explains_gets_no_name(plant, record):
     {"hysteretic_creep": HystereticCreep((0.0, 5.0), (0.02, 0.1), (0.05, 0.03)),
      "effects": (VoltageClipping(-20.0, 90.0),)},
 ], ids=["bare", "with_creep_and_limit"])
-def test_tuning_columns_are_the_derivatives_of_a_retuned_model(plant, record, beside):
+def test_parameter_sensitivities_are_the_derivatives_by_the_parameters(plant, record, beside):
     recording = record(noise_um=0.0)
     plant = replace(plant, **beside)
-    part = PreparedRecording(plant, recording)
+    part = SimulatedRecording(plant, recording)
     rows = np.arange(part.begin, part.time_s.size, 37)
-    columns = part.tuning_columns(rows)
+    columns = parameter_sensitivities(part, rows)
     generator = np.random.default_rng(0)
     changes = 0.01 * generator.normal(size=columns.shape[1])
     moved, still = (
-        PreparedRecording(model, recording).simulate()[rows]
-        for model in (retuned(plant, changes), plant)
+        SimulatedRecording(model, recording).simulate()[rows]
+        for model in (perturbed(plant, changes), plant)
     )
     linear = columns @ changes
     assert np.abs(moved - still - linear).max() < 0.02 * np.abs(linear).max()
 
 
 def test_held_out_stretches_are_not_fitted(plant, record):
-    contest = Contest(plant, [record()])
-    assert not (contest.fit & contest.judge).any()
-    assert 0.3 < np.mean(~contest.fitted) < 0.37
-    start = contest.trial(())
-    assert contest.significance(start, contest.trial((Delay(5e-5),))) < 3.0
+    regression = first_regression(simulate_recordings(plant, [record()]))
+    assert not (regression.estimation & regression.validation).any()
+    assert 0.3 < np.mean(~regression.dataset.for_estimation) < 0.37
+    start = regression.fit(())
+    assert significance(regression, start, regression.fit((Delay(5e-5),))) < 3.0
 
 
 def test_no_recording_and_too_short_a_recording_are_refused(plant, record):

@@ -14,7 +14,7 @@ from piezo_identification.commands.identify_command import main as identify_main
 from piezo_identification.commands.simulate_command import main as simulate_main
 from piezo_identification.conditioning.outlier_samples import good_samples, with_outliers_marked
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.diagnosis_report import verdict_sentence
+from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel

@@ -2,7 +2,9 @@
 import numpy as np
 import pytest
 
-from piezo_identification.diagnosis.comparison import Contest
+from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
+from piezo_identification.diagnosis.residual.dataset import simulate_recordings
+from piezo_identification.diagnosis.residual.regression import first_regression
 from piezo_identification.experiments.catalogue import StageLimits, named_experiment
 from piezo_models.effects import known_effects
 
@@ -10,7 +12,8 @@ from piezo_models.effects import known_effects
 @pytest.fixture(scope="module")
 def evidence(plant, play):
     experiment = named_experiment("diagnostic")
-    return Contest(plant, [play(experiment)]).evidence(0)
+    regression = first_regression(simulate_recordings(plant, [play(experiment)]))
+    return recording_evidence(regression)[0]
 
 
 @pytest.mark.parametrize("limits", [

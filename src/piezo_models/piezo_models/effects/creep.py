@@ -28,6 +28,7 @@ class Creep(Effect):
     name: ClassVar[str] = "creep"
     place: ClassVar[str] = "linear"
     experiment: ClassVar[str] = "creep: long square wave, steps held for minutes"
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("thermal_drift",)
 
     gains: tuple = parameter("1", "linear", 0.0, 1.0)
     time_constants_s: tuple = parameter("s", "fixed", 1e-6, 1e9)

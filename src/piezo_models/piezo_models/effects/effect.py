@@ -6,7 +6,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
+import control
 import numpy as np
+from numpy.typing import NDArray
 
 PLACES = ("voltage", "modes", "linear", "displacement", "sensor")
 """Where an effect acts: on the voltage before the hysteresis; beside the modes of vibration; as a
@@ -148,6 +150,9 @@ class Effect(ABC):
         False where every sample depends on itself alone.
     experiment : str
         What to play so that the effect shows.
+    indistinguishable_from : tuple of str
+        Names of effects that do much the same to most recordings. Where the diagnosis finds one of
+        two, it also tries the other in its place. One of the two is enough to name the other.
     """
 
     name: ClassVar[str]
@@ -156,6 +161,7 @@ class Effect(ABC):
     follows_voltage: ClassVar[bool] = True
     remembers: ClassVar[bool] = True
     experiment: ClassVar[str]
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def apply(self, signal, sample_period_s, rest=None):
@@ -239,20 +245,54 @@ class Effect(ABC):
         """
         return None
 
-    def response(self, s):
-        """The factor that a linear effect behind the linear part gives the frequency response.
+    def state_space(self) -> control.StateSpace:
+        """Return the system of an effect whose place is "linear" or "modes".
+
+        Returns
+        -------
+        control.StateSpace
+            Continuous: that of the whole effect, or of the mode alone with unit gain at rest.
+
+        Raises
+        ------
+        NotImplementedError
+            If the effect acts elsewhere.
+        """
+        raise NotImplementedError(f"{self.name} acts on the {self.place}: it is no linear system")
+
+    def response(self, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Return the factor by which the effect multiplies the model's frequency response.
+
+        An effect whose place is "linear" has the transfer function of its system. A linear effect
+        on the displacement or the sensor gives its own here. Modes of vibration are part of the
+        dynamics and enter the response there.
 
         Parameters
         ----------
         s : (N,) array of complex
-            Where to evaluate it, in rad/s.
+            Complex frequency in rad/s, such as 2 pi i f.
 
         Returns
         -------
         (N,) array of complex
-            Ones for an effect that is not linear.
+            Ones for an effect that is not linear, as it has no transfer function.
         """
-        return np.ones_like(s)
+        return self.state_space()(s) if self.place == "linear" else np.ones_like(s)
+
+    @classmethod
+    def is_indistinguishable_from(cls, other: type["Effect"]) -> bool:
+        """Return whether this effect names the other as indistinguishable, or the other this one.
+
+        Parameters
+        ----------
+        other : type
+            Another effect.
+
+        Returns
+        -------
+        bool
+        """
+        return other.name in cls.indistinguishable_from or cls.name in other.indistinguishable_from
 
     @classmethod
     @abstractmethod

@@ -27,6 +27,7 @@ class SensorLag(Effect):
     name: ClassVar[str] = "sensor_lag"
     place: ClassVar[str] = "sensor"
     experiment: ClassVar[str] = Delay.experiment
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("delay",)
 
     time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e6)
     roundness: float = parameter("1", "linear", 0.0, 0.5, default=0.0)

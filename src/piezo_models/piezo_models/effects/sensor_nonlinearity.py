@@ -17,6 +17,7 @@ class SensorNonlinearity(Effect):
     place: ClassVar[str] = "sensor"
     remembers: ClassVar[bool] = False
     experiment: ClassVar[str] = "hysteresis: harmonics over the whole range, and fast tones"
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("stiffening",)
 
     first_um: float = parameter("um")
     second_um: float = parameter("um")

@@ -40,6 +40,7 @@ class SlewLimit(Effect):
     name: ClassVar[str] = "slew_limit"
     place: ClassVar[str] = "voltage"
     experiment: ClassVar[str] = "dynamics: steps of several sizes"
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("vibration_mode",)
 
     slew_limit_v_per_s: float = parameter("V/s", "logarithm", 1e-6, 1e12)
     fall_ratio: float = parameter("1", "logarithm", 0.2, 5.0, default=1.0)

@@ -28,6 +28,7 @@ class Stiffening(Effect):
     name: ClassVar[str] = "stiffening"
     place: ClassVar[str] = "displacement"
     experiment: ClassVar[str] = "hysteresis: harmonics over the whole range, and large fast tones"
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("sensor_nonlinearity",)
 
     linear_um: float = parameter("um")
     square_um: float = parameter("um")

@@ -30,6 +30,7 @@ class ThermalDrift(Effect):
     place: ClassVar[str] = "displacement"
     follows_voltage: ClassVar[bool] = False
     experiment: ClassVar[str] = "rest for minutes, and the same waveform repeated at later times"
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("creep",)
 
     rate_um_per_s: float = parameter("um/s")
     approach_um: float = parameter("um")

@@ -27,6 +27,7 @@ class VibrationMode(Effect):
     place: ClassVar[str] = "modes"
     several: ClassVar[bool] = True
     experiment: ClassVar[str] = "dynamics: steps, or tones up to the highest frequency of interest"
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("slew_limit",)
 
     frequency_rad_per_s: float = parameter("rad/s", "logarithm", 1e-3, 1e7)
     damping_ratio: float = parameter("1", "logarithm", 1e-3, 0.4)

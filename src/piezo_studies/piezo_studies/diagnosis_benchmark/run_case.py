@@ -7,8 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from piezo_identification.diagnosis.comparison import Contest
+from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
 from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.residual.dataset import simulate_recordings
+from piezo_identification.diagnosis.residual.parameter_sensitivities import (
+    nuisance_regressors,
+    parameter_sensitivities,
+)
+from piezo_identification.diagnosis.residual.regression import first_regression
 from piezo_identification.estimators.creep import CreepNotShown
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.identify import identify
@@ -100,7 +106,8 @@ def run_case(case, model):
             response_um(stage, voltage_v, surroundings, clock_samples)[recording.playing]
             for stage in (effect.plant, beside)
         )
-        beyond_um = _beyond_model_um(diagnosis.contest.prepared[0], with_it_um - without_um)
+        part = diagnosis.selection.regression.dataset.simulated[0]
+        beyond_um = _beyond_model_um(part, with_it_um - without_um)
         contributions.append({
             "cause": effect.cause, "effect": repr(effect.effect),
             "over_noise": effect.contribution_rms_um / noise,
@@ -123,17 +130,15 @@ def run_case(case, model):
 
 def _least_error_um(model, recording):
     """Error on held-out data without any effect, the model's parameters tuned."""
-    contest = Contest(model, [recording])
-    trial = contest.trial(())
-    left_um = (trial.residual * contest.tolerance_um)[contest.judge]
-    return float(np.sqrt(np.mean(left_um**2)))
+    regression = first_regression(simulate_recordings(model, [recording]))
+    return regression.left_um(regression.fit(()))
 
 
 def _lacking_um(diagnosis):
     """RMS of what the model, its parameters tuned, leaves of the recording beyond the noise."""
-    contest = diagnosis.contest
-    rms_tolerances = np.sqrt(contest.structure(diagnosis.selection.start))
-    return float(rms_tolerances * np.sqrt(np.mean(contest.tolerance_um**2)))
+    regression = diagnosis.selection.regression
+    rms_tolerances = np.sqrt(lack_of_fit(regression, diagnosis.selection.start))
+    return float(rms_tolerances * np.sqrt(np.mean(regression.tolerance_um**2)))
 
 
 def _drawn(cause, plant, voltage_v, surroundings, multiple, seed, clock_samples):
@@ -148,10 +153,11 @@ def _drawn(cause, plant, voltage_v, surroundings, multiple, seed, clock_samples)
             multiple *= 0.5
 
 
-def _beyond_model_um(prepared, added_um):
+def _beyond_model_um(part, added_um):
     """RMS of what offset, initial creep and other parameters of the model leave of a signal."""
-    rows = np.arange(prepared.begin, added_um.size)
-    columns = np.column_stack([prepared.free_columns(rows), prepared.tuning_columns(rows)])
+    rows = np.arange(part.begin, added_um.size)
+    columns = np.column_stack([
+        nuisance_regressors(part, rows), parameter_sensitivities(part, rows)])
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     left = added_um[rows]
     left = left - columns @ np.linalg.lstsq(columns, left, rcond=1e-10)[0]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.response_diagnosis import diagnose_response
+from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.estimators.frequency_response.response_file import read_frequency_response
 from piezo_identification.estimators.frequency_response.response_fit import (
     ResponseOrder,

@@ -10,7 +10,7 @@ from scipy import signal
 
 from piezo_identification.commands.diagnose_command import main as diagnose_main
 from piezo_identification.commands.identify_command import main as identify_main
-from piezo_identification.diagnosis.response_diagnosis import diagnose_response
+from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
     ResponseOrder,

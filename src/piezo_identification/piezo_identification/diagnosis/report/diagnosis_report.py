@@ -1,20 +1,30 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The report of a diagnosis: one self-contained page for the logbook."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
 from piezo_common.report_page import Picture, Section, render_page
 from piezo_identification.conditioning.sensor_sign import sign_text
-from piezo_identification.diagnosis import diagnosis_pictures as pictures
-from piezo_identification.diagnosis.residual import input_correlation, whiteness
-from piezo_identification.diagnosis.selection import SIGNIFICANT
+from piezo_identification.diagnosis.comparison.attempts import Attempt
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA
+from piezo_identification.diagnosis.comparison.selection import Selection
+from piezo_identification.diagnosis.diagnose import Diagnosis
+from piezo_identification.diagnosis.evidence.residual_tests import input_correlation, whiteness
+from piezo_identification.diagnosis.report import diagnosis_pictures as pictures
+from piezo_identification.diagnosis.residual.noise_estimate import (
+    residual_of_model_um,
+    residual_um,
+)
+from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
 
 
-def verdict_sentence(diagnosis):
-    """The verdict in one sentence."""
+def verdict_sentence(diagnosis: Diagnosis) -> str:
+    """Return the verdict in one sentence."""
     before, after = (1e3 * errors["rms_um"] for errors in (diagnosis.before, diagnosis.after))
     names = " and ".join(entry["name"] for entry in diagnosis.effects)
     if diagnosis.verdict == "none":
@@ -31,27 +41,28 @@ def verdict_sentence(diagnosis):
             f"held-out data.")
 
 
-def render_report(diagnosis, origin=()):
+def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) -> str:
     """Return the report as one HTML page.
 
     Parameters
     ----------
-    diagnosis : piezo_identification.diagnosis.diagnose.Diagnosis
+    diagnosis : Diagnosis
     origin : sequence of (str, str)
         What the page is to tell of when, and from which files: name and text.
     """
-    contest = diagnosis.contest
+    noise, dataset = diagnosis.selection.regression.noise, diagnosis.selection.regression.dataset
     sections = [_found(diagnosis)]
     if diagnosis.effects:
         sections.append(Section("What was added", table=_effects(diagnosis.effects)))
     if diagnosis.left:
         sections.append(Section("What is left", (diagnosis.left,)))
     sections += [
-        _recording(part, contest.residual_um(index),
-                   contest.residual_of_um(index, diagnosis.model), contest.noise_um[index])
-        for index, part in enumerate(contest.prepared)]
-    if diagnosis.model is not contest.model:
-        sections.append(_tuned(contest.model, diagnosis.model))
+        _recording(part, residual_um(dataset, index, noise=noise),
+                   residual_of_model_um(dataset, index, diagnosis.model, noise),
+                   noise.noise_um[index])
+        for index, part in enumerate(dataset.simulated)]
+    if diagnosis.model is not dataset.model:
+        sections.append(_other_parameters(dataset.model, diagnosis.model))
     sections += [*_tried(diagnosis.selection), _undecided(diagnosis)]
     return render_page(verdict_sentence(diagnosis),
                        [f"{name}: {text}" for name, text in origin], sections)
@@ -70,7 +81,7 @@ def _found(diagnosis):
     ])
 
 
-def _effects(effects):
+def _effects(effects: list[dict[str, Any]]) -> list[tuple[str, ...]]:
     rows = [("effect", "parameter", "value", "standard deviation", "error reduction (%)")]
     for entry in effects:
         first = True
@@ -117,37 +128,38 @@ def _tests_table(part, before_um, after_um):
     return rows
 
 
-def _tried(selection):
+def _tried(selection: Selection) -> Iterator[Section]:
     yield Section("What was tried", (
-        f"Significance is in standard deviations of a gain by chance; more than {SIGNIFICANT:g} "
-        "are asked for. The tolerance is the noise and what a good model may be wrong by.",))
+        "Significance is in standard deviations of a gain by chance; more than "
+        f"{CRITERIA.significant:g} are asked for. The tolerance is the noise and what a "
+        "good model may be wrong by.",))
     for number, attempts in enumerate(selection.rounds, 1):
         rows = [("candidate", "error reduction (%)", "significance", "size / tolerance",
                  "outcome")]
         rows += [
             (attempt.name, *(
                 (f"{attempt.reduction_percent:.2f}", f"{attempt.significance:.1f}",
-                 f"{attempt.size:.2f}") if attempt.trial is not None else ("-", "-", "-")),
+                 f"{attempt.size:.2f}") if attempt.fit is not None else ("-", "-", "-")),
              _outcome(attempt, attempts[0], selection)) for attempt in attempts
         ]
         yield Section(f"Round {number}, on held-out data; the best first", table=rows)
 
 
-def _outcome(attempt, best, selection):
-    """What became of a candidate, in words."""
+def _outcome(attempt: Attempt, best: Attempt, selection: Selection) -> str:
+    """Tell in words what became of a candidate."""
     added = {effect.name for effect in selection.end.effects}
-    if attempt.trial is None:
+    if attempt.fit is None:
         among = "added already" if attempt.name in added else "nothing hints at it"
         return attempt.remark or among
     if attempt.name in added:
         return "added" if attempt is best else "added in the end"
-    if attempt.name in selection.twins:
-        return f"cannot be told from {selection.twins[attempt.name]}"
+    if attempt.name in selection.indistinguishable:
+        return f"cannot be told from {selection.indistinguishable[attempt.name]}"
     if attempt.remark:
         return attempt.remark
     if attempt.reduction_percent <= 0.0:
         return "rejected: no gain"
-    if attempt.significance <= SIGNIFICANT:
+    if attempt.significance <= CRITERIA.significant:
         return "rejected: not significant"
     return "rejected: too small" if attempt is best else f"rejected: less than {best.name}"
 
@@ -164,8 +176,8 @@ def _undecided(diagnosis):
     return Section(title, table=rows)
 
 
-def _tuned(before, after):
-    """The model's own parameters before and after; what they gained alone is no effect's."""
+def _other_parameters(before: StageModel, after: StageModel) -> Section:
+    """Tabulate the model's own parameters; what they gain alone is no effect's."""
     rows = [("parameter", "before", "after", "change (%)")]
     for old, new in ((before.dynamics, after.dynamics), (before.creep, after.creep)):
         for field in fields(old):
@@ -176,7 +188,7 @@ def _tuned(before, after):
     density = [model.hysteresis.density_um_per_v2.sum() for model in (before, after)]
     rows.append(("density of the hysteresis, sum", *map(_number, density),
                  f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
-    return Section("What was tuned beside", (
+    return Section("What changed beside", (
         "Without the effects the model's own parameters had been fitted to make up for them. "
         "Beside the effects they were free to move as far as they are uncertain.",), rows)
 

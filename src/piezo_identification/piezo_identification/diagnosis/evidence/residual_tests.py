@@ -1,20 +1,46 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the residual of a model shows: is it noise, and if not, what does it go with."""
+"""Tests of a residual: whether it is noise, and if not, what it goes with."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import csd, welch
 
 from piezo_identification.conditioning.waveforms import turning_points
 
-BAND_99 = 2.576
-"""Standard deviations within which 99 % of a normal distribution lie."""
+FloatArray = NDArray[np.float64]
 
-MOST_LAGS = 100
-BINS = 24
-SEGMENTS = 8
-"""Of a recording, whose spectra are averaged."""
+
+@dataclass(frozen=True)
+class ResidualTestSettings:
+    """Numbers of the tests of a residual.
+
+    Attributes
+    ----------
+    band_99 : float
+        Standard deviations within which 99 % of a normal distribution lie.
+    most_lags : int
+        Samples by which a residual is shifted at most: what is slower shows in the dependences.
+    bins : int
+        Of equally many samples, in which the mean of a residual is taken.
+    segments : int
+        Of a recording, whose spectra are averaged.
+    shortest_segment : int
+        Samples of a segment at least.
+    whitening_order : int
+        Earlier samples from which an input is predicted to make it white.
+    """
+
+    band_99: float = 2.576
+    most_lags: int = 100
+    bins: int = 24
+    segments: int = 8
+    shortest_segment: int = 256
+    whitening_order: int = 6
+
+
+SETTINGS = ResidualTestSettings()
 
 
 @dataclass(frozen=True)
@@ -33,21 +59,22 @@ class CorrelationTest:
     band: float
 
     @property
-    def share_outside(self):
-        """Of the lags; about 0.01 where there is no correlation."""
+    def share_outside(self) -> float:
+        """Share of the lags that lie outside the band; about 0.01 where there is no correlation."""
         return float(np.mean(np.abs(self.correlation) > self.band))
 
     @property
-    def passed(self):
-        """True if as few lags lie outside as chance has it, and none of them far."""
+    def passed(self) -> bool:
+        """Whether as few lags lie outside as chance has it, and none of them far."""
         lags = self.lags.size
         if np.abs(self.correlation).max() > 2.0 * self.band:
             return False
-        return self.share_outside * lags <= 0.01 * lags + BAND_99 * np.sqrt(0.01 * lags) + 0.5
+        by_chance = 0.01 * lags + SETTINGS.band_99 * np.sqrt(0.01 * lags) + 0.5
+        return bool(self.share_outside * lags <= by_chance)
 
 
-def whiteness(residual_um, most_lags=MOST_LAGS):
-    """Correlation of the residual with itself, some samples later.
+def whiteness(residual_um: FloatArray, most_lags: int = SETTINGS.most_lags) -> CorrelationTest:
+    """Correlate the residual with itself, some samples later.
 
     Parameters
     ----------
@@ -61,11 +88,12 @@ def whiteness(residual_um, most_lags=MOST_LAGS):
     residual = residual_um - residual_um.mean()
     lags = np.arange(1, min(most_lags, residual.size // 4) + 1)
     return CorrelationTest(lags, _correlation(residual, residual, lags),
-                           BAND_99 / np.sqrt(residual.size))
+                           SETTINGS.band_99 / np.sqrt(residual.size))
 
 
-def input_correlation(residual_um, input, most_lags=MOST_LAGS):
-    """Correlation of the residual with earlier values of an input.
+def input_correlation(residual_um: FloatArray, input: FloatArray,
+                      most_lags: int = SETTINGS.most_lags) -> CorrelationTest:
+    """Correlate the residual with earlier values of an input.
 
     Both are made white by the same differences first, so that a smooth input does not correlate
     with everything.
@@ -83,11 +111,11 @@ def input_correlation(residual_um, input, most_lags=MOST_LAGS):
     residual = np.convolve(residual_um - residual_um.mean(), coefficients, mode="valid")
     lags = np.arange(0, min(most_lags, residual.size // 4) + 1)
     return CorrelationTest(lags, _correlation(residual, white_input, lags),
-                           BAND_99 / np.sqrt(residual.size))
+                           SETTINGS.band_99 / np.sqrt(residual.size))
 
 
-def _whitened(signal, order=6):
-    """The signal behind an autoregressive filter that makes it white, and the filter."""
+def _whitened(signal, order=SETTINGS.whitening_order):
+    """Make a signal white by an autoregressive filter; return it, and the filter."""
     lagged = np.column_stack(
         [signal[order - lag : signal.size - lag] for lag in range(1, order + 1)]
     )
@@ -103,8 +131,8 @@ def _correlation(later, earlier, lags):
     return np.array([later[lag:] @ earlier[: earlier.size - lag] for lag in lags]) / scale
 
 
-def spectrum(signal_um, sample_period_s):
-    """Power spectral density.
+def spectrum(signal_um: FloatArray, sample_period_s: float) -> tuple[FloatArray, FloatArray]:
+    """Estimate the power spectral density of a signal.
 
     Parameters
     ----------
@@ -115,8 +143,13 @@ def spectrum(signal_um, sample_period_s):
     -------
     frequency_hz, density_um2_per_hz : arrays
     """
-    segment = int(min(signal_um.size, max(256, signal_um.size // SEGMENTS)))
-    return welch(signal_um, 1.0 / sample_period_s, nperseg=segment, detrend="linear")
+    return welch(signal_um, 1.0 / sample_period_s, nperseg=_segment(signal_um.size),
+                 detrend="linear")
+
+
+def _segment(samples):
+    """Return the samples of each of the segments whose spectra are averaged."""
+    return int(min(samples, max(SETTINGS.shortest_segment, samples // SETTINGS.segments)))
 
 
 @dataclass(frozen=True)
@@ -139,8 +172,9 @@ class ErrorResponse:
     limit: float
 
 
-def error_response(residual_um, displacement_um, sample_period_s):
-    """How the residual follows the model's displacement at each frequency.
+def error_response(residual_um: FloatArray, displacement_um: FloatArray,
+                   sample_period_s: float) -> ErrorResponse:
+    """Estimate how the residual follows the model's displacement at each frequency.
 
     Parameters
     ----------
@@ -152,7 +186,7 @@ def error_response(residual_um, displacement_um, sample_period_s):
     -------
     ErrorResponse
     """
-    segment = int(min(displacement_um.size, max(256, displacement_um.size // SEGMENTS)))
+    segment = _segment(displacement_um.size)
     options = {"fs": 1.0 / sample_period_s, "nperseg": segment, "detrend": "linear"}
     frequency_hz, cross = csd(displacement_um, residual_um, **options)
     _, of_model = welch(displacement_um, **options)
@@ -187,8 +221,9 @@ class Dependence:
     share: float
 
 
-def dependence(residual_um, values, quantity, bins=BINS):
-    """How the residual depends on a quantity.
+def dependence(residual_um: FloatArray, values: FloatArray, quantity: str,
+               bins: int = SETTINGS.bins) -> Dependence:
+    """Estimate how the residual depends on a quantity.
 
     Parameters
     ----------
@@ -212,15 +247,16 @@ def dependence(residual_um, values, quantity, bins=BINS):
     # Neighbouring samples are alike: a bin holds fewer independent ones than samples.
     correlated = _correlated_samples(rest)
     variance, chance = float(np.var(residual_um)), float(np.var(rest))
-    band = BAND_99 * np.sqrt(chance * np.minimum(1.0, correlated / count))
+    band = SETTINGS.band_99 * np.sqrt(chance * np.minimum(1.0, correlated / count))
     between = float(np.sum(count * (mean - residual_um.mean()) ** 2) / residual_um.size)
     by_chance = chance * min(1.0, (count.size - 1) * correlated / residual_um.size)
     share = max(0.0, between - by_chance) / variance if variance > 0.0 else 0.0
     return Dependence(quantity, centre, mean, band, share)
 
 
-def dependences(residual_um, displacement_um, voltage_v, time_s):
-    """How the residual depends on each quantity that an effect may go with.
+def dependences(residual_um: FloatArray, displacement_um: FloatArray, voltage_v: FloatArray,
+                time_s: FloatArray) -> list[Dependence]:
+    """Estimate how the residual depends on each quantity that an effect may go with.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification.diagnosis import noise as subject
+from piezo_identification.diagnosis.residual import sensor_noise as subject
 
 
 def test_the_noise_floor_is_not_raised_by_slow_structure_or_a_tone(noise):

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A diagnosis of a frequency response from files to files."""
 
+from os import PathLike
 from pathlib import Path
 
 from piezo_common.picture_style import AFTER, BEFORE, BLACK, WIDE_IN, label, new_figure
 from piezo_common.report_page import Picture, Section, render_page
-from piezo_identification.diagnosis.response_diagnosis import diagnose_response
+from piezo_identification.diagnosis.response.response_diagnosis import (
+    ResponseDiagnosis,
+    diagnose_response,
+)
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_identification.estimators.frequency_response.response_file import read_frequency_response
 from piezo_models.model_file import load_model
@@ -14,7 +18,10 @@ PICTURE = "response.png"
 DOTS_PER_INCH = 120
 
 
-def diagnose_response_file(model, response, directory, hold_s=0.0):
+def diagnose_response_file(
+    model: str | PathLike[str], response: str | PathLike[str], directory: str | PathLike[str],
+    hold_s: float = 0.0,
+) -> ResponseDiagnosis:
     """Diagnose a frequency response and write verdict, extended model, picture and report.
 
     Parameters
@@ -23,7 +30,7 @@ def diagnose_response_file(model, response, directory, hold_s=0.0):
     directory : path-like
         Made if it is missing.
     hold_s : float
-        See `FrequencyResponse`.
+        Sample period of a hold in the response, in s; see `FrequencyResponse`.
 
     Returns
     -------
@@ -46,8 +53,8 @@ def diagnose_response_file(model, response, directory, hold_s=0.0):
     return diagnosis
 
 
-def response_sentence(diagnosis):
-    """The verdict in a sentence."""
+def response_sentence(diagnosis: ResponseDiagnosis) -> str:
+    """Return the verdict in a sentence."""
     names = ", then ".join(entry["name"] for entry in diagnosis.effects)
     if diagnosis.verdict == "none":
         return "The model explains the response: what is left is noise."
@@ -55,8 +62,8 @@ def response_sentence(diagnosis):
     return f"{found} {diagnosis.left}".strip()
 
 
-def draw_response(path, diagnosis):
-    """Measured gain beside that of the model and of the extended one, and the two errors."""
+def draw_response(path: Path, diagnosis: ResponseDiagnosis) -> None:
+    """Draw the measured gain beside that of the model and of the extended one, and the errors."""
     figure = new_figure(6.0, WIDE_IN)
     gains, errors = figure.subplots(2, 1, sharex=True)
     frequency_hz, measured = diagnosis.measured.frequency_hz, diagnosis.measured.gain
@@ -72,7 +79,7 @@ def draw_response(path, diagnosis):
     figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
-def _report(diagnosis, picture):
+def _report(diagnosis: ResponseDiagnosis, picture: bytes) -> str:
     rows = [("on frequencies held out", "before", "after"),
             *((name, f"{diagnosis.before[name]:.4g}", f"{diagnosis.after[name]:.4g}")
               for name in diagnosis.before)]
@@ -84,7 +91,7 @@ def _report(diagnosis, picture):
             *((entry["name"], str(entry["parameters"]), f"{entry['error_reduction_percent']:.1f}")
               for entry in diagnosis.effects)]))
     sections.append(Section("What was tried", [
-        f"Round {number}, and what each took off the error held out: "
+        f"Round {number}, and by how much each reduced the held-out error: "
         + ", ".join(f"{name} {reduction:.1f} %" for name, reduction in attempts)
         for number, attempts in enumerate(diagnosis.tried, 1)]))
     return render_page(f"{diagnosis.verdict}: {response_sentence(diagnosis)}", (), sections)

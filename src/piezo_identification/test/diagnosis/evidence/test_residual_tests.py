@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from piezo_identification.diagnosis import residual as subject
+from piezo_identification.diagnosis.evidence import residual_tests as subject
 
 
 def test_white_noise_passes_the_test_and_coloured_noise_does_not(noise):

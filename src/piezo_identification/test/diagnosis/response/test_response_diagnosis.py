@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Linear effects compete for what a model does not explain of a frequency response."""
+"""Linear effects are compared by what they explain of a frequency response."""
 
 import json
 from dataclasses import replace
@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 
 from piezo_identification.commands.diagnose_command import main
-from piezo_identification.diagnosis.response_diagnosis import (
-    _Contest,
-    diagnose_response,
-    full_response,
-)
+from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
+from piezo_identification.diagnosis.response.response_fit import ResponseProblem, full_response
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
 from piezo_models.effects.sensor_lag import SensorLag
@@ -124,8 +121,8 @@ def test_the_shape_of_a_lag_stays_where_the_response_does_not_tell_it():
     random = np.random.default_rng(7)
     gain = full_response(MODEL, frequency_hz) * lag_response(1e-3, 0.25, frequency_hz)
     noise = 1e-4 * (random.normal(size=90) + 1j * random.normal(size=90))
-    contest = _Contest(MODEL, FrequencyResponse("slow", frequency_hz, gain + noise))
-    trial = contest._solve(contest.given().tuning, (SensorLag(1e-3),), tunes=False)
-    assert trial.effects[0].roundness == 0.0
-    assert trial.effects[0].time_constant_s == pytest.approx(1e-3, rel=0.1)
+    problem = ResponseProblem(MODEL, FrequencyResponse("slow", frequency_hz, gain + noise))
+    fit = problem.fit_last_effect(problem.as_given(), SensorLag(1e-3))
+    assert fit.effects[0].roundness == 0.0
+    assert fit.effects[0].time_constant_s == pytest.approx(1e-3, rel=0.1)
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from piezo_identification.diagnosis import diagnosis_pictures as pictures
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.diagnosis_report import render_report
+from piezo_identification.diagnosis.report import diagnosis_pictures as pictures
+from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.effects.vibration_mode import VibrationMode
 
@@ -86,7 +86,7 @@ def test_the_pictures_can_be_read_in_grey_and_have_units(diagnosis, picture_faul
 
 
 def test_the_close_look_is_where_the_scatter_of_the_residual_fell_most(diagnosis):
-    part = diagnosis.contest.prepared[0]
+    part = diagnosis.selection.regression.dataset.simulated[0]
     before_um, after_um = np.zeros(part.time_s.size), np.zeros(part.time_s.size)
     rings = slice(part.begin + 3 * pictures.CLOSE_SAMPLES, part.begin + 4 * pictures.CLOSE_SAMPLES)
     before_um[rings] = np.sin(np.arange(pictures.CLOSE_SAMPLES))

@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A diagnosis from files to files."""
+"""A diagnosis that reads files and writes verdict, extended model and report."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from os import PathLike
 from pathlib import Path
 
-from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
-from piezo_identification.diagnosis.diagnosis_report import render_report
+from piezo_identification.diagnosis.diagnose import Diagnosis, Progress, diagnose
+from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import read_recording, sha256_of
 
 READ_FRACTION, REPORT_FRACTION = 0.05, 0.9
-"""Of the whole: what is done before the diagnosis and before the report."""
+"""Parts of the work that are done before the diagnosis and before the report."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,10 @@ class DiagnosisResults:
     report: Path
 
 
-def diagnose_files(model, recordings, holdout, directory, progress):
+def diagnose_files(
+    model: str | PathLike[str], recordings: Sequence[str | PathLike[str]],
+    holdout: str | PathLike[str] | None, directory: str | PathLike[str], progress: Progress,
+) -> DiagnosisResults:
     """Diagnose recordings and write verdict, extended model and report.
 
     Parameters

@@ -2,6 +2,7 @@
 """Pictures of a diagnosis: before and after on the same axes."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.picture_style import (
     AFTER,
@@ -13,13 +14,16 @@ from piezo_common.picture_style import (
     new_figure,
     to_png,
 )
-from piezo_identification.diagnosis.residual import (
+from piezo_identification.diagnosis.evidence.residual_tests import (
     dependences,
     error_response,
     input_correlation,
     spectrum,
     whiteness,
 )
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+
+FloatArray = NDArray[np.float64]
 
 MODEL = {"color": BLACK, "linewidth": 0.8}
 DOTS_PER_INCH = 110
@@ -29,12 +33,12 @@ LOWEST_SHOWN = 0.1
 """Of the noise, in spectra."""
 
 
-def draw_residuals(part, before_um, after_um):
-    """Residuals over time, before and after: of the whole, and close where most was gained.
+def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> bytes:
+    """Draw the residuals over time: of the whole, and close where most was gained.
 
     Parameters
     ----------
-    part : PreparedRecording
+    part : SimulatedRecording
     before_um, after_um : (N,) array
 
     Returns
@@ -60,7 +64,7 @@ def draw_residuals(part, before_um, after_um):
 
 
 def _closest_look(part, before_um, after_um):
-    """Slice of the samples in which the scatter of the residual fell most."""
+    """Return the slice of samples in which the scatter of the residual fell most."""
     samples = min(CLOSE_SAMPLES, before_um.size - part.begin)
     windows = (before_um.size - part.begin) // samples
     scatters = [
@@ -71,12 +75,13 @@ def _closest_look(part, before_um, after_um):
     return slice(start, start + samples)
 
 
-def draw_spectra(part, before_um, after_um, noise_um):
-    """Spectra of both residuals, of the model's displacement, and of white noise; PNG bytes.
+def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
+                 noise_um: float) -> bytes:
+    """Draw spectra of both residuals, of the model's displacement, and of white noise; PNG bytes.
 
     Parameters
     ----------
-    part : PreparedRecording
+    part : SimulatedRecording
     before_um, after_um : ndarray, shape (N,)
         Residuals.
     noise_um : float
@@ -99,8 +104,8 @@ def draw_spectra(part, before_um, after_um, noise_um):
     return to_png(figure, DOTS_PER_INCH)
 
 
-def draw_tests(part, before_um, after_um):
-    """Whiteness and correlation with the input, with the band of 99 %; PNG bytes."""
+def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> bytes:
+    """Draw whiteness and correlation with the input, with the band of 99 %; PNG bytes."""
     figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2)
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
@@ -117,8 +122,9 @@ def draw_tests(part, before_um, after_um):
     return to_png(figure, DOTS_PER_INCH)
 
 
-def draw_error_response(part, before_um, after_um):
-    """Residual over the model's displacement at each frequency at which they go together; PNG."""
+def draw_error_response(part: SimulatedRecording, before_um: FloatArray,
+                        after_um: FloatArray) -> bytes:
+    """Draw the residual over the displacement, at frequencies where they go together; PNG bytes."""
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
     simulated_um = part.simulate()[part.begin :]
@@ -131,8 +137,9 @@ def draw_error_response(part, before_um, after_um):
     return to_png(figure, DOTS_PER_INCH)
 
 
-def draw_dependences(part, before_um, after_um):
-    """Mean residual over each quantity that an effect may go with; PNG bytes."""
+def draw_dependences(part: SimulatedRecording, before_um: FloatArray,
+                     after_um: FloatArray) -> bytes:
+    """Draw the mean residual over each quantity that an effect may go with; PNG bytes."""
     figure = new_figure(6.0, WIDE_IN)
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
         found = dependences(

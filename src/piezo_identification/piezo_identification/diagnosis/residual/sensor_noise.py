@@ -1,18 +1,47 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How large the sensor's noise is: between repeats, at rest, or in its own band."""
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import correlate, detrend, welch
 
-HIGH_BANDS = 4
-"""Parts of the upper half of the spectrum; the quietest tells the noise."""
-
-ROUNDING, SAME = 1e-6, 1e-6
-"""Parts of the voltage's energy and span by which repeats may differ."""
+FloatArray = NDArray[np.float64]
 
 
-def sensor_noise_um(displacement_um, voltage_v, residual_um, sample_period_s, period):
-    """Standard deviation of the sensor's noise, by that way of the three which finds least.
+@dataclass(frozen=True)
+class NoiseSettings:
+    """Where the noise of the sensor is looked for.
+
+    Attributes
+    ----------
+    high_bands : int
+        Parts of the upper half of the spectrum; the quietest tells the noise.
+    segment : int
+        Samples of which a spectrum is estimated: short, so that the median is over many.
+    energy_tolerance, span_tolerance : float
+        Parts of the voltage's energy and span by which repeats may differ: rounding.
+    fewest_at_rest : int
+        Samples of a rest that counts.
+    drift_order : int
+        Degree of the polynomial that repeats may drift by, one from the other, as creep does.
+    """
+
+    high_bands: int = 4
+    segment: int = 256
+    energy_tolerance: float = 1e-6
+    span_tolerance: float = 1e-6
+    fewest_at_rest: int = 200
+    drift_order: int = 2
+
+
+SETTINGS = NoiseSettings()
+
+
+def sensor_noise_um(displacement_um: FloatArray, voltage_v: FloatArray, residual_um: FloatArray,
+                    sample_period_s: float, period: int | None) -> float:
+    """Estimate the standard deviation of the sensor's noise in three ways, and return the least.
 
     What a model lacks can only add to it.
 
@@ -35,8 +64,8 @@ def sensor_noise_um(displacement_um, voltage_v, residual_um, sample_period_s, pe
     return min(noise for noise in found if noise)
 
 
-def repeated_period(voltage_v):
-    """Samples after which the voltage repeats itself to the end; None if it does not.
+def repeated_period(voltage_v: FloatArray) -> int | None:
+    """Find the samples after which the voltage repeats itself to the end; None if it does not.
 
     Parameters
     ----------
@@ -54,14 +83,15 @@ def repeated_period(voltage_v):
     lags = np.arange(1, voltage_v.size // 2 + 1)
     products = correlate(varying_v, varying_v, method="fft")[voltage_v.size :][: lags.size]
     squares = energy[-1] - energy[lags - 1] + energy[-1 - lags] - 2.0 * products
-    for lag in lags[squares < ROUNDING * energy[-1]]:
-        if np.allclose(voltage_v[lag:], voltage_v[:-lag], rtol=0.0, atol=SAME * np.ptp(voltage_v)):
+    for lag in lags[squares < SETTINGS.energy_tolerance * energy[-1]]:
+        if np.allclose(voltage_v[lag:], voltage_v[:-lag], rtol=0.0,
+                       atol=SETTINGS.span_tolerance * np.ptp(voltage_v)):
             return int(lag)
     return None
 
 
-def noise_floor_um(residual_um, sample_period_s):
-    """Standard deviation of white noise as large as the residual's high frequencies.
+def noise_floor_um(residual_um: FloatArray, sample_period_s: float) -> float:
+    """Estimate the standard deviation of white noise as large as the residual's high frequencies.
 
     The stage follows nothing at the highest frequencies of a fast recording; what is there is the
     sensor's. The quietest part of the upper half is taken, and the median in it, so that a tone
@@ -76,16 +106,17 @@ def noise_floor_um(residual_um, sample_period_s):
     -------
     float
     """
-    segment = int(min(256, residual_um.size))
+    segment = int(min(SETTINGS.segment, residual_um.size))
     frequency_hz, density = welch(residual_um, 1.0 / sample_period_s, nperseg=segment,
                                   average="median")
     upper = np.flatnonzero(frequency_hz > 0.5 * frequency_hz[-1])[:-1]
-    quietest = min(np.median(density[part]) for part in np.array_split(upper, HIGH_BANDS))
+    quietest = min(np.median(density[part]) for part in np.array_split(upper, SETTINGS.high_bands))
     return float(np.sqrt(quietest * 0.5 / sample_period_s))
 
 
-def noise_from_rest_um(displacement_um, voltage_v, fewest=200):
-    """Standard deviation of the noise where the voltage rests; None if it never does for long.
+def noise_from_rest_um(displacement_um: FloatArray, voltage_v: FloatArray,
+                       fewest: int = SETTINGS.fewest_at_rest) -> float | None:
+    """Estimate the noise where the voltage rests; None if it never does for long.
 
     Parameters
     ----------
@@ -107,8 +138,9 @@ def noise_from_rest_um(displacement_um, voltage_v, fewest=200):
     return float(np.median(spreads)) if spreads else None
 
 
-def noise_from_repeats_um(displacement_um, period, creep_order=2):
-    """Standard deviation of the noise from repeats of one waveform.
+def noise_from_repeats_um(displacement_um: FloatArray, period: int,
+                          creep_order: int = SETTINGS.drift_order) -> float | None:
+    """Estimate the standard deviation of the noise from repeats of one waveform.
 
     Parameters
     ----------

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What each recording shows of the model's error, for the effects to guess their parameters."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_identification.diagnosis.residual.noise_estimate import residual_um
+from piezo_identification.diagnosis.residual.regression import Regression
+from piezo_models.effects import Effect, Evidence
+
+FloatArray = NDArray[np.float64]
+
+
+def recording_evidence(regression: Regression, effects: Sequence[Effect] = ()) -> list[Evidence]:
+    """Return what each recording shows beside the model with some effects.
+
+    Parameters
+    ----------
+    regression : Regression
+    effects : sequence of piezo_models.effects.effect.Effect
+
+    Returns
+    -------
+    list of Evidence
+    """
+    return [_of_recording(regression, index, mask, effects)
+            for index, mask in enumerate(regression.dataset.masks())]
+
+
+def _of_recording(regression, index, mask, effects):
+    dataset = regression.dataset
+    part, used = dataset.simulated[index], regression.estimation[mask]
+    simulated_um = part.simulate(effects)
+    return Evidence(
+        part.sample_period_s, part.voltage_v, simulated_um,
+        residual_um(dataset, index, effects, regression.noise),
+        regression.noise.noise_um[index], dataset.model.dynamics, part.drive_um,
+        *_projections(regression.weighted[mask][used], regression.prior,
+                      dataset.rows[index][used], regression.tolerance_um[mask][0],
+                      part.measured_um - simulated_um),
+    )
+
+
+def _projections(
+    regressors: FloatArray, prior: FloatArray, rows: NDArray[np.intp], tolerance_um: float,
+    difference_um: FloatArray,
+) -> tuple[Callable, Callable]:
+    """Return how much a contribution explains of what the regressors leave, and how much shows.
+
+    Parameters
+    ----------
+    regressors : (n, m) array
+        At the rows, over the tolerance.
+    prior : (p, m) array
+    rows : (n,) array of int
+    tolerance_um : float
+    difference_um : (N,) array
+        Measured minus simulated.
+
+    Returns
+    -------
+    reduction, visible : callable
+        Of `piezo_models.effects.effect.Evidence`.
+    """
+    q, _ = np.linalg.qr(np.vstack([regressors, prior]))
+
+    def project(values):
+        zeros = np.zeros((len(prior), values.shape[1]))
+        padded = np.vstack([values[rows] / tolerance_um, zeros])
+        return padded - q @ (q.T @ padded)
+
+    left = project(difference_um[:, None])[:, 0]
+    energy = left @ left
+
+    def reduction(contributions):
+        seen = project(contributions)
+        gains = np.linalg.lstsq(seen, left, rcond=1e-10)[0]
+        rest = left - seen @ gains
+        return gains, 1.0 - (rest @ rest) / energy
+
+    def visible(contribution):
+        varying = (contribution[rows] - contribution[rows].mean()) / tolerance_um
+        return np.linalg.norm(project(contribution)) / max(np.linalg.norm(varying), 1e-300)
+
+    return reduction, visible

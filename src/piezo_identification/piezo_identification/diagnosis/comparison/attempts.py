@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Each known effect tried as one more beside those found, and what came of it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_identification.diagnosis.candidates.effect_fit import fit_one_more, impossible_effects
+from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA
+from piezo_identification.diagnosis.comparison.measures_of_fits import (
+    distance,
+    mean_square,
+    significance,
+    visible_part,
+)
+from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_models.effects import Effect, Evidence
+
+SAME_AS_OTHER_PARAMETERS = "here a model with slightly other parameters does the same"
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """A candidate in one round of the comparison.
+
+    Attributes
+    ----------
+    name : str
+    fit : Fit or None
+        None where the data hints at none, or cannot show it.
+    significance : float
+        Of its gain on held-out data, in standard deviations.
+    reduction_percent : float
+        Of the RMS error on held-out data.
+    size : float
+        RMS of its contribution in tolerances.
+    remark : str
+        Why the data could not show it; empty if it could.
+    """
+
+    name: str
+    fit: Fit | None
+    significance: float = 0.0
+    reduction_percent: float = 0.0
+    size: float = 0.0
+    remark: str = ""
+
+
+def try_each(regression: Regression, kinds: Sequence[type[Effect]], current: Fit,
+             report: Callable[[str, float], None]) -> list[Attempt]:
+    """Try each kind of effect as one more beside those of a fit.
+
+    Parameters
+    ----------
+    regression : Regression
+    kinds : sequence of type
+    current : Fit
+    report : callable
+        Called with (name of the effect, fraction).
+
+    Returns
+    -------
+    list of Attempt
+        In the order of the kinds.
+    """
+    evidence = recording_evidence(regression, current.effects)
+    attempts = []
+    for number, kind in enumerate(kinds):
+        report(kind.name, number / len(kinds))
+        attempts.append(_attempt(regression, kind, current, evidence))
+    return attempts
+
+
+def _attempt(regression: Regression, kind: type[Effect], current: Fit,
+             evidence: Sequence[Evidence]) -> Attempt:
+    if not kind.several and any(type(effect) is kind for effect in current.effects):
+        return Attempt(kind.name, None)
+    lacking = [kind.lacks_excitation(shown) for shown in evidence]
+    if all(lacking):
+        return Attempt(kind.name, None, remark=lacking[0] or "")
+    fit = fit_one_more(regression, kind, current.effects, evidence)
+    if fit is None:
+        return Attempt(kind.name, None)
+    impossible = impossible_effects(fit, regression.dataset.extent)
+    if impossible:
+        return Attempt(kind.name, None, remark="; ".join(impossible.values()))
+    before, after = mean_square(regression, current), mean_square(regression, fit)
+    remark = ""
+    if visible_part(regression, current, fit) < CRITERIA.visible:
+        remark = SAME_AS_OTHER_PARAMETERS
+    return Attempt(
+        kind.name, fit, significance(regression, current, fit),
+        float(100.0 * (1.0 - np.sqrt(after / before))), distance(regression, current, fit), remark,
+    )

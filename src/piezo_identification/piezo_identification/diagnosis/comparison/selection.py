@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Selection of effects: one is added after another while the gain on held-out data is sure."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, impossible_effects
+from piezo_identification.diagnosis.comparison.attempts import Attempt, try_each
+from piezo_identification.diagnosis.comparison.criteria import (
+    CRITERIA,
+    alternatives,
+    is_convincing,
+    is_noise,
+    score,
+    simplest_first,
+)
+from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit, mean_square
+from piezo_identification.diagnosis.comparison.undecided import (
+    explained_by_parameters,
+    in_place_of_the_found,
+    like_the_best,
+)
+from piezo_identification.diagnosis.residual.regression import (
+    Fit,
+    Regression,
+    fit_without_effects,
+    reweighted,
+)
+from piezo_models.effects import Effect, known_effects
+from piezo_models.effects.outliers import Outliers
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How long the selection goes on.
+
+    Attributes
+    ----------
+    most_effects : int
+        Of a set: with more, some explain what others left wrong.
+    stuck : float
+        Part of the lack of fit that a round may leave before the search is given up.
+    """
+
+    most_effects: int = 3
+    stuck: float = 0.7
+
+
+SETTINGS = SearchSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """What the comparison of sets of effects ended with.
+
+    Attributes
+    ----------
+    regression : Regression
+        With the noise and the outliers that show beside the effects found.
+    start, end : Fit
+        Without any effect, and with those found.
+    rounds : list of list of Attempt
+        Those of each round, the best first.
+    indistinguishable : dict of str to str
+        Candidates that the data cannot tell from one that was chosen, and that one.
+    not_shown : dict of str to str
+        Effects that the data cannot show, and why.
+    """
+
+    regression: Regression
+    start: Fit
+    end: Fit
+    rounds: list[list[Attempt]]
+    indistinguishable: dict[str, str]
+    not_shown: dict[str, str]
+
+
+def select_effects(regression: Regression, progress: Progress | None = None) -> Selection:
+    """Compare sets of the known effects on held-out data, and select the best.
+
+    Every round adds one more effect to each of the few best sets of the round before, in every way,
+    and fits the best of the larger sets as a whole. The larger set must be convincingly better
+    than the best smaller one. In the end each effect must be needed beside the others.
+
+    Parameters
+    ----------
+    regression : Regression
+    progress : callable, optional
+        Called with (what is done, fraction).
+
+    Returns
+    -------
+    Selection
+    """
+    kinds = [kind for kind in known_effects().values() if kind is not Outliers]
+    start = best = regression.fit(())
+    rounds: list[list[Attempt]] = []
+    indistinguishable: dict[str, str] = {}
+    not_shown: dict[str, str] = {}
+    sets = [best]
+    for turn in range(SETTINGS.most_effects):
+        attempts: list[Attempt] = []
+        for number, current in enumerate(sets):
+            report = _share_of(progress, turn + number / len(sets), 1.0 / len(sets))
+            attempts += try_each(regression, kinds, current, report)
+        if turn == 0:
+            not_shown = {attempt.name: attempt.remark for attempt in attempts if attempt.remark}
+        rounds.append(_best_first(regression, attempts[: len(kinds)]))
+        if turn == 0 and is_noise(regression, best):
+            break
+        larger = simplest_first(regression, _fitted_as_a_whole(regression, attempts))
+        if not larger or not is_convincing(regression, start, best, larger[0]):
+            break
+        before, best = lack_of_fit(regression, best), larger[0]
+        stuck = lack_of_fit(regression, best) > SETTINGS.stuck * before
+        regression = reweighted(regression, best.effects)
+        start = fit_without_effects(regression)
+        larger = [regression.fit(fit.effects, fit.covariance) for fit in larger]
+        best = larger[0]
+        indistinguishable = like_the_best(regression, larger)
+        if stuck or mean_square(regression, best) < 1.0 + CRITERIA.noticeable**2:
+            break
+        sets = alternatives(regression, larger)
+    best = _needed(regression, start, best)
+    not_shown |= explained_by_parameters(regression, kinds, best)
+    indistinguishable |= in_place_of_the_found(regression, kinds, best)
+    return Selection(regression, start, best, rounds, indistinguishable, not_shown)
+
+
+def left_rms_um(selection: Selection) -> float:
+    """Return the RMS of what a selection leaves on the validation set, noise and all."""
+    return selection.regression.left_um(selection.end)
+
+
+def _share_of(progress: Progress | None, begun: float, share: float) -> Progress:
+    """Report the progress of a part of the rounds."""
+    if progress is None:
+        return lambda name, fraction: None
+    return lambda name, fraction: progress(
+        f"effect {int(begun) + 1}: {name}",
+        (begun + share * fraction) / SETTINGS.most_effects)
+
+
+def _best_first(regression: Regression, attempts: Sequence[Attempt]) -> list[Attempt]:
+    return sorted(attempts, key=lambda attempt: score(regression, attempt.fit))
+
+
+def _fitted_as_a_whole(regression: Regression, attempts: Sequence[Attempt]) -> list[Fit]:
+    """Fit the best of the sets, each as a whole, and return the best first."""
+    tried: dict[tuple[str, ...], Fit] = {}
+    for attempt in _best_first(regression, attempts):
+        if attempt.fit is not None:
+            names = tuple(sorted(effect.name for effect in attempt.fit.effects))
+            tried.setdefault(names, attempt.fit)
+    fits = [fit_effects(regression, fit.effects)
+            for fit in alternatives(regression, list(tried.values()))]
+    fits = [fit for fit in fits if not impossible_effects(fit, regression.dataset.extent)]
+    return sorted(fits, key=lambda fit: score(regression, fit))
+
+
+def _needed(regression: Regression, start: Fit, best: Fit) -> Fit:
+    """Return the set without those effects beside which nothing is worse."""
+    for number in range(len(best.effects) - 1, -1, -1):
+        others: tuple[Effect, ...] = best.without(number)
+        if others:
+            without = fit_effects(regression, others)
+            if not is_convincing(regression, start, without, best):
+                return _needed(regression, start, without)
+    return best

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Effects that the data cannot tell from those found, or from other parameters of the model."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, fit_one_more
+from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
+from piezo_identification.diagnosis.comparison.attempts import SAME_AS_OTHER_PARAMETERS
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_indistinguishable
+from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
+from piezo_identification.diagnosis.residual.regression import (
+    Fit,
+    Regression,
+    with_fixed_parameters,
+)
+from piezo_models.effects import Effect
+
+
+@dataclass(frozen=True)
+class UndecidedSettings:
+    """When other causes are looked for than a change of the model's parameters.
+
+    Both are multiples of the lack of fit that is left with the parameters free.
+
+    Attributes
+    ----------
+    much_explained : float
+        What must be left with fixed parameters for other causes to be looked for.
+    as_good : float
+        What an effect may leave instead.
+    """
+
+    much_explained: float = 4.0
+    as_good: float = 2.0
+
+
+SETTINGS = UndecidedSettings()
+
+
+def like_the_best(regression: Regression, fits: Sequence[Fit]) -> dict[str, str]:
+    """Return effects of other sets that are like the best set, and what they stand for.
+
+    Parameters
+    ----------
+    regression : Regression
+    fits : sequence of Fit
+        The best first.
+
+    Returns
+    -------
+    dict of str to str
+        Name of the effect that is in place of another, and that other one.
+    """
+    best, found = fits[0], {}
+    names = [effect.name for effect in best.effects]
+    for other in fits[1:]:
+        if is_indistinguishable(regression, best, other):
+            others = [effect.name for effect in other.effects]
+            missing = [name for name in names if name not in others]
+            found |= {name: missing[0] for name in others if name not in names and missing}
+    return found
+
+
+def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
+                          best: Fit) -> dict[str, str]:
+    """Try the effects that are said to be indistinguishable from those found in their place.
+
+    Returns
+    -------
+    dict of str to str
+        Those that do as well, and the effect which each stands for.
+    """
+    found = {}
+    for number, effect in enumerate(best.effects):
+        others = best.without(number)
+        present = {other.name for other in others}
+        for kind in kinds:
+            if kind.is_indistinguishable_from(type(effect)) and kind.name not in present:
+                fit = fit_one_more(regression, kind, others, recording_evidence(regression, others))
+                if fit and is_indistinguishable(
+                        regression, best, fit_effects(regression, fit.effects)):
+                    found[kind.name] = effect.name
+    return found
+
+
+def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]],
+                            best: Fit) -> dict[str, str]:
+    """Return the effects that explain by themselves what the model's parameters explain, and why.
+
+    Returns
+    -------
+    dict of str to str
+        Names of the effects, and the reason why they are not decidable.
+    """
+    fixed = with_fixed_parameters(regression, best.effects)
+    left = max(CRITERIA.noise**2, lack_of_fit(regression, best))
+    if lack_of_fit(fixed, fixed.fit(best.effects)) < SETTINGS.much_explained * left:
+        return {}
+    evidence = recording_evidence(fixed, best.effects)
+    present, found = {effect.name for effect in best.effects}, {}
+    for kind in kinds:
+        if kind.name not in present and not all(map(kind.lacks_excitation, evidence)):
+            fit = fit_one_more(fixed, kind, best.effects, evidence)
+            if fit and lack_of_fit(fixed, fit) <= SETTINGS.as_good * left:
+                found[kind.name] = SAME_AS_OTHER_PARAMETERS
+    return found

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Errors before and after on the same held-out samples, and the effects that they refuse."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_identification.conditioning.outlier_samples import outlier_text
+from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, impossible_effects
+from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_identification.prediction import predict
+from piezo_models.cascade import StageModel
+from piezo_models.measures import e_y_percent
+from piezo_recorder.reading.recording import Recording
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HeldOutErrors:
+    """Errors of the model as given and of the extended one, on the same samples.
+
+    Attributes
+    ----------
+    before, after : dict of str to float
+        `rms_um` and `e_y_percent`.
+    where : dict
+        `source`, and `samples` that were counted.
+    """
+
+    before: dict[str, float]
+    after: dict[str, float]
+    where: dict[str, object]
+
+
+class Validation:
+    """Samples that were not fitted: of another recording, or stretches of those diagnosed.
+
+    Parameters
+    ----------
+    regression : Regression
+    holdout : Recording or None
+        With the sign of the model, and its outliers marked.
+    """
+
+    def __init__(self, regression: Regression, holdout: Recording | None = None) -> None:
+        self.regression, self.holdout = regression, holdout
+
+    @property
+    def source(self) -> str:
+        """Where the samples are from."""
+        if self.holdout is None:
+            return "stretches of the recordings that were not fitted"
+        return str(self.holdout.path)
+
+    def errors(self, fit: Fit | None) -> HeldOutErrors:
+        """Return the errors of the model as given, and extended by a fit, on the same samples.
+
+        Parameters
+        ----------
+        fit : Fit or None
+            None for the model as given.
+        """
+        given, extended = self._given, self._of(fit)
+        good = given.good & extended.good
+        return HeldOutErrors(
+            given.errors(good), extended.errors(good),
+            {"source": self.source, "samples": int(np.count_nonzero(good))})
+
+    def accepted(self, fit: Fit) -> tuple[Fit, dict[str, str]]:
+        """Remove the effects that no stage can have, or that make the error larger.
+
+        Parameters
+        ----------
+        fit : Fit
+
+        Returns
+        -------
+        fit : Fit
+            With the effects that remain.
+        refused : dict of str to str
+            Names of the effects that were removed, and why.
+        """
+        fit, refused = self._possible(fit)
+        # Among the stretches of the recordings, each effect was chosen by just this.
+        while self.holdout is not None and len(fit.effects) > 1:
+            errors_um = [(*self._rms_um(other, fit), number, other) for number, other in (
+                (number, self._without(fit, number)) for number in range(len(fit.effects)))]
+            without_um, with_um, number, other = min(errors_um, key=lambda error: error[0])
+            if without_um > with_um:
+                break
+            refused[fit.effects[number].name] = self._worse(without_um, with_um)
+            fit = other
+        if fit.effects and not self.improves(fit):
+            without_um, with_um = self._rms_um(None, fit)
+            refused |= {effect.name: self._worse(without_um, with_um) for effect in fit.effects}
+            fit = self.regression.fit(())
+        return fit, refused
+
+    def improves(self, fit: Fit) -> bool:
+        """Return whether the error of a fit is smaller than that of the model as given."""
+        given_um, fit_um = self._rms_um(None, fit)
+        return fit_um < given_um
+
+    def left_out(self) -> list[str]:
+        """Return sentences on the samples of the other recording that were left out as outliers."""
+        if self.holdout is None:
+            return []
+        text = outlier_text(self.source, ~self._given.good, self._given.time_s)
+        return [text] if text else []
+
+    def _possible(self, fit):
+        """Remove the effects that no stage can have, and say why."""
+        refused = {}
+        while impossible := impossible_effects(fit, self.regression.dataset.extent):
+            number = next(number for number, effect in enumerate(fit.effects)
+                          if effect.name in impossible)
+            name = fit.effects[number].name
+            refused[name] = impossible[name]
+            fit = self._without(fit, number)
+        return fit, refused
+
+    def _worse(self, without_um, with_um):
+        return (f"with it the error on {self.source} rises from {1e3 * without_um:.3g} to "
+                f"{1e3 * with_um:.3g} nm RMS")
+
+    def _without(self, fit, number):
+        """Remove one of the effects, and fit the rest anew."""
+        others = fit.without(number)
+        return fit_effects(self.regression, others) if others else self.regression.fit(())
+
+    def _rms_um(self, *fits):
+        """RMS errors of some fits on the samples that are good beside all of them."""
+        samples = [self._of(fit) for fit in fits]
+        good = np.all([each.good for each in samples], axis=0)
+        return tuple(each.errors(good)["rms_um"] for each in samples)
+
+    @cached_property
+    def _given(self):
+        """Samples of the model as given."""
+        regression = self.regression
+        if self.holdout is not None:
+            return _predicted(regression.dataset.model, self.holdout)
+        return self._at_rows(regression.nuisance_remainder(regression.difference(())))
+
+    def _of(self, fit):
+        """Return samples of the model extended by a fit, or as given without one."""
+        if fit is None:
+            return self._given
+        if self.holdout is not None:
+            return _predicted(self.regression.extended_model(fit), self.holdout)
+        return self._at_rows(fit.residual)
+
+    def _at_rows(self, left):
+        """Return samples of what is left, over the tolerance, at the rows of the data set."""
+        dataset = self.regression.dataset
+        measured_um = dataset.at_rows([part.measured_um for part in dataset.simulated])
+        time_s = dataset.at_rows([part.time_s for part in dataset.simulated])
+        return _Samples(time_s, measured_um, left * self.regression.tolerance_um,
+                        self.regression.validation)
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Measured displacement, what is left of it, and which of it counts."""
+
+    time_s: FloatArray
+    measured_um: FloatArray
+    left_um: FloatArray
+    good: NDArray[np.bool_]
+
+    def errors(self, good):
+        """Return the errors of some samples."""
+        measured_um, left_um = self.measured_um[good], self.left_um[good]
+        return {"rms_um": float(np.sqrt(np.mean(left_um**2))),
+                "e_y_percent": float(e_y_percent(measured_um, measured_um - left_um))}
+
+
+def _predicted(model: StageModel, recording: Recording) -> _Samples:
+    """Predict all samples of a recording."""
+    prediction = predict(model, recording)
+    measured_um = np.zeros(recording.time_s.size)
+    left_um, good = measured_um.copy(), np.zeros(measured_um.size, dtype=bool)
+    # A model that settles later counts from then on.
+    at = np.searchsorted(recording.sample_index, prediction.sample_index)
+    measured_um[at] = prediction.measured_um
+    left_um[at] = prediction.measured_um - prediction.simulated_um
+    good[at] = prediction.good
+    return _Samples(recording.time_s, measured_um, left_um, good)

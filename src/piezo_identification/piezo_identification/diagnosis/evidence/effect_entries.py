@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Entries of the verdict for the effects found: parameters, uncertainty, what each explains."""
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from piezo_identification.diagnosis.comparison.measures_of_fits import (
+    contribution_rms,
+    mean_square,
+)
+from piezo_identification.diagnosis.residual.regression import Fit, Regression
+
+
+def effect_entries(regression: Regression, fit: Fit) -> list[dict[str, Any]]:
+    """Return the entry of each effect of a fit, in their order.
+
+    Parameters
+    ----------
+    regression : Regression
+    fit : Fit
+
+    Returns
+    -------
+    list of dict
+        `name`, `parameters`, `error_reduction_percent` and, where they are known,
+        `standard_deviations` of the parameters that were fitted.
+    """
+    entries: list[dict[str, Any]] = []
+    for number, effect in enumerate(fit.effects):
+        # Without it and everything else as it is, the error would be larger by what it contributes.
+        added = contribution_rms(regression, regression.fit(fit.without(number)), fit)
+        left = np.sqrt(mean_square(regression, fit))
+        entries.append({
+            "name": effect.name, "parameters": effect.parameters(),
+            "error_reduction_percent": float(100.0 * (1.0 - left / np.hypot(left, added)))})
+    if fit.covariance is not None:
+        _add_deviations(entries, fit)
+    return entries
+
+
+def _add_deviations(entries, fit):
+    """Add the standard deviations of the fitted parameters."""
+    deviations = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    start = 0
+    for entry, effect in zip(entries, fit.effects, strict=True):
+        entry["standard_deviations"] = named = {}
+        for field in fields(effect):
+            value, scale = getattr(effect, field.name), field.metadata["scale"]
+            if scale == "fixed":
+                continue
+            size = len(value) if isinstance(value, tuple) else 1
+            spread = deviations[start : start + size]
+            start += size
+            if scale == "logarithm":
+                spread = spread * np.atleast_1d(value)
+            named[field.name] = (
+                [float(number) for number in spread] if isinstance(value, tuple)
+                else float(spread[0])
+            )

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Outliers of all recordings that are diagnosed: an effect of the sensor, and samples left out."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from piezo_identification.conditioning.outlier_samples import outlier_text
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA
+from piezo_identification.diagnosis.residual.noise_estimate import residual_um
+from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_models.effects.outliers import FEWEST, THRESHOLD, Outliers
+
+
+@dataclass(frozen=True)
+class FoundOutliers:
+    """Number and size of the outliers of all recordings.
+
+    Parameters
+    ----------
+    count : int
+    share : float
+        Of the samples.
+    size_um : float
+        RMS by which they are off.
+    """
+
+    count: int
+    share: float
+    size_um: float
+
+    def effect(self, regression: Regression) -> Outliers:
+        """Return the effect by which they enter the extended model."""
+        threshold_um = THRESHOLD * float(np.median(regression.noise.noise_um))
+        return Outliers(self.share, self.size_um, threshold_um)
+
+    def entry(self, regression: Regression, fit: Fit) -> dict[str, Any]:
+        """Return their entry of the verdict, beside the effects of a fit."""
+        left = regression.left_um(fit)
+        with_them = np.hypot(left, np.sqrt(self.share) * self.size_um)
+        return {
+            "name": Outliers.name,
+            "parameters": {"share": self.share, "size_um": self.size_um},
+            "error_reduction_percent": float(100.0 * (1.0 - left / with_them)),
+        }
+
+
+def found_outliers(regression: Regression) -> FoundOutliers | None:
+    """Return the outliers, if there are more than chance makes and they are worth a name."""
+    off_um, samples = [], 0
+    for index, part in enumerate(regression.dataset.simulated):
+        settled = slice(part.begin, None)
+        outlier = regression.noise.outliers[index][settled]
+        # What stands out of the residual alone has not been put among its neighbours.
+        left_um = residual_um(regression.dataset, index, noise=regression.noise)
+        beside_um = np.where(part.outlier, part.off_um, left_um)[settled]
+        off_um.append(beside_um[outlier])
+        samples += outlier.size
+    joined_um = np.concatenate(off_um)
+    if joined_um.size < FEWEST:
+        return None
+    size_um = float(np.sqrt(np.mean(joined_um**2)))
+    share = joined_um.size / samples
+    if np.sqrt(share) * size_um < CRITERIA.noticeable * np.median(regression.tolerance_um):
+        return None
+    return FoundOutliers(int(joined_um.size), float(share), size_um)
+
+
+def left_out(regression: Regression) -> list[str]:
+    """Return what people are told of samples that were left out, a sentence for each recording."""
+    texts = [outlier_text(part.path, outlier, part.time_s) for part, outlier in
+             zip(regression.dataset.simulated, regression.noise.outliers, strict=True)]
+    return [text for text in texts if text]

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How a simulated displacement changes with the model's parameters, and with what is unknown."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_identification.estimators.refinement.sensitivities import (
+    factor_surfaces,
+    sensitivity_systems,
+)
+from piezo_models.cascade import StageModel
+from piezo_models.linear.creep_errors import creep_error_map
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PriorWidths:
+    """Widths to which an identification knows the parameters of a model, as logarithms.
+
+    Attributes
+    ----------
+    dynamics_and_density : float
+        Of the time constant, the modes, and the surface by which the density is multiplied.
+    creep : float
+        Of the creep's rates and sizes: a recording covers few of their time constants.
+    reversible : float
+        Of the part of the gain that is reversible: small loops alone tell it from the rest.
+    middle_knots, span_knots : int
+        Of the surface by which the density may be multiplied: few enough to stay smooth.
+    """
+
+    dynamics_and_density: float = 0.005
+    creep: float = 0.05
+    reversible: float = 0.02
+    middle_knots: int = 3
+    span_knots: int = 4
+
+
+WIDTHS = PriorWidths()
+
+
+def nuisance_regressors(part: SimulatedRecording, rows: NDArray[np.intp]) -> FloatArray:
+    """Return what a recording does not tell: its offset, and how far the creep had come.
+
+    Parameters
+    ----------
+    part : SimulatedRecording
+    rows : array of int
+        Samples.
+
+    Returns
+    -------
+    (n, 1 + creep pairs) array
+    """
+    model = part.model
+    rates = list(model.creep.poles_rad_per_s)
+    if model.hysteretic_creep is not None:
+        rates += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
+    time_s = part.time_s[rows]
+    return np.column_stack([np.ones(rows.size), *(np.exp(-p * time_s) for p in rates)])
+
+
+def parameter_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) -> FloatArray:
+    """Return the change of the displacement with each parameter, for a change by its prior width.
+
+    Parameters
+    ----------
+    part : SimulatedRecording
+    rows : array of int
+        Samples.
+
+    Returns
+    -------
+    (n, parameters) array
+        For the changes that `perturbed` takes.
+    """
+    model = part.model
+    linear = model.linear()
+    columns = [
+        part.respond(sensitivity * linear, part.input_um)[rows]
+        for sensitivity in sensitivity_systems(model.creep, model.dynamics)
+    ]
+    for surface in _surfaces(model):
+        multiplied = _times(replace(model.hysteresis, offset_um=0.0), surface)
+        columns.append(part.respond(linear, part.hysteresis_output_um(multiplied))[rows])
+    more_reversible_um = part.hysteresis_output_um(_traded(model.hysteresis, 1.0))
+    columns.append(part.respond(linear, more_reversible_um - part.hysteresis_um)[rows])
+    return np.column_stack(columns) @ _width_map(model)
+
+
+def perturbed(model: StageModel, changes: FloatArray) -> StageModel:
+    """Return the model with its parameters multiplied by factors.
+
+    Parameters
+    ----------
+    model : StageModel
+    changes : (n,) array
+        In prior widths, in the order of `parameter_sensitivities`.
+
+    Returns
+    -------
+    StageModel
+    """
+    changes = _width_map(model) @ changes
+    used = 0
+
+    def factors(values):
+        nonlocal used
+        used += len(values)
+        return tuple(np.array(values) * np.exp(changes[used - len(values) : used]))
+
+    creep = type(model.creep)(
+        factors(model.creep.poles_rad_per_s), factors(model.creep.zeros_rad_per_s)
+    )
+    dynamics = model.dynamics
+    lag = (dynamics.time_constant_s,) if dynamics.time_constant_s > 0.0 else ()
+    lag = factors(lag)
+    dynamics = type(dynamics)(
+        lag[0] if lag else 0.0, factors(dynamics.mode_frequencies_rad_per_s),
+        factors(dynamics.damping_ratios), factors(dynamics.antiresonance_frequencies_rad_per_s),
+        factors(dynamics.antiresonance_damping_ratios),
+    )
+    surface = 1.0 + np.tensordot(changes[used:-1], _surfaces(model), axes=1)
+    hysteresis = _times(model.hysteresis, np.maximum(surface, 0.0))
+    hysteresis = _traded(hysteresis, changes[-1])
+    return replace(model, creep=creep, dynamics=dynamics, hysteresis=hysteresis)
+
+
+def _width_map(model):
+    """Logarithms of the factors of the parameters, for a change of each by one width."""
+    pairs = len(model.creep.poles_rad_per_s)
+    dynamics = model.dynamics
+    others = (
+        (dynamics.time_constant_s > 0.0) + 2 * len(dynamics.mode_frequencies_rad_per_s)
+        + 2 * len(dynamics.antiresonance_frequencies_rad_per_s) + len(_surfaces(model)) + 1
+    )
+    widths = WIDTHS.dynamics_and_density * np.eye(2 * pairs + others)
+    widths[-1, -1] = WIDTHS.reversible
+    widths[: 2 * pairs, : 2 * pairs] = WIDTHS.creep * creep_error_map(model.creep)
+    return widths
+
+
+def _surfaces(model):
+    return factor_surfaces(
+        model.hysteresis.density_um_per_v2.shape[0], WIDTHS.middle_knots, WIDTHS.span_knots
+    )
+
+
+def _traded(hysteresis, part):
+    """Make a part of the gain of the hysteresis over the whole range reversible."""
+    low_um, high_um = hysteresis.output_range_um
+    gain_um_per_v = (high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
+    return replace(
+        hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * (1.0 - part),
+        reversible_um_per_v=np.maximum(
+            hysteresis.reversible_um_per_v * (1.0 - part) + part * gain_um_per_v, 0.0),
+    )
+
+
+def _times(hysteresis, surface):
+    """Multiply the density of the hysteresis, and its reversible part on the diagonal."""
+    return replace(
+        hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * surface,
+        reversible_um_per_v=hysteresis.reversible_um_per_v * np.diagonal(surface),
+    )

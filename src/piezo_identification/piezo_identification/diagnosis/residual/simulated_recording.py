@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A recording beside many simulations of it, by a model with one effect or another."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_identification.conditioning.outlier_samples import OUTLIER, good_samples
+from piezo_identification.conditioning.settling import first_settled
+from piezo_identification.conditioning.waveforms import (
+    played,
+    samples_per_mean,
+    with_voltage_before,
+)
+from piezo_identification.diagnosis.residual.sensor_noise import repeated_period
+from piezo_identification.estimators.frequency_response.sampled_response import (
+    behind_lags,
+    leading_lags,
+    respond,
+)
+from piezo_identification.prediction import starting_past_v
+from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_recorder.reading.recording import Recording
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """Numbers of the simulation of a recording.
+
+    Attributes
+    ----------
+    fewest_samples : int
+        Samples that a recording needs: a third of them is held out, and a dozen effects are fitted.
+    kept_outputs : int
+        Outputs of the linear part that are remembered beside the first. A fit varies one effect at
+        a time, so that the last few are what it asks for again.
+    """
+
+    fewest_samples: int = 500
+    kept_outputs: int = 3
+
+
+SETTINGS = SimulationSettings()
+
+
+class SimulatedRecording:
+    """The part of a recording in which a waveform plays, and a model's simulation of it.
+
+    Parameters
+    ----------
+    model : StageModel
+    recording : Recording
+        With the sign of the model, and its outliers marked.
+    past_v : (float, float) or (), optional
+        Voltages that the hysteresis met before the recording; by default those of
+        `starting_past_v`.
+
+    Attributes
+    ----------
+    time_s, voltage_v, measured_um : (N,) array
+        Of the part in which the waveform plays.
+    outlier : (N,) array of bool
+        Samples that were marked as outliers.
+    off_um : (N,) array
+        By how much the outliers were off before they were put back among their neighbours.
+    begin : int
+        First sample at which the start has settled.
+    hysteresis_um, input_um : (N,) array
+        Output of the hysteresis, and the same with its creep: the input of the linear part.
+    rest_um : float
+        Displacement at which the stage rested before.
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps, or is too short.
+    """
+
+    def __init__(self, model: StageModel, recording: Recording,
+                 past_v: tuple[float, ...] | None = None) -> None:
+        part = played(recording)
+        self.path = recording.path
+        self.model = model
+        self.sample_period_s = part.sample_period_s
+        self.samples_per_mean = samples_per_mean(part)
+        self.time_s = part.time_s - part.time_s[0]
+        self.voltage_v = np.ascontiguousarray(part.voltage_v, dtype=float)
+        self.measured_um = np.ascontiguousarray(part.displacement_um, dtype=float)
+        self.outlier = ~good_samples(part)
+        self.off_um = part.columns.get(OUTLIER, np.zeros(self.time_s.size))
+        self._joined_v, self._samples_before = with_voltage_before(recording, part)
+        self.begin = first_settled(model.dynamics, self.time_s)
+        if self.time_s.size - self.begin < SETTINGS.fewest_samples:
+            raise ValueError(
+                f"{self.path} has {self.time_s.size} samples, fewer than "
+                f"{SETTINGS.fewest_samples} after the start has settled: record longer"
+            )
+        self.past_v = starting_past_v(model, recording) if past_v is None else past_v
+        self._outputs: dict[tuple, FloatArray] = {}
+        self._amplified_v = model.amplified(self._joined_v, self.sample_period_s)
+        self.hysteresis_um, rest_um = self._hysteresis(model.hysteresis, self._amplified_v)
+        self.input_um = self._with_creep(self.hysteresis_um, self._amplified_v)
+        self.rest_um = self._output((), (), ())[0] - (self.hysteresis_um[0] - rest_um)
+
+    def simulate(self, effects: Sequence[Effect] = (),
+                 quick: Sequence[Effect] = ()) -> FloatArray:
+        """Return the displacement that the model with these effects besides its own would measure.
+
+        Parameters
+        ----------
+        effects : sequence of piezo_models.effects.effect.Effect
+        quick : sequence of piezo_models.effects.effect.Effect
+            Those among them that may act on the sampled displacement where they are linear. That
+            is a little less exact than a system in series with the others, and much faster.
+
+        Returns
+        -------
+        (N,) array
+        """
+        on_voltage = tuple(effect for effect in effects if effect.place == "voltage")
+        in_series = tuple(
+            effect for effect in effects
+            if effect.place == "modes" or effect.place == "linear" and effect not in quick
+        )
+        behind = tuple(
+            effect for stage in (effects, self.model.effects)
+            for place in ("displacement", "sensor") for effect in stage if effect.place == place
+        )
+        lags, others = leading_lags(behind, self.samples_per_mean)
+        displacement_um = self._output(on_voltage, in_series, lags)
+        quick = tuple(effect for effect in quick if effect.place == "linear")
+        for effect in (*quick, *others):
+            displacement_um = effect.apply(displacement_um, self.sample_period_s, self.rest_um)
+        return displacement_um
+
+    def hysteresis_output_um(self, hysteresis: PreisachModel) -> FloatArray:
+        """Return the output of another hysteresis at the same voltages, (N,)."""
+        return self._hysteresis(hysteresis, self._amplified_v)[0]
+
+    def respond(self, system: control.StateSpace, input_um: FloatArray,
+                delay_s: float = 0.0) -> FloatArray:
+        """Return the output of a continuous system, sampled as the recording is, (N,)."""
+        return respond(
+            system, input_um, self.sample_period_s, self.samples_per_mean, delay_s)
+
+    @cached_property
+    def repeated_period(self) -> int | None:
+        """Samples after which the voltage repeats, once the start has settled; or None."""
+        return repeated_period(self.voltage_v[self.begin :])
+
+    @cached_property
+    def drive_um(self) -> FloatArray:
+        """Displacement if the modes of vibration followed at once: what drives them, (N,)."""
+        lag = type(self.model.dynamics)(self.model.dynamics.time_constant_s)
+        without_modes = replace(self.model, dynamics=lag, effects=self.model.effects_at("linear"))
+        return self.respond(without_modes.linear(), self.input_um)
+
+    def _hysteresis(self, hysteresis, amplified_v):
+        """Output while the waveform plays, and at the first sample of the recording."""
+        memory = hysteresis.memory()
+        hysteresis.simulate(self.past_v, memory)
+        output_um = hysteresis.simulate(amplified_v, memory)
+        return output_um[self._samples_before :], output_um[0]
+
+    def _with_creep(self, hysteresis_um, amplified_v):
+        """Input of the linear part: the output of the hysteresis with its creep."""
+        model = self.model
+        if model.hysteretic_creep is None:
+            return hysteresis_um
+        past = model.hysteresis.memory()
+        model.hysteresis.simulate(
+            [*self.past_v, *amplified_v[: self._samples_before + 1]], past)
+        memory = model.memory(hysteresis=past).hysteretic_creep
+        return hysteresis_um + model.hysteretic_creep.simulate(
+            amplified_v[self._samples_before :], self.sample_period_s, memory)
+
+    def _output(self, on_voltage, in_series, lags):
+        """Output of the linear part and the lags behind it, kept for the next time."""
+        key = on_voltage, in_series, lags
+        if key not in self._outputs:
+            input_um = self.input_um
+            if on_voltage:
+                voltage_v = self._joined_v
+                for effect in on_voltage:
+                    voltage_v = effect.apply(voltage_v, self.sample_period_s)
+                amplified_v = self.model.amplified(voltage_v, self.sample_period_s)
+                hysteresis_um, _ = self._hysteresis(self.model.hysteresis, amplified_v)
+                input_um = self._with_creep(hysteresis_um, amplified_v)
+            linear = replace(self.model, effects=(*self.model.effects, *in_series)).linear()
+            # A fit tries many; the first and the last few are worth the memory.
+            while len(self._outputs) > SETTINGS.kept_outputs:
+                del self._outputs[list(self._outputs)[1]]
+            system, delay_s = behind_lags(linear, lags)
+            self._outputs[key] = self.respond(system, input_um, delay_s)
+        return self._outputs[key]

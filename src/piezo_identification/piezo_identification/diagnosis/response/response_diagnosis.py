@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a model lacks to explain a measured frequency response: a comparison of linear effects."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_identification.diagnosis.response.response_candidates import fit_each_candidate
+from piezo_identification.diagnosis.response.response_fit import (
+    SETTINGS,
+    ResponseFit,
+    ResponseProblem,
+    full_response,
+)
+from piezo_identification.diagnosis.response.response_measures import (
+    CRITERIA,
+    describe_residual,
+    held_out_errors,
+    is_convincing,
+    lack_of_fit,
+    reduction_percent,
+)
+from piezo_identification.diagnosis.verdict import Verdict
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.estimators.frequency_response.response_hold import without_hold
+from piezo_models.cascade import StageModel
+
+SLOWEST = 10
+"""One in so many frequencies tells the sign of the sensor: the slowest, which nothing delays."""
+
+FEWEST_FREQUENCIES = 4 * SETTINGS.block * SETTINGS.held_out
+"""Of a response: four blocks are then held out."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseDiagnosis(Verdict):
+    """A verdict on a frequency response, with its evidence; the effects in the order found.
+
+    Errors are those of the gain: `rms_um` and noise per V, `e_y_percent` the relative norm.
+
+    Attributes
+    ----------
+    tried : list of list of (str, float)
+        Each round's candidates, and by how many percent they changed the error held out.
+    measured : FrequencyResponse
+    before_gain, after_gain : (N,) array of complex
+        Of the model and of the extended one at the measured frequencies.
+    """
+
+    tried: list[list[tuple[str, float]]]
+    measured: FrequencyResponse
+    before_gain: NDArray[np.complex128]
+    after_gain: NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseSelection:
+    """What the comparison of linear effects ended with.
+
+    Attributes
+    ----------
+    fit : ResponseFit
+        With the effects found.
+    effects : list of dict
+        Entries of the verdict.
+    tried : list of list of (str, float)
+        See `ResponseDiagnosis`.
+    not_decidable : dict of str to str
+        Effects that the response does not tell from one found, and why.
+    is_explained : bool
+        Little enough is left.
+    """
+
+    fit: ResponseFit
+    effects: list[dict[str, Any]]
+    tried: list[list[tuple[str, float]]]
+    not_decidable: dict[str, str]
+    is_explained: bool
+
+
+def diagnose_response(model: StageModel, measured: FrequencyResponse) -> ResponseDiagnosis:
+    """Find which linear effect a model lacks to explain a frequency response.
+
+    Creep, a further mode of vibration, a delay and a lag of the sensor are compared. Each is fitted
+    on two thirds of the frequencies beside the gain, which the hysteresis leaves open, and the
+    model's dynamics within their prior width. They are compared on the rest. Effects that are not
+    linear do not show in a response.
+
+    Parameters
+    ----------
+    model : StageModel
+    measured : FrequencyResponse
+        A hold in it is removed.
+
+    Returns
+    -------
+    ResponseDiagnosis
+
+    Raises
+    ------
+    ValueError
+        If there are too few frequencies.
+    """
+    if measured.frequency_hz.size < FEWEST_FREQUENCIES:
+        raise ValueError(
+            f"{measured.path} has {measured.frequency_hz.size} frequencies, too few to hold some "
+            f"out: measure at least {FEWEST_FREQUENCIES}"
+        )
+    measured = without_hold(measured, model.linear())
+    is_reversed = moves_against(model, measured)
+    if is_reversed:
+        measured = replace(measured, gain=-measured.gain)
+    problem = ResponseProblem(model, measured)
+    selection = select_linear_effects(problem)
+    return _told(problem, selection, is_reversed)
+
+
+def moves_against(model: StageModel, measured: FrequencyResponse) -> bool:
+    """Return whether the sensor counts against the model where the stage is slow."""
+    slow = np.argsort(measured.frequency_hz)[: max(1, measured.frequency_hz.size // SLOWEST)]
+    gain = measured.gain[slow]
+    response = full_response(model, measured.frequency_hz[slow])
+    weight = np.abs(gain) * np.abs(response)
+    return bool(np.sum((gain * response.conj()).real / np.maximum(weight, 1e-300)) < 0.0)
+
+
+def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
+    """Add one linear effect after another while the gain on held-out frequencies is convincing.
+
+    Parameters
+    ----------
+    problem : ResponseProblem
+
+    Returns
+    -------
+    ResponseSelection
+    """
+    start = current = problem.fit_dynamics(problem.as_given())
+    effects: list[dict[str, Any]] = []
+    tried: list[list[tuple[str, float]]] = []
+    not_decidable: dict[str, str] = {}
+    allowed = max(1.0, CRITERIA.explained * lack_of_fit(problem, start))
+    while len(effects) < CRITERIA.most_effects and lack_of_fit(problem, current) > allowed:
+        fits = fit_each_candidate(problem, current)
+        tried.append([(fit.effects[-1].name, reduction_percent(problem, current, fit))
+                      for fit in fits])
+        if not fits or not is_convincing(problem, current, fits[0]):
+            break
+        best = fits[0]
+        for other in fits[1:]:
+            if reduction_percent(problem, best, other) > -CRITERIA.told_apart_percent:
+                not_decidable[other.effects[-1].name] = (
+                    f"the response does not tell it from {best.effects[-1].name}")
+        effects.append({
+            "name": best.effects[-1].name,
+            "error_reduction_percent": reduction_percent(problem, current, best)})
+        current = best
+    for entry, effect in zip(effects, current.effects, strict=True):
+        entry["parameters"] = effect.parameters()
+        not_decidable.pop(entry["name"], None)
+    return ResponseSelection(current, effects, tried, not_decidable,
+                             lack_of_fit(problem, current) <= allowed)
+
+
+def _told(problem: ResponseProblem, selection: ResponseSelection,
+          is_reversed: bool) -> ResponseDiagnosis:
+    """Put the verdict together with its numbers and reasons."""
+    given, effects = problem.as_given(), selection.effects
+    final = selection.fit if effects else given
+    verdict, left = "explained" if effects else "none", ""
+    if not selection.is_explained:
+        verdict, left = "unexplained", describe_residual(problem, selection.fit)
+    return ResponseDiagnosis(
+        verdict=verdict, effects=effects,
+        model=problem.extended_model(selection.fit) if effects else problem.model,
+        before=held_out_errors(problem, given), after=held_out_errors(problem, final),
+        noise_floor_um=problem.noise,
+        holdout={"source": "frequencies that were not fitted",
+                 "samples": int(np.sum(~problem.estimation))},
+        not_decidable=selection.not_decidable, left=left,
+        reversed=[str(problem.measured.path)] if is_reversed else [], left_out=[],
+        tried=selection.tried, measured=problem.measured,
+        before_gain=problem.gain(given), after_gain=problem.gain(final),
+    )

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fits of a model with linear effects to a measured frequency response."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from piezo_common.cancellation import check_cancelled
+from piezo_identification.estimators.estimate import (
+    dynamics_of_vector,
+    dynamics_vector,
+    parameter_deviations,
+)
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect, Extent, fitted_values, with_fitted_values
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ResponseFitSettings:
+    """How a frequency response is split and fitted.
+
+    Attributes
+    ----------
+    block : int
+        Neighbouring frequencies that stay together, as their errors are alike.
+    held_out : int
+        One block in so many is the validation set.
+    tolerance : float
+        Part of the gain to which a good model is right: less is not worth an effect.
+    dynamics_width : float
+        To which the parameters of the model's dynamics are known, as a logarithm.
+    most_evaluations : int
+        Of the residual in one fit.
+    relative_change : float
+        Of the sum of squares, below which a fit ends.
+    """
+
+    block: int = 5
+    held_out: int = 3
+    tolerance: float = 0.01
+    dynamics_width: float = float(np.log(1.02))
+    most_evaluations: int = 20
+    relative_change: float = 1e-4
+
+
+SETTINGS = ResponseFitSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseFit:
+    """A model with effects as fitted to a response, and what is left.
+
+    Attributes
+    ----------
+    changes : (m,) array
+        Logarithms by which the dynamics are changed.
+    effects : tuple of piezo_models.effects.effect.Effect
+    residual : (N,) array of complex
+        What is left of the gain, over tolerance.
+    """
+
+    changes: FloatArray
+    effects: tuple[Effect, ...]
+    residual: ComplexArray
+
+
+class ResponseProblem:
+    """A measured response, the frequencies that are fitted, and the validation set.
+
+    Parameters
+    ----------
+    model : StageModel
+    measured : FrequencyResponse
+        Without a hold, and with the sign of the model.
+
+    Attributes
+    ----------
+    block : (N,) array of int
+        Number of the block of each frequency.
+    estimation : (N,) array of bool
+        Frequencies that are fitted; the others are the validation set.
+    noise : float
+        Of the gain.
+    tolerance : (N,) array
+        The noise and what a good model may be wrong by.
+    """
+
+    def __init__(self, model: StageModel, measured: FrequencyResponse) -> None:
+        self.model, self.measured = model, measured
+        low_hz, high_hz = measured.frequency_hz.min(), measured.frequency_hz.max()
+        self.extent = Extent(np.inf, -np.inf, np.inf, 1.0 / low_hz, 0.5 / high_hz)
+        self._dynamics = dynamics_vector(model.dynamics)
+        self._free = self._dynamics > 0.0
+        self.block = np.arange(measured.frequency_hz.size) // SETTINGS.block
+        self.estimation = self.block % SETTINGS.held_out != SETTINGS.held_out // 2
+        # What neighbours on both sides do not share.
+        bends = np.abs(np.diff(measured.gain, 2))
+        self.noise = float(np.median(bends) / np.sqrt(6.0 * np.log(2.0)))
+        self.tolerance = np.hypot(self.noise, SETTINGS.tolerance * np.abs(measured.gain))
+
+    def as_given(self) -> ResponseFit:
+        """Return the model as it is, but for the gain."""
+        return self._fit(np.zeros(np.count_nonzero(self._free)), ())
+
+    def fit_dynamics(self, fit: ResponseFit) -> ResponseFit:
+        """Fit the dynamics and the last of the effects, from those of a fit."""
+        return self._solve(fit.changes, fit.effects, fit.changes.size)
+
+    def fit_last_effect(self, fit: ResponseFit, effect: Effect) -> ResponseFit:
+        """Fit one more effect beside the others, and the dynamics, as they are in a fit."""
+        return self._solve(fit.changes, (*fit.effects, effect), 0)
+
+    def gain(self, fit: ResponseFit) -> ComplexArray:
+        """Return the gain of the model of a fit at the measured frequencies, (N,)."""
+        return self.measured.gain - fit.residual * self.tolerance
+
+    def extended_model(self, fit: ResponseFit) -> StageModel:
+        """Return the model with the effects, and its dynamics as they were fitted."""
+        return self._model(fit.changes, fit.effects)
+
+    def _model(self, changes, effects):
+        vector = self._dynamics.copy()
+        vector[self._free] *= np.exp(changes)
+        dynamics = dynamics_of_vector(
+            vector, len(self.model.dynamics.damping_ratios),
+            len(self.model.dynamics.antiresonance_damping_ratios))
+        return replace(
+            self.model, dynamics=dynamics, effects=(*self.model.effects, *effects))
+
+    def _residual(self, changes, effects):
+        """Return what the gain that fits best leaves, over tolerance, (N,)."""
+        check_cancelled()
+        response = full_response(self._model(changes, effects), self.measured.frequency_hz)
+        response, wanted = response / self.tolerance, self.measured.gain / self.tolerance
+        fitted = response[self.estimation]
+        gain = np.vdot(fitted, wanted[self.estimation]).real / np.vdot(fitted, fitted).real
+        return wanted - gain * response
+
+    def _fit(self, changes, effects):
+        return ResponseFit(changes, tuple(effects), self._residual(changes, effects))
+
+    def _solve(self, changes, effects, count):
+        """Fit the last effect, and the first `count` changes of the dynamics."""
+        last = effects[-1:]
+        values, low, high = fitted_values(last[0], self.extent) if last else (np.empty(0),) * 3
+
+        def at(vector):
+            changed = vector[:count] if count else changes
+            found = (with_fitted_values(last[0], vector[count:]),) if last else ()
+            return changed, (*effects[:-1], *found)
+
+        def errors(vector):
+            left = self._residual(*at(vector))[self.estimation]
+            return np.concatenate([left.real, left.imag])
+
+        start = np.concatenate([changes[:count], values])
+        if start.size == 0:
+            return self._fit(changes, effects)
+        low = np.concatenate([np.full(count, -SETTINGS.dynamics_width), low])
+        high = np.concatenate([np.full(count, SETTINGS.dynamics_width), high])
+        free = np.ones(start.size, dtype=bool)
+        while True:
+            vector, determined = _least_squares(errors, start, low, high, free)
+            if determined.all() or not determined.any():
+                return self._fit(*at(vector))
+            free[free] = determined
+
+
+def _least_squares(
+    errors: Callable[[FloatArray], FloatArray], start: FloatArray, low: FloatArray,
+    high: FloatArray, free: BoolArray,
+) -> tuple[FloatArray, BoolArray]:
+    """Fit some of the parameters; return all, and which of the fitted ones the data determine.
+
+    What the data do not determine within its bounds would go anywhere: it is to stay where it
+    starts.
+
+    Parameters
+    ----------
+    errors : callable
+        Of a vector, over their standard deviation.
+    start, low, high : (n,) array
+    free : (n,) array of bool
+
+    Returns
+    -------
+    vector : (n,) array
+    determined : (m,) array of bool
+        Of the free ones.
+    """
+    def whole(part):
+        vector = start.copy()
+        vector[free] = part
+        return vector
+
+    low, high = low[free], high[free]
+    solution = least_squares(
+        lambda part: errors(whole(part)), np.clip(start[free], low + 1e-12, high - 1e-12),
+        bounds=(low, high), x_scale="jac", ftol=SETTINGS.relative_change,
+        max_nfev=SETTINGS.most_evaluations,
+    )
+    return whole(solution.x), parameter_deviations(solution.jac) < high - low
+
+
+def full_response(model: StageModel, frequency_hz: FloatArray) -> ComplexArray:
+    """Return the response of a model with its linear effects, those of the sensor and delays too.
+
+    Parameters
+    ----------
+    model : StageModel
+    frequency_hz : (N,) array
+
+    Returns
+    -------
+    (N,) array of complex
+    """
+    s = 2j * np.pi * frequency_hz
+    response = model.response(frequency_hz)
+    behind: Sequence[Effect] = [
+        effect for place in ("displacement", "sensor") for effect in model.effects_at(place)]
+    for effect in behind:
+        response = response * effect.response(s)
+    return response

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Measures by which fits of a frequency response are compared on the validation set."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_identification.diagnosis.response.response_fit import (
+    SETTINGS,
+    ResponseFit,
+    ResponseProblem,
+)
+
+
+@dataclass(frozen=True)
+class ResponseCriteria:
+    """When a further effect is named.
+
+    Attributes
+    ----------
+    significant : float
+        Standard deviations that a gain on held-out blocks must have.
+    worthwhile_percent : float
+        Reduction of the error on held-out frequencies below which no effect is named.
+    told_apart_percent : float
+        Difference of two errors below which the response does not tell the candidates apart.
+    explained : float
+        Part of the square of the error beyond the tolerance that may be left where it is explained.
+    most_effects : int
+        As many as there are kinds of linear effects.
+    """
+
+    significant: float = 3.0
+    worthwhile_percent: float = 10.0
+    told_apart_percent: float = 5.0
+    explained: float = 0.1
+    most_effects: int = 4
+
+
+CRITERIA = ResponseCriteria()
+
+
+def mean_square(problem: ResponseProblem, fit: ResponseFit,
+                part: NDArray[np.bool_] | None = None) -> float:
+    """Return the mean square of what is left, over tolerance, by default of the validation set."""
+    return float(np.mean(np.abs(fit.residual[~problem.estimation if part is None else part]) ** 2))
+
+
+def lack_of_fit(problem: ResponseProblem, fit: ResponseFit) -> float:
+    """Return the mean square of what is left beyond the tolerance."""
+    return max(0.0, mean_square(problem, fit) - 2.0)
+
+
+def reduction_percent(problem: ResponseProblem, before: ResponseFit, after: ResponseFit) -> float:
+    """Return the reduction of the error on held-out frequencies."""
+    squares = [mean_square(problem, fit) for fit in (after, before)]
+    return float(100.0 * (1.0 - np.sqrt(squares[0] / squares[1])))
+
+
+def is_convincing(problem: ResponseProblem, before: ResponseFit, after: ResponseFit) -> bool:
+    """Return whether the second fit is better, in most of the held-out blocks alike."""
+    if reduction_percent(problem, before, after) < CRITERIA.worthwhile_percent:
+        return False
+    rows, change = ~problem.estimation, before.residual - after.residual
+
+    def blocks(residual):
+        return np.bincount(problem.block[rows], (residual * change.conj()).real[rows])
+
+    spread = np.sqrt(np.sum(blocks(after.residual) ** 2))
+    return bool(np.sum(blocks(before.residual)) > CRITERIA.significant * spread)
+
+
+def held_out_errors(problem: ResponseProblem, fit: ResponseFit) -> dict[str, float]:
+    """Return the errors of the gain on held-out frequencies: `rms_um` and `e_y_percent`."""
+    rows = ~problem.estimation
+    error = np.linalg.norm((fit.residual * problem.tolerance)[rows])
+    return {
+        "rms_um": float(error / np.sqrt(np.count_nonzero(rows))),
+        "e_y_percent": float(100.0 * error / np.linalg.norm(problem.measured.gain[rows])),
+    }
+
+
+def describe_residual(problem: ResponseProblem, fit: ResponseFit) -> str:
+    """Describe at which frequencies how much is left, in a sentence."""
+    left = np.abs(fit.residual) ** 2
+    power = np.cumsum(left) / np.sum(left)
+    frequency_hz = problem.measured.frequency_hz
+    low_hz, high_hz = frequency_hz[np.searchsorted(power, [0.1, 0.9])]
+    worst = int(np.argmax(left))
+    return (
+        f"Left is {np.sqrt(np.mean(left)):.3g} times the tolerance of "
+        f"{100 * SETTINGS.tolerance:g} % and the noise, most of it from {low_hz:.3g} to "
+        f"{high_hz:.3g} Hz, largest at {frequency_hz[worst]:.4g} Hz."
+    )
