@@ -18,8 +18,8 @@ from piezo_identification.estimators.frequency_response.response_file import (
     read_frequency_response,
 )
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
-from piezo_identification.estimators.linear_dynamics import METHODS
-from piezo_identification.identify import identify
+from piezo_identification.identification.identify import identify
+from piezo_identification.identification.linear_dynamics import METHODS
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
 

@@ -9,7 +9,7 @@ from piezo_common.command_line import run_command
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction import predict
-from piezo_identification.prediction_pictures import draw_displacement, draw_loops
+from piezo_identification.prediction.prediction_pictures import draw_displacement, draw_loops
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import read_recording
 

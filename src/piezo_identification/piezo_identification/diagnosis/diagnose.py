@@ -11,7 +11,7 @@ from piezo_identification.diagnosis.outliers import found_outliers, left_out
 from piezo_identification.diagnosis.residual import dependences, spectrum, whiteness
 from piezo_identification.diagnosis.selection import NOISE, select
 from piezo_identification.diagnosis.verdict import Verdict
-from piezo_identification.prediction import CLEARLY_LESS, conditioned
+from piezo_identification.prediction import PastSearchSettings, conditioned
 
 EXPLAINED = 0.03
 """Part of the structure's power that may be left where effects explain it, a sixth of its size."""
@@ -110,7 +110,8 @@ def _contested(model, recordings, progress):
         for number, contest in enumerate(contests)
     ]
     with_past, plain = contested[0], contested[-1]
-    return with_past if _left_um(*with_past) < CLEARLY_LESS * _left_um(*plain) else plain
+    most_um = PastSearchSettings.largest_error_ratio * _left_um(*plain)
+    return with_past if _left_um(*with_past) < most_um else plain
 
 
 def _part_of(progress, number, count):

@@ -11,7 +11,7 @@ from piezo_identification.diagnosis.comparison import Contest
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.estimators.creep import CreepNotShown
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
-from piezo_identification.identify import identify
+from piezo_identification.identification.identify import identify
 from piezo_studies.diagnosis_benchmark import records
 from piezo_studies.diagnosis_benchmark.effect_draws import DrawError, draw_effect, response_um
 from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um

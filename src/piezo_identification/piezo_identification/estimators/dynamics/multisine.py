@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezo_identification.conditioning.waveforms import slow_branches
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_identification.estimators.dynamics.square_wave import (
     WARM_UP_S,
@@ -13,7 +14,6 @@ from piezo_identification.estimators.dynamics.square_wave import (
     played_at_the_clock,
     remove_creep,
 )
-from piezo_identification.prediction import slow_branches
 from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh
 
 LINE_THRESHOLD = 0.02
