@@ -82,7 +82,7 @@ class LinearDynamics:
 def estimate_linear_dynamics(
     creep, dynamics, hysteresis, method=METHODS[0], order=ANY_ORDER, begin=lambda *_: None
 ):
-    """Estimate creep, then the fast dynamics with the creep taken off; both once more.
+    """Estimate creep, then the fast dynamics with the creep removed; both once more.
 
     The second time, each is a smaller error to the other. Fast dynamics come from a square wave
     between two voltages; from any other fast recording, such as a multisine, for which the
