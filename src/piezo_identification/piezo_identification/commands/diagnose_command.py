@@ -37,7 +37,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(
         prog="diagnose", description="Find the effect that a model lacks to explain recordings.",
         epilog="Writes verdict.json, extended_model.json and report.html. Effects are fitted on "
-        "two thirds of the recordings and judged on the rest.",
+        "two thirds of the recordings and compared on the rest, the validation set.",
     )
     parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
     parser.add_argument("--data", metavar="FILE", type=Path, required=True, nargs="+",

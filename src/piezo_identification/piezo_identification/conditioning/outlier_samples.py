@@ -25,7 +25,7 @@ MOST_TOLD = 5
 
 
 def with_outliers_marked(recording):
-    """The recording with its outliers marked and put among the good samples beside them.
+    """Mark the outliers of a recording, and put them among the good samples beside them.
 
     Estimators that take a mask leave the marked samples out, by `good_samples`; the others use the
     values in their place.
@@ -54,7 +54,7 @@ def with_outliers_marked(recording):
 
 
 def good_samples(recording):
-    """Mask of the samples that are not marked as outliers.
+    """Mark the samples that are not outliers.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def good_samples(recording):
 
 
 def outliers_of_residual(residual_um, measured_um, voltage_v, noise_um=0.0):
-    """Mask of the samples that stand out of what a model leaves.
+    """Mark the samples that stand out of the difference from a model.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def outliers_of_residual(residual_um, measured_um, voltage_v, noise_um=0.0):
 
 
 def outlier_text(path, wrong, time_s):
-    """One sentence for people: how many samples are left out, and where.
+    """Tell people in one sentence how many samples are left out, and where.
 
     Parameters
     ----------

@@ -15,13 +15,13 @@ from piezo_identification.conditioning.waveforms import played
 
 
 def moves_against(displacement_um, reference, free=None):
-    """True if a displacement is nearer to a reference with the sign of one of them changed.
+    """Tell whether a displacement is nearer to a reference with its sign changed.
 
     Parameters
     ----------
     displacement_um, reference : (N,) array
     free : (N, k) array, optional
-        Columns that are taken off both, at any size; by default the mean.
+        Nuisance regressors, which are removed from both; by default the mean.
 
     Returns
     -------
@@ -34,7 +34,7 @@ def moves_against(displacement_um, reference, free=None):
 
 
 def displacement_falls(recording):
-    """True if the displacement falls, on the whole, as the voltage rises.
+    """Tell whether the displacement falls, on the whole, as the voltage rises.
 
     Parameters
     ----------
@@ -47,10 +47,10 @@ def displacement_falls(recording):
 
 
 def reversed_displacement(recording):
-    """The recording with the sign of its displacement changed."""
+    """Return the recording with the sign of its displacement changed."""
     return replace(recording, displacement_um=np.negative(recording.displacement_um))
 
 
 def sign_text(path):
-    """The sentence that tells people of a sign that was changed."""
+    """Return the sentence that tells people of a sign that was changed."""
     return f"{path}: the displacement moves against the model: its sign is changed"

@@ -11,7 +11,9 @@ MOST_OF_RECORDING = 0.25
 
 
 def low_frequency_delay_s(dynamics):
-    """Delay of the dynamics at low frequency, the coefficient of (4.18) and (4.19).
+    """Return the delay of the dynamics at low frequency, the coefficient of (4.18) and (4.19).
+
+    It is tau + sum 2 d / w over the modes, less the same sum over the antiresonances.
 
     Parameters
     ----------
@@ -33,7 +35,7 @@ def low_frequency_delay_s(dynamics):
 
 
 def settling_time_s(dynamics):
-    """Time after which a step's response has decayed to its end value.
+    """Return the time after which the response to a step has decayed to its end value.
 
     Parameters
     ----------
@@ -50,7 +52,7 @@ def settling_time_s(dynamics):
 
 
 def first_settled(dynamics, time_s):
-    """First sample of a recording at which its start has settled, as far as it is long enough.
+    """Find the first sample of a recording at which its start has settled, if it is long enough.
 
     Parameters
     ----------

@@ -104,7 +104,7 @@ class _CreepRecord:
         self.bounds = np.log([0.3 / self.time_s[-1], self.fastest])
 
     def _logarithmic_bins(self):
-        """Starts of the bins, alternating with the settling samples that are left out."""
+        """List the starts of the bins, alternating with the settling samples that are left out."""
         skipped = int(np.ceil(self.settling_s / self.period_s))
         edges = np.concatenate([[0], self.wave.steps, [self.wave.level.size]])
         starts, weights = [], []

@@ -72,7 +72,7 @@ class Estimate:
         return next(trial.residual_rms for trial in self.trials if trial.order == self.order)
 
     def order_table(self):
-        """The best trials, each in a line, the chosen one marked: the reason for the order."""
+        """Return the best trials, each in a line, with the chosen one marked."""
         lines = ["order  parameters  residual RMS  information"]
         worst = sorted(trial.information for trial in self.trials)[:SHOWN][-1]
         for trial in self.trials:
@@ -89,7 +89,7 @@ class Estimate:
 
 
 def order_trial(order, residual, parameters, refusal=""):
-    """Judge a fit by its residual.
+    """Rate a fit by its residual: the Bayesian information criterion N ln(mean square) + P ln N.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def propagated(sensitivity, covariance):
 
 
 def parameter_deviations(jacobian):
-    """Standard deviations of the parameters of a least-squares fit whose residual has variance 1.
+    """Return standard deviations of the parameters of a fit whose residual has variance 1.
 
     Parameters
     ----------

@@ -101,7 +101,7 @@ class Experiment:
         return self.voltage_v.size * self.sample_period_s * self.repeats
 
     def parameters(self):
-        """What a recording should keep of it."""
+        """Return what a recording should keep of the experiment."""
         return {"sample_period_s": self.sample_period_s, "repeats": self.repeats,
                 "samples": self.voltage_v.size}
 

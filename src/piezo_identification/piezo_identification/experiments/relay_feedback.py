@@ -65,7 +65,7 @@ class RelayExperiment:
 
     @property
     def tick_s(self):
-        """Feedback period."""
+        """Feedback period of the stage in s."""
         return self.samples_per_tick * self.sample_period_s
 
     @property
@@ -77,7 +77,7 @@ class RelayExperiment:
         return 2.5 * self.tick_s - 0.5 * (self.samples_per_tick - 1) * self.sample_period_s
 
     def parameters(self):
-        """What a recording should keep of it."""
+        """Return what a recording should keep of the experiment."""
         return {"amplitude_v": self.amplitude_v, "tick_s": self.tick_s, "delay_s": self.delay_s}
 
 
@@ -222,12 +222,15 @@ class RelayOscillation:
 
     @property
     def gain_margin(self):
-        """g_m (3.18) of the dynamics without hysteresis at the oscillation."""
+        """Gain margin g_m (3.18) of the dynamics without hysteresis at the oscillation.
+
+        It is the gain of the loop times that of the hysteresis in the slow cycle.
+        """
         return self.loop_gain_v_per_um * self.cycle_gain_um_per_v
 
     @property
     def ultimate_gain_v_per_um(self):
-        """k_u (3.19), for the largest gain that the hysteresis may have."""
+        """Ultimate gain k_u (3.19), g_m over the largest gain that the hysteresis may have."""
         return self.gain_margin / self.largest_gain_um_per_v
 
     @property

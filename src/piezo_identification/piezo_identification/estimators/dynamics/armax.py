@@ -190,7 +190,7 @@ class _PredictionErrors:
 
 
 def _inside(roots, count):
-    """The slowest roots, those outside the unit circle mirrored into it."""
+    """Choose the slowest roots, with those outside the unit circle mirrored into it."""
     magnitude = np.abs(roots)
     roots = np.where(magnitude < 0.9999, roots, 0.9999 * roots / magnitude * np.minimum(
         1.0, 1.0 / magnitude))

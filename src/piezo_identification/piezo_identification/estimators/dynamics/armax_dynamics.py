@@ -26,7 +26,7 @@ from piezo_identification.estimators.estimate import (
 def estimate_dynamics_armax(recording, creep, hysteresis=None, orders=None, mode_count=None):
     """Estimate the electric lag and the vibration modes by an ARMAX model.
 
-    The creep is taken off by its inverse. Of a square wave, the hysteresis makes an offset and a
+    The creep is removed by its inverse. Of a square wave, the hysteresis makes an offset and a
     gain; of any other input, an identified hysteresis tells what enters the dynamics.
 
     Parameters

@@ -69,7 +69,7 @@ class JumpResponse:
         )
 
     def first(self, duration_s):
-        """The response up to a time after the jump."""
+        """Return the response up to a time after the jump."""
         end = self.jump + round(duration_s / self.sample_period_s)
         return JumpResponse(
             self.sample_period_s, self.jump, self.voltage_v[:end], self.displacement_um[:end]

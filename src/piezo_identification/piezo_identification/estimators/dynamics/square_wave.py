@@ -20,7 +20,7 @@ WARM_UP_S = 0.3
 def estimate_dynamics(recording, creep, mode_count=None):
     """Estimate the electric lag and the vibration modes (4.3) from a square wave of short period.
 
-    The creep is taken off by its inverse, and the periods are averaged. What follows a step is a
+    The creep is removed by its inverse, and the periods are averaged. What follows a step is a
     free decay, whose poles a subspace method (eigensystem realisation) finds without a starting
     guess; the physical parameters are then refined for the least output error of the exactly
     sampled model in its periodic state, with offset and gain of the hysteresis (4.5) and the

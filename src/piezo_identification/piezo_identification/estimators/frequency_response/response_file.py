@@ -33,7 +33,7 @@ class FrequencyResponse:
     hold_s: float = 0.0
 
     def held(self, hold_s):
-        """The same numbers, taken as those of a response from held samples to samples.
+        """Take the same numbers as those of a response from held samples to samples.
 
         Parameters
         ----------

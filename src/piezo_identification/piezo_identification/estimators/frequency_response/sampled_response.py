@@ -34,7 +34,7 @@ def leading_lags(effects, samples):
 
 
 def behind_lags(system, lags):
-    """A linear system with lags behind it, and the delay that is left behind both.
+    """Put lags behind a linear system; return it, and the delay that is left behind both.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ class DensityEstimate:
         return float(self.singular_values[0] / self.singular_values[self.rank - 1])
 
     def model(self):
-        """The hysteresis as a `PreisachModel`."""
+        """Return the hysteresis as a `PreisachModel`."""
         return PreisachModel(
             self.levels_v[0], self.levels_v[-1], self.density_um_per_v2, self.offset_um,
             self.reversible_um_per_v,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Preisach density from a recording: the linear dynamics taken off, then the estimate."""
+"""Preisach density from a recording: the linear dynamics removed, then the estimate."""
 
 import numpy as np
 
@@ -35,7 +35,7 @@ def estimate_density(
 ):
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
-    Creep and fast dynamics are taken off by their inverses, Fig. 4.8. What is left makes a linear
+    Creep and fast dynamics are removed by their inverses, Fig. 4.8. What is left makes a linear
     regression (4.11), solved by smoothed non-negative least squares with all samples; offset and
     initial creep are free. Any input will do: `DensityEstimate.visited` tells which part of the
     plane it determines.
@@ -84,7 +84,7 @@ def estimate_density(
 
 
 def hysteresis_output_um(recording, creep, dynamics, delay_s=0.0):
-    """Hysteresis output at each sample: creep, electric and vibration dynamics taken off.
+    """Hysteresis output at each sample: creep, electric and vibration dynamics removed.
 
     Parameters
     ----------

@@ -155,7 +155,7 @@ def _held_out_ratio(before, after):
 
 
 def _with_hysteretic_creep(model, recordings):
-    """The model with operators of weight zero, or None where no recording would show them."""
+    """Add operators of weight zero to the model; None where no recording would show them."""
     longest_s = max(played(recording).time_s[-1] for recording in recordings.values())
     travel_v = model.hysteresis.voltage_max_v - model.hysteresis.voltage_min_v
     operators = [
