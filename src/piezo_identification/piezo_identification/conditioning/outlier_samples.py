@@ -4,14 +4,17 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from piezo_models.arrays import FloatArray
 from piezo_models.effects.isolated_samples import (
     isolated,
     typical_answer_per_v,
     typical_range,
 )
 from piezo_models.effects.outliers import FEWEST
+from piezo_recorder.reading.recording import Recording
 
 OUTLIER = "outlier_um"
 """Further column of a recording: by how much the displacement was off, where it is not to be used;
@@ -24,7 +27,7 @@ MOST_TOLD = 5
 """Places that are told; the others are counted."""
 
 
-def with_outliers_marked(recording):
+def with_outliers_marked(recording: Recording) -> Recording:
     """Mark the outliers of a recording, and put them among the good samples beside them.
 
     Estimators that take a mask leave the marked samples out, by `good_samples`; the others use the
@@ -53,7 +56,7 @@ def with_outliers_marked(recording):
                    columns=recording.columns | {OUTLIER: off_um})
 
 
-def good_samples(recording):
+def good_samples(recording: Recording) -> NDArray[np.bool_]:
     """Mark the samples that are not outliers.
 
     Parameters
@@ -69,7 +72,9 @@ def good_samples(recording):
     return recording.columns[OUTLIER] == 0.0
 
 
-def outliers_of_residual(residual_um, measured_um, voltage_v, noise_um=0.0):
+def outliers_of_residual(
+    residual_um: FloatArray, measured_um: FloatArray, voltage_v: FloatArray, noise_um: float = 0.0,
+) -> NDArray[np.bool_]:
     """Mark the samples that stand out of the difference from a model.
 
     Parameters
@@ -87,7 +92,7 @@ def outliers_of_residual(residual_um, measured_um, voltage_v, noise_um=0.0):
                     max(noise_um, SMALL * typical_range(measured_um)))
 
 
-def outlier_text(path, wrong, time_s):
+def outlier_text(path: object, wrong: NDArray[np.bool_], time_s: FloatArray) -> str:
     """Tell people in one sentence how many samples are left out, and where.
 
     Parameters

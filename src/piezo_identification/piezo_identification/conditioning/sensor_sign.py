@@ -12,9 +12,13 @@ import numpy as np
 
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.waveforms import played
+from piezo_models.arrays import FloatArray
+from piezo_recorder.reading.recording import Recording
 
 
-def moves_against(displacement_um, reference, free=None):
+def moves_against(
+    displacement_um: FloatArray, reference: FloatArray, free: FloatArray | None = None,
+) -> bool:
     """Tell whether a displacement is nearer to a reference with its sign changed.
 
     Parameters
@@ -33,7 +37,7 @@ def moves_against(displacement_um, reference, free=None):
     return bool(left[:, 0] @ left[:, 1] < 0.0)
 
 
-def displacement_falls(recording):
+def displacement_falls(recording: Recording) -> bool:
     """Tell whether the displacement falls, on the whole, as the voltage rises.
 
     Parameters
@@ -46,11 +50,11 @@ def displacement_falls(recording):
     return moves_against(part.displacement_um[good], part.voltage_v[good])
 
 
-def reversed_displacement(recording):
+def reversed_displacement(recording: Recording) -> Recording:
     """Return the recording with the sign of its displacement changed."""
     return replace(recording, displacement_um=np.negative(recording.displacement_um))
 
 
-def sign_text(path):
+def sign_text(path: object) -> str:
     """Return the sentence that tells people of a sign that was changed."""
     return f"{path}: the displacement moves against the model: its sign is changed"

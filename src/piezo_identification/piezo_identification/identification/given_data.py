@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from piezo_identification.conditioning.outlier_samples import (
     good_samples,
@@ -78,7 +79,7 @@ def with_marked_outliers(
     return marked
 
 
-def rising_with_voltage(recordings: Mapping[str, Data]) -> dict[str, Data]:
+def rising_with_voltage(recordings: Mapping[str, Data]) -> dict[str, Any]:
     """Change the sign of all displacements where that of the hysteresis falls with the voltage.
 
     Parameters
@@ -90,7 +91,8 @@ def rising_with_voltage(recordings: Mapping[str, Data]) -> dict[str, Data]:
     -------
     dict of str to Recording or FrequencyResponse
     """
-    if not displacement_falls(recordings["hysteresis"]):
+    hysteresis = recordings["hysteresis"]
+    if isinstance(hysteresis, FrequencyResponse) or not displacement_falls(hysteresis):
         return dict(recordings)
     return {name: reversed_data(data) for name, data in recordings.items()}
 

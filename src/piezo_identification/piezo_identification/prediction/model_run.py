@@ -189,7 +189,7 @@ class ModelRun:
                              [min(first_v, hysteresis.voltage_min_v), first_v]])
         for _ in range(settings.rounds):
             candidates = list(product(
-                *(np.linspace(*bound, settings.grid_points) for bound in bounds_v)))
+                *(np.linspace(low_v, high_v, settings.grid_points) for low_v, high_v in bounds_v)))
             best_v = min(candidates, key=self.error_um)
             spacing_v = np.diff(bounds_v).ravel() / (settings.grid_points - 1)
             around_v = np.array(best_v)[:, None] + np.outer(spacing_v, [-1.0, 1.0])
@@ -227,7 +227,7 @@ class ModelRun:
         model.hysteresis.simulate([*past_v, *self._before_v], past)
         memory = model.memory(hysteresis=past)
         hysteresis_um = model.hysteresis.simulate(self._voltage_v, memory.hysteresis)
-        if model.hysteretic_creep is not None:
+        if model.hysteretic_creep is not None and memory.hysteretic_creep is not None:
             hysteresis_um += model.hysteretic_creep.simulate(
                 self._voltage_v, part.sample_period_s, memory.hysteretic_creep
             )
