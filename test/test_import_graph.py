@@ -45,6 +45,11 @@ def test_no_further_rooms_import_each_other(imports):
     assert sum(map(len, in_circles)) <= ROOMS_IN_CIRCLES, in_circles
 
 
+def test_rooms_of_the_identification_import_in_no_circle(imports):
+    assert not [room for circle in graph.circles(imports) for room in circle
+                if graph.package_of(room) == "piezo_identification"]
+
+
 def test_every_package_of_the_picture_stands_above_those_that_it_imports(imports):
     row_of = {package: number for number, row in enumerate(graph.ROWS) for package in row}
     rooms = graph.rooms_of(ROOT / "src")

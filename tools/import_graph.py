@@ -30,7 +30,7 @@ ROWS = (
     {"piezo_common": 8.6},
     {"piezo_models": 2.8, "piezo_ros": 7.2},
     {"piezo_recorder": 2.8, "piezo_stage_driver": 10.4},
-    {"piezo_identification": 1.6, "piezo_controller": 5.4, "piezo_bringup": 7.7, "piezo_sim": 10.7},
+    {"piezo_identification": 2.1, "piezo_controller": 5.6, "piezo_bringup": 7.8, "piezo_sim": 10.7},
     {"piezo_client": 3.4},
     {"piezo_studies": 6.6},
 )

@@ -1,2 +1,62 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Identification of a piezo-actuated stage: experiments, estimators, node, offline commands."""
+
+from typing import TYPE_CHECKING
+
+from piezo_common.lazy_exports import lazy_exports
+
+if TYPE_CHECKING:
+    from piezo_identification.diagnosis.diagnose import diagnose
+    from piezo_identification.estimators.creep import estimate_creep
+    from piezo_identification.estimators.dynamics.multisine import estimate_dynamics_multisine
+    from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+    from piezo_identification.estimators.estimate import Estimate
+    from piezo_identification.estimators.frequency_response.response_file import (
+        FrequencyResponse,
+        read_frequency_response,
+    )
+    from piezo_identification.estimators.frequency_response.response_fit import (
+        ResponseOrder,
+        estimate_from_response,
+    )
+    from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
+    from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+    from piezo_identification.experiments.catalogue import (
+        Experiment,
+        StageLimits,
+        named_experiment,
+    )
+    from piezo_identification.identification.identify import identify
+    from piezo_identification.identification.progress import IdentificationCancelled
+    from piezo_identification.prediction.prediction import Prediction, predict
+    from piezo_identification.prediction.prediction_errors import unseen_errors
+
+_HOMES = {
+    "diagnose": "diagnosis.diagnose",
+    "estimate_creep": "estimators.creep",
+    "estimate_dynamics": "estimators.dynamics.square_wave",
+    "estimate_dynamics_multisine": "estimators.dynamics.multisine",
+    "Estimate": "estimators.estimate",
+    "FrequencyResponse": "estimators.frequency_response.response_file",
+    "read_frequency_response": "estimators.frequency_response.response_file",
+    "ResponseOrder": "estimators.frequency_response.response_fit",
+    "estimate_from_response": "estimators.frequency_response.response_fit",
+    "DensityEstimate": "estimators.hysteresis.density_estimate",
+    "estimate_density": "estimators.hysteresis.density_fit",
+    "Experiment": "experiments.catalogue",
+    "StageLimits": "experiments.catalogue",
+    "named_experiment": "experiments.catalogue",
+    "identify": "identification.identify",
+    "IdentificationCancelled": "identification.progress",
+    "Prediction": "prediction.prediction",
+    "predict": "prediction.prediction",
+    "unseen_errors": "prediction.prediction_errors",
+}
+__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+
+__all__ = [
+    "DensityEstimate", "Estimate", "Experiment", "FrequencyResponse", "IdentificationCancelled",
+    "Prediction", "ResponseOrder", "StageLimits", "diagnose", "estimate_creep", "estimate_density",
+    "estimate_dynamics", "estimate_dynamics_multisine", "estimate_from_response", "identify",
+    "named_experiment", "predict", "read_frequency_response", "unseen_errors",
+]

@@ -4,6 +4,7 @@
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
 from piezo_common.command_line import print_progress, run_command
 from piezo_identification.commands.response_options import (
@@ -21,7 +22,7 @@ from piezo_identification.diagnosis.response.response_results import (
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
     Parameters
@@ -37,7 +38,7 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(
         prog="diagnose", description="Find the effect that a model lacks to explain recordings.",
         epilog="Writes verdict.json, extended_model.json and report.html. Effects are fitted on "
-        "two thirds of the recordings and judged on the rest.",
+        "two thirds of the recordings and compared on the rest, the validation set.",
     )
     parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
     parser.add_argument("--data", metavar="FILE", type=Path, required=True, nargs="+",
@@ -51,7 +52,7 @@ def main(arguments=None):
     return run_command(parser, _diagnose, arguments)
 
 
-def _diagnose(options):
+def _diagnose(options: argparse.Namespace) -> None:
     if is_frequency_response(options.data[0]):
         if len(options.data) > 1 or options.holdout:
             raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
@@ -69,7 +70,7 @@ def _diagnose(options):
     print(f"written to {options.output}")
 
 
-def _print_table(diagnosis, sentence):
+def _print_table(diagnosis: Any, sentence: str) -> None:
     for path in diagnosis.reversed:
         print(sign_text(path))
     for text in diagnosis.left_out:

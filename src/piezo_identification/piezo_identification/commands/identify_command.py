@@ -3,7 +3,9 @@
 
 import argparse
 import sys
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from piezo_common.command_line import print_progress, run_command
 from piezo_identification.commands.response_options import (
@@ -18,10 +20,12 @@ from piezo_identification.estimators.frequency_response.response_file import (
     read_frequency_response,
 )
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
-from piezo_identification.estimators.linear_dynamics import METHODS
-from piezo_identification.identify import identify
+from piezo_identification.identification.identify import identify
+from piezo_identification.identification.linear_dynamics import METHODS
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
+from piezo_recorder.reading.recording import Recording
 
 EXPERIMENTS = {
     "creep": "long square wave",
@@ -32,7 +36,7 @@ EXPERIMENTS = {
 }
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
     Parameters
@@ -72,13 +76,13 @@ def main(arguments=None):
     return run_command(parser, _identify, arguments)
 
 
-def _identify(options):
+def _identify(options: argparse.Namespace) -> None:
     paths = {name: getattr(options, name) for name in EXPERIMENTS}
     output = options.output
     # Before the work, not after it.
     if output.is_dir() or not output.absolute().parent.is_dir():
         raise ValueError(f"{output} is no file in an existing directory: choose another --output")
-    data = {}
+    data: dict[str, Any] = {}
     for name, path in paths.items():
         if path is not None:
             print(f"reading {path}", flush=True)
@@ -100,7 +104,9 @@ def _identify(options):
     print(f"model written to {output}")
 
 
-def _check_options(dynamics, options):
+def _check_options(
+    dynamics: Recording | FrequencyResponse | None, options: argparse.Namespace,
+) -> None:
     """Refuse options that what was given for the dynamics has no use for."""
     is_response = isinstance(dynamics, FrequencyResponse)
     useless = {
@@ -116,7 +122,7 @@ def _check_options(dynamics, options):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give the data it is of")
 
 
-def _print_summary(identified):
+def _print_summary(identified: IdentifiedModel) -> None:
     model = identified.model
     low_um, high_um = model.hysteresis.output_range_um
     rows = [
@@ -134,7 +140,7 @@ def _print_summary(identified):
         print(f"{name:24}{value}" if len(name) < 24 else f"{name}  {value}")
 
 
-def _error_rows(errors, prefix=""):
+def _error_rows(errors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
     """Name and value of every error, those in groups under the name of their group."""
     for name, value in errors.items():
         if isinstance(value, dict):
@@ -143,7 +149,7 @@ def _error_rows(errors, prefix=""):
             yield f"{prefix}{name}", f"{value:.3g}"
 
 
-def _listing(values, unit):
+def _listing(values: Sequence[float], unit: str) -> str:
     return f"{', '.join(f'{value:.5g}' for value in values) or 'none'} {unit}".rstrip()
 
 

@@ -9,12 +9,12 @@ from piezo_common.command_line import run_command
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction import predict
-from piezo_identification.prediction_pictures import draw_displacement, draw_loops
+from piezo_identification.prediction.prediction_pictures import draw_displacement, draw_loops
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import read_recording
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
     Parameters
@@ -40,15 +40,15 @@ def main(arguments=None):
     return run_command(parser, _simulate, arguments)
 
 
-def _simulate(options):
+def _simulate(options: argparse.Namespace) -> None:
     model_path, data_path, directory = options.model, options.data, options.output
     model = load_model(model_path).model
     recording = read_recording(data_path)
     prediction = predict(model, recording)
     if prediction.reversed:
         print(sign_text(data_path))
-    if prediction.outlier.any():
-        print(outlier_text(data_path, prediction.outlier, prediction.time_s))
+    if not prediction.good.all():
+        print(outlier_text(data_path, ~prediction.good, prediction.time_s))
     if prediction.past_v:
         print("the recording does not begin saturated: taken to have come from {:.4g} V by way of "
               "{:.4g} V".format(*prediction.past_v))

@@ -4,8 +4,10 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from piezo_models.arrays import FloatArray
 from piezo_models.effects.isolated_samples import (
     JUMP,
     isolated,
@@ -13,6 +15,7 @@ from piezo_models.effects.isolated_samples import (
     typical_range,
 )
 from piezo_models.effects.outliers import FEWEST
+from piezo_recorder.reading.recording import Recording
 
 OUTLIER = "outlier_um"
 """Further column of a recording: by how much the displacement was off, where it is not to be used;
@@ -25,8 +28,8 @@ MOST_TOLD = 5
 """Places that are told; the others are counted."""
 
 
-def with_outliers_marked(recording):
-    """The recording with its outliers marked and put among the good samples beside them.
+def with_outliers_marked(recording: Recording) -> Recording:
+    """Mark the outliers of a recording, and put them among the good samples beside them.
 
     Estimators that take a mask leave the marked samples out, by `good_samples`; the others use the
     values in their place.
@@ -54,8 +57,8 @@ def with_outliers_marked(recording):
                    columns=recording.columns | {OUTLIER: off_um})
 
 
-def good_samples(recording):
-    """Mask of the samples that are not marked as outliers.
+def good_samples(recording: Recording) -> NDArray[np.bool_]:
+    """Mark the samples that are not outliers.
 
     Parameters
     ----------
@@ -70,8 +73,10 @@ def good_samples(recording):
     return recording.columns[OUTLIER] == 0.0
 
 
-def outliers_of_residual(residual_um, measured_um, voltage_v, noise_um=0.0):
-    """Mask of the samples that stand out of what a model leaves.
+def outliers_of_residual(
+    residual_um: FloatArray, measured_um: FloatArray, voltage_v: FloatArray, noise_um: float = 0.0,
+) -> NDArray[np.bool_]:
+    """Mark the samples that stand out of the difference from a model.
 
     Parameters
     ----------
@@ -88,8 +93,8 @@ def outliers_of_residual(residual_um, measured_um, voltage_v, noise_um=0.0):
                     max(noise_um, SMALL * typical_range(measured_um)), JUMP)
 
 
-def outlier_text(path, wrong, time_s):
-    """One sentence for people: how many samples are left out, and where.
+def outlier_text(path: object, wrong: NDArray[np.bool_], time_s: FloatArray) -> str:
+    """Tell people in one sentence how many samples are left out, and where.
 
     Parameters
     ----------

@@ -12,16 +12,20 @@ import numpy as np
 
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.waveforms import played
+from piezo_models.arrays import FloatArray
+from piezo_recorder.reading.recording import Recording
 
 
-def moves_against(displacement_um, reference, free=None):
-    """True if a displacement is nearer to a reference with the sign of one of them changed.
+def moves_against(
+    displacement_um: FloatArray, reference: FloatArray, free: FloatArray | None = None,
+) -> bool:
+    """Tell whether a displacement is nearer to a reference with its sign changed.
 
     Parameters
     ----------
     displacement_um, reference : (N,) array
     free : (N, k) array, optional
-        Columns that are taken off both, at any size; by default the mean.
+        Nuisance regressors, which are removed from both; by default the mean.
 
     Returns
     -------
@@ -33,8 +37,8 @@ def moves_against(displacement_um, reference, free=None):
     return bool(left[:, 0] @ left[:, 1] < 0.0)
 
 
-def displacement_falls(recording):
-    """True if the displacement falls, on the whole, as the voltage rises.
+def displacement_falls(recording: Recording) -> bool:
+    """Tell whether the displacement falls, on the whole, as the voltage rises.
 
     Parameters
     ----------
@@ -46,11 +50,11 @@ def displacement_falls(recording):
     return moves_against(part.displacement_um[good], part.voltage_v[good])
 
 
-def reversed_displacement(recording):
-    """The recording with the sign of its displacement changed."""
+def reversed_displacement(recording: Recording) -> Recording:
+    """Return the recording with the sign of its displacement changed."""
     return replace(recording, displacement_um=np.negative(recording.displacement_um))
 
 
-def sign_text(path):
-    """The sentence that tells people of a sign that was changed."""
+def sign_text(path: object) -> str:
+    """Return the sentence that tells people of a sign that was changed."""
     return f"{path}: the displacement moves against the model: its sign is changed"

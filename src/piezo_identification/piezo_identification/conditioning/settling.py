@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What slow signals see of the electric and vibration dynamics."""
 
+from collections.abc import Sequence
+
 import numpy as np
+
+from piezo_models.arrays import FloatArray
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 NEGLIGIBLE = 1e-5
 """Part of a step below which what is left of its ringing does not count."""
@@ -10,8 +15,10 @@ MOST_OF_RECORDING = 0.25
 """Part of a recording that is given away to settle, however slowly a mode decays."""
 
 
-def low_frequency_delay_s(dynamics):
-    """Delay of the dynamics at low frequency, the coefficient of (4.18) and (4.19).
+def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
+    """Return the delay of the dynamics at low frequency, the coefficient of (4.18) and (4.19).
+
+    It is tau + sum 2 d / w over the modes, less the same sum over the antiresonances.
 
     Parameters
     ----------
@@ -21,7 +28,7 @@ def low_frequency_delay_s(dynamics):
     -------
     float
     """
-    def sum_of_modes(frequencies, dampings):
+    def sum_of_modes(frequencies: Sequence[float], dampings: Sequence[float]) -> float:
         return sum(2.0 * d / w for w, d in zip(frequencies, dampings, strict=True))
 
     return (
@@ -32,8 +39,8 @@ def low_frequency_delay_s(dynamics):
     )
 
 
-def settling_time_s(dynamics):
-    """Time after which a step's response has decayed to its end value.
+def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
+    """Return the time after which the response to a step has decayed to its end value.
 
     Parameters
     ----------
@@ -49,8 +56,8 @@ def settling_time_s(dynamics):
     return -np.log(NEGLIGIBLE) / slowest_rad_per_s
 
 
-def first_settled(dynamics, time_s):
-    """First sample of a recording at which its start has settled, as far as it is long enough.
+def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray) -> int:
+    """Find the first sample of a recording at which its start has settled, if it is long enough.
 
     Parameters
     ----------
@@ -62,5 +69,5 @@ def first_settled(dynamics, time_s):
     -------
     int
     """
-    settled = np.searchsorted(time_s, settling_time_s(dynamics))
-    return int(min(settled, MOST_OF_RECORDING * time_s.size))
+    settled = int(np.searchsorted(time_s, settling_time_s(dynamics)))
+    return min(settled, int(MOST_OF_RECORDING * time_s.size))

@@ -4,10 +4,47 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+
+from piezo_models.arrays import FloatArray
+from piezo_recorder.reading.recording import Recording
 
 
-def played(recording):
-    """Part of a recording in which a waveform or a trajectory plays, without ramps.
+@dataclass(frozen=True)
+class WaveformSettings:
+    """Numbers that steer how the voltage of a recording is read.
+
+    Attributes
+    ----------
+    level_tolerance : float
+        Part of the swing by which a square wave may miss its two levels, such as by the noise and
+        the quantum of the converter that measured it.
+    slow_branch_s : float
+        A branch between two reversals that takes longer shows hysteresis, a shorter one dynamics.
+        The slowest modes and lags of a stage have decayed in this time.
+    smallest_reversal : float
+        Part of the voltage's range below which a way back is noise and no reversal, where branches
+        are told apart by their duration.
+    smallest_branch : float
+        Part of the distance between two levels below which a way back is no reversal, where samples
+        are taken at the levels.
+    level_slack : float
+        Part of the distance between two levels by which a branch may end before a level that it
+        counts as reaching. Half a quantum of any converter lies within it.
+    """
+
+    level_tolerance: float = 0.01
+    slow_branch_s: float = 0.05
+    smallest_reversal: float = 1e-3
+    smallest_branch: float = 0.25
+    level_slack: float = 1e-3
+
+
+SETTINGS = WaveformSettings()
+
+
+def played(recording: Recording) -> Recording:
+    """Return the part of a recording in which a waveform or a trajectory plays, without ramps.
 
     Raises
     ------
@@ -24,12 +61,14 @@ def played(recording):
     return part
 
 
-def with_voltage_before(recording, part):
-    """Voltage of a part of a recording, with that before it, which the hysteresis remembers too.
+def with_voltage_before(recording: Recording, part: Recording) -> tuple[FloatArray, int]:
+    """Return the voltage of a part of a recording, with that before it.
+
+    The hysteresis remembers what came before the part, too.
 
     Returns
     -------
-    voltage_v : (M,) array
+    voltage_v : ndarray, shape (M,)
     lead : int
         Samples of it that come before the part.
     """
@@ -37,8 +76,8 @@ def with_voltage_before(recording, part):
     return np.concatenate([before, part.voltage_v]).astype(float), before.size
 
 
-def samples_per_mean(recording):
-    """Clock samples of which each displacement is the mean; 1 where nothing was averaged."""
+def samples_per_mean(recording: Recording) -> int:
+    """Count the clock samples of which each displacement is the mean; 1 without averaging."""
     return max(1, round(recording.sample_period_s * recording.sample_rate_hz))
 
 
@@ -54,11 +93,11 @@ class SquareWave:
         Samples at which the level changes.
     """
 
-    level: np.ndarray
-    steps: np.ndarray
+    level: FloatArray
+    steps: NDArray[np.intp]
 
 
-def square_wave(recording):
+def square_wave(recording: Recording) -> SquareWave:
     """Read a recording's voltage as a square wave.
 
     Raises
@@ -70,7 +109,8 @@ def square_wave(recording):
     low_v, high_v = voltage_v.min(), voltage_v.max()
     swing_v = high_v - low_v
     level = (voltage_v > 0.5 * (low_v + high_v)).astype(float)
-    if swing_v == 0.0 or np.abs(voltage_v - low_v - swing_v * level).max() > 0.01 * swing_v:
+    largest_v = SETTINGS.level_tolerance * swing_v
+    if swing_v == 0.0 or np.abs(voltage_v - low_v - swing_v * level).max() > largest_v:
         raise ValueError(
             f"{recording.path} is no square wave between two voltages: "
             "give the recording of a creep or dynamics experiment"
@@ -78,8 +118,8 @@ def square_wave(recording):
     return SquareWave(level, np.flatnonzero(np.diff(level)) + 1)
 
 
-def turning_points(voltage_v, threshold_v):
-    """Samples at which the voltage reverses, with the first and the last sample.
+def turning_points(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.intp]:
+    """Find the samples at which the voltage reverses, with the first and the last sample.
 
     Parameters
     ----------
@@ -93,7 +133,7 @@ def turning_points(voltage_v, threshold_v):
     """
     moves = np.flatnonzero(np.diff(voltage_v)) + 1
     points, extreme, direction = [0], 0, 0
-    for sample in moves:
+    for sample in moves.tolist():
         travel_v = voltage_v[sample] - voltage_v[extreme]
         if direction * travel_v >= 0.0 and (direction or abs(travel_v) > threshold_v):
             extreme, direction = sample, direction or int(np.sign(travel_v))
@@ -107,8 +147,26 @@ def turning_points(voltage_v, threshold_v):
     return np.array(points)
 
 
-def sample_by_voltage(voltage_v, levels_v):
-    """Input-based sampling rule (4.9)-(4.10): the samples nearest to the levels.
+def slow_branches(time_s: FloatArray, voltage_v: FloatArray) -> NDArray[np.bool_]:
+    """Mark the samples between reversals that are farther apart than `SETTINGS.slow_branch_s`.
+
+    Parameters
+    ----------
+    time_s, voltage_v : ndarray, shape (N,)
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+    """
+    points = turning_points(voltage_v, SETTINGS.smallest_reversal * float(np.ptp(voltage_v)))
+    slow = np.zeros(voltage_v.size, dtype=bool)
+    for start, end in zip(points[:-1], points[1:], strict=True):
+        slow[start : end + 1] = time_s[end] - time_s[start] > SETTINGS.slow_branch_s
+    return slow
+
+
+def sample_by_voltage(voltage_v: FloatArray, levels_v: FloatArray) -> NDArray[np.intp]:
+    """Choose the samples nearest to the levels: the input-based sampling rule (4.9)-(4.10).
 
     Between two reversals every level is taken once, where the voltage comes nearest to it. L
     harmonics of rising amplitude from level 0 give L (L + 1) + 1 samples.
@@ -125,15 +183,14 @@ def sample_by_voltage(voltage_v, levels_v):
         Increasing.
     """
     spacing_v = levels_v[1] - levels_v[0]
-    points = turning_points(voltage_v, 0.25 * spacing_v)
+    points = turning_points(voltage_v, SETTINGS.smallest_branch * spacing_v)
     samples = [np.array([0])]
     for start, end in zip(points[:-1], points[1:], strict=True):
         branch_v = voltage_v[start : end + 1]
         direction = 1.0 if branch_v[-1] >= branch_v[0] else -1.0
         rising_v = np.maximum.accumulate(direction * branch_v)
         wanted_v = np.sort(direction * levels_v)
-        # Half a quantum of any converter lies within this.
-        slack_v = 1e-3 * spacing_v
+        slack_v = SETTINGS.level_slack * spacing_v
         wanted_v = wanted_v[
             (wanted_v >= rising_v[0] - slack_v) & (wanted_v <= rising_v[-1] + slack_v)
         ]

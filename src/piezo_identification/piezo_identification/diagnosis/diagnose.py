@@ -30,7 +30,7 @@ from piezo_identification.diagnosis.evidence.residual_description import describ
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.regression import Fit, first_regression
 from piezo_identification.diagnosis.verdict import Verdict
-from piezo_identification.prediction import CLEARLY_LESS, conditioned
+from piezo_identification.prediction import PastSearchSettings, conditioned
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 
@@ -195,7 +195,8 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
         selections.append(
             select_effects(residual, _part_of(progress, number, len(simulated))))
     with_past, plain = selections[0], selections[-1]
-    return with_past if left_rms_um(with_past) < CLEARLY_LESS * left_rms_um(plain) else plain
+    most_um = PastSearchSettings.largest_error_ratio * left_rms_um(plain)
+    return with_past if left_rms_um(with_past) < most_um else plain
 
 
 def decide(selection: Selection, validation: Validation) -> Decision:

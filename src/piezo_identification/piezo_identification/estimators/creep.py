@@ -15,7 +15,8 @@ from piezo_identification.estimators.estimate import (
     parameter_covariance,
     propagated,
 )
-from piezo_models.linear.dynamics import CreepDynamics
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
 
 MOST_PAIRS = 6
 """Pairs of pole and zero beyond which the search for their number ends."""
@@ -31,7 +32,10 @@ class CreepNotShown(ValueError):
     """A recording does not show as many pairs as are asked for."""
 
 
-def estimate_creep(recording, dynamics=None, pair_count=None):
+def estimate_creep(
+    recording: Recording, dynamics: ElectricVibrationDynamics | None = None,
+    pair_count: int | None = None,
+) -> Estimate:
     """Estimate the creep dynamics (4.4) from a square wave of long period.
 
     Under a square wave the hysteresis is an offset and a gain (4.5); both are free here, and so is
@@ -104,7 +108,7 @@ class _CreepRecord:
         self.bounds = np.log([0.3 / self.time_s[-1], self.fastest])
 
     def _logarithmic_bins(self):
-        """Starts of the bins, alternating with the settling samples that are left out."""
+        """List the starts of the bins, alternating with the settling samples that are left out."""
         skipped = int(np.ceil(self.settling_s / self.period_s))
         edges = np.concatenate([[0], self.wave.steps, [self.wave.level.size]])
         starts, weights = [], []

@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What an estimator found, how sure it is, and why it chose the order."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from piezo_models.arrays import FloatArray
+from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 SHOWN = 12
@@ -60,19 +65,19 @@ class Estimate:
         True if the user asked for this order.
     """
 
-    model: object
+    model: Any
     standard_deviations: dict
     order: int
     trials: tuple
     order_given: bool = False
 
     @property
-    def residual_rms(self):
+    def residual_rms(self) -> float:
         """Residual of the chosen order, in the unit of the fitted output."""
         return next(trial.residual_rms for trial in self.trials if trial.order == self.order)
 
-    def order_table(self):
-        """The best trials, each in a line, the chosen one marked: the reason for the order."""
+    def order_table(self) -> str:
+        """Return the best trials, each in a line, with the chosen one marked."""
         lines = ["order  parameters  residual RMS  information"]
         worst = sorted(trial.information for trial in self.trials)[:SHOWN][-1]
         for trial in self.trials:
@@ -88,8 +93,10 @@ class Estimate:
         return "\n".join(lines)
 
 
-def order_trial(order, residual, parameters, refusal=""):
-    """Judge a fit by its residual.
+def order_trial(
+    order: object, residual: FloatArray, parameters: int, refusal: str = "",
+) -> OrderTrial:
+    """Rate a fit by its residual: the Bayesian information criterion N ln(mean square) + P ln N.
 
     Parameters
     ----------
@@ -108,7 +115,9 @@ def order_trial(order, residual, parameters, refusal=""):
     return OrderTrial(order, parameters, float(np.sqrt(mean_square)), float(information), refusal)
 
 
-def parameter_covariance(jacobian, residual, parameters=None):
+def parameter_covariance(
+    jacobian: FloatArray, residual: FloatArray, parameters: int | None = None,
+) -> FloatArray:
     """Covariance of the parameters of a least-squares fit with white residual.
 
     Parameters
@@ -132,7 +141,7 @@ def parameter_covariance(jacobian, residual, parameters=None):
     return covariance
 
 
-def propagated(sensitivity, covariance):
+def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
     """Covariance of quantities that depend on parameters; infinite where on one that is not told.
 
     Parameters
@@ -154,8 +163,8 @@ def propagated(sensitivity, covariance):
     return result
 
 
-def parameter_deviations(jacobian):
-    """Standard deviations of the parameters of a least-squares fit whose residual has variance 1.
+def parameter_deviations(jacobian: FloatArray) -> FloatArray:
+    """Return standard deviations of the parameters of a fit whose residual has variance 1.
 
     Parameters
     ----------
@@ -171,7 +180,7 @@ def parameter_deviations(jacobian):
     return np.where(untold, np.inf, np.linalg.norm(spread, axis=1))
 
 
-def scaled_inverse(jacobian):
+def scaled_inverse(jacobian: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Square root of the inverse normal matrix of a Jacobian, without the square of its condition.
 
     Parameters
@@ -197,7 +206,9 @@ def scaled_inverse(jacobian):
     return right.T * inverse / scale[:, None], untold
 
 
-def untold_parameters(model, standard_deviations):
+def untold_parameters(
+    model: StageModel, standard_deviations: Mapping[str, Mapping[str, Any]],
+) -> list[str]:
     """Name the parameters whose standard deviation is larger than they are.
 
     Parameters
@@ -221,7 +232,7 @@ def untold_parameters(model, standard_deviations):
     return untold
 
 
-def dynamics_vector(dynamics):
+def dynamics_vector(dynamics: ElectricVibrationDynamics) -> FloatArray:
     """Parameters of electric and vibration dynamics in one vector, all positive."""
     return np.array([
         dynamics.time_constant_s, *dynamics.mode_frequencies_rad_per_s, *dynamics.damping_ratios,
@@ -229,7 +240,9 @@ def dynamics_vector(dynamics):
     ])
 
 
-def split_dynamics_vector(vector, mode_count, antiresonance_count=0):
+def split_dynamics_vector(
+    vector: ArrayLike, mode_count: int, antiresonance_count: int = 0,
+) -> dict[str, Any]:
     """Fields of `ElectricVibrationDynamics` by name, from a vector in their order."""
     edges = np.cumsum([1, mode_count, mode_count, antiresonance_count])
     parts = np.split(np.asarray(vector, dtype=float), edges)
@@ -240,14 +253,18 @@ def split_dynamics_vector(vector, mode_count, antiresonance_count=0):
     }
 
 
-def dynamics_of_vector(vector, mode_count, antiresonance_count=0):
+def dynamics_of_vector(
+    vector: ArrayLike, mode_count: int, antiresonance_count: int = 0,
+) -> ElectricVibrationDynamics:
     """Inverse of `dynamics_vector`."""
     return ElectricVibrationDynamics(
         **split_dynamics_vector(vector, mode_count, antiresonance_count)
     )
 
 
-def creep_of_partial_fractions(rates, gains, covariance=None):
+def creep_of_partial_fractions(
+    rates: FloatArray, gains: FloatArray, covariance: FloatArray | None = None,
+) -> tuple[CreepDynamics, dict[str, Any]]:
     """Creep 1 + sum g p / (s + p) as poles and zeros, with their standard deviations.
 
     Parameters

@@ -5,6 +5,7 @@ A package of its own adds an experiment through an entry point of the group
 `piezo_identification.experiments`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -14,6 +15,8 @@ from piezo_common.registered import registered
 from piezo_identification.experiments.diagnostic_waveform import diagnostic_block
 from piezo_identification.experiments.input_designs import arc, stair_amplitudes, stair_harmonics
 from piezo_identification.experiments.relay_feedback import RelayExperiment, relay
+from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
+from piezo_models.arrays import FloatArray
 
 SWING_FRACTION = 0.3
 """Step of the square waves over the voltage range: large, yet within the slew limit."""
@@ -29,46 +32,6 @@ MULTISINE_TONES = (
     (100.0, 0.05), (200.0, 0.1), (300.0, 0.05), (400.0, 0.05), (500.0, 0.05), (600.0, 0.05)
 )
 """Frequency in Hz and amplitude over the voltage range, in the proportions of the thesis."""
-
-
-@dataclass(frozen=True)
-class StageLimits:
-    """What the stage allows.
-
-    Parameters
-    ----------
-    voltage_min_v, voltage_max_v : float
-        Range of the amplifier.
-    slew_limit_v_per_s : float
-        Largest rate of change of the voltage.
-    sample_rate_hz : float
-        Sample clock of the stage.
-    rest_voltage_v : float
-        Voltage of the stage at rest.
-    samples_per_tick : int
-        Samples of one feedback period.
-    """
-
-    voltage_min_v: float = -20.0
-    voltage_max_v: float = 120.0
-    slew_limit_v_per_s: float = 2e6
-    sample_rate_hz: float = 40_000.0
-    rest_voltage_v: float = 0.0
-    samples_per_tick: int = 40
-
-    @property
-    def span_v(self):
-        """Width of the voltage range."""
-        return self.voltage_max_v - self.voltage_min_v
-
-    @property
-    def middle_v(self):
-        """Middle of the voltage range."""
-        return 0.5 * (self.voltage_min_v + self.voltage_max_v)
-
-    def clip(self, voltage_v):
-        """Voltage without the rounding that would put it a hair outside the range."""
-        return np.clip(voltage_v, self.voltage_min_v, self.voltage_max_v)
 
 
 @dataclass(frozen=True)
@@ -90,23 +53,26 @@ class Experiment:
     """
 
     name: str
-    voltage_v: np.ndarray = field(repr=False)
+    voltage_v: FloatArray = field(repr=False)
     sample_period_s: float
     repeats: int
     description: str
 
     @property
-    def duration_s(self):
+    def duration_s(self) -> float:
         """Time that all repeats take, without the ramps from and to rest."""
         return self.voltage_v.size * self.sample_period_s * self.repeats
 
-    def parameters(self):
-        """What a recording should keep of it."""
+    def parameters(self) -> dict[str, float]:
+        """Return what a recording should keep of the experiment."""
         return {"sample_period_s": self.sample_period_s, "repeats": self.repeats,
                 "samples": self.voltage_v.size}
 
 
-def creep(limits=StageLimits(), period_s=400.0, sample_period_s=0.01, periods=1, swing_v=None):
+def creep(
+    limits: StageLimits = USUAL_LIMITS, period_s: float = 400.0, sample_period_s: float = 0.01,
+    periods: int = 1, swing_v: float | None = None,
+) -> Experiment:
     """Long square wave: shows the creep (thesis 4.5).
 
     It begins at the upper level: the loop between the levels is then closed from the first sample
@@ -135,7 +101,10 @@ def creep(limits=StageLimits(), period_s=400.0, sample_period_s=0.01, periods=1,
     )
 
 
-def dynamics(limits=StageLimits(), period_s=0.02, duration_s=2.0, swing_v=None):
+def dynamics(
+    limits: StageLimits = USUAL_LIMITS, period_s: float = 0.02, duration_s: float = 2.0,
+    swing_v: float | None = None,
+) -> Experiment:
     """Short square wave at the full sample clock: shows electric and vibration dynamics.
 
     Parameters
@@ -160,7 +129,10 @@ def dynamics(limits=StageLimits(), period_s=0.02, duration_s=2.0, swing_v=None):
     )
 
 
-def hysteresis(limits=StageLimits(), level_count=70, harmonic_period_s=2.0, sample_period_s=0.001):
+def hysteresis(
+    limits: StageLimits = USUAL_LIMITS, level_count: int = 70, harmonic_period_s: float = 2.0,
+    sample_period_s: float = 0.001,
+) -> Experiment:
     """Harmonics of stair amplitude (4.6)-(4.8), from the bottom over the whole voltage range.
 
     Harmonic i rises from the lowest voltage to level i and returns, so each begins and ends at
@@ -191,7 +163,9 @@ def hysteresis(limits=StageLimits(), level_count=70, harmonic_period_s=2.0, samp
     )
 
 
-def validation(limits=StageLimits(), arc_s=0.25, tones_s=1.0):
+def validation(
+    limits: StageLimits = USUAL_LIMITS, arc_s: float = 0.25, tones_s: float = 1.0,
+) -> Experiment:
     """Unseen input: slow arcs between turning points off the levels, then tones to 1 kHz.
 
     It begins at the lowest voltage, where the memory of the hysteresis is known.
@@ -217,7 +191,9 @@ def validation(limits=StageLimits(), arc_s=0.25, tones_s=1.0):
     )
 
 
-def multisine(limits=StageLimits(), arc_s=0.5, tones_s=1.0):
+def multisine(
+    limits: StageLimits = USUAL_LIMITS, arc_s: float = 0.5, tones_s: float = 1.0,
+) -> Experiment:
     """Six tones from 100 to 600 Hz around mid-range (3.4.2): shows the modes below 1 kHz.
 
     It climbs from the lowest voltage, where the memory of the hysteresis is known, so that an
@@ -242,7 +218,7 @@ def multisine(limits=StageLimits(), arc_s=0.5, tones_s=1.0):
     )
 
 
-def diagnostic(limits=StageLimits(), repeats=4):
+def diagnostic(limits: StageLimits = USUAL_LIMITS, repeats: int = 4) -> Experiment:
     """Every effect that a model may lack shows: rest, loops, rates, steps and tones.
 
     It begins at the lowest voltage, where the memory of the hysteresis is known. Repeats tell the
@@ -281,7 +257,7 @@ GROUP = "piezo_identification.experiments"
 
 
 def named_experiment(name: str,
-                     limits: StageLimits = StageLimits()) -> Experiment | RelayExperiment:
+                     limits: StageLimits = USUAL_LIMITS) -> Experiment | RelayExperiment:
     """Make the experiment of this name with its default parameters.
 
     Parameters
@@ -309,7 +285,9 @@ def named_experiment(name: str,
     return _fitting(limits, experiment)
 
 
-def _square_wave(limits, period_s, sample_period_s, swing_v):
+def _square_wave(
+    limits: StageLimits, period_s: float, sample_period_s: float, swing_v: float | None,
+) -> FloatArray:
     """One period (N,) between two levels around the middle, the upper one first."""
     swing_v = SWING_FRACTION * limits.span_v if swing_v is None else swing_v
     half = round(0.5 * period_s / sample_period_s)
@@ -317,7 +295,10 @@ def _square_wave(limits, period_s, sample_period_s, swing_v):
     return np.repeat(levels_v, half)
 
 
-def _arcs_and_tones(limits, turns, tones, arc_s, tones_s):
+def _arcs_and_tones(
+    limits: StageLimits, turns: Sequence[float], tones: Sequence[tuple[float, float]], arc_s: float,
+    tones_s: float,
+) -> FloatArray:
     """Smooth ways from turn to turn (N,), then tones about the last; both in parts of the range."""
     samples = round(arc_s * limits.sample_rate_hz)
     arcs = [arc(start, end, samples) for start, end in pairwise(turns)]
@@ -329,7 +310,7 @@ def _arcs_and_tones(limits, turns, tones, arc_s, tones_s):
     return limits.voltage_min_v + limits.span_v * np.concatenate([*arcs, waves])
 
 
-def _fitting(limits, experiment):
+def _fitting(limits: StageLimits, experiment: Experiment) -> Experiment:
     """Return the experiment; refuse it if the stage would not play it unchanged."""
     if experiment.voltage_v.ndim != 1 or not np.isfinite(experiment.voltage_v).all() or (
             experiment.voltage_v.size == 0):

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The waveform that lets every effect show which a model may lack."""
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
 
 from piezo_identification.experiments.input_designs import arc
+from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_models.arrays import FloatArray
 
 REST_S = 0.8
 """Silence: noise, disturbances from outside, outliers, drift."""
@@ -31,7 +34,7 @@ PHASES = 0
 """Seed of their phases."""
 
 
-def diagnostic_block(limits):
+def diagnostic_block(limits: StageLimits) -> FloatArray:
     """One block of the waveform, from the lowest voltage back to it, at the sample clock.
 
     Parameters
@@ -54,20 +57,20 @@ def diagnostic_block(limits):
     return limits.voltage_min_v + limits.span_v * np.concatenate(parts)
 
 
-def _loops(rate_hz):
+def _loops(rate_hz: float) -> Iterator[FloatArray]:
     for start, end in pairwise(LOOPS):
         yield arc(start, end, round(ARC_S * rate_hz))
         yield np.full(round(DWELL_S * rate_hz), end)
 
 
-def _faster_and_faster(rate_hz):
+def _faster_and_faster(rate_hz: float) -> Iterator[FloatArray]:
     for frequency_hz, cycles in zip(RATES_HZ, CYCLES, strict=True):
         samples = round(cycles / frequency_hz * rate_hz)
         phase = 2.0 * np.pi * cycles * np.arange(samples) / samples
         yield 0.5 + RATE_SWING * np.sin(phase)
 
 
-def _steps(rate_hz, highest_step):
+def _steps(rate_hz: float, highest_step: float) -> Iterator[FloatArray]:
     samples = round(STEP_S * rate_hz)
     yield np.full(samples, 0.5)
     for step in STEPS:
@@ -75,7 +78,7 @@ def _steps(rate_hz, highest_step):
         yield np.repeat([0.5 + height, 0.5], samples)
 
 
-def _tones(rate_hz, highest_step):
+def _tones(rate_hz: float, highest_step: float) -> Iterator[FloatArray]:
     samples = round(TONES_S * rate_hz)
     lines = np.arange(TONES_HZ[0], min(TONES_HZ[1], 0.1 * rate_hz), TONES_PER_S) * TONES_S
     harmonics = np.zeros(samples // 2 + 1, dtype=complex)

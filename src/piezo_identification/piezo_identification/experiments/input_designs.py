@@ -3,8 +3,10 @@
 
 import numpy as np
 
+from piezo_models.arrays import FloatArray
 
-def arc(start, end, samples):
+
+def arc(start: float, end: float, samples: int) -> FloatArray:
     """Half a cosine from start towards end, which the sample after the last would reach.
 
     Returns
@@ -14,7 +16,7 @@ def arc(start, end, samples):
     return start + 0.5 * (end - start) * (1.0 - np.cos(np.pi * np.arange(samples) / samples))
 
 
-def stair_amplitudes(level_count, highest_v, below_the_top=0.0):
+def stair_amplitudes(level_count: int, highest_v: float, below_the_top: float = 0.0) -> FloatArray:
     """Amplitudes of the harmonics, (3.7), (4.7), (4.8): steps up to the highest voltage.
 
     Parameters
@@ -32,7 +34,9 @@ def stair_amplitudes(level_count, highest_v, below_the_top=0.0):
     return (np.arange(1, level_count + 1) - below_the_top) * highest_v / level_count
 
 
-def stair_harmonics(time_s, amplitudes_v, harmonic_period_s):
+def stair_harmonics(
+    time_s: FloatArray, amplitudes_v: FloatArray, harmonic_period_s: float,
+) -> FloatArray:
     """Harmonics from zero to each of the amplitudes in turn and back, (2.29), (3.6), (4.6).
 
     Parameters
@@ -52,7 +56,9 @@ def stair_harmonics(time_s, amplitudes_v, harmonic_period_s):
     return 0.5 * np.asarray(amplitudes_v)[harmonic] * (1.0 - np.cos(2.0 * np.pi * periods))
 
 
-def stair_sample_times(amplitudes_v, harmonic_period_s, voltages_v):
+def stair_sample_times(
+    amplitudes_v: FloatArray, harmonic_period_s: float, voltages_v: FloatArray,
+) -> FloatArray:
     """Instants at which the harmonics pass by given voltages, (3.9)-(3.10) and (4.10).
 
     Parameters

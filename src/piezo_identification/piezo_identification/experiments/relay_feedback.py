@@ -6,6 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from piezo_identification.experiments.input_designs import arc
+from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 AMPLITUDE_FRACTION = 0.05
@@ -49,7 +52,7 @@ class RelayExperiment:
     """
 
     name: str
-    feedforward_v: np.ndarray = field(repr=False)
+    feedforward_v: FloatArray = field(repr=False)
     lowest_sample: int
     cycle: slice
     amplitude_v: float
@@ -59,29 +62,29 @@ class RelayExperiment:
     description: str
 
     @property
-    def ticks(self):
+    def ticks(self) -> int:
         """Feedback periods that the whole takes."""
         return round(self.duration_s / self.tick_s)
 
     @property
-    def tick_s(self):
-        """Feedback period."""
+    def tick_s(self) -> float:
+        """Feedback period of the stage in s."""
         return self.samples_per_tick * self.sample_period_s
 
     @property
-    def delay_s(self):
+    def delay_s(self) -> float:
         """Declared delay of the loop: from the middle of a mean to that of its answer's hold.
 
         The answer to a tick's mean acts in the tick after the next.
         """
         return 2.5 * self.tick_s - 0.5 * (self.samples_per_tick - 1) * self.sample_period_s
 
-    def parameters(self):
-        """What a recording should keep of it."""
+    def parameters(self) -> dict[str, float]:
+        """Return what a recording should keep of the experiment."""
         return {"amplitude_v": self.amplitude_v, "tick_s": self.tick_s, "delay_s": self.delay_s}
 
 
-def relay(limits, oscillation_s=0.5):
+def relay(limits: StageLimits, oscillation_s: float = 0.5) -> RelayExperiment:
     """Relay around mid-range, with what its gain is to be compared to measured before.
 
     From rest to the lowest voltage, to the highest one, and down into a slow cycle of the relay's
@@ -141,18 +144,18 @@ class RelayRun:
     experiment : RelayExperiment
     """
 
-    def __init__(self, experiment):
+    def __init__(self, experiment: RelayExperiment) -> None:
         self._experiment = experiment
-        self._means_um = []
-        self._threshold_um = self._half_width_um = None
+        self._means_um: list[float] = []
+        self._thresholds_um: tuple[float, float] | None = None
         self._answer_v = experiment.amplitude_v
 
     @property
-    def fraction(self):
+    def fraction(self) -> float:
         """Done of the whole, 0 to 1."""
         return min(1.0, len(self._means_um) / self._experiment.ticks)
 
-    def take(self, displacement_um):
+    def take(self, displacement_um: FloatArray) -> float:
         """Take the samples of the next tick.
 
         Parameters
@@ -169,20 +172,22 @@ class RelayRun:
         self._means_um.append(mean_um)
         if len(self._means_um) * experiment.samples_per_tick < experiment.feedforward_v.size:
             return 0.0
-        if self._threshold_um is None:
-            self._set_thresholds()
-        if abs(mean_um - self._threshold_um) > self._half_width_um:
-            self._answer_v = -np.copysign(experiment.amplitude_v, mean_um - self._threshold_um)
-        return float(self._answer_v)
+        if self._thresholds_um is None:
+            self._thresholds_um = self._middle_and_half_width_um()
+        middle_um, half_width_um = self._thresholds_um
+        if abs(mean_um - middle_um) > half_width_um:
+            self._answer_v = -float(np.copysign(experiment.amplitude_v, mean_um - middle_um))
+        return self._answer_v
 
-    def _set_thresholds(self):
+    def _middle_and_half_width_um(self) -> tuple[float, float]:
         experiment, means_um = self._experiment, np.array(self._means_um)
         begin, end = (sample // experiment.samples_per_tick
                       for sample in (experiment.cycle.start, experiment.cycle.stop))
-        self._threshold_um = np.mean(_ends(means_um[begin:end]))
+        middle_um = float(np.mean(_ends(means_um[begin:end])))
         held = round(HOLD_S / experiment.tick_s)
         # Differences leave the creep out.
-        self._half_width_um = NOISE_FACTOR * np.std(np.diff(means_um[-held:])) / np.sqrt(2.0)
+        noise_um = float(np.std(np.diff(means_um[-held:])) / np.sqrt(2.0))
+        return middle_um, NOISE_FACTOR * noise_um
 
 
 @dataclass(frozen=True)
@@ -212,8 +217,8 @@ class RelayOscillation:
     frequency_hz: float
     shortest_ticks: int
     longest_ticks: int
-    harmonics_hz: np.ndarray
-    response_um_per_v: np.ndarray
+    harmonics_hz: FloatArray
+    response_um_per_v: ComplexArray
     loop_gain_v_per_um: float
     cycle_gain_um_per_v: float
     largest_gain_um_per_v: float
@@ -221,17 +226,20 @@ class RelayOscillation:
     tick_s: float
 
     @property
-    def gain_margin(self):
-        """g_m (3.18) of the dynamics without hysteresis at the oscillation."""
+    def gain_margin(self) -> float:
+        """Gain margin g_m (3.18) of the dynamics without hysteresis at the oscillation.
+
+        It is the gain of the loop times that of the hysteresis in the slow cycle.
+        """
         return self.loop_gain_v_per_um * self.cycle_gain_um_per_v
 
     @property
-    def ultimate_gain_v_per_um(self):
-        """k_u (3.19), for the largest gain that the hysteresis may have."""
+    def ultimate_gain_v_per_um(self) -> float:
+        """Ultimate gain k_u (3.19), g_m over the largest gain that the hysteresis may have."""
         return self.gain_margin / self.largest_gain_um_per_v
 
     @property
-    def summary(self):
+    def summary(self) -> str:
         """Lines for people, the PI controller (3.20) among them."""
         gain, part = 0.6 * self.ultimate_gain_v_per_um, self.tick_s * self.frequency_hz
         ticks = " to ".join(str(n) for n in sorted({self.shortest_ticks, self.longest_ticks}))
@@ -253,7 +261,7 @@ class RelayOscillation:
         ])
 
 
-def relay_oscillation(recording, experiment):
+def relay_oscillation(recording: Recording, experiment: RelayExperiment) -> RelayOscillation:
     """Evaluate the recording of a relay experiment.
 
     Parameters
@@ -307,8 +315,8 @@ def relay_oscillation(recording, experiment):
     )
     return RelayOscillation(
         1.0 / period_s,
-        *(int(round(count / experiment.samples_per_tick))
-          for count in (periods.min(), periods.max())),
+        round(periods.min() / experiment.samples_per_tick),
+        round(periods.max() / experiment.samples_per_tick),
         harmonics_hz, lines_um / lines_v * held_back,
         float(abs(lines_v[0]) / abs(lines_um[0]) / attenuation),
         float(cycle_um / cycle_v),
@@ -317,7 +325,7 @@ def relay_oscillation(recording, experiment):
     )
 
 
-def _ends(cycle):
+def _ends(cycle: FloatArray) -> tuple[float, float]:
     """Signal at the top and at the bottom of the slow cycle, which begins at the bottom."""
     # Around its turns, where voltage and displacement stand nearly still.
     near = max(1, cycle.size // 40)
@@ -325,7 +333,9 @@ def _ends(cycle):
     return cycle[middle - near : middle + near].mean(), cycle[-near:].mean()
 
 
-def _largest_secant(voltage_v, displacement_um, experiment):
+def _largest_secant(
+    voltage_v: FloatArray, displacement_um: FloatArray, experiment: RelayExperiment,
+) -> float:
     """Largest gain from the lowest voltage over the way down to the cycle, (3.16)."""
     lowest = experiment.lowest_sample
     # The mean over a tick takes the noise out of the end that all secants share.
@@ -338,7 +348,7 @@ def _largest_secant(voltage_v, displacement_um, experiment):
     return float(np.max((displacement_um[down] - origin_um) / travel_v))
 
 
-def _lines(signal, cycles_per_sample):
+def _lines(signal: FloatArray, cycles_per_sample: FloatArray) -> ComplexArray:
     """Complex amplitudes of a signal at some frequencies, beside offset, drift and even lines."""
     samples = np.arange(signal.size)
     even = 2.0 * cycles_per_sample[0] * np.arange(1, 4)

@@ -16,7 +16,7 @@ from piezo_identification.experiments.relay_feedback import (
     RelayRun,
     relay_oscillation,
 )
-from piezo_identification.identify import IdentificationCancelled, identify
+from piezo_identification.identification.identify import IdentificationCancelled, identify
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
 from piezo_ros.calls import ActionCaller, CallFailed, Cancelled, GoalAborted

@@ -7,7 +7,7 @@ import pytest
 from piezo_identification.commands.identify_command import main as identify_main
 from piezo_identification.commands.simulate_command import main as simulate_main
 from piezo_identification.experiments import catalogue as experiments
-from piezo_identification.identify import IdentificationCancelled, identify
+from piezo_identification.identification.identify import IdentificationCancelled, identify
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import read_recording, sha256_of

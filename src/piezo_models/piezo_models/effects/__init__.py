@@ -52,8 +52,8 @@ __all__ = [
 ]
 
 
-def known_effects():
-    """Every effect by its name, those of other packages after those of this one.
+def known_effects() -> dict[str, type[Effect]]:
+    """Return every effect by its name, those of other packages after those of this one.
 
     Returns
     -------

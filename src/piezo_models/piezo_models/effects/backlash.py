@@ -2,16 +2,17 @@
 """Play of a joint between actuator and stage."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numba import njit
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 
 @njit(cache=True)
-def _played(position, half_width, start):
+def _played(position: FloatArray, half_width: float, start: float) -> FloatArray:
     output = np.empty(position.size)
     last = start
     for n in range(position.size):
@@ -30,18 +31,20 @@ class Backlash(Effect):
 
     width_um: float = parameter("um", "logarithm", 1e-9, 1e6)
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
         return self.advance(signal, sample_period_s, rest)[0]
 
-    def advance(self, signal, sample_period_s, past=None):
-        """See `Effect.advance`: the past is the position of the stage."""
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the signal behind the effect; the past is the position of the stage."""
         start = float(signal[0] if past is None else past)
         behind = _played(np.ascontiguousarray(signal), 0.5 * self.width_um, start)
         return behind, float(behind[-1])
 
-    def compensate(self, wanted, sample_period_s):
-        """The play is taken up at once after each reversal."""
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Shift the wanted motion so that the play is taken up at once after each reversal."""
         ahead = np.sign(np.diff(np.tile(wanted, 2), append=wanted[0]))
         for n in range(1, ahead.size):
             if ahead[n] == 0.0:
@@ -49,13 +52,13 @@ class Backlash(Effect):
         return wanted + 0.5 * self.width_um * ahead[wanted.size :]
 
     @classmethod
-    def bounds(cls, extent):
-        """See `Effect.bounds`: a play that leaves some motion."""
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the width to a play that leaves some motion."""
         return {"width_um": (1e-9, max(0.5 * extent.travel_um, 1e-9))}
 
     @classmethod
-    def starts(cls, evidence):
-        """Widths from the noise to a tenth of the travel."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with widths from the noise to a tenth of the travel."""
         high = 0.1 * evidence.travel_um
         if high <= evidence.noise_um:
             return []

@@ -2,12 +2,13 @@
 """Further creep: relaxations over the decades of time that a recording covers."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import control
 import numpy as np
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, parameter
 from piezo_models.effects.filtering import filtered
 
 PER_DECADE = 1.0
@@ -30,33 +31,35 @@ class Creep(Effect):
     experiment: ClassVar[str] = "creep: long square wave, steps held for minutes"
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("thermal_drift",)
 
-    gains: tuple = parameter("1", "linear", 0.0, 1.0)
-    time_constants_s: tuple = parameter("s", "fixed", 1e-6, 1e9)
+    gains: tuple[float, ...] = parameter("1", "linear", 0.0, 1.0)
+    time_constants_s: tuple[float, ...] = parameter("s", "fixed", 1e-6, 1e9)
 
-    def state_space(self):
-        """Continuous `control.StateSpace` with unit gain at high frequency."""
+    def state_space(self) -> control.StateSpace:
+        """Return the continuous system, with unit gain at high frequency."""
         rates = 1.0 / np.array(self.time_constants_s)
         return control.ss(
             np.diag(-rates), rates[:, None], np.array(self.gains)[None, :], [[1.0]]
         )
 
-    def relaxations(self, signal, sample_period_s, rest=None):
-        """What each relaxation of gain 1 would add, shape (N, n)."""
+    def relaxations(self, signal: FloatArray, sample_period_s: float,
+                    rest: float | None = None) -> FloatArray:
+        """Return what each relaxation of gain 1 would add, shape (N, n)."""
         return np.column_stack([
             filtered([1.0], [time_s, 1.0], signal, sample_period_s, rest)
             for time_s in self.time_constants_s
         ])
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
         rest = signal[0] if rest is None else rest
         # What crept before the beginning is part of the offset.
         added = self.relaxations(signal - rest, sample_period_s, 0.0) @ self.gains
         return signal + added + rest * sum(self.gains)
 
     @classmethod
-    def starts(cls, evidence):
-        """Time constants that cover the recording, with the gains of least squares."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with time constants that cover the recording, and the gains of least squares."""
         shortest_s = max(SHORTEST_S, FEWEST_SAMPLES * evidence.sample_period_s)
         longest_s = 0.5 * evidence.duration_s
         if longest_s <= 2.0 * shortest_s:
@@ -71,8 +74,8 @@ class Creep(Effect):
         return [cls(tuple(np.clip(gains, 1e-6, 0.5)), time_constants_s)]
 
     @classmethod
-    def lacks_excitation(cls, evidence):
-        """Creep takes time."""
+    def lacks_excitation(cls, evidence: Evidence) -> str | None:
+        """Refuse a recording that is too short for creep, which takes time."""
         if evidence.duration_s < 10.0 * max(SHORTEST_S, evidence.sample_period_s):
             return f"the recording lasts only {evidence.duration_s:.3g} s"
         return None

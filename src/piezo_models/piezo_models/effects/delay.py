@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Dead time."""
+"""Delay of the whole displacement, the dead time of the stage."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import control
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import slowed
 
 CUBIC = 3
@@ -31,14 +32,16 @@ class Delay(Effect):
 
     delay_s: float = parameter("s", "linear", 0.0, 10.0)
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
         rest = signal[0] if rest is None else rest
         return self.advance(signal, sample_period_s, np.full(
             self._remembered(sample_period_s, signal.size), rest))[0]
 
-    def advance(self, signal, sample_period_s, past=None):
-        """See `Effect.advance`: the past is the samples that have not arrived in full.
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the signal; the past is the samples that have not arrived in full.
 
         Lagrange's cubic through the four samples around the instant; of a delay shorter than a
         sample through the last four, as the next is not known yet.
@@ -55,49 +58,49 @@ class Delay(Effect):
             behind += weight * known[first : first + signal.size]
         return behind, known[known.size - past.size :]
 
-    def _remembered(self, sample_period_s, most=np.inf):
-        """Samples that come before the one that has just arrived, or no more than there are."""
+    def _remembered(self, sample_period_s: float, most: float = np.inf) -> int:
+        """Count the samples before the one that has just arrived, or no more than there are."""
         return int(min(max(int(self.delay_s / sample_period_s) - 1, 0), most)) + CUBIC
 
-    def compensate(self, wanted, sample_period_s):
-        """The period, earlier."""
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return the period, earlier by the delay."""
         phase = np.arange(wanted.size + 1)
         spline = CubicSpline(phase, np.append(wanted, wanted[0]), bc_type="periodic")
         return spline((phase[:-1] + self.delay_s / sample_period_s) % wanted.size)
 
-    def lag(self):
-        """See `Effect.lag`."""
+    def lag(self) -> control.StateSpace | None:
+        """Return the lag as a continuous system, as `Effect.lag` describes."""
         unit = control.pade(1.0, PADE_ORDER)
-        return slowed(*unit, self.delay_s) if self.delay_s > 0.0 else None
+        return slowed(unit[0], unit[1], self.delay_s) if self.delay_s > 0.0 else None
 
-    def response(self, s):
-        """See `Effect.response`."""
+    def response(self, s: ComplexArray) -> ComplexArray:
+        """Return the factor of the effect in the frequency response."""
         return np.exp(-s * self.delay_s)
 
     @classmethod
-    def bounds(cls, extent):
-        """See `Effect.bounds`."""
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the parameters by what the recordings can show."""
         return {"delay_s": (0.0, LONGEST * extent.duration_s)}
 
     @classmethod
-    def starts(cls, evidence):
-        """Of least squares: a short delay takes off the velocity times it."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the delay of least squares: a short delay removes the velocity times it."""
         velocity = np.gradient(evidence.displacement_um, evidence.sample_period_s)
         gains, _ = evidence.reduction(-velocity[:, None])
         delay_s = float(np.clip(gains[0], 0.0, LONGEST * evidence.duration_s))
         return [cls(delay_s), cls(2.0 * delay_s)] if delay_s > 0.0 else []
 
     @classmethod
-    def lacks_excitation(cls, evidence):
-        """A delay shows in motion."""
+    def lacks_excitation(cls, evidence: Evidence) -> str | None:
+        """Refuse a recording without fast motion, in which alone a delay shows."""
         step_um = np.sqrt(np.mean(np.diff(evidence.displacement_um) ** 2))
         if step_um < 0.01 * evidence.noise_um:
             return "the displacement moves too slowly for a delay to show"
         return None
 
 
-def _lagrange(place):
+def _lagrange(place: float) -> list[float]:
     """Weights of values at 0 to `CUBIC` for the value of their polynomial at a place."""
     nodes = np.arange(CUBIC + 1)
-    return [np.prod([(place - other) / (node - other) for other in nodes if other != node])
+    return [float(np.prod([(place - other) / (node - other) for other in nodes if other != node]))
             for node in nodes]

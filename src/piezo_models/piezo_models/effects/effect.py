@@ -3,23 +3,30 @@
 
 import dataclasses
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import control
 import numpy as np
-from numpy.typing import NDArray
+
+from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 PLACES = ("voltage", "modes", "linear", "displacement", "sensor")
 """Where an effect acts: on the voltage before the hysteresis; beside the modes of vibration; as a
 linear system behind them; on the displacement; or on what the sensor makes of it. In the order of
 the signal."""
 
+Candidate = TypeVar("Candidate")
+AnyEffect = TypeVar("AnyEffect", bound="Effect")
+
 INVERSION_ROUNDS = 50
 INVERSION_TOLERANCE = 1e-9
 
 
-def parameter(unit, scale="linear", low=-np.inf, high=np.inf, default=dataclasses.MISSING):
+def parameter(unit: str, scale: str = "linear", low: float = -np.inf, high: float = np.inf,
+              default: Any = dataclasses.MISSING) -> Any:
     """Declare a parameter of an effect.
 
     Parameters
@@ -57,39 +64,41 @@ class Evidence:
         What drives the modes: the displacement if they followed at once.
     reduction : callable
         Given contributions, shape (N, n): the gains that fit them best to the residual, and the
-        part of its energy that they take off.
+        part of its energy that they remove.
     visible : callable
         Given a contribution, shape (N, 1): the part of its variation that neither offset nor
         initial creep nor a retuned model could explain.
     """
 
     sample_period_s: float
-    voltage_v: np.ndarray
-    displacement_um: np.ndarray
-    residual_um: np.ndarray
+    voltage_v: FloatArray
+    displacement_um: FloatArray
+    residual_um: FloatArray
     noise_um: float
-    dynamics: object
-    drive_um: np.ndarray
-    reduction: object
-    visible: object
+    dynamics: ElectricVibrationDynamics
+    drive_um: FloatArray
+    reduction: Callable[[FloatArray], tuple[FloatArray, float]]
+    visible: Callable[[FloatArray], float]
 
     @property
-    def time_s(self):
-        """Since the first sample."""
-        return np.arange(self.voltage_v.size) * self.sample_period_s
+    def time_s(self) -> FloatArray:
+        """Time since the first sample in s, shape (N,)."""
+        return np.arange(self.voltage_v.size, dtype=np.float64) * self.sample_period_s
 
     @property
-    def duration_s(self):
-        """Of the whole."""
+    def duration_s(self) -> float:
+        """Duration of the whole recording in s."""
         return self.voltage_v.size * self.sample_period_s
 
     @property
-    def travel_um(self):
+    def travel_um(self) -> float:
         """Largest minus smallest displacement."""
         return float(np.ptp(self.displacement_um))
 
-    def best(self, candidates, contributions, count=1):
-        """The candidates whose contributions take off most.
+    def best(self, candidates: Iterable[Candidate],
+             contributions: Callable[[Candidate], FloatArray],
+             count: int = 1) -> list[tuple[Candidate, FloatArray]]:
+        """Choose the candidates whose contributions remove most of the residual.
 
         Parameters
         ----------
@@ -129,11 +138,12 @@ class Extent:
     sample_period_s: float
 
     @property
-    def span_v(self):
+    def span_v(self) -> float:
         """Highest minus lowest voltage."""
         return self.highest_v - self.lowest_v
 
 
+@dataclass(frozen=True)
 class Effect(ABC):
     """An effect with its parameters: a frozen dataclass whose fields are made by `parameter`.
 
@@ -164,8 +174,9 @@ class Effect(ABC):
     indistinguishable_from: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def apply(self, signal, sample_period_s, rest=None):
-        """The signal behind the effect.
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect.
 
         Parameters
         ----------
@@ -180,8 +191,9 @@ class Effect(ABC):
         (N,) array
         """
 
-    def advance(self, signal, sample_period_s, past=None):
-        """The next part of the signal behind the effect, and what is remembered for the one after.
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Return the next part of the signal behind the effect, and what is remembered after it.
 
         The parts joined are what `apply` makes of the joined signal.
 
@@ -206,8 +218,8 @@ class Effect(ABC):
         whole = signal if past is None else np.concatenate([past, signal])
         return self.apply(whole, sample_period_s)[whole.size - signal.size :], whole
 
-    def compensate(self, wanted, sample_period_s):
-        """The periodic signal in front of the effect that gives the wanted one behind it.
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return the periodic signal in front of the effect that gives the wanted one behind it.
 
         Parameters
         ----------
@@ -235,8 +247,8 @@ class Effect(ABC):
                 return signal
         raise ValueError(f"no signal gives the wanted one through {self.name}: ask for less")
 
-    def lag(self):
-        """What a feedback loop meets of an effect behind the linear part; None if it lags nothing.
+    def lag(self) -> control.StateSpace | None:
+        """Return what a feedback loop meets of the effect; None if it lags nothing.
 
         Returns
         -------
@@ -260,7 +272,7 @@ class Effect(ABC):
         """
         raise NotImplementedError(f"{self.name} acts on the {self.place}: it is no linear system")
 
-    def response(self, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    def response(self, s: ComplexArray) -> ComplexArray:
         """Return the factor by which the effect multiplies the model's frequency response.
 
         An effect whose place is "linear" has the transfer function of its system. A linear effect
@@ -296,8 +308,8 @@ class Effect(ABC):
 
     @classmethod
     @abstractmethod
-    def starts(cls, evidence):
-        """Effects to begin a fit from, guessed from a recording; none if nothing hints at one.
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Guess effects to begin a fit from by a recording; none if nothing hints at one.
 
         Parameters
         ----------
@@ -309,8 +321,8 @@ class Effect(ABC):
         """
 
     @classmethod
-    def lacks_excitation(cls, evidence):
-        """Why a recording cannot show the effect; None if it can.
+    def lacks_excitation(cls, evidence: Evidence) -> str | None:
+        """Tell why a recording cannot show the effect; None if it can.
 
         Parameters
         ----------
@@ -323,8 +335,8 @@ class Effect(ABC):
         return None
 
     @classmethod
-    def bounds(cls, extent):
-        """What the parameters can physically be in recordings that go so far.
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound what the parameters can physically be in recordings that go so far.
 
         Parameters
         ----------
@@ -338,8 +350,8 @@ class Effect(ABC):
         """
         return {}
 
-    def impossible(self, extent):
-        """Why no stage can have the effect with these parameters; None if one can.
+    def impossible(self, extent: Extent) -> str | None:
+        """Tell why no stage can have the effect with these parameters; None if one can.
 
         Parameters
         ----------
@@ -351,16 +363,16 @@ class Effect(ABC):
         """
         return None
 
-    def parameters(self):
-        """Value of each parameter by name; a list where it has several."""
+    def parameters(self) -> dict[str, Any]:
+        """Return the value of each parameter by name; a tuple where it has several."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
     @classmethod
-    def units(cls):
-        """Unit of each parameter by name."""
+    def units(cls) -> dict[str, str]:
+        """Return the unit of each parameter by name."""
         return {field.name: field.metadata["unit"] for field in dataclasses.fields(cls)}
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             numbers = np.atleast_1d(np.asarray(value, dtype=float))
@@ -374,8 +386,9 @@ class Effect(ABC):
             object.__setattr__(self, field.name, plain)
 
 
-def fitted_values(effect, extent=None):
-    """Numbers that a fit may change, logarithms where the parameter is fitted as one.
+def fitted_values(effect: Effect, extent: Extent | None = None,
+                  ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """List the numbers that a fit may change, logarithms where the parameter is fitted as one.
 
     Parameters
     ----------
@@ -407,8 +420,8 @@ def fitted_values(effect, extent=None):
     return np.concatenate(values), np.concatenate(lows), np.concatenate(highs)
 
 
-def with_fitted_values(effect, values):
-    """The effect with other values, in the order of `fitted_values`."""
+def with_fitted_values(effect: AnyEffect, values: FloatArray) -> AnyEffect:
+    """Return the effect with other values, in the order of `fitted_values`."""
     changes, used = {}, 0
     for field in dataclasses.fields(effect):
         scale, old = field.metadata["scale"], getattr(effect, field.name)

@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Linear filters on sampled displacements, which are straight between samples, not held."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import control
 import numpy as np
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
+from piezo_models.arrays import FloatArray
+
 FAR_APART = 0.1
 """Of two lags T1 and T2: T1 T2 / (T1 + T2)^2 up to which partial fractions lose no digit."""
 
 
-def filtered(numerator, denominator, signal, sample_period_s, rest=None):
-    """Signal behind a continuous transfer function, from rest.
+def filtered(numerator: Sequence[float], denominator: Sequence[float], signal: FloatArray,
+             sample_period_s: float, rest: float | None = None) -> FloatArray:
+    """Filter a signal by a continuous transfer function, from rest.
 
     Parameters
     ----------
@@ -31,8 +35,10 @@ def filtered(numerator, denominator, signal, sample_period_s, rest=None):
     return _from_rest(numerator, denominator, signal, sample_period_s, rest)[0]
 
 
-def filtered_on(numerator, denominator, signal, sample_period_s, state=None):
-    """The next part of a signal behind a continuous transfer function, and the state after it.
+def filtered_on(numerator: Sequence[float], denominator: Sequence[float], signal: FloatArray,
+                sample_period_s: float, state: FloatArray | None = None,
+                ) -> tuple[FloatArray, FloatArray]:
+    """Filter the next part of a signal, and return the state after it.
 
     Parameters
     ----------
@@ -52,14 +58,17 @@ def filtered_on(numerator, denominator, signal, sample_period_s, state=None):
     return lfilter(b, a, signal, zi=state)
 
 
-def _from_rest(numerator, denominator, signal, sample_period_s, rest=None):
+def _from_rest(numerator: Sequence[float], denominator: Sequence[float], signal: FloatArray,
+               sample_period_s: float, rest: float | None = None,
+               ) -> tuple[FloatArray, FloatArray]:
     b, a, settled = _discrete(tuple(numerator), tuple(denominator), sample_period_s)
     rest = float(signal[0]) if rest is None else rest
     return lfilter(b, a, signal, zi=settled * rest)
 
 
 @lru_cache(maxsize=2048)
-def _discrete(numerator, denominator, sample_period_s):
+def _discrete(numerator: tuple[float, ...], denominator: tuple[float, ...],
+              sample_period_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Coefficients, and the state in which a level of 1 has settled; a scan asks again."""
     lags_s = _lags(numerator, denominator)
     if lags_s is not None:
@@ -71,7 +80,8 @@ def _discrete(numerator, denominator, sample_period_s):
     return b, a, lfilter_zi(b, a)
 
 
-def _lags(numerator, denominator):
+def _lags(numerator: tuple[float, ...],
+          denominator: tuple[float, ...]) -> tuple[float, float] | None:
     """Time constants of two lags in series that are far apart, or None where it is something else.
 
     The faster one may be zero.
@@ -85,7 +95,8 @@ def _lags(numerator, denominator):
     return slow_s, product / slow_s
 
 
-def _two_lags(slow_s, fast_s, sample_period_s):
+def _two_lags(slow_s: float, fast_s: float,
+              sample_period_s: float) -> tuple[FloatArray, FloatArray]:
     """Discrete coefficients of two lags in series, by partial fractions.
 
     The matrix exponential of the usual way loses all digits where one lag is very short.
@@ -96,7 +107,8 @@ def _two_lags(slow_s, fast_s, sample_period_s):
     return b / (slow_s - fast_s), np.convolve(slow_a, fast_a)
 
 
-def _first_order_lag(time_constant_s, sample_period_s):
+def _first_order_lag(time_constant_s: float,
+                     sample_period_s: float) -> tuple[FloatArray, FloatArray]:
     """Coefficients of 1 / (1 + T s) for a signal that is straight between samples; T may be 0."""
     if time_constant_s == 0.0:
         return np.array([1.0, 0.0]), np.array([1.0, 0.0])
@@ -105,8 +117,9 @@ def _first_order_lag(time_constant_s, sample_period_s):
     return np.array([1.0 - mean, mean - decay]), np.array([1.0, -decay])
 
 
-def unfiltered_period(numerator, denominator, period, sample_period_s):
-    """One period in front of a continuous transfer function of a periodic signal behind it.
+def unfiltered_period(numerator: Sequence[float], denominator: Sequence[float],
+                      period: FloatArray, sample_period_s: float) -> FloatArray:
+    """Return the period in front of a transfer function that gives a period behind it.
 
     Parameters
     ----------
@@ -125,8 +138,9 @@ def unfiltered_period(numerator, denominator, period, sample_period_s):
     return np.fft.irfft(np.fft.rfft(period) / response, period.size)
 
 
-def slowed(numerator, denominator, factor):
-    """A transfer function of s, in time that runs slower by a factor.
+def slowed(numerator: Sequence[float], denominator: Sequence[float],
+           factor: float) -> control.StateSpace:
+    """Return a transfer function of s in time that runs slower by a factor.
 
     Its numbers stay well scaled however short the time.
 

@@ -3,7 +3,13 @@
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, median_filter
+
+from piezo_models.arrays import FloatArray
+
+Mask = NDArray[np.bool_]
+"""One truth for each sample, shape (N,)."""
 
 AROUND = 25
 """Samples on each side of a step, whose own steps tell what the signal usually does."""
@@ -43,8 +49,9 @@ MOST = 0.1
 """Part of the samples: where more stand out, it is the signal that does."""
 
 
-def isolated(signal, voltage_v, answer_per_v=None, noise=0.0, answered_part=0.0):
-    """Mask of single samples and short runs that stand out of a signal on both sides.
+def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | None = None,
+             noise: float = 0.0, answered_part: float = 0.0) -> Mask:
+    """Mark single samples and short runs that stand out of a signal on both sides.
 
     The signal leaves by a step that is large beside the noise and beside the steps around, all
     samples lie as far off the line between the good ones on either side, and it comes back. Steps
@@ -99,8 +106,8 @@ def isolated(signal, voltage_v, answer_per_v=None, noise=0.0, answered_part=0.0)
     return wrong
 
 
-def typical_answer_per_v(signal, voltage_v):
-    """By how much a signal may move from one sample to the next for a step of 1 V.
+def typical_answer_per_v(signal: FloatArray, voltage_v: FloatArray) -> float:
+    """Estimate how far a signal may move from one sample to the next for a step of 1 V.
 
     Parameters
     ----------
@@ -122,14 +129,14 @@ def typical_answer_per_v(signal, voltage_v):
     return min(most, STEPS * float(np.median(answers, axis=0).max()))
 
 
-def typical_range(values):
-    """Range of the values, without the most extreme 2 % on either side."""
+def typical_range(values: FloatArray) -> float:
+    """Return the range of the values, without the most extreme 2 % on either side."""
     low, high = np.quantile(values, (0.02, 0.98))
     return float(high - low)
 
 
-def _limits(left, answer, noise):
-    """Step between each sample and the one before that a good signal does not exceed, (N,)."""
+def _limits(left: FloatArray, answer: FloatArray, noise: float) -> FloatArray:
+    """Return the step to each sample that a good signal does not exceed, shape (N,)."""
     steps = np.abs(np.diff(left, prepend=left[0]))
     bends = np.abs(np.diff(left, 2, prepend=left[0], append=left[-1]))
     spread = 1.4826 / np.sqrt(6.0) * _beside(bends)
@@ -141,7 +148,7 @@ def _limits(left, answer, noise):
     ])
 
 
-def _surprising(signal, wrong, noise):
+def _surprising(signal: FloatArray, wrong: Mask, noise: float) -> Mask:
     """Those of the runs that the samples around do not foretell as they foretell all others.
 
     Each sample is predicted from some before and some behind it, with weights from least squares
@@ -176,7 +183,7 @@ def _surprising(signal, wrong, noise):
     return kept
 
 
-def _beside(sizes):
+def _beside(sizes: FloatArray) -> FloatArray:
     """Median of the sizes before each sample or of those behind it, whichever is larger, (N,)."""
     middle = median_filter(sizes, AROUND, mode="reflect")
     # A step belongs to both samples that it joins: both windows leave out the nearest two.
@@ -187,7 +194,7 @@ def _beside(sizes):
 
 
 @njit(cache=True)
-def _runs(signal, limit, walk, longest):
+def _runs(signal: FloatArray, limit: FloatArray, walk: FloatArray, longest: int) -> Mask:
     """Mask of the runs between a step away and the next sample where the signal is back."""
     wrong = np.zeros(signal.size, dtype=np.bool_)
     n = 1

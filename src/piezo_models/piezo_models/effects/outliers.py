@@ -2,11 +2,12 @@
 """Samples that the sensor got wrong."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, parameter
 from piezo_models.effects.isolated_samples import isolated
 
 THRESHOLD = 7.0
@@ -19,7 +20,7 @@ class Outliers(Effect):
     """Single samples or short runs far off their neighbours: known by their size, not their time.
 
     Nothing can foretell them: a model with this effect leaves such samples out where it is fitted
-    or judged.
+    or compared with others.
     """
 
     name: ClassVar[str] = "outliers"
@@ -32,13 +33,14 @@ class Outliers(Effect):
     size_um: float = parameter("um", "fixed", 0.0, 1e9)
     threshold_um: float = parameter("um", "fixed", 0.0, 1e9)
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`: the signal, for no sample is known to be wrong before it is seen."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal itself: no sample is known to be wrong before it is seen."""
         return signal
 
     @classmethod
-    def starts(cls, evidence):
-        """The outliers of the recording, if there are more than chance makes."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the outliers of the recording, if there are more than chance makes."""
         residual_um = evidence.residual_um
         wrong = isolated(residual_um, evidence.voltage_v, noise=evidence.noise_um)
         if wrong.sum() < FEWEST:

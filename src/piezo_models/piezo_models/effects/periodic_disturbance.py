@@ -2,11 +2,12 @@
 """Disturbance of one frequency: mains, a pump, the building."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 FEWEST_PERIODS = 10
 """In a recording; slower ones are drift."""
@@ -33,10 +34,10 @@ class PeriodicDisturbance(Effect):
     frequency_hz: float = parameter("Hz", "linear", 1e-9, 1e9)
     cosine_um: float = parameter("um")
     sine_um: float = parameter("um")
-    harmonic_cosines_um: tuple = parameter("um", default=())
-    harmonic_sines_um: tuple = parameter("um", default=())
+    harmonic_cosines_um: tuple[float, ...] = parameter("um", default=())
+    harmonic_sines_um: tuple[float, ...] = parameter("um", default=())
 
-    def _tones(self, samples, sample_period_s, first=0):
+    def _tones(self, samples: int, sample_period_s: float, first: int = 0) -> FloatArray:
         sample = np.arange(first, first + samples)
         phase = 2.0 * np.pi * self.frequency_hz * sample_period_s * sample
         multiples = range(1, 2 + len(self.harmonic_cosines_um))
@@ -45,30 +46,32 @@ class PeriodicDisturbance(Effect):
             *(np.sin(multiple * phase) for multiple in multiples),
         ])
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
         return self.advance(signal, sample_period_s)[0]
 
-    def advance(self, signal, sample_period_s, past=None):
-        """See `Effect.advance`: the past is the number of samples."""
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the signal behind the effect; the past is the number of samples."""
         first = past or 0
         tones = self._tones(signal.size, sample_period_s, first)
         sizes = self.cosine_um, *self.harmonic_cosines_um, self.sine_um, *self.harmonic_sines_um
         return signal + tones @ sizes, first + signal.size
 
     @classmethod
-    def bounds(cls, extent):
-        """See `Effect.bounds`: a tone that the samples can show, within the measured range."""
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the parameters to a tone that the samples can show, within the measured range."""
         names = ("cosine_um", "sine_um", "harmonic_cosines_um", "harmonic_sines_um")
         return {"frequency_hz": (1.0 / extent.duration_s, 0.5 / extent.sample_period_s)} | {
             name: (-extent.travel_um, extent.travel_um) for name in names}
 
     @classmethod
-    def starts(cls, evidence):
-        """The largest line of the residual's spectrum that the voltage does not drive."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the largest line of the residual that the voltage does not drive."""
         size = _lines(evidence.residual_um)
         driven = _lines(evidence.displacement_um) ** 2
-        for line in np.flatnonzero(driven > DRIVEN * driven.sum()):
+        for line in np.flatnonzero(driven > DRIVEN * driven.sum()).tolist():
             size[max(0, line - LINE_BINS) : line + LINE_BINS + 1] = 0.0
         size[:FEWEST_PERIODS] = 0.0
         size[-2:] = 0.0
@@ -92,6 +95,6 @@ class PeriodicDisturbance(Effect):
         return starts
 
 
-def _lines(signal):
+def _lines(signal: FloatArray) -> FloatArray:
     """Size of the spectrum, without the mean."""
     return np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(signal.size)))

@@ -2,11 +2,12 @@
 """Hysteresis that widens with the speed."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered, filtered_on
 from piezo_models.linear.dynamics import simulate_linear, zoh
 
@@ -33,35 +34,38 @@ class RateDependentHysteresis(Effect):
     rate_exponent: float = parameter("1", "linear", 0.01, 0.8)
     averaging_time_s: float = parameter("s", "logarithm", 1e-7, 1e3)
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
         return signal - self._behind(signal, sample_period_s, rest)
 
-    def advance(self, signal, sample_period_s, past=None):
-        """See `Effect.advance`: the past is the state of the filter that averages the speed."""
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the signal; the past is the state of the filter that averages the speed."""
         speed, past = filtered_on(
             [1.0, 0.0], [self.averaging_time_s, 1.0], signal, sample_period_s, past)
         return signal - self._growth(speed), past
 
-    def _behind(self, signal, sample_period_s, rest=None):
+    def _behind(self, signal: FloatArray, sample_period_s: float,
+                rest: float | None = None) -> FloatArray:
         return self._growth(
             filtered([1.0, 0.0], [self.averaging_time_s, 1.0], signal, sample_period_s, rest))
 
-    def _growth(self, speed):
+    def _growth(self, speed: FloatArray) -> FloatArray:
         """How far the thresholds move, in V, at an averaged speed."""
         p = self.rate_exponent
         growth = np.expm1(p * np.log1p(np.abs(speed) / self.onset_v_per_s)) / p
         return self.widening_v * np.sign(speed) * growth
 
     @classmethod
-    def bounds(cls, extent):
-        """See `Effect.bounds`: no threshold moves farther than the voltage does."""
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the widening: no threshold moves farther than the voltage does."""
         return {"widening_v": (-extent.span_v, extent.span_v),
                 "averaging_time_s": (1e-2 * extent.sample_period_s, extent.duration_s)}
 
     @classmethod
-    def starts(cls, evidence):
-        """The best of a scan, in which the hysteresis is no more than a gain."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the best of a scan, in which the hysteresis is no more than a gain."""
         period_s, voltage_v = evidence.sample_period_s, evidence.voltage_v
         span_v = np.ptp(voltage_v)
         if span_v == 0.0:
@@ -69,7 +73,7 @@ class RateDependentHysteresis(Effect):
         gain = evidence.travel_um / span_v
         dynamics = zoh(evidence.dynamics.state_space(), period_s)
 
-        def contribution(shape):
+        def contribution(shape: Self) -> FloatArray:
             return -gain * simulate_linear(dynamics, shape._behind(voltage_v, period_s))[:, None]
 
         shapes = []

@@ -2,12 +2,14 @@
 """Lag of the sensor, or of the filter behind it."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
+import control
 import numpy as np
 
+from piezo_models.arrays import ComplexArray, FloatArray
 from piezo_models.effects.delay import Delay
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered, filtered_on, slowed, unfiltered_period
 
 ROUNDED = 0.25
@@ -32,39 +34,42 @@ class SensorLag(Effect):
     time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e6)
     roundness: float = parameter("1", "linear", 0.0, 0.5, default=0.0)
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
         return filtered([1.0], self._denominator(), signal, sample_period_s, rest)
 
-    def advance(self, signal, sample_period_s, past=None):
-        """See `Effect.advance`: the past is the filter's state."""
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the signal behind the effect; the past is the filter's state."""
         return filtered_on([1.0], self._denominator(), signal, sample_period_s, past)
 
-    def compensate(self, wanted, sample_period_s):
-        """The period divided by the lag, harmonic by harmonic."""
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Divide the period by the lag, harmonic by harmonic."""
         return unfiltered_period([1.0], self._denominator(), wanted, sample_period_s)
 
-    def lag(self):
-        """See `Effect.lag`."""
+    def lag(self) -> control.StateSpace | None:
+        """Return the lag as a continuous system, as `Effect.lag` describes."""
         # A much faster second lag would only stiffen the system.
         shape = [self.roundness, 1.0, 1.0] if self.roundness > SHARPEST else [1.0, 1.0]
         return slowed([1.0], shape, self.time_constant_s)
 
-    def response(self, s):
-        """See `Effect.response`."""
-        return 1.0 / np.polyval(self._denominator(), s)
+    def response(self, s: ComplexArray) -> ComplexArray:
+        """Return the factor of the effect in the frequency response."""
+        square, linear, constant = self._denominator()
+        return 1.0 / ((square * s + linear) * s + constant)
 
-    def _denominator(self):
+    def _denominator(self) -> list[float]:
         return [self.roundness * self.time_constant_s**2, self.time_constant_s, 1.0]
 
     @classmethod
-    def bounds(cls, extent):
-        """See `Effect.bounds`."""
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the parameters by what the recordings can show."""
         return {"time_constant_s": (1e-9, 0.3 * extent.duration_s)}
 
     @classmethod
-    def starts(cls, evidence):
-        """The best of a scan."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the best of a scan."""
         shapes = [
             cls(time_s, ROUNDED)
             for time_s in evidence.sample_period_s * np.geomspace(0.1, 1000.0, 13)

@@ -2,11 +2,12 @@
 """Curved characteristic of the sensor."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,8 @@ class SensorNonlinearity(Effect):
     centre_um: float = parameter("um", "fixed")
     half_range_um: float = parameter("um", "fixed", 1e-12, 1e9)
 
-    def deviations(self, signal):
-        """What each polynomial would add with a size of 1 um, shape (N, 4)."""
+    def deviations(self, signal: FloatArray) -> FloatArray:
+        """Return what each polynomial would add with a size of 1 um, shape (N, 4)."""
         x = np.clip((signal - self.centre_um) / self.half_range_um, -1.5, 1.5)
         square = x * x
         return np.column_stack([
@@ -35,31 +36,34 @@ class SensorNonlinearity(Effect):
             0.125 * ((35.0 * square - 30.0) * square + 3.0),
         ])
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
         return signal + self.deviations(signal) @ (
             self.first_um, self.second_um, self.third_um, self.fourth_um
         )
 
     @classmethod
-    def bounds(cls, extent):
-        """See `Effect.bounds`: what it reads wrong is less than what it reads."""
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the polynomials: what the sensor reads wrong is less than what it reads."""
         names = ("first_um", "second_um", "third_um", "fourth_um")
         return {name: (-0.5 * extent.travel_um, 0.5 * extent.travel_um) for name in names}
 
-    def impossible(self, extent):
-        """See `Effect.impossible`: a sensor that reads less where there is more."""
+    def impossible(self, extent: Extent) -> str | None:
+        """Refuse a sensor that reads less where there is more."""
         position_um = self.centre_um + self.half_range_um * np.linspace(-1.0, 1.0, 201)
         if np.any(np.diff(self.apply(position_um, 1.0)) <= 0.0):
             return "the sensor would read less where the displacement is more"
         return None
 
     @classmethod
-    def starts(cls, evidence):
-        """Least squares over the travel of the recording."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the polynomials of least squares over the travel of the recording."""
         low, high = evidence.displacement_um.min(), evidence.displacement_um.max()
         if low == high:
             return []
         shape = cls(0.0, 0.0, 0.0, 0.0, 0.5 * (low + high), 0.5 * (high - low))
         gains, _ = evidence.reduction(shape.deviations(evidence.displacement_um))
-        return [cls(*gains, shape.centre_um, shape.half_range_um)]
+        first_um, second_um, third_um, fourth_um = gains.tolist()
+        return [cls(first_um, second_um, third_um, fourth_um, shape.centre_um,
+                    shape.half_range_um)]

@@ -2,12 +2,13 @@
 """Amplifier that cannot charge the actuator any faster."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numba import njit
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 SCANNED_PARTS = (4.0, 2.0, 1.2, 0.98, 0.95, 0.9, 0.82, 0.7, 0.5, 0.3, 0.15, 0.05, 0.01)
 """Of the fastest change; a limit above it delays every change within its sample."""
@@ -15,7 +16,8 @@ SCANNED_FALL_RATIOS = (1.0, 4.0, 0.25)
 
 
 @njit(cache=True)
-def _slewed(voltage, rise, fall, change_per_v, start):
+def _slewed(voltage: FloatArray, rise: float, fall: float, change_per_v: float,
+            start: float) -> tuple[FloatArray, float]:
     output = np.empty(voltage.size)
     last = start
     for n in range(voltage.size):
@@ -46,19 +48,21 @@ class SlewLimit(Effect):
     fall_ratio: float = parameter("1", "logarithm", 0.2, 5.0, default=1.0)
     change_per_v: float = parameter("1/V", "linear", -0.02, 0.02, default=0.0)
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
         return self.advance(signal, sample_period_s, rest)[0]
 
-    def advance(self, signal, sample_period_s, past=None):
-        """See `Effect.advance`: the past is the voltage that was reached."""
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the signal behind the effect; the past is the voltage that was reached."""
         start = float(signal[0] if past is None else past)
         rise_v = self.slew_limit_v_per_s * sample_period_s
         return _slewed(np.ascontiguousarray(signal, dtype=float), rise_v, self.fall_ratio * rise_v,
                        self.change_per_v, start)
 
-    def compensate(self, wanted, sample_period_s):
-        """Ahead by as much as the change within each sample stays behind."""
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Lead by as much as the change within each sample stays behind."""
         changes = np.diff(np.append(wanted, wanted[0])) / sample_period_s
         limits = self.slew_limit_v_per_s * np.maximum(1.0 + self.change_per_v * wanted, 0.01)
         limits = np.where(changes > 0.0, limits, self.fall_ratio * limits)
@@ -71,14 +75,14 @@ class SlewLimit(Effect):
         return super().compensate(wanted, sample_period_s)
 
     @classmethod
-    def bounds(cls, extent):
-        """See `Effect.bounds`: slow enough to show, fast enough to move at all."""
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the rate: slow enough to show, fast enough to move at all."""
         return {"slew_limit_v_per_s": (1e-3 * extent.span_v / extent.duration_s,
                                        10.0 * extent.span_v / extent.sample_period_s)}
 
     @classmethod
-    def starts(cls, evidence):
-        """Limits below the fastest change, of both directions or of one."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with limits below the fastest change, of both directions or of one."""
         fastest = np.abs(np.diff(evidence.voltage_v)).max(initial=0.0) / evidence.sample_period_s
         if fastest == 0.0:
             return []
@@ -88,8 +92,8 @@ class SlewLimit(Effect):
         ]
 
     @classmethod
-    def lacks_excitation(cls, evidence):
-        """A limit shows where the voltage changes fast."""
+    def lacks_excitation(cls, evidence: Evidence) -> str | None:
+        """Refuse a recording whose voltage does not change, in which no limit shows."""
         if np.ptp(evidence.voltage_v) == 0.0:
             return "the voltage does not change"
         return None

@@ -5,7 +5,10 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 from scipy.linalg import expm
+
+from piezo_models.arrays import FloatArray
 
 SOFTEST = 0.1
 """Part of the linear stiffness that the spring keeps. Beyond the displacement at which a polynomial
@@ -21,8 +24,10 @@ PHASE_STEP = 0.03
 MOST_NEWTON_STEPS = 100
 
 
-def straight_beyond(parts, half_range_um):
-    """Displacements between which the polynomial of a force holds; it goes on straight beyond.
+def straight_beyond(parts: ArrayLike, half_range_um: float) -> tuple[float, float]:
+    """Find the displacements between which the polynomial of a force holds.
+
+    Beyond them the force goes on straight.
 
     Parameters
     ----------
@@ -46,8 +51,9 @@ def straight_beyond(parts, half_range_um):
 
 
 @njit(cache=True)
-def force_and_slope(x, parts, low, high):
-    """Force of the spring beside its linear one, and its slope, at a displacement in half ranges.
+def force_and_slope(x: float, parts: FloatArray, low: float,
+                    high: float) -> tuple[float, float]:
+    """Return the force of the spring beside its linear one, and its slope, at a displacement.
 
     The slope of the whole spring is `SOFTEST` at least; see `straight_beyond`.
 
@@ -73,8 +79,9 @@ def force_and_slope(x, parts, low, high):
 
 
 @njit(cache=True)
-def _balanced(load, part, first, centre, half_range, parts, low, high):
-    """The displacement y with y + part f(y) = load, by Newton steps within a bracket, and f(y)."""
+def _balanced(load: float, part: float, first: float, centre: float, half_range: float,
+              parts: FloatArray, low: float, high: float) -> tuple[float, float]:
+    """Solve y + part f(y) = load by Newton steps within a bracket; return y and f(y)."""
     y = first
     force, slope = force_and_slope((y - centre) / half_range, parts, low, high)
     excess = y + part * force - load
@@ -103,7 +110,8 @@ def _balanced(load, part, first, centre, half_range, parts, low, high):
 
 
 @njit(cache=True)
-def _static(loads, centre, half_range, parts, low, high):
+def _static(loads: FloatArray, centre: float, half_range: float, parts: FloatArray, low: float,
+            high: float) -> FloatArray:
     balanced = np.empty(loads.size)
     y = centre
     for n in range(loads.size):
@@ -113,8 +121,10 @@ def _static(loads, centre, half_range, parts, low, high):
 
 
 @njit(cache=True)
-def _swinging(loads, rest, centre, half_range, parts, low, high, step, begin, end, substeps):
-    """The mode of the spring under its own force; `step`, `begin` and `end` are of one substep."""
+def _swinging(loads: FloatArray, rest: float, centre: float, half_range: float,
+              parts: FloatArray, low: float, high: float, step: FloatArray, begin: FloatArray,
+              end: FloatArray, substeps: int) -> FloatArray:
+    """Simulate the mode under the force of its spring; `step`, `begin`, `end` are of a substep."""
     balanced = np.empty(loads.size)
     # Taken off by the force: at rest all of it.
     y, force = _balanced(rest, 1.0, rest, centre, half_range, parts, low, high)
@@ -141,7 +151,8 @@ def _swinging(loads, rest, centre, half_range, parts, low, high, step, begin, en
 
 
 @lru_cache(maxsize=256)
-def _mode_step(frequency_rad_per_s, damping_ratio, sample_period_s):
+def _mode_step(frequency_rad_per_s: float, damping_ratio: float, sample_period_s: float,
+               ) -> tuple[int, FloatArray, FloatArray, FloatArray]:
     """Substeps of a sample, and matrices of one of them for a force that is straight within it."""
     substeps = max(1, int(np.ceil(frequency_rad_per_s * sample_period_s / PHASE_STEP)))
     w = frequency_rad_per_s * sample_period_s / substeps
@@ -155,10 +166,10 @@ def _mode_step(frequency_rad_per_s, damping_ratio, sample_period_s):
 
 
 def balance(
-    load_um, parts, centre_um, half_range_um, frequency_rad_per_s, damping_ratio, sample_period_s,
-    rest_um,
-):
-    """Displacement of a mode whose spring has a nonlinear force beside its linear one.
+    load_um: FloatArray, parts: ArrayLike, centre_um: float, half_range_um: float,
+    frequency_rad_per_s: float, damping_ratio: float, sample_period_s: float, rest_um: float,
+) -> FloatArray:
+    """Solve for the displacement of a mode whose spring has a nonlinear force.
 
     Solves y = x - G f(y): x is the displacement of the linear spring, G the mode with unit gain at
     rest. That is the equation of motion y'' / w^2 + 2 zeta y' / w + y + f(y) = drive of a mode that

@@ -2,11 +2,12 @@
 """Stiffness that changes with the displacement."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered
 from piezo_models.effects.spring_equation import FARTHEST, SOFTEST, balance, straight_beyond
 
@@ -40,12 +41,13 @@ class Stiffening(Effect):
     quartic_um: float = parameter("um", default=0.0)
 
     @property
-    def _parts(self):
+    def _parts(self) -> tuple[float, float, float, float]:
         return self.linear_um, self.square_um, self.cubic_um, self.quartic_um
 
-    def yields(self, signal, sample_period_s, rest=None):
-        """What each part of 1 um at the ends takes off where the displacement is given, (N, 4)."""
-        def forces(level):
+    def yields(self, signal: FloatArray, sample_period_s: float,
+               rest: float | None = None) -> FloatArray:
+        """Return what each part of 1 um at the ends removes from a displacement, shape (N, 4)."""
+        def forces(level: FloatArray) -> FloatArray:
             x = np.clip((level - self.centre_um) / self.half_range_um, -FARTHEST, FARTHEST)
             return np.column_stack([x, x**2, x**3, x**4])
 
@@ -60,30 +62,31 @@ class Stiffening(Effect):
             for part, level in zip(parts.T, before, strict=True)
         ])
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`: the solution of the spring's equation of motion."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the solution of the spring's equation of motion for the signal as its load."""
         return balance(
             signal, self._parts, self.centre_um, self.half_range_um, self.frequency_rad_per_s,
             self.damping_ratio, sample_period_s, signal[0] if rest is None else rest,
         )
 
     @classmethod
-    def bounds(cls, extent):
-        """See `Effect.bounds`."""
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the parameters by what the recordings can show."""
         strongest_um = STRONGEST * extent.travel_um
         parts = ("linear_um", "square_um", "cubic_um", "quartic_um")
         return {name: (-strongest_um, strongest_um) for name in parts}
 
-    def impossible(self, extent):
-        """See `Effect.impossible`: a spring that gives way within the range."""
+    def impossible(self, extent: Extent) -> str | None:
+        """Refuse a spring that gives way within the range."""
         if np.abs(straight_beyond(self._parts, self.half_range_um)).min() < 1.0:
             return (f"the spring would be softer than {100 * SOFTEST:g} % of its stiffness within "
                     "the range")
         return None
 
     @classmethod
-    def starts(cls, evidence):
-        """Least squares, for each mode of the model, and for a spring that acts at once.
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with least squares for each mode of the model, and for a spring that acts at once.
 
         The spring's equation is linear in its parts where the displacement is the measured one.
         """
@@ -93,13 +96,13 @@ class Stiffening(Effect):
         dynamics = evidence.dynamics
         modes = zip(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True)
         # Faster than the samples a mode follows at once.
-        modes = [mode for mode in modes if mode[0] * evidence.sample_period_s <= 1.0]
+        slow_modes = [mode for mode in modes if mode[0] * evidence.sample_period_s <= 1.0]
         measured_um = evidence.displacement_um + evidence.residual_um
         starts = []
-        for mode in (*modes, (0.0, 1.0)):
+        for mode in (*slow_modes, (0.0, 1.0)):
             shape = cls(0.0, 0.0, 0.0, 0.5 * (low + high), 0.5 * (high - low), *mode)
             gains, _ = evidence.reduction(-shape.yields(measured_um, evidence.sample_period_s))
-            *lower, quartic_um = gains
-            starts.append(
-                cls(*lower, shape.centre_um, shape.half_range_um, *mode, quartic_um=quartic_um))
+            linear_um, square_um, cubic_um, quartic_um = gains.tolist()
+            starts.append(cls(linear_um, square_um, cubic_um, shape.centre_um, shape.half_range_um,
+                              *mode, quartic_um))
         return starts

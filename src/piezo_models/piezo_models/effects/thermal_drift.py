@@ -2,11 +2,12 @@
 """Drift with the temperature of the surroundings, whatever the voltage."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 WAVES = 8
 """Half periods of the fastest wave over the recording."""
@@ -35,21 +36,23 @@ class ThermalDrift(Effect):
     rate_um_per_s: float = parameter("um/s")
     approach_um: float = parameter("um")
     time_constant_s: float = parameter("s", "logarithm", 1e-3, 1e9)
-    waves_um: tuple = parameter("um", default=())
+    waves_um: tuple[float, ...] = parameter("um", default=())
     duration_s: float = parameter("s", "fixed", 1e-6, 1e9, default=1.0)
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
         return self.advance(signal, sample_period_s)[0]
 
-    def advance(self, signal, sample_period_s, past=None):
-        """See `Effect.advance`: the past is the number of samples."""
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the signal behind the effect; the past is the number of samples."""
         first = past or 0
         time_s = np.arange(first, first + signal.size) * sample_period_s
         drift = self._drifts(time_s) @ (self.rate_um_per_s, self.approach_um, *self.waves_um)
         return signal + drift, first + signal.size
 
-    def _drifts(self, time_s):
+    def _drifts(self, time_s: FloatArray) -> FloatArray:
         phase = np.pi * np.minimum(time_s / self.duration_s, 1.0)
         return np.column_stack([
             time_s, -np.expm1(-time_s / self.time_constant_s),
@@ -57,8 +60,8 @@ class ThermalDrift(Effect):
         ])
 
     @classmethod
-    def bounds(cls, extent):
-        """See `Effect.bounds`: no part drifts farther than `FARTHEST` times the measured range."""
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the parts: none drifts farther than `FARTHEST` times the measured range."""
         farthest_um = FARTHEST * extent.travel_um
         return {
             "rate_um_per_s": (-farthest_um / extent.duration_s, farthest_um / extent.duration_s),
@@ -66,8 +69,8 @@ class ThermalDrift(Effect):
             "time_constant_s": (extent.sample_period_s, SLOWEST * extent.duration_s),
         }
 
-    def impossible(self, extent):
-        """See `Effect.impossible`: nothing drifts farther than it was seen to move."""
+    def impossible(self, extent: Extent) -> str | None:
+        """Refuse a drift that goes farther than the sensor ever showed a motion."""
         time_s = np.linspace(0.0, extent.duration_s, 200)
         drift_um = self._drifts(time_s) @ (self.rate_um_per_s, self.approach_um, *self.waves_um)
         if np.ptp(drift_um) > FARTHEST * extent.travel_um:
@@ -76,8 +79,8 @@ class ThermalDrift(Effect):
         return None
 
     @classmethod
-    def starts(cls, evidence):
-        """The best of a few time constants."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the best of a few time constants."""
         shapes = [
             cls(0.0, 0.0, part * evidence.duration_s, (0.0,) * waves, evidence.duration_s)
             for part in (0.1, 0.3, 1.0) for waves in (0, WAVES - 1)
@@ -89,8 +92,8 @@ class ThermalDrift(Effect):
         ]
 
     @classmethod
-    def lacks_excitation(cls, evidence):
-        """A short drift looks like creep that had begun before."""
+    def lacks_excitation(cls, evidence: Evidence) -> str | None:
+        """Refuse a recording so short that a drift looks like creep that had begun before."""
         if evidence.visible(evidence.time_s[:, None]) < VISIBLE:
             return "in so short a time, a drift looks like creep that had begun before"
         return None

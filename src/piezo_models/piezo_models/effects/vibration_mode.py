@@ -2,12 +2,13 @@
 """A further mode of vibration."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import control
 import numpy as np
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered
 
 SCANNED_DAMPING_RATIOS = (0.01, 0.05)
@@ -33,33 +34,36 @@ class VibrationMode(Effect):
     damping_ratio: float = parameter("1", "logarithm", 1e-3, 0.4)
     participation: float = parameter("1", "linear", -2.0, 3.0)
 
-    def _mode(self):
+    def _mode(self) -> tuple[list[float], list[float]]:
         w = self.frequency_rad_per_s
         return [w * w], [1.0, 2.0 * self.damping_ratio * w, w * w]
 
-    def state_space(self):
-        """Continuous `control.StateSpace` of the mode alone, with unit gain at rest."""
+    def state_space(self) -> control.StateSpace:
+        """Return the continuous system of the mode alone, with unit gain at rest."""
         w = self.frequency_rad_per_s
         return control.ss(
             [[0.0, w], [-w, -2.0 * self.damping_ratio * w]], [[0.0], [w]], [[1.0, 0.0]], [[0.0]]
         )
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`: behind the mode where there is none beside it."""
-        return signal + self.participation * (self._rung(signal, sample_period_s, rest) - signal)
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the mode, where there is no mode beside it."""
+        response = self._response(signal, sample_period_s, rest)
+        return signal + self.participation * (response - signal)
 
-    def _rung(self, drive, sample_period_s, rest=None):
+    def _response(self, drive: FloatArray, sample_period_s: float,
+                  rest: float | None = None) -> FloatArray:
         return filtered(*self._mode(), drive, sample_period_s, rest)
 
     @classmethod
-    def bounds(cls, extent):
-        """See `Effect.bounds`: a mode that the samples can show."""
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the frequency to that of a mode that the samples can show."""
         return {"frequency_rad_per_s": (2.0 * np.pi / extent.duration_s,
                                         np.pi / extent.sample_period_s)}
 
     @classmethod
-    def starts(cls, evidence):
-        """The best of a scan over frequency and damping."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the best of a scan over frequency and damping."""
         low_hz = LOWEST_PERIODS / evidence.duration_s
         high_hz = 0.2 / evidence.sample_period_s
         if low_hz >= high_hz:
@@ -72,7 +76,7 @@ class VibrationMode(Effect):
         ]
         found = evidence.best(
             shapes,
-            lambda shape: (shape._rung(evidence.drive_um, evidence.sample_period_s)
+            lambda shape: (shape._response(evidence.drive_um, evidence.sample_period_s)
                            - evidence.displacement_um)[:, None],
             count=3,
         )
@@ -82,8 +86,8 @@ class VibrationMode(Effect):
         ]
 
     @classmethod
-    def lacks_excitation(cls, evidence):
-        """Nothing rings where the displacement has nothing fast."""
+    def lacks_excitation(cls, evidence: Evidence) -> str | None:
+        """Refuse a recording without fast motion, in which no mode rings."""
         fast_um = np.diff(evidence.displacement_um, 2)
         if np.sqrt(np.mean(fast_um**2)) < 1e-2 * evidence.noise_um:
             return "the displacement has nothing fast that could make a mode ring"

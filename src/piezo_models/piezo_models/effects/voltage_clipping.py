@@ -3,12 +3,13 @@
 
 from dataclasses import dataclass
 from itertools import product
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from scipy.special import ndtr
 
-from piezo_models.effects.effect import Effect, parameter
+from piezo_models.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 SCANNED_PARTS = (-0.03, -0.01, 0.0, 0.003, 0.01, 0.03, 0.1, 0.2)
 """Of the voltage's span: from its ends to the limit; a soft limit acts before it is reached."""
@@ -39,8 +40,9 @@ class VoltageClipping(Effect):
     highest_v: float = parameter("V")
     knee_v: float = parameter("V", "linear", 0.0, WIDEST_KNEE_V, default=0.0)
 
-    def apply(self, signal, sample_period_s, rest=None):
-        """See `Effect.apply`."""
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
         highest_v = max(self.lowest_v, self.highest_v)
         if self.knee_v == 0.0:
             return np.clip(signal, self.lowest_v, highest_v)
@@ -48,14 +50,14 @@ class VoltageClipping(Effect):
         under, _ = self._beyond(self.lowest_v - signal)
         return signal - over + under
 
-    def _beyond(self, distance_v):
-        """What a limit takes off a voltage that lies so far beyond it, and the slope of that."""
+    def _beyond(self, distance_v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Voltage that a limit removes from one that lies so far beyond it, and its slope."""
         x = distance_v / self.knee_v
         slope = ndtr(x)
         return self.knee_v * (x * slope + np.exp(-0.5 * x * x) / np.sqrt(2.0 * np.pi)), slope
 
-    def compensate(self, wanted, sample_period_s):
-        """The wanted voltage itself within the limits, and more of it where they bend it."""
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return the wanted voltage within the limits, and more of it where they bend it."""
         refusal = (
             f"the voltage would go from {wanted.min():.6g} to {wanted.max():.6g} V, the amplifier "
             f"gives {self.lowest_v:.6g} to {self.highest_v:.6g} V: ask for less"
@@ -75,15 +77,15 @@ class VoltageClipping(Effect):
         raise ValueError(refusal)
 
     @classmethod
-    def bounds(cls, extent):
-        """See `Effect.bounds`: limits in or near the voltages played, bent over a part of them."""
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the limits to the voltages played and near them, bent over a part of them."""
         low, high, span_v = extent.lowest_v, extent.highest_v, extent.span_v
         return {"lowest_v": (low - span_v, high), "highest_v": (low, high + span_v),
                 "knee_v": (0.0, 0.5 * span_v)}
 
     @classmethod
-    def starts(cls, evidence):
-        """The best of a scan, by what they take off the voltage."""
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the best of a scan, by what the limits remove from the voltage."""
         low, high = evidence.voltage_v.min(), evidence.voltage_v.max()
         span = high - low
         shapes = []
@@ -106,8 +108,8 @@ class VoltageClipping(Effect):
                 if gain / LIKELY_GAIN < gains[0] < gain * LIKELY_GAIN][:TRIED]
 
     @classmethod
-    def lacks_excitation(cls, evidence):
-        """Nothing is clipped of a voltage that hardly changes."""
+    def lacks_excitation(cls, evidence: Evidence) -> str | None:
+        """Refuse a recording whose voltage does not change, of which nothing is clipped."""
         if np.ptp(evidence.voltage_v) == 0.0:
             return "the voltage does not change"
         return None

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Linear dynamics behind the hysteresis: creep, electric and vibration dynamics, and sampling.
 
-The state space is a cascade of sections of first and second order whose states have the size of
-their input, so that creep poles of hundredths of rad/s and modes of thousands of rad/s stand side
-by side without the cancellation of high-order polynomials.
+The state space is a cascade of sections of first and second order, whose states have the size of
+their input. Creep poles of hundredths of rad/s and modes of thousands of rad/s then stand side by
+side without the cancellation of high-order polynomials.
 """
 
 from collections.abc import Iterator, Sequence

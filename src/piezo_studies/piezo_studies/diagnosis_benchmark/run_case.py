@@ -17,7 +17,7 @@ from piezo_identification.diagnosis.residual.parameter_sensitivities import (
 from piezo_identification.diagnosis.residual.regression import first_regression
 from piezo_identification.estimators.creep import CreepNotShown
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
-from piezo_identification.identify import identify
+from piezo_identification.identification.identify import identify
 from piezo_studies.diagnosis_benchmark import records
 from piezo_studies.diagnosis_benchmark.effect_draws import DrawError, draw_effect, response_um
 from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um

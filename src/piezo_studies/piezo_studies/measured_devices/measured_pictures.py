@@ -15,7 +15,7 @@ from piezo_common.picture_style import (
     label,
     new_figure,
 )
-from piezo_identification.prediction_pictures import DOTS_PER_INCH
+from piezo_identification.prediction.prediction_pictures import DOTS_PER_INCH
 
 POINTS = MEASURED | {"linestyle": "none", "marker": "o", "markersize": 4}
 

@@ -4,11 +4,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.dynamics.subspace import identify_subspace
 from piezo_identification.estimators.estimate import parameter_covariance
+from piezo_models.arrays import ComplexArray, FloatArray
 
 MOST_ITERATIONS = 100
 MOST_IDLE = 5
@@ -39,24 +41,27 @@ class Armax:
         Free parameters of the fit, with those of the unknown past.
     """
 
-    autoregressive: np.ndarray
-    input: np.ndarray
-    noise: np.ndarray
-    covariance: np.ndarray
-    residual: np.ndarray
+    autoregressive: FloatArray
+    input: FloatArray
+    noise: FloatArray
+    covariance: FloatArray
+    residual: FloatArray
     parameters: int
 
-    def response(self, frequency_hz, sample_period_s):
+    def response(self, frequency_hz: ArrayLike, sample_period_s: float) -> ComplexArray:
         """Complex response B / A at the given frequencies."""
         delay = np.exp(-2j * np.pi * np.asarray(frequency_hz, dtype=float) * sample_period_s)
         return np.polyval(self.input[::-1], delay) / np.polyval(self.autoregressive[::-1], delay)
 
-    def poles(self):
+    def poles(self) -> ComplexArray:
         """Discrete poles, shape (na,)."""
         return np.roots(self.autoregressive)
 
 
-def fit_armax(input, output, na, nb, nc, drift=None):
+def fit_armax(
+    input: FloatArray, output: FloatArray, na: int, nb: int, nc: int,
+    drift: FloatArray | None = None,
+) -> Armax:
     """Fit an ARMAX model for the least error of its one-step prediction.
 
     Gauss-Newton with Levenberg-Marquardt damping and the exact Jacobian. White noise on the output
@@ -100,7 +105,8 @@ def fit_armax(input, output, na, nb, nc, drift=None):
     return Armax(a, b, c, covariance, residual, jacobian.shape[1])
 
 
-def _minimise(record, reduced, expansion):
+def _minimise(record: "_PredictionErrors", reduced: FloatArray,
+              expansion: FloatArray) -> FloatArray:
     """Parameters of least squared error among `expansion` times a reduced vector."""
     parameters = expansion @ reduced
     residual, jacobian = record.errors(parameters)
@@ -134,25 +140,30 @@ def _minimise(record, reduced, expansion):
 class _PredictionErrors:
     """Prediction errors of a record and their derivatives."""
 
-    def __init__(self, input, output, orders, drift):
+    def __init__(
+        self, input: FloatArray, output: FloatArray, orders: tuple[int, int, int],
+        drift: FloatArray,
+    ) -> None:
         self.input, self.output, self.orders = input, output, orders
         self.drift = np.linalg.qr(drift)[0]
         self.past = max(orders)
         self.impulse = np.zeros(output.size)
         self.impulse[0] = 1.0
 
-    def split(self, parameters):
+    def split(
+        self, parameters: FloatArray,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Polynomials A, B, C, what the past leaves in the first samples, and the drift."""
         edges = np.cumsum([*self.orders, self.past])
         a, b, c, past, drift = np.split(parameters, edges)
         return np.append(1.0, a), np.append(0.0, b), np.append(1.0, c), past, drift
 
-    def invertible(self, parameters):
+    def invertible(self, parameters: FloatArray) -> bool:
         """Whether C can be divided by."""
         roots = np.roots(self.split(parameters)[2])
         return np.abs(roots).max(initial=0.0) < 1.0 - 1e-9
 
-    def errors(self, parameters):
+    def errors(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Errors (N,) and Jacobian (N, P), from C e = A y - B u - past - drift."""
         check_cancelled()
         a, b, c, past, drift = self.split(parameters)
@@ -172,7 +183,7 @@ class _PredictionErrors:
         jacobian[:, column:] = -lfilter([1.0], c, self.drift, axis=0)
         return error, jacobian
 
-    def start(self):
+    def start(self) -> FloatArray:
         """Polynomials of the subspace model, B by regression."""
         na, nb, nc = self.orders
         both = np.column_stack([self.input, self.output])
@@ -189,8 +200,8 @@ class _PredictionErrors:
         return parameters
 
 
-def _inside(roots, count):
-    """The slowest roots, those outside the unit circle mirrored into it."""
+def _inside(roots: ComplexArray, count: int) -> ComplexArray:
+    """Choose the slowest roots, with those outside the unit circle mirrored into it."""
     magnitude = np.abs(roots)
     roots = np.where(magnitude < 0.9999, roots, 0.9999 * roots / magnitude * np.minimum(
         1.0, 1.0 / magnitude))

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Electric and vibration dynamics by ARMAX (thesis 3.4.2, 4.5)."""
 
+from typing import Any
+
 import numpy as np
 from scipy.signal import lfilter
 
 from piezo_identification.conditioning.waveforms import square_wave
-from piezo_identification.estimators.dynamics.armax import fit_armax
+from piezo_identification.estimators.dynamics.armax import Armax, fit_armax
 from piezo_identification.estimators.dynamics.multisine import hysteresis_and_displacement
 from piezo_identification.estimators.dynamics.output_error import MOST_MODES
 from piezo_identification.estimators.dynamics.square_wave import (
@@ -21,12 +23,19 @@ from piezo_identification.estimators.estimate import (
     order_trial,
     split_dynamics_vector,
 )
+from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
 
 
-def estimate_dynamics_armax(recording, creep, hysteresis=None, orders=None, mode_count=None):
+def estimate_dynamics_armax(
+    recording: Recording, creep: CreepDynamics, hysteresis: PreisachModel | None = None,
+    orders: tuple[int, int, int] | None = None, mode_count: int | None = None,
+) -> Estimate:
     """Estimate the electric lag and the vibration modes by an ARMAX model.
 
-    The creep is taken off by its inverse. Of a square wave, the hysteresis makes an offset and a
+    The creep is removed by its inverse. Of a square wave, the hysteresis makes an offset and a
     gain; of any other input, an identified hysteresis tells what enters the dynamics.
 
     Parameters
@@ -71,7 +80,9 @@ def estimate_dynamics_armax(recording, creep, hysteresis=None, orders=None, mode
     return Estimate(model, standard_deviations, order, tuple(trials), orders is not None)
 
 
-def _signals(recording, creep, hysteresis):
+def _signals(
+    recording: Recording, creep: CreepDynamics, hysteresis: PreisachModel | None,
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Input, output, drift, and the sample period."""
     if hysteresis is not None:
         signals = hysteresis_and_displacement(recording, hysteresis, creep)
@@ -87,7 +98,9 @@ def _signals(recording, creep, hysteresis):
     return input, output, drift_basis(record.time_s, creep)[begin:], record.sample_period_s
 
 
-def dynamics_of_armax(armax, input, sample_period_s, mode_count):
+def dynamics_of_armax(
+    armax: Armax, input: FloatArray, sample_period_s: float, mode_count: int,
+) -> tuple[ElectricVibrationDynamics, dict[str, Any]]:
     """Electric lag and modes of an ARMAX model, with standard deviations.
 
     Parameters
@@ -112,7 +125,7 @@ def dynamics_of_armax(armax, input, sample_period_s, mode_count):
     denominator = armax.autoregressive
     kept = _strongest_poles(armax, input, mode_count)
 
-    def vector(coefficients):
+    def vector(coefficients: FloatArray) -> FloatArray:
         roots = np.roots(coefficients).astype(complex)
         nearest = []
         for pole in kept:
@@ -136,7 +149,7 @@ def dynamics_of_armax(armax, input, sample_period_s, mode_count):
     return model, split_dynamics_vector(np.linalg.norm(changes, axis=0), mode_count)
 
 
-def _strongest_poles(armax, input, mode_count):
+def _strongest_poles(armax: Armax, input: FloatArray, mode_count: int) -> ComplexArray:
     """Discrete poles of the lag and the modes with the largest part in the output."""
     poles = armax.poles().astype(complex)
     # Where poles are not in the open disc or negative, there is no continuous one.

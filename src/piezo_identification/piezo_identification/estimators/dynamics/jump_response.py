@@ -16,7 +16,9 @@ from piezo_identification.estimators.estimate import (
     parameter_covariance,
     split_dynamics_vector,
 )
+from piezo_models.arrays import FloatArray
 from piezo_models.linear.dynamics import ElectricVibrationDynamics, simulate_linear, zoh
+from piezo_recorder.reading.recording import Recording
 
 MOST_MODES = 3
 """Vibration modes beyond which the search for their number ends."""
@@ -45,15 +47,15 @@ class JumpResponse:
 
     sample_period_s: float
     jump: int
-    voltage_v: np.ndarray
-    displacement_um: np.ndarray
+    voltage_v: FloatArray
+    displacement_um: FloatArray
 
     @property
-    def time_s(self):
+    def time_s(self) -> FloatArray:
         """Time since the jump, shape (N,)."""
         return (np.arange(self.voltage_v.size) - self.jump) * self.sample_period_s
 
-    def basis(self, dynamics):
+    def basis(self, dynamics: ElectricVibrationDynamics) -> FloatArray:
         """Columns whose combination is the response, shape (N, 4).
 
         The level of the rest, and through the dynamics the jump of the hysteresis output and its
@@ -68,15 +70,15 @@ class JumpResponse:
             [np.ones(after.size), *(simulate_linear(system, column) for column in inputs)]
         )
 
-    def first(self, duration_s):
-        """The response up to a time after the jump."""
+    def first(self, duration_s: float) -> "JumpResponse":
+        """Return the response up to a time after the jump."""
         end = self.jump + round(duration_s / self.sample_period_s)
         return JumpResponse(
             self.sample_period_s, self.jump, self.voltage_v[:end], self.displacement_um[:end]
         )
 
 
-def jump_response(recording, duration_s=0.05):
+def jump_response(recording: Recording, duration_s: float = 0.05) -> JumpResponse:
     """Cut the largest jump of the voltage out of a recording, with the rest before it.
 
     Parameters
@@ -115,7 +117,7 @@ def jump_response(recording, duration_s=0.05):
     )
 
 
-def estimate_jump_dynamics(response, mode_count=None):
+def estimate_jump_dynamics(response: JumpResponse, mode_count: int | None = None) -> Estimate:
     """Estimate lag, modes, and an antiresonance between every two of them.
 
     The modes start from the poles of the free decay; the physical parameters are then refined for
@@ -178,7 +180,7 @@ def _fit(response, start):
     )
 
 
-def _starting_dynamics(response, mode_count):
+def _starting_dynamics(response: JumpResponse, mode_count: int) -> ElectricVibrationDynamics:
     """Modes of the free decay; None where it shows fewer."""
     after = slice(response.jump + 1, None)
     voltage_v, displacement_um = response.voltage_v[after], response.displacement_um[after]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezo_identification.conditioning.waveforms import slow_branches
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_identification.estimators.dynamics.square_wave import (
     WARM_UP_S,
@@ -13,8 +14,17 @@ from piezo_identification.estimators.dynamics.square_wave import (
     played_at_the_clock,
     remove_creep,
 )
-from piezo_identification.prediction import slow_branches
-from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh
+from piezo_identification.estimators.estimate import Estimate
+from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import (
+    CreepDynamics,
+    ElectricVibrationDynamics,
+    equilibrium_state,
+    simulate_linear,
+    zoh,
+)
+from piezo_recorder.reading.recording import Recording
 
 LINE_THRESHOLD = 0.02
 """Spectral lines weaker than this part of the strongest do not count as excited."""
@@ -23,7 +33,10 @@ LOWEST_LINE = 8
 """First line of a windowed spectrum that the slow parts do not reach."""
 
 
-def estimate_dynamics_multisine(recording, hysteresis, creep, mode_count=None):
+def estimate_dynamics_multisine(
+    recording: Recording, hysteresis: PreisachModel, creep: CreepDynamics,
+    mode_count: int | None = None,
+) -> Estimate:
     """Estimate the electric lag and the vibration modes (3.2) from a multi-sine.
 
     The identified hysteresis tells what enters the dynamics. The inverse response at the excited
@@ -55,7 +68,7 @@ def estimate_dynamics_multisine(recording, hysteresis, creep, mode_count=None):
     signals = hysteresis_and_displacement(recording, hysteresis, creep)
     fast = signals.fast
 
-    def respond(dynamics):
+    def respond(dynamics: ElectricVibrationDynamics) -> FloatArray:
         system = dynamics.state_space()
         initial = equilibrium_state(system, signals.hysteresis_um[0])
         response = simulate_linear(
@@ -63,7 +76,7 @@ def estimate_dynamics_multisine(recording, hysteresis, creep, mode_count=None):
         )
         return response[fast]
 
-    def start(count):
+    def start(count: int) -> ElectricVibrationDynamics:
         return dynamics_of_poles(_poles_of_lines(signals, 2 * count + 1, recording.path))
 
     return fit_output_error(
@@ -86,14 +99,16 @@ class FastSignals:
     sample_period_s : float
     """
 
-    hysteresis_um: np.ndarray
-    displacement_um: np.ndarray
-    drift: np.ndarray
+    hysteresis_um: FloatArray
+    displacement_um: FloatArray
+    drift: FloatArray
     fast: slice
     sample_period_s: float
 
 
-def hysteresis_and_displacement(recording, hysteresis, creep):
+def hysteresis_and_displacement(
+    recording: Recording, hysteresis: PreisachModel, creep: CreepDynamics,
+) -> "FastSignals":
     """Input and output of the electric and vibration dynamics in a recording.
 
     Parameters
@@ -139,7 +154,7 @@ def hysteresis_and_displacement(recording, hysteresis, creep):
     )
 
 
-def _poles_of_lines(signals, order, path):
+def _poles_of_lines(signals: "FastSignals", order: int, path: str) -> ComplexArray:
     """Poles (rad/s) of a response without zeros through the excited spectral lines."""
     window = np.hanning(signals.hysteresis_um[signals.fast].size)
     inputs, outputs = (

@@ -66,7 +66,7 @@ def fit_output_error(respond, measured_um, fixed, start, mode_count=None):
     respond : callable
         Response (N,) of dynamics to the input of the record.
     measured_um : ndarray, shape (N,)
-        Creep taken off.
+        Creep removed.
     fixed : ndarray, shape (N, K)
         What else the output may hold, such as an offset; fitted linearly, as is the gain.
     start : callable
@@ -123,7 +123,7 @@ class _Record:
         self._fixed = independent(fixed)
 
     def fit(self, start):
-        """The dynamics of least output error near others, with as many modes and zeros."""
+        """Fit the dynamics of least output error near others, with as many modes and zeros."""
         counts = len(start.damping_ratios), len(start.antiresonance_damping_ratios)
         logarithms = np.log(dynamics_vector(start))
         solution = least_squares(
@@ -142,7 +142,7 @@ class _Record:
         )
 
     def starts(self, start, count):
-        """The start with so many modes, and the best choice from those with more."""
+        """Yield the start with so many modes, and the best choice from those with more."""
         yield start(count)
         choices = []
         for left_out in range(1, MODES_LEFT_OUT + 1):
@@ -161,7 +161,7 @@ class _Record:
                 self._left([self._respond(model)])[0] ** 2))
 
     def antiresonances(self, model):
-        """A model's poles with the antiresonances of the modes that respond side by side.
+        """Add to the poles of a model the antiresonances of modes that respond side by side.
 
         The lag and every mode answer the input side by side, with gains that fit best: the zeros
         of their sum are those of the stage.
@@ -197,7 +197,7 @@ class _Record:
         )
 
     def _left(self, parts):
-        """What parts and fixed columns leave of the measured output, and their gains."""
+        """Fit parts and fixed columns to the measured output; return the residual and the gains."""
         check_cancelled()
         basis = np.column_stack([*parts, self._fixed])
         gains = np.linalg.lstsq(basis, self._measured_um, rcond=COLLINEAR)[0]

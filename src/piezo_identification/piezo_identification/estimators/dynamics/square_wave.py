@@ -1,26 +1,33 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Electric and vibration dynamics from a short square wave: subspace start, output-error fit."""
 
+import control
 import numpy as np
 from scipy.signal import lfilter, lfilter_zi
 
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
+from piezo_identification.estimators.estimate import Estimate
+from piezo_models.arrays import ComplexArray, FloatArray
 from piezo_models.linear.dynamics import (
+    CreepDynamics,
     ElectricVibrationDynamics,
     continue_linear,
     simulate_linear,
     zoh,
 )
+from piezo_recorder.reading.recording import Recording
 
 WARM_UP_S = 0.3
 """Part at the start that is not used, as the approach from rest still shows in it."""
 
 
-def estimate_dynamics(recording, creep, mode_count=None):
+def estimate_dynamics(
+    recording: Recording, creep: CreepDynamics, mode_count: int | None = None,
+) -> Estimate:
     """Estimate the electric lag and the vibration modes (4.3) from a square wave of short period.
 
-    The creep is taken off by its inverse, and the periods are averaged. What follows a step is a
+    The creep is removed by its inverse, and the periods are averaged. What follows a step is a
     free decay, whose poles a subspace method (eigensystem realisation) finds without a starting
     guess; the physical parameters are then refined for the least output error of the exactly
     sampled model in its periodic state, with offset and gain of the hysteresis (4.5) and the
@@ -55,7 +62,7 @@ def estimate_dynamics(recording, creep, mode_count=None):
 class _DynamicsRecord:
     """The mean period of the record without creep, and the response of models to it."""
 
-    def __init__(self, recording, creep):
+    def __init__(self, recording: Recording, creep: CreepDynamics) -> None:
         part = played_at_the_clock(recording)
         self.period_s = part.sample_period_s
         wave = square_wave(part)
@@ -70,7 +77,7 @@ class _DynamicsRecord:
             raise ValueError(f"{recording.path} is not periodic: record one square wave throughout")
         runs = (steps[-1] - steps[0]) // self.length
 
-        def fold(signal):
+        def fold(signal: FloatArray) -> FloatArray:
             signal = signal[steps[0] : steps[0] + runs * self.length]
             return signal.reshape(runs, self.length).mean(axis=0)
 
@@ -83,18 +90,18 @@ class _DynamicsRecord:
         # Both half periods are one free decay, but for offset and sign.
         self.decay_um = self.measured_um[1:count] - self.measured_um[half + 1 : half + count]
 
-    def start(self, mode_count):
+    def start(self, mode_count: int) -> ElectricVibrationDynamics:
         """Dynamics of the free decay, found by subspace."""
         return dynamics_of_poles(
             free_decay_poles(self.decay_um, self.period_s, 2 * mode_count + 1)
         )
 
-    def respond(self, dynamics):
+    def respond(self, dynamics: ElectricVibrationDynamics) -> FloatArray:
         """Response of the dynamics to the mean period."""
         return periodic_response(zoh(dynamics.state_space(), self.period_s), self.level)
 
 
-def played_at_the_clock(recording):
+def played_at_the_clock(recording: Recording) -> Recording:
     """Part of a recording in which a waveform plays, not averaged.
 
     Raises
@@ -111,14 +118,14 @@ def played_at_the_clock(recording):
     return part
 
 
-def drift_basis(time_s, creep):
+def drift_basis(time_s: FloatArray, creep: CreepDynamics) -> FloatArray:
     """Columns (N, K) of what a record without creep may still hold: offset and initial creep."""
     return np.column_stack(
         [np.ones_like(time_s), *(np.exp(-zero * time_s) for zero in creep.zeros_rad_per_s)]
     )
 
 
-def remove_creep(signal, creep, sample_period_s):
+def remove_creep(signal: FloatArray, creep: CreepDynamics, sample_period_s: float) -> FloatArray:
     """Pass a uniformly sampled signal through the inverse of the creep, Fig. 4.7.
 
     Parameters
@@ -142,7 +149,7 @@ def remove_creep(signal, creep, sample_period_s):
     return signal
 
 
-def periodic_response(discrete_system, period):
+def periodic_response(discrete_system: control.StateSpace, period: FloatArray) -> FloatArray:
     """Output of a stable discrete system over one period of a periodic input.
 
     Parameters
@@ -161,7 +168,7 @@ def periodic_response(discrete_system, period):
     return simulate_linear(discrete_system, period, initial)
 
 
-def free_decay_poles(decay, sample_period_s, order):
+def free_decay_poles(decay: FloatArray, sample_period_s: float, order: int) -> ComplexArray:
     """Poles (rad/s, complex) of a free decay around an unknown end value.
 
     The Hankel matrix of the decay has the rank of the system; the shift of its signal subspace has
@@ -195,7 +202,7 @@ def free_decay_poles(decay, sample_period_s, order):
     return np.log(discrete) / sample_period_s
 
 
-def dynamics_of_poles(poles):
+def dynamics_of_poles(poles: ComplexArray) -> ElectricVibrationDynamics:
     """Electric lag and modes with given poles.
 
     Parameters

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezo_models.arrays import FloatArray
+
 
 @dataclass(frozen=True)
 class Innovations:
@@ -16,13 +18,15 @@ class Innovations:
     input_gain, innovation_gain, output_gain : ndarray, shape (n,)
     """
 
-    transition: np.ndarray
-    input_gain: np.ndarray
-    innovation_gain: np.ndarray
-    output_gain: np.ndarray
+    transition: FloatArray
+    input_gain: FloatArray
+    innovation_gain: FloatArray
+    output_gain: FloatArray
 
 
-def identify_subspace(input, output, order, past=None):
+def identify_subspace(
+    input: FloatArray, output: FloatArray, order: int, past: int | None = None,
+) -> Innovations:
     """Identify a system in innovations form, without a starting guess and without iterations.
 
     A long autoregression gives the predictor's Markov parameters; the singular vectors of what the
@@ -54,7 +58,7 @@ def identify_subspace(input, output, order, past=None):
             f"{output.size} samples are too few for a subspace of order {order}: record longer"
         )
 
-    def lags(signal):
+    def lags(signal: FloatArray) -> FloatArray:
         # Column j holds the signal j + 1 samples ago.
         return np.lib.stride_tricks.sliding_window_view(signal[:-1], past)[:, ::-1]
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from piezo_models.arrays import ComplexArray, FloatArray
+
 COLUMNS = ("frequency_hz", "gain_re", "gain_im")
 
 
@@ -28,12 +30,12 @@ class FrequencyResponse:
     """
 
     path: str
-    frequency_hz: np.ndarray = field(repr=False)
-    gain: np.ndarray = field(repr=False)
+    frequency_hz: FloatArray = field(repr=False)
+    gain: ComplexArray = field(repr=False)
     hold_s: float = 0.0
 
-    def held(self, hold_s):
-        """The same numbers, taken as those of a response from held samples to samples.
+    def held(self, hold_s: float) -> "FrequencyResponse":
+        """Take the same numbers as those of a response from held samples to samples.
 
         Parameters
         ----------
@@ -53,7 +55,7 @@ class FrequencyResponse:
             )
         return replace(self, hold_s=hold_s)
 
-    def between(self, lowest_hz, highest_hz):
+    def between(self, lowest_hz: float, highest_hz: float) -> "FrequencyResponse":
         """Part of the response, both ends included.
 
         Raises
@@ -70,7 +72,7 @@ class FrequencyResponse:
         return replace(self, frequency_hz=self.frequency_hz[part], gain=self.gain[part])
 
 
-def is_frequency_response(path):
+def is_frequency_response(path: str | Path) -> bool:
     """Whether a file's first line names the columns of a frequency response."""
     try:
         with Path(path).open(encoding="utf-8-sig") as file:
@@ -79,7 +81,7 @@ def is_frequency_response(path):
         return False
 
 
-def read_frequency_response(path):
+def read_frequency_response(path: str | Path) -> FrequencyResponse:
     """Read a CSV file with the columns frequency_hz, gain_re and gain_im.
 
     Parameters

@@ -195,7 +195,7 @@ def _estimate(measured, order, most_states):
 
 
 def _ascending(vector, order):
-    """Indices that put the components of every kind into the order of their frequencies."""
+    """List the indices that put the components of every kind into the order of frequency."""
     head, poles, zeros, lag, modes, dampings, antiresonances, their_dampings = np.split(
         np.arange(vector.size), np.cumsum([
             2, order.creep_pairs, order.creep_pairs, 1, order.modes, order.modes,
@@ -303,7 +303,7 @@ class _ResponseFit:
         return np.geomspace(self.rate[0], middle, count + 2)[1:-1]
 
     def _with_creep(self, vector, order, count):
-        """The vector with this number of creep pairs."""
+        """Return the vector with this number of creep pairs."""
         head, tail = vector[:2], vector[2 + 2 * order.creep_pairs :]
         slow = self._slow_rates(count)
         return np.concatenate([head, np.log(slow), np.log(1.1 * slow), tail])
@@ -339,7 +339,7 @@ class _ResponseFit:
                     order_trial(order, solution.fun, solution.x.size))
 
     def _bounds(self, order):
-        """What the measured frequencies can show."""
+        """Bound the parameters by what the measured frequencies can show."""
         slowest, fastest = np.log(0.1 * self.rate[0]), np.log(10.0 * self.rate[-1])
         creep = np.log(np.sqrt(self.rate[0] * self.rate[-1]))
         band = np.log([0.9 * self.rate[0], 1.1 * self.rate[-1]])
@@ -358,7 +358,7 @@ class _ResponseFit:
         return np.concatenate([difference.real, difference.imag])
 
     def _jacobian(self, vector, order):
-        """Derivatives of the response: its own value times those of its logarithm."""
+        """Differentiate the response: its own value times the derivatives of its logarithm."""
         s = 1j * self.rate[:, None]
         model = self.model(vector, order)
         poles, zeros = (np.array(rates)[None, :] for rates in (

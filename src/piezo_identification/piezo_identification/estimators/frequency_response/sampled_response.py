@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Response of the linear part at the samples of a recording, with lags shorter than a sample."""
 
+from collections.abc import Sequence
 from itertools import takewhile
 
 import control
 import numpy as np
 
+from piezo_models.arrays import FloatArray
 from piezo_models.effects.delay import Delay
+from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh
 
 
-def leading_lags(effects, samples):
+def leading_lags(
+    effects: Sequence[Effect], samples: int,
+) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
     """Those of the effects behind a linear system that are in series with it.
 
     Between the samples of a slow recording the displacement may do more than they show.
@@ -33,8 +38,10 @@ def leading_lags(effects, samples):
     return lags, tuple(effects[len(lags) :])
 
 
-def behind_lags(system, lags):
-    """A linear system with lags behind it, and the delay that is left behind both.
+def behind_lags(
+    system: control.StateSpace, lags: Sequence[Effect],
+) -> tuple[control.StateSpace, float]:
+    """Put lags behind a linear system; return it, and the delay that is left behind both.
 
     Parameters
     ----------
@@ -55,7 +62,10 @@ def behind_lags(system, lags):
     return system, sum(delays_s)
 
 
-def respond(system, input_um, sample_period_s, samples, delay_s=0.0):
+def respond(
+    system: control.StateSpace, input_um: FloatArray, sample_period_s: float, samples: int,
+    delay_s: float = 0.0,
+) -> FloatArray:
     """Response from the equilibrium under the first input.
 
     Parameters
@@ -87,7 +97,9 @@ def respond(system, input_um, sample_period_s, samples, delay_s=0.0):
     )
 
 
-def delayed_zoh(system, sample_period_s, delay_s):
+def delayed_zoh(
+    system: control.StateSpace, sample_period_s: float, delay_s: float,
+) -> tuple[control.StateSpace, int]:
     """Discrete system for an input held over each sample period, and an output that comes late.
 
     Parameters
@@ -114,7 +126,9 @@ def delayed_zoh(system, sample_period_s, delay_s):
     ), int(late) + 1
 
 
-def mean_zoh(system, sample_period_s, samples):
+def mean_zoh(
+    system: control.StateSpace, sample_period_s: float, samples: int,
+) -> control.StateSpace:
     """Discrete system whose output is the mean of the samples that fall into each held period.
 
     Parameters

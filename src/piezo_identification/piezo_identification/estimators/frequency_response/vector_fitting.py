@@ -3,8 +3,12 @@
 
 import numpy as np
 
+from piezo_models.arrays import ComplexArray, FloatArray
 
-def vector_fit(frequency_rad_per_s, gain, pole_count, iterations=20):
+
+def vector_fit(
+    frequency_rad_per_s: FloatArray, gain: ComplexArray, pole_count: int, iterations: int = 20,
+) -> ComplexArray:
     """Poles of a proper rational function near a measured response.
 
     The poles are relocated by linear regressions (Gustavsen and Semlyen, "Rational approximation
@@ -50,7 +54,9 @@ def vector_fit(frequency_rad_per_s, gain, pole_count, iterations=20):
     return poles * scale
 
 
-def residues_error(frequency_rad_per_s, gain, poles):
+def residues_error(
+    frequency_rad_per_s: FloatArray, gain: ComplexArray, poles: ComplexArray,
+) -> float:
     """Relative error of the best rational function with given poles.
 
     Parameters
@@ -72,7 +78,7 @@ def residues_error(frequency_rad_per_s, gain, poles):
     return float(np.linalg.norm(left) / np.linalg.norm(gain))
 
 
-def _basis(s, poles):
+def _basis(s: ComplexArray, poles: ComplexArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
     """Real state space with these poles, and its states' responses (N, n)."""
     pairs, real = poles[poles.imag > 0.0], poles[poles.imag == 0.0].real
     dynamics, drive = np.diag(np.concatenate([np.repeat(pairs.real, 2), real])), np.ones(poles.size)
@@ -87,7 +93,7 @@ def _basis(s, poles):
     return dynamics, drive, np.column_stack(columns)
 
 
-def _real_lstsq(columns, target):
+def _real_lstsq(columns: ComplexArray, target: ComplexArray) -> FloatArray:
     stacked = np.vstack([columns.real, columns.imag])
     scale = np.linalg.norm(stacked, axis=0)
     scale[scale == 0.0] = 1.0

@@ -4,7 +4,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from piezo_models.arrays import FloatArray
 from piezo_models.hysteresis.preisach import PreisachModel
 
 
@@ -35,34 +37,34 @@ class DensityEstimate:
     """
 
     method: str
-    levels_v: np.ndarray
-    density_um_per_v2: np.ndarray
+    levels_v: FloatArray
+    density_um_per_v2: FloatArray
     offset_um: float
-    visited: np.ndarray
-    singular_values: np.ndarray | None = None
+    visited: NDArray[np.bool_]
+    singular_values: FloatArray | None = None
     rank: int | None = None
     smoothing_weight: float | None = None
-    reversible_um_per_v: np.ndarray | None = None
+    reversible_um_per_v: FloatArray | None = None
 
     @property
-    def visited_fraction(self):
+    def visited_fraction(self) -> float:
         """Part of the area of the Preisach plane that was visited."""
         area = np.tril(np.ones(self.visited.shape)) - 0.5 * np.eye(len(self.visited))
         return float(area[self.visited].sum() / area.sum())
 
     @property
-    def condition_number(self):
+    def condition_number(self) -> float:
         """Of the normal equations, over the singular values that were kept."""
         return float(self.singular_values[0] / self.singular_values[self.rank - 1])
 
-    def model(self):
-        """The hysteresis as a `PreisachModel`."""
+    def model(self) -> PreisachModel:
+        """Return the hysteresis as a `PreisachModel`."""
         return PreisachModel(
             self.levels_v[0], self.levels_v[-1], self.density_um_per_v2, self.offset_um,
             self.reversible_um_per_v,
         )
 
-    def report(self):
+    def report(self) -> str:
         """One line for people: method, grid, rank, and what was not visited."""
         words = [f"{self.method}, {len(self.visited)} x {len(self.visited)} cells"]
         if self.rank is not None:
@@ -84,7 +86,7 @@ class DensityEstimate:
         return "; ".join([*words, visited])
 
 
-def lower_triangle(values, size):
+def lower_triangle(values: FloatArray, size: int) -> FloatArray:
     """Square matrix from values counted i-major with j <= i; zero above the diagonal."""
     square = np.zeros((size, size))
     square[np.tril_indices(size)] = values

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Preisach density from a recording: the linear dynamics taken off, then the estimate."""
+"""Preisach density from a recording: the linear dynamics removed, then the estimate."""
 
 import numpy as np
 
@@ -7,12 +7,18 @@ from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.settling import first_settled, low_frequency_delay_s
 from piezo_identification.conditioning.waveforms import played, sample_by_voltage
 from piezo_identification.estimators.dynamics.square_wave import remove_creep
+from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
+from piezo_models.arrays import FloatArray
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
 
 
 def estimate_hysteresis(
-    recording, creep, dynamics, level_count=70, cells_per_level=2, smoothing_weight=None
-):
+    recording: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
+    level_count: int = 70, cells_per_level: int = 2, smoothing_weight: float | None = None,
+) -> PreisachModel:
     """Estimate the hysteresis: the model of `estimate_density`, which describes the parameters.
 
     Returns
@@ -30,12 +36,13 @@ def estimate_hysteresis(
 
 
 def estimate_density(
-    recording, creep, dynamics, level_count=70, cells_per_level=2, smoothing_weight=None,
-    translation_weight=0.0, delay_s=0.0,
-):
+    recording: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
+    level_count: int = 70, cells_per_level: int = 2, smoothing_weight: float | None = None,
+    translation_weight: float = 0.0, delay_s: float = 0.0,
+) -> DensityEstimate:
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
-    Creep and fast dynamics are taken off by their inverses, Fig. 4.8. What is left makes a linear
+    Creep and fast dynamics are removed by their inverses, Fig. 4.8. What is left makes a linear
     regression (4.11), solved by smoothed non-negative least squares with all samples; offset and
     initial creep are free. Any input will do: `DensityEstimate.visited` tells which part of the
     plane it determines.
@@ -83,8 +90,11 @@ def estimate_density(
     )
 
 
-def hysteresis_output_um(recording, creep, dynamics, delay_s=0.0):
-    """Hysteresis output at each sample: creep, electric and vibration dynamics taken off.
+def hysteresis_output_um(
+    recording: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
+    delay_s: float = 0.0,
+) -> FloatArray:
+    """Hysteresis output at each sample: creep, electric and vibration dynamics removed.
 
     Parameters
     ----------
@@ -110,7 +120,7 @@ def hysteresis_output_um(recording, creep, dynamics, delay_s=0.0):
     return remove_creep(displacement_um + lead_s * slope_um_per_s, creep, recording.sample_period_s)
 
 
-def _check_coverage(path, part, levels_v):
+def _check_coverage(path: str, part: Recording, levels_v: FloatArray) -> None:
     """Refuse a voltage that jumps over the levels, and a displacement of the wrong sign."""
     samples = sample_by_voltage(part.voltage_v, levels_v)
     spacing_v = levels_v[1] - levels_v[0]

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
+from piezo_models.arrays import FloatArray
 from piezo_models.hysteresis.preisach_kernels import branch_start, cell_of, with_room
 
 NEAR_THE_END = 1e-3
@@ -37,10 +39,12 @@ class EverettRegression:
     """
 
     matrix: csr_array
-    history: np.ndarray
+    history: FloatArray
 
 
-def everett_regression(voltage_v, levels_v, samples=None):
+def everett_regression(
+    voltage_v: FloatArray, levels_v: FloatArray, samples: NDArray[np.intp] | None = None,
+) -> EverettRegression:
     """Regression of the hysteresis output on the Everett values at the crossings of the levels.
 
     The density is constant in each cell, so this is eq. (2.3) in other unknowns, exactly. What
@@ -70,7 +74,7 @@ def everett_regression(voltage_v, levels_v, samples=None):
     return EverettRegression(matrix, history)
 
 
-def density_operator(size):
+def density_operator(size: int) -> csr_array:
     """Densities of the cells, times the area of a full one, from the unknowns of the regression.
 
     Parameters
@@ -107,7 +111,7 @@ def density_operator(size):
     ).tocsr()
 
 
-def visited_cells(voltage_v, levels_v):
+def visited_cells(voltage_v: FloatArray, levels_v: FloatArray) -> NDArray[np.bool_]:
     """Cells of the Preisach plane in which the moving corner of the memory has been.
 
     Only there does the output tell the density cell by cell. One full loop switches all relays,
@@ -130,7 +134,7 @@ def visited_cells(voltage_v, levels_v):
     return _visited(position, levels_v.size - 1)
 
 
-def _positions(voltage_v, levels_v):
+def _positions(voltage_v: FloatArray, levels_v: FloatArray) -> FloatArray:
     """Voltages in cells from level 0."""
     size = levels_v.size - 1
     width_v = (levels_v[-1] - levels_v[0]) / size

@@ -108,7 +108,7 @@ def smoothed_density(
 
 
 def bounded_operator(size):
-    """What must not be negative: the densities of the cells, and the reversible parts.
+    """Return the operator of what must not be negative: densities and reversible parts.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def curvature_operator(size):
 
 
 def _on_finer_grid(forces, coarse, fine):
-    """Forces of the bounds of a fine grid: each that of the coarse cell it lies in."""
+    """Give each cell of a fine grid the force of the bounds of the coarse cell it lies in."""
     cell = np.arange(fine) * coarse // fine
     density, reversible = np.split(forces, [-coarse])
     return np.concatenate([

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """All components fitted together on all recordings, from a model identified step by step."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.refinement.joint_problem import STRETCHES, RefinementProblem
+from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep
+from piezo_recorder.reading.recording import Recording
 
 HALF_WIDTHS = (0.0, 0.15, 0.3)
 """Of the play operators that are tried for hysteretic creep, over the voltage range."""
@@ -49,15 +53,18 @@ class Refinement:
         Of creep and dynamics, in names and shapes those of the model; empty if not improved.
     """
 
-    model: object
+    model: StageModel
     improved: bool
     held_out_ratio: float
-    before_percent: dict
-    after_percent: dict
-    standard_deviations: dict
+    before_percent: dict[str, float]
+    after_percent: dict[str, float]
+    standard_deviations: dict[str, Any]
 
 
-def refine(model, recordings, progress=None):
+def refine(
+    model: StageModel, recordings: Mapping[str, Recording],
+    progress: Callable[[float], object] | None = None,
+) -> Refinement:
     """Fit creep, electric and vibration dynamics and hysteresis together on all recordings.
 
     The error of the simulated displacement is made least. Every physical parameter of the linear
@@ -155,7 +162,7 @@ def _held_out_ratio(before, after):
 
 
 def _with_hysteretic_creep(model, recordings):
-    """The model with operators of weight zero, or None where no recording would show them."""
+    """Add operators of weight zero to the model; None where no recording would show them."""
     longest_s = max(played(recording).time_s[-1] for recording in recordings.values())
     travel_v = model.hysteresis.voltage_max_v - model.hysteresis.voltage_min_v
     operators = [

@@ -89,7 +89,7 @@ class RefinementProblem:
         return CreepDynamics(**creep), ElectricVibrationDynamics(**dynamics)
 
     def model(self, vector):
-        """The stage model."""
+        """Return the stage model with the parameters of a vector."""
         creep, dynamics = self.linear(vector)
         factors, weights = np.split(vector[self.count :], [len(self.parts)])
         hysteretic = self.first.hysteretic_creep

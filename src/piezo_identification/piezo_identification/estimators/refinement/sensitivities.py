@@ -6,11 +6,17 @@ from dataclasses import replace
 import control
 import numpy as np
 
+from piezo_models.arrays import FloatArray
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+
 MIDDLE_KNOTS, SPAN_KNOTS = 4, 8
 """Between which the surface that multiplies the density is bilinear."""
 
 
-def sensitivity_systems(creep, dynamics):
+def sensitivity_systems(
+    creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
+) -> list[control.StateSpace]:
     """Systems that turn the displacement into its derivatives by the logarithms of parameters.
 
     The derivative of a factor of the transfer function by one of its parameters, over the factor.
@@ -26,10 +32,12 @@ def sensitivity_systems(creep, dynamics):
         Creep poles, creep zeros, time constant unless it is 0, mode frequencies, damping ratios,
         and those of the antiresonances.
     """
-    def first_order(rate, gain, direct=0.0):
+    def first_order(rate: float, gain: float, direct: float = 0.0) -> control.StateSpace:
         return control.ss([[-rate]], [[rate]], [[gain]], [[direct]])
 
-    def second_order(frequency, damping, position, velocity, direct):
+    def second_order(
+        frequency: float, damping: float, position: float, velocity: float, direct: float,
+    ) -> control.StateSpace:
         return control.ss(
             [[0.0, frequency], [-frequency, -2.0 * damping * frequency]], [[0.0], [frequency]],
             [[position, velocity]], [[direct]],
@@ -51,7 +59,7 @@ def sensitivity_systems(creep, dynamics):
     return systems
 
 
-def hysteresis_parts(hysteresis):
+def hysteresis_parts(hysteresis: PreisachModel) -> list[PreisachModel]:
     """Hystereses that sum to a given one, but for its offset, and that may change alone.
 
     Parameters
@@ -76,7 +84,9 @@ def hysteresis_parts(hysteresis):
     ]
 
 
-def factor_surfaces(size, middle_knots=MIDDLE_KNOTS, span_knots=SPAN_KNOTS):
+def factor_surfaces(
+    size: int, middle_knots: int = MIDDLE_KNOTS, span_knots: int = SPAN_KNOTS,
+) -> FloatArray:
     """Surfaces over the cells of a density that sum to one.
 
     They are bilinear between knots in the middle of the thresholds and in the root of their span:
@@ -105,6 +115,6 @@ def factor_surfaces(size, middle_knots=MIDDLE_KNOTS, span_knots=SPAN_KNOTS):
     return np.array([surface for surface in surfaces if surface.any()])
 
 
-def _hats(position, knots):
+def _hats(position: FloatArray, knots: int) -> list[FloatArray]:
     """Functions of a position from 0 to 1, linear between knots, that sum to one."""
     return [np.maximum(0.0, 1.0 - np.abs(position * (knots - 1) - knot)) for knot in range(knots)]

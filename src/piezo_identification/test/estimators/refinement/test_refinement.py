@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezo_identification import identify as identify_module
 from piezo_identification.commands.identify_command import main as identify_main
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
@@ -16,6 +15,7 @@ from piezo_identification.estimators.refinement.sensitivities import (
     sensitivity_systems,
 )
 from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.identification import identify as identify_module
 from piezo_identification.prediction import predict, unseen_errors
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity

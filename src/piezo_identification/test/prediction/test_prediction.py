@@ -2,8 +2,9 @@
 import numpy as np
 import pytest
 
+from piezo_identification.conditioning.waveforms import slow_branches
 from piezo_identification.experiments import catalogue as experiments
-from piezo_identification.prediction import predict, slow_branches, unseen_errors
+from piezo_identification.prediction import predict, unseen_errors
 
 
 @pytest.mark.parametrize("experiment, clock_hz", [

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of measured and simulated displacement."""
 
+from pathlib import Path
+
 from piezo_common.picture_style import (
     DIFFERENCE,
     MEASURED,
@@ -9,11 +11,12 @@ from piezo_common.picture_style import (
     label,
     new_figure,
 )
+from piezo_identification.prediction.prediction import Prediction
 
 DOTS_PER_INCH = 120
 
 
-def draw_displacement(path, prediction):
+def draw_displacement(path: str | Path, prediction: Prediction) -> None:
     """Draw measured and simulated displacement over time, and their difference.
 
     Parameters
@@ -34,7 +37,7 @@ def draw_displacement(path, prediction):
     figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
-def draw_loops(path, prediction):
+def draw_loops(path: str | Path, prediction: Prediction) -> None:
     """Draw measured and simulated displacement over voltage.
 
     Parameters

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Creep, electric and vibration dynamics, from whatever was recorded to show them."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
@@ -10,13 +11,17 @@ from piezo_identification.estimators.creep import estimate_creep
 from piezo_identification.estimators.dynamics.armax_dynamics import estimate_dynamics_armax
 from piezo_identification.estimators.dynamics.multisine import estimate_dynamics_multisine
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+from piezo_identification.estimators.estimate import Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
     ANY_ORDER,
+    ResponseOrder,
     estimate_from_response,
 )
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
 
 METHODS = ("output-error", "armax")
 """Of estimating electric and vibration dynamics from samples."""
@@ -47,21 +52,21 @@ class LinearDynamics:
     estimates: dict = field(default_factory=dict)
     uncertainties: dict = field(default_factory=dict)
 
-    def with_creep(self, estimate):
+    def with_creep(self, estimate: Estimate) -> "LinearDynamics":
         """With the creep of a recording."""
         return replace(
             self, creep=estimate.model, estimates=self.estimates | {"creep": estimate},
             uncertainties=self.uncertainties | {"creep": estimate.standard_deviations},
         )
 
-    def with_dynamics(self, estimate):
+    def with_dynamics(self, estimate: Estimate) -> "LinearDynamics":
         """With the dynamics of a recording."""
         return replace(
             self, dynamics=estimate.model, estimates=self.estimates | {"dynamics": estimate},
             uncertainties=self.uncertainties | {"dynamics": estimate.standard_deviations},
         )
 
-    def with_response(self, estimate):
+    def with_response(self, estimate: Estimate) -> "LinearDynamics":
         """With what a frequency response shows, whose creep is that beside the known one."""
         model, deviations = estimate.model, estimate.standard_deviations
         creep, spread = {}, {}
@@ -80,9 +85,11 @@ class LinearDynamics:
 
 
 def estimate_linear_dynamics(
-    creep, dynamics, hysteresis, method=METHODS[0], order=ANY_ORDER, begin=lambda *_: None
-):
-    """Estimate creep, then the fast dynamics with the creep taken off; both once more.
+    creep: Recording | None, dynamics: Recording | FrequencyResponse | None, hysteresis: Recording,
+    method: str = METHODS[0], order: ResponseOrder = ANY_ORDER,
+    begin: Callable[[str, float], object] = lambda *_: None,
+) -> LinearDynamics:
+    """Estimate creep, then the fast dynamics with the creep removed; both once more.
 
     The second time, each is a smaller error to the other. Fast dynamics come from a square wave
     between two voltages; from any other fast recording, such as a multisine, for which the
@@ -134,7 +141,9 @@ def estimate_linear_dynamics(
     return found
 
 
-def _from_response(measured, found, order):
+def _from_response(
+    measured: FrequencyResponse, found: LinearDynamics, order: ResponseOrder,
+) -> Estimate:
     if "creep" in found.estimates:
         measured = replace(measured, gain=measured.gain / found.creep.response(
             measured.frequency_hz))
@@ -143,7 +152,10 @@ def _from_response(measured, found, order):
     return estimate_from_response(measured, order)
 
 
-def _from_samples(recording, creep, density, method, order):
+def _from_samples(
+    recording: Recording, creep: CreepDynamics, density: PreisachModel | None, method: str,
+    order: ResponseOrder,
+) -> Estimate:
     if method == "armax":
         return estimate_dynamics_armax(recording, creep, density, mode_count=order.modes)
     if density is None:
@@ -151,7 +163,7 @@ def _from_samples(recording, creep, density, method, order):
     return estimate_dynamics_multisine(recording, density, creep, order.modes)
 
 
-def _is_square_wave(recording):
+def _is_square_wave(recording: Recording) -> bool:
     part = played(recording)
     try:
         return square_wave(part).steps.size > 0

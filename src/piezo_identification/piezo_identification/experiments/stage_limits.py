@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the stage allows an experiment to play."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_models.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class StageLimits:
+    """What the stage allows.
+
+    Parameters
+    ----------
+    voltage_min_v, voltage_max_v : float
+        Range of the amplifier.
+    slew_limit_v_per_s : float
+        Largest rate of change of the voltage.
+    sample_rate_hz : float
+        Sample clock of the stage.
+    rest_voltage_v : float
+        Voltage of the stage at rest.
+    samples_per_tick : int
+        Samples of one feedback period.
+    """
+
+    voltage_min_v: float = -20.0
+    voltage_max_v: float = 120.0
+    slew_limit_v_per_s: float = 2e6
+    sample_rate_hz: float = 40_000.0
+    rest_voltage_v: float = 0.0
+    samples_per_tick: int = 40
+
+    @property
+    def span_v(self) -> float:
+        """Width of the voltage range."""
+        return self.voltage_max_v - self.voltage_min_v
+
+    @property
+    def middle_v(self) -> float:
+        """Middle of the voltage range."""
+        return 0.5 * (self.voltage_min_v + self.voltage_max_v)
+
+    def clip(self, voltage_v: FloatArray) -> FloatArray:
+        """Voltage without the rounding that would put it a hair outside the range."""
+        return np.clip(voltage_v, self.voltage_min_v, self.voltage_max_v)
+
+
+USUAL_LIMITS = StageLimits()
+"""The defaults of `StageLimits`, for experiments that are made without a stage."""

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The sequence of estimators that turns recordings into a stage model."""

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Identify a stage model from recordings: the sequence of estimators from top to bottom.
+
+recordings -> conditioned -> linear dynamics -> hysteresis -> model -> refined -> errors -> result
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.cancellation import checking
+from piezo_identification.estimators.estimate import untold_parameters
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.estimators.frequency_response.response_fit import (
+    ANY_ORDER,
+    ResponseOrder,
+)
+from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
+from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.estimators.refinement.joint_fit import refine as fit_jointly
+from piezo_identification.identification.given_data import (
+    Data,
+    given_data,
+    rising_with_voltage,
+    with_marked_outliers,
+)
+from piezo_identification.identification.linear_dynamics import (
+    METHODS,
+    LinearDynamics,
+    estimate_linear_dynamics,
+)
+from piezo_identification.identification.progress import (
+    IdentificationCancelled,
+    Stages,
+)
+from piezo_identification.prediction.prediction_errors import unseen_errors
+from piezo_models.cascade import StageModel
+from piezo_models.effects.delay import Delay
+from piezo_models.identified_model import IdentifiedModel
+from piezo_recorder.reading.reader import sha256_of
+from piezo_recorder.reading.recording import Recording
+
+__all__ = ["IdentificationCancelled", "identify"]
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model with the standard deviations of its parameters, before its errors are measured.
+
+    Parameters
+    ----------
+    model : StageModel
+    uncertainties : dict of str to dict
+        Standard deviations of creep and dynamics, as far as they were estimated.
+    visited : ndarray of bool, shape (n, n)
+        Cells of the Preisach plane that the data determine.
+    errors : dict
+        Errors before and after the refinement; empty without it.
+    """
+
+    model: StageModel
+    uncertainties: dict[str, dict[str, Any]]
+    visited: NDArray[np.bool_]
+    errors: dict[str, Any] = field(default_factory=dict)
+
+
+def identify(
+    creep: Recording | None = None,
+    dynamics: Recording | FrequencyResponse | None = None,
+    hysteresis: Recording | None = None,
+    validation: Recording | None = None,
+    progress: Callable[[str, float], object] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+    refine: bool = False,
+    method: str = METHODS[0],
+    order: ResponseOrder = ANY_ORDER,
+    note: Callable[[str], object] | None = None,
+) -> IdentifiedModel:
+    """Identify a stage model step by step (thesis 4.5).
+
+    The creep comes first, then the fast dynamics with the creep removed; both once more, as each
+    was a small error to the other; then the hysteresis with all of them removed. What no recording
+    shows is left out of the model: no creep, or dynamics that pass the voltage on at once.
+
+    Where the displacement falls as the voltage rises, the sensor counts the other way: the signs
+    of all displacements are changed, and the model's displacement rises with the voltage.
+
+    Parameters
+    ----------
+    creep : Recording, optional
+        Of the experiment of this name.
+    dynamics : Recording or FrequencyResponse, optional
+        Of the experiment of this name or of `multisine`, or a measured frequency response. Of a
+        response, the creep is taken where `creep` is not given, and the delay as an effect.
+    hysteresis : Recording
+        Of the hysteresis experiment.
+    validation : Recording, optional
+        Any other recording: the errors are measured on it.
+    progress : callable, optional
+        Called with (stage, fraction) when a stage begins, and with ("done", 1.0) at the end.
+    cancelled : callable, optional
+        Asked all the time; true ends the work.
+    refine : bool
+        True: fit all components together on all recordings but the validation, and keep the result
+        if it is better on what was held out and on the validation. The errors then hold those of
+        before too.
+    method : str
+        One of `linear_dynamics.METHODS`, for the fast dynamics.
+    order : ResponseOrder
+        Orders of creep and vibration; what it leaves open is chosen from the data.
+    note : callable, optional
+        Called with text for people: why the orders, and which part of the Preisach plane the data
+        determine.
+
+    Returns
+    -------
+    IdentifiedModel
+
+    Raises
+    ------
+    ValueError
+        If a recording does not fit its purpose, or that of the hysteresis is not given.
+    IdentificationCancelled
+        If `cancelled` said so.
+    """
+    given = given_data(creep, dynamics, hysteresis, validation, refine)
+    stages, tell = Stages(progress, cancelled), note or (lambda text: None)
+    with checking(stages.check):
+        recordings = rising_with_voltage(with_marked_outliers(given, tell))
+        linear = estimate_linear_dynamics(
+            recordings.get("creep"), recordings.get("dynamics"), recordings["hysteresis"], method,
+            order, stages.part(0.0, 0.6))
+        stages.begin("hysteresis", 0.6)
+        density = estimate_density(
+            recordings["hysteresis"], linear.creep, linear.dynamics, delay_s=linear.delay_s)
+        tell_estimates(linear, density, tell)
+        fitted = fitted_model(linear, density)
+        if refine:
+            fitted = refined(fitted, recordings, stages)
+        tell_uncertain_parameters(fitted, tell)
+        stages.begin("validation", 0.95)
+        errors = validation_errors(fitted.model, recordings) | fitted.errors
+        identified = identified_model(fitted, errors, given)
+        stages.begin("done", 1.0)
+    return identified
+
+
+def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
+                   tell: Callable[[str], object]) -> None:
+    """Tell why the orders were chosen, and which part of the Preisach plane the data determine."""
+    for name, estimate in linear.estimates.items():
+        tell(f"order of the {name}:\n{estimate.order_table()}")
+    tell(f"hysteresis: {density.report()}")
+
+
+def fitted_model(linear: LinearDynamics, density: DensityEstimate) -> FittedModel:
+    """Put the estimated components together; a significant delay becomes an effect."""
+    model = StageModel(
+        density.model(), linear.creep, linear.dynamics,
+        effects=(Delay(linear.delay_s),) if linear.delay_s else (),
+    )
+    return FittedModel(model, linear.uncertainties, density.visited)
+
+
+def refined(fitted: FittedModel, recordings: Mapping[str, Any], stages: Stages) -> FittedModel:
+    """Fit all components together, and keep the result if it is better on data held out.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+    recordings : dict of str to Recording
+        Conditioned; all but the validation are fitted.
+    stages : Stages
+
+    Returns
+    -------
+    FittedModel
+        The refined or the given model, with the errors before and after.
+    """
+    training = {name: part for name, part in recordings.items() if name != "validation"}
+    report = stages.part(0.7, 0.25)
+    result = fit_jointly(fitted.model, training, lambda fraction: report("refinement", fraction))
+    errors: dict[str, Any] = {"held_out_e_y_percent": {
+        "before_refinement": result.before_percent, "after_refinement": result.after_percent
+    }}
+    improved = result.improved
+    if "validation" in recordings:
+        before, after = (
+            validation_errors(each, recordings) for each in (fitted.model, result.model)
+        )
+        errors |= {"before_refinement": before, "after_refinement": after}
+        improved = improved and after["e_y_percent"] <= before["e_y_percent"]
+    errors["refinement_kept"] = float(improved)
+    if not improved:
+        return replace(fitted, errors=errors)
+    return replace(
+        fitted, model=result.model, uncertainties=result.standard_deviations, errors=errors)
+
+
+def tell_uncertain_parameters(fitted: FittedModel, tell: Callable[[str], object]) -> None:
+    """Name the parameters whose standard deviation is larger than their value, if any."""
+    untold = untold_parameters(fitted.model, fitted.uncertainties)
+    if untold:
+        tell(f"the recordings do not tell {', '.join(untold)}: the standard deviation is larger "
+             "than the value; ask for a lower order, or record more")
+
+
+def validation_errors(model: StageModel, recordings: Mapping[str, Any]) -> dict[str, Any]:
+    """Measure the errors on the validation recording; none where it is not given."""
+    return unseen_errors(model, recordings["validation"]) if "validation" in recordings else {}
+
+
+def identified_model(
+    fitted: FittedModel, errors: dict[str, Any], given: Mapping[str, Data]
+) -> IdentifiedModel:
+    """Return the model with its range, its errors, and the recordings that it was made from.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+    errors : dict
+        By the names under which the model file keeps them.
+    given : dict of str to Recording or FrequencyResponse
+        As read from their files.
+
+    Returns
+    -------
+    IdentifiedModel
+    """
+    hysteresis = fitted.model.hysteresis
+    return IdentifiedModel(
+        model=fitted.model,
+        voltage_range_v=(hysteresis.voltage_min_v, hysteresis.voltage_max_v),
+        sample_periods_s={
+            name: data.select(data.playing).sample_period_s for name, data in given.items()
+            if name != "validation" and not isinstance(data, FrequencyResponse)
+        },
+        errors=errors,
+        recordings=[
+            {"path": str(data.path), "sha256": sha256_of(data.path)} for data in given.values()
+        ],
+        uncertainties=fitted.uncertainties, visited=fitted.visited,
+    )

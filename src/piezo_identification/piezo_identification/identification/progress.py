@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tell how far an identification is, and end it where that is asked for."""
+
+from collections.abc import Callable
+
+
+class IdentificationCancelled(Exception):
+    """The identification was cancelled from outside."""
+
+
+class Stages:
+    """The stages of an identification, each told when it begins.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Called with (stage, fraction of the whole work).
+    cancelled : callable, optional
+        True ends the work.
+    """
+
+    def __init__(self, progress: Callable[[str, float], object] | None = None,
+                 cancelled: Callable[[], bool] | None = None) -> None:
+        self._progress, self._cancelled = progress, cancelled
+        self._stage = "reading"
+
+    def check(self) -> None:
+        """Raise `IdentificationCancelled` if the work shall end."""
+        if self._cancelled is not None and self._cancelled():
+            raise IdentificationCancelled(f"identification cancelled: {self._stage}")
+
+    def begin(self, stage: str, fraction: float) -> None:
+        """Tell that a stage begins, unless the work shall end.
+
+        Parameters
+        ----------
+        stage : str
+        fraction : float
+            Of the whole work, done so far.
+        """
+        self._stage = stage
+        self.check()
+        if self._progress is not None:
+            self._progress(stage, fraction)
+
+    def part(self, start: float, share: float) -> Callable[[str, float], None]:
+        """Return a function that tells the stages of a part of the work.
+
+        Parameters
+        ----------
+        start, share : float
+            Fractions of the whole work before the part, and in it.
+
+        Returns
+        -------
+        callable
+            Takes (stage, fraction of the part).
+        """
+        return lambda stage, fraction: self.begin(stage, start + share * fraction)

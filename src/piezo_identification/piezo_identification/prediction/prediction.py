@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Simulate a model under the voltage of a recording."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_identification.conditioning.outlier_samples import outliers_of_residual
+from piezo_identification.prediction.model_run import (
+    ModelRun,
+    PastVoltages,
+    conditioned,
+    starting_past_v,
+)
+from piezo_models.arrays import FloatArray
+from piezo_models.cascade import StageModel
+from piezo_models.effects.outliers import FEWEST
+from piezo_models.measures import e_y_percent
+from piezo_recorder.reading.recording import Recording
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Measured and simulated displacement of the part in which the waveform plays.
+
+    Parameters
+    ----------
+    time_s, voltage_v, measured_um, simulated_um : ndarray, shape (N,)
+        From when the start has settled.
+    past_v : (float, float) or ()
+        Of `starting_past_v`.
+    outlier : ndarray of bool, shape (N,), optional
+        Samples that neither fits nor errors count; none by default.
+    reversed : bool
+        The sign of the measured displacement was changed.
+    sample_index : ndarray of int, shape (N,), optional
+        Of the samples in the recording.
+    """
+
+    time_s: FloatArray
+    voltage_v: FloatArray
+    measured_um: FloatArray
+    simulated_um: FloatArray
+    past_v: PastVoltages = ()
+    outlier: NDArray[np.bool_] | None = None
+    reversed: bool = False
+    sample_index: NDArray[np.int64] | None = None
+
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """Mask of the samples that count, shape (N,)."""
+        return np.ones(self.time_s.size, dtype=bool) if self.outlier is None else ~self.outlier
+
+    def e_y_percent(self, part: NDArray[np.bool_] | slice = slice(None)) -> float:
+        """Return the relative error (4.20) by the sensor, with the offset removed.
+
+        Parameters
+        ----------
+        part : slice or mask, shape (N,)
+            Samples that are counted; all by default.
+        """
+        used = np.zeros(self.time_s.size, dtype=bool)
+        used[part] = True
+        used &= self.good
+        return e_y_percent(self.measured_um[used], self.simulated_um[used])
+
+
+def predict(model: StageModel, recording: Recording) -> Prediction:
+    """Simulate a model under the voltage of a recording.
+
+    The state of the creep at the first sample, and the offset, are fitted: nothing tells what the
+    stage did before. The past of the hysteresis is that of `starting_past_v`. The sign of the
+    measured displacement is changed where it moves against the model. Outliers are left out: those
+    that stand out of the displacement, and those that stand out of what the model leaves.
+
+    Parameters
+    ----------
+    model : StageModel
+    recording : Recording
+
+    Returns
+    -------
+    Prediction
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps, or is too short to settle.
+    """
+    recording, is_reversed = conditioned(model, recording)
+    run = ModelRun(model, recording)
+    past_v = starting_past_v(model, recording)
+    part, settled = run.part, run.settled
+    simulated_um = run.simulated_um(past_v)
+    standing_out = outliers_of_residual(
+        run.measured_um - simulated_um, run.measured_um, part.voltage_v[settled]) & run.good
+    if np.count_nonzero(standing_out) >= FEWEST:
+        run.good = run.good & ~standing_out
+        simulated_um = run.simulated_um(past_v)
+    return Prediction(
+        part.time_s[settled], part.voltage_v[settled], run.measured_um,
+        simulated_um, past_v, ~run.good, is_reversed, part.sample_index[settled],
+    )
