@@ -98,7 +98,7 @@ class Client:
         self.close()
 
     def close(self):
-        """Leave ROS."""
+        """Leave ROS, and let its threads and its waits end."""
         # Without this the executor keeps what it waits on, and the stage a reader that hangs.
         self._executor.remove_node(self.node)
         self._executor.shutdown()

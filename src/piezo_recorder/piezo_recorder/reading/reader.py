@@ -139,7 +139,7 @@ class _Contents:
 
 
 def _brief(error):
-    """What a library says, in one short line."""
+    """Shorten what a library says to one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
@@ -223,7 +223,7 @@ def _join(path, topic, blocks, sample_rate_hz, contents):
 
 
 def _strides(path, periods_s, sample_rate_hz):
-    """Samples of the clock from one sample of a block to the next, for every block."""
+    """Return, for every block, the samples of the clock from one of its samples to the next."""
     exact = periods_s * sample_rate_hz
     if not np.all(np.isfinite(exact)) or np.any(exact < 0.5):
         strides = np.zeros(len(exact), dtype=np.int64)

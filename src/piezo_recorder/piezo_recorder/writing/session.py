@@ -67,7 +67,7 @@ class RecordingSession:
             self._counts[topic].add(data)
 
     def missing_until(self, last_sample):
-        """Samples still to come on the topic that is furthest behind.
+        """Return how many samples are still to come on the topic that is furthest behind.
 
         A topic that never sent anything, such as the ground truth of a stage that has none,
         is not waited for, except the first.

@@ -78,7 +78,7 @@ class RecordingWriter:
         self._mcap.add_metadata(STAGE_METADATA, metadata)
 
     def add_topic(self, topic, definition, quality_profiles=()):
-        """Announce a topic.
+        """Announce a topic before its first message is written.
 
         Parameters
         ----------

@@ -51,7 +51,7 @@ class IntermittentContactRunner:
         self._events.wait(self._mean_samples[self._loose])
 
     def rest(self, level: float) -> float:
-        """The joint is tight at rest."""
+        """Return the level unchanged, because the joint is tight at rest."""
         return level
 
     def apply(self, samples: np.ndarray) -> None:

@@ -62,7 +62,7 @@ class HumRunner:
         )
 
     def rest(self, level: float) -> float:
-        """The hum does not wait for the stage to rest."""
+        """Return the level unchanged, because the hum does not wait for the stage to rest."""
         return level
 
     def apply(self, samples: np.ndarray) -> None:

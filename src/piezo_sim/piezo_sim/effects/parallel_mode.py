@@ -36,7 +36,7 @@ class ParallelMode:
         require(self.beside >= 1, self, "beside must be an integer of at least 1.")
 
     def state_space(self) -> StateSpace:
-        """The mode alone."""
+        """Return the dynamics of the mode alone."""
         return VibrationMode(self.frequency_rad_per_s, self.damping_ratio).state_space()
 
     def join(self, others: StateSpace) -> StateSpace:

@@ -62,7 +62,7 @@ class DriftRunner:
         self._temperatures_k = (effect.ambient_start_k, 0.0)
 
     def rest(self, level: float) -> float:
-        """The stage has its own temperature at first, whatever its displacement."""
+        """Return the level unchanged, because temperature does not follow displacement."""
         return level
 
     def apply(self, samples: np.ndarray) -> None:

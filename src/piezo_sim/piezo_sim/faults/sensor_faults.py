@@ -58,7 +58,7 @@ class SilentSensor:
 
 
 class SilentSensorRunner(FaultWindow):
-    """Says nothing."""
+    """Replace the readings of a silent sensor by NaN."""
 
     def spoil(self, samples: np.ndarray, first: int, last: int) -> None:
         """Replace readings by NaN."""
@@ -111,12 +111,12 @@ class NoisySensor:
 
 
 class NoisySensorRunner(FaultWindow):
-    """Adds noise from the seed."""
+    """Add noise from the seed to the readings of a noisy sensor."""
 
     def __init__(self, effect: NoisySensor, surroundings: Surroundings):
         super().__init__(effect, surroundings)
         self._noise = NormalStream(bits_for(effect.name, surroundings.seed))
 
     def spoil(self, samples: np.ndarray, first: int, last: int) -> None:
-        """Add noise."""
+        """Add noise to the readings."""
         samples[first:last] += self.effect.noise_rms_um * self._noise.next(last - first)

@@ -17,7 +17,10 @@ from piezo_sim.plant.plant_effect import PlantConfigError, parameter, require
 
 
 class StateSpace(NamedTuple):
-    """dx/dt = a x + b u, y = c x + d u; shapes (n, n), (n,), (n,), scalar; rates in rad/s."""
+    """Hold the matrices of dx/dt = a x + b u, y = c x + d u.
+
+    Their shapes are (n, n), (n,), (n,) and scalar; rates are in rad/s.
+    """
 
     a: np.ndarray
     b: np.ndarray
@@ -26,7 +29,7 @@ class StateSpace(NamedTuple):
 
 
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
-    """`first` followed by `second`."""
+    """Return the system `first` followed by the system `second`."""
     n, m = first.b.size, second.b.size
     a = np.zeros((n + m, n + m))
     a[:n, :n] = first.a
@@ -170,7 +173,7 @@ class ElectricLag:
         require(self.time_constant_s > 0.0, self, "time_constant_s must be positive.")
 
     def state_space(self) -> StateSpace:
-        """The state is the output."""
+        """Return the low-pass filter; its state is its output."""
         rate = 1.0 / self.time_constant_s
         return StateSpace(np.array([[-rate]]), np.array([rate]), np.array([1.0]), 0.0)
 

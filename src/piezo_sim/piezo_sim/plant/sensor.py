@@ -49,7 +49,7 @@ class SensorRunner:
         self._noise = NormalStream(np.random.PCG64(seed))
 
     def rest(self, level: float) -> float:
-        """The sensor has no state of its own."""
+        """Return the level unchanged, because the sensor has no state of its own."""
         return level
 
     def apply(self, samples: np.ndarray) -> None:

@@ -89,15 +89,15 @@ class Calibration(Document):
         return min(ends_v), max(ends_v)
 
     def card_v(self, voltage_v):
-        """Volts at the card's output for volts at the stage."""
+        """Return the volts at the card's output for volts at the stage."""
         return (voltage_v - self.amplifier_offset_v) / self.amplifier_gain
 
     def voltage_v(self, card_v):
-        """Volts at the stage for volts at the card's output."""
+        """Return the volts at the stage for volts at the card's output."""
         return self.amplifier_gain * card_v + self.amplifier_offset_v
 
     def displacement_um(self, card_v):
-        """Displacement for volts at the card's input."""
+        """Return the displacement (um) for volts at the card's input."""
         return self.sensor_um_per_v * card_v + self.sensor_offset_um
 
 

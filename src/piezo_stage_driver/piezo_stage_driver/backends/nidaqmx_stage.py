@@ -6,9 +6,9 @@ stage node repeats a periodic feedforward itself and adds the feedback of every 
 results is written `lead_ticks` ahead of the clock. If the computer is later than that, the card
 stops with its last voltage, and the amplifier is brought to rest by single writes.
 
-There is no ``emergency_rest``: no call of the driver waits for longer than `TIMEOUT_S`, so that a
-card that hangs becomes a fault by itself, and a second thread would have to take the output from a
-task that another one is waiting on, which could not be tried on a device.
+There is no ``emergency_rest``. No call of the driver waits for longer than `TIMEOUT_S`, so that a
+card that hangs becomes a fault by itself. A second thread would have to take the output from a task
+that another one is waiting on, and that could not be tried on a device.
 """
 
 import importlib
@@ -40,7 +40,7 @@ MEANINGS = {
 
 
 def load_driver():
-    """Import the package ``nidaqmx``; return what is needed of it.
+    """Import the package ``nidaqmx`` and return what is needed of it.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def load_driver():
 
 
 class NidaqmxStage:
-    """The backend.
+    """Drive an amplifier and read a sensor through one card.
 
     Parameters
     ----------
@@ -161,12 +161,12 @@ class NidaqmxStage:
         self._ahead.append(voltage_v)
 
     def _held_v(self, error):
-        """The voltage that the card holds after a fault: the last one if it ran out of them."""
+        """Return the voltage that the card holds after a fault: the last one if it ran out."""
         ran_out = getattr(error, "error_code", None) in UNDERFLOWS
         return float(self._ahead[-1 if ran_out else 0][-1])
 
     def _return_to_rest(self, start_v):
-        """Ramp by single writes, which the computer times; return whether the card took them."""
+        """Ramp to rest by single writes in software time; return whether the card took them."""
         settings = self._settings
         self._end_tasks()
         step_v = settings.ramp_rate_v_per_s * SOFTWARE_STEP_S

@@ -18,7 +18,7 @@ SAMPLES_PER_BLOCK = 40
 
 @dataclass(frozen=True)
 class Block:
-    """Samples to publish, see ``piezo_interfaces/SampleBlock``."""
+    """Hold the samples that are published together, see ``piezo_interfaces/SampleBlock``."""
 
     first_sample: int
     sample_period_s: float
@@ -49,7 +49,7 @@ class BlockCollector:
         self.pending_samples = self._flags = 0
 
     def add(self, voltage_v, displacement_um, flags, ends):
-        """Take samples.
+        """Take samples, and return those of a block as soon as it is full.
 
         Parameters
         ----------

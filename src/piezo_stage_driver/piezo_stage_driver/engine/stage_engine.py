@@ -27,7 +27,7 @@ LONGEST_STRETCH_SAMPLES = 16000
 
 
 class StageEngine:
-    """Drive a backend.
+    """Play programs of voltages on a backend, tick by tick, within the limits.
 
     A program is a sequence of phases: approach and play, or track. Whatever ends it,
     the voltage returns to rest by a ramp of bounded rate.
@@ -146,7 +146,7 @@ class StageEngine:
     # Commands
 
     def play(self, voltage_v, sample_period_s, repeats=1, hold_at_end=False, client=""):
-        """Play a waveform.
+        """Begin to play a waveform, after an approach from the present voltage.
 
         Parameters
         ----------

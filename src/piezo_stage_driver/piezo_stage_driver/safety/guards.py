@@ -18,7 +18,7 @@ RESPONSE_PATIENCE_SAMPLES = 800
 
 
 class StopLatch:
-    """Why the stage is stopped, until somebody resets it; any thread may stop it.
+    """Keep why the stage is stopped, until somebody resets it; any thread may stop it.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class StopLatch:
 
 @dataclass(frozen=True)
 class Stretch:
-    """What the stage played and measured since the guards looked last.
+    """Hold what the stage played and measured since the guards looked last.
 
     Attributes
     ----------
@@ -60,13 +60,13 @@ class Stretch:
 
     @classmethod
     def of(cls, voltage_v, displacement_um, samples_per_tick):
-        """Make one of samples, shape (n,), of whole ticks."""
+        """Make a stretch of samples, shape (n,), of whole ticks."""
         return cls(voltage_v.reshape(-1, samples_per_tick).mean(axis=1), displacement_um,
                    float(displacement_um.min()), float(displacement_um.max()))
 
 
 class SensorRange:
-    """The reading is a number within the range of the sensor.
+    """Object to a reading that is no number, or outside the range of the sensor.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class SensorRange:
         self.begin()
 
     def begin(self):
-        """Start anew."""
+        """Forget what was examined so far."""
         self._outside_samples = 0
 
     def examine(self, stretch):
@@ -99,7 +99,7 @@ class SensorRange:
 
 
 class SensorResponse:
-    """The reading moves when the voltage does.
+    """Object to a reading that does not move when the voltage does.
 
     It is compared from tick to tick: a stage need not follow what is faster.
 
@@ -116,7 +116,7 @@ class SensorResponse:
         self.begin()
 
     def begin(self):
-        """Start anew."""
+        """Forget what was examined so far."""
         self._waited_samples = 0
         self._lowest_v = self._lowest_um = math.inf
         self._highest_v = self._highest_um = -math.inf
@@ -139,7 +139,7 @@ class SensorResponse:
 
 
 class SensorNoise:
-    """The noise of the reading is not far above normal.
+    """Object to a reading whose noise is far above normal.
 
     It is estimated from fourth differences, to which the stage's own motion is smooth.
 
@@ -157,7 +157,7 @@ class SensorNoise:
         self.begin()
 
     def begin(self):
-        """Start anew."""
+        """Forget what was examined so far."""
         self._noisy_samples = 0
         self._tail_um = np.empty(0)
 
@@ -180,7 +180,7 @@ class SensorNoise:
 
 
 class FeedbackOscillation:
-    """The feedback does not oscillate ever more.
+    """Object to feedback that oscillates with a growing amplitude.
 
     A loop that is not stable swings with a half period of a few ticks, each swing larger than
     all before: by little, or several times as large twice in a row. What swings as slowly as most
@@ -210,7 +210,7 @@ class FeedbackOscillation:
         self.begin()
 
     def begin(self):
-        """Start anew."""
+        """Forget what was examined so far."""
         self._turn_v = self._extreme_v = self._last_swing_v = 0.0
         self._ticks = 0
         self._steep = False
@@ -230,23 +230,23 @@ class FeedbackOscillation:
             return ""
         if not (self._outgrows_all(swing_v) or self._steep and self._is_steep(swing_v)):
             return ""
-        return f"the feedback oscillates ever more, {swing_v:.2g} V from peak to peak"
+        return f"the feedback oscillates with growing amplitude, {swing_v:.2g} V from peak to peak"
 
     @property
     def _fast(self):
         return self._ticks <= self.LONGEST_HALF_PERIOD_TICKS
 
     def _outgrows_all(self, swing_v):
-        """True of a swing that goes on a growth of several."""
+        """Return whether a swing continues a growth over several swings."""
         return (self._grown_swings >= self.GROWN_SWINGS and swing_v > self._largest_v
                 and self.GROWTH * self._begun_v <= swing_v <= self.LEAP * self._largest_v)
 
     def _is_steep(self, swing_v):
-        """True of a swing that is several times as large as the one before."""
+        """Return whether a swing is several times as large as the one before."""
         return 0.0 < self.STEEP_GROWTH * self._last_swing_v <= swing_v
 
     def _turn(self, voltage_v):
-        """Take in the swing that has ended with the last extreme, and begin another."""
+        """Evaluate the swing that has ended with the last extreme, and begin another."""
         swing_v = abs(self._extreme_v - self._turn_v)
         self._steep = self._is_steep(swing_v)
         self._last_swing_v = swing_v

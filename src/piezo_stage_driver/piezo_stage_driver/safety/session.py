@@ -44,7 +44,7 @@ class BackendSession:
         return self._began_s is not None
 
     def open(self) -> None:
-        """See ``StageBackend.open``."""
+        """Open the backend; see ``StageBackend.open``."""
         self._backend.open()
 
     def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
