@@ -25,7 +25,7 @@ class ParallelMode:
     compliance_share: float = parameter("1")
     beside: int = parameter("1")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.frequency_rad_per_s > 0.0, self, "frequency_rad_per_s must be positive.")
         require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
         require(

@@ -35,7 +35,7 @@ class ThermalDrift:
     ambient_walk_k_per_sqrt_s: float = parameter("K/s^0.5")
     time_constant_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(
             self.ambient_walk_k_per_sqrt_s >= 0.0,
             self,

@@ -20,7 +20,7 @@ class StuckSensor:
     begin_s: float = parameter("s")
     end_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_window(self)
 
     def start(self, surroundings: Surroundings) -> "StuckSensorRunner":
@@ -49,7 +49,7 @@ class SilentSensor:
     begin_s: float = parameter("s")
     end_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_window(self)
 
     def start(self, surroundings: Surroundings) -> "SilentSensorRunner":
@@ -75,7 +75,7 @@ class OffScaleSensor:
     end_s: float = parameter("s")
     reading_um: float = parameter("um")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_window(self)
 
     def start(self, surroundings: Surroundings) -> "OffScaleSensorRunner":
@@ -101,7 +101,7 @@ class NoisySensor:
     end_s: float = parameter("s")
     noise_rms_um: float = parameter("um")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_window(self)
         require(self.noise_rms_um > 0.0, self, "noise_rms_um must be positive.")
 

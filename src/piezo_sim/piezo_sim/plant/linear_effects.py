@@ -140,7 +140,7 @@ class Creep:
     poles_rad_per_s: tuple[float, ...] = parameter("rad/s")
     zeros_rad_per_s: tuple[float, ...] = parameter("rad/s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(
             len(self.poles_rad_per_s) == len(self.zeros_rad_per_s) > 0,
             self,
@@ -169,7 +169,7 @@ class ElectricLag:
 
     time_constant_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.time_constant_s > 0.0, self, "time_constant_s must be positive.")
 
     def state_space(self) -> StateSpace:
@@ -187,7 +187,7 @@ class VibrationMode:
     frequency_rad_per_s: float = parameter("rad/s")
     damping_ratio: float = parameter("1")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.frequency_rad_per_s > 0.0, self, "frequency_rad_per_s must be positive.")
         require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
 
