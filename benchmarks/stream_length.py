@@ -64,13 +64,13 @@ def _play(plan, run, minutes):
     """Play the stream to its end; return time (s) and memory (MB) by the minutes."""
     engine = StageEngine(Sink(), VoltageLimits(-20.0, 120.0, 2.0e6),
                          samples_per_tick=SAMPLES_PER_TICK)
-    engine.load_feedforward(plan.once_voltage_v, [])
-    engine.start_tracking(feedback=False)
+    engine.commands.load_feedforward(plan.once_voltage_v, [])
+    engine.commands.start_tracking(feedback=False)
     ends = {round(60 * minute * SAMPLE_RATE_HZ): minute for minute in minutes}
     last_s, times_s, memory_mb = [], {}, {}
     begin_s = time.process_time()
     for voltage_v in plan.chunks():
-        engine.load_feedforward(voltage_v, [], append=True)
+        engine.commands.load_feedforward(voltage_v, [], append=True)
         for _ in range(len(voltage_v) // SAMPLES_PER_TICK):
             run.take(engine.advance().displacement_um)
         now_s = time.process_time()  # of what else the machine does nothing is counted

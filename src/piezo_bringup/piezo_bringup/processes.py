@@ -77,11 +77,11 @@ class Processes:
                 env=self._environment, start_new_session=True)
 
     def log(self, name):
-        """Path of the log file of a process."""
+        """Return the path of the log file of a process."""
         return self._log_directory / f"{name}.log"
 
     def process(self, name):
-        """The ``subprocess.Popen`` of a process."""
+        """Return the ``subprocess.Popen`` of a process."""
         return self._running[name]
 
     def stop(self, names=None):

@@ -100,7 +100,7 @@ class Client:
         self.close()
 
     def close(self):
-        """Leave ROS."""
+        """Leave ROS, and let its threads and its waits end."""
         self._heartbeat.end()
         # Without this the executor keeps what it waits on, and the stage a reader that hangs.
         self._executor.remove_node(self.node)

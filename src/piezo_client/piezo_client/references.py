@@ -7,7 +7,7 @@ import numpy as np
 
 
 def harmonic(frequency_hz, amplitude_um, centre_um):
-    """A sine.
+    """Return a sine of one frequency.
 
     Parameters
     ----------
@@ -25,11 +25,15 @@ def harmonic(frequency_hz, amplitude_um, centre_um):
 
 
 def triangle(frequency_hz, amplitude_um, centre_um):
-    """A triangle, rounded to its harmonics up to 2 kHz; parameters as of `harmonic`.
+    """Return a triangle that is rounded to its harmonics up to 2 kHz.
 
     Parameters
     ----------
-    frequency_hz, amplitude_um, centre_um : float
+    frequency_hz : float
+    amplitude_um : float
+        Peak to peak.
+    centre_um : float
+        Mean displacement.
 
     Returns
     -------
@@ -39,7 +43,7 @@ def triangle(frequency_hz, amplitude_um, centre_um):
 
 
 def multi_frequency(frequencies_hz, amplitudes_um, centre_um, phases_rad=()):
-    """A sum of sines (4.21).
+    """Return a sum of sines, equation (4.21).
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ class Tracking(_Run):
     missed_feedback : int
         Answers of the controller that came too late.
     message : str
-        What the feedforward left alone; empty where it is nothing.
+        What stays uncompensated by the feedforward; empty where nothing does.
     """
 
     e_rms_percent: float

@@ -203,7 +203,7 @@ class Stage:
         return response
 
     def _shown(self, step):
-        """What passes feedback on to the progress, if that is asked for."""
+        """Return what passes feedback on to the progress, if that is asked for."""
         progress = self._progress
         return progress and (lambda feedback: progress(
             step + getattr(feedback, "stage", ""), feedback.fraction, feedback.seconds_left))

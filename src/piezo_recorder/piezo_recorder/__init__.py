@@ -1,2 +1,34 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Recording of stage samples as rosbag2 MCAP, and the reader of recordings."""
+
+from typing import TYPE_CHECKING
+
+from piezo_common.lazy_exports import lazy_exports
+
+if TYPE_CHECKING:
+    from piezo_recorder.reading.frames import read_frame, to_frame
+    from piezo_recorder.reading.reader import read_recording, sha256_of
+    from piezo_recorder.reading.recording import Recording, RecordingError
+    from piezo_recorder.sample_block import Flag
+    from piezo_recorder.writing.message_definition import MessageDefinition
+    from piezo_recorder.writing.repair import repair
+    from piezo_recorder.writing.writer import RecordingWriter
+
+_HOMES = {
+    "read_frame": "reading.frames",
+    "to_frame": "reading.frames",
+    "read_recording": "reading.reader",
+    "sha256_of": "reading.reader",
+    "Recording": "reading.recording",
+    "RecordingError": "reading.recording",
+    "Flag": "sample_block",
+    "MessageDefinition": "writing.message_definition",
+    "repair": "writing.repair",
+    "RecordingWriter": "writing.writer",
+}
+__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+
+__all__ = [
+    "Flag", "MessageDefinition", "Recording", "RecordingError", "RecordingWriter", "read_frame",
+    "read_recording", "repair", "sha256_of", "to_frame",
+]

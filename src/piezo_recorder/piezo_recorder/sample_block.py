@@ -39,13 +39,13 @@ class SampleCount:
         Index on the sample clock behind the last block.
     """
 
-    def __init__(self, sample_rate_hz=DEFAULT_SAMPLE_RATE_HZ):
+    def __init__(self, sample_rate_hz: float = DEFAULT_SAMPLE_RATE_HZ):
         self._sample_rate_hz = sample_rate_hz
         self.samples = 0
         self.missing = 0
-        self.end = None
+        self.end: int | None = None
 
-    def add(self, data):
+    def add(self, data: bytes) -> None:
         """Count one serialised SampleBlock (bytes)."""
         first, period_s, samples = block_span(data)
         if self.end is not None:
@@ -53,12 +53,12 @@ class SampleCount:
         self.samples += samples
         self.end = first + samples * max(1, round(period_s * self._sample_rate_hz))
 
-    def missing_until(self, last_sample):
+    def missing_until(self, last_sample: int) -> int:
         """Return how many samples of the clock are still to come, ``last_sample`` included."""
         return max(0, last_sample + 1 - self.end) if self.end is not None else last_sample + 1
 
 
-def block_span(data):
+def block_span(data: bytes) -> tuple[int, float, int]:
     """Read where a serialised SampleBlock lies, without decoding its samples.
 
     Parameters

@@ -2,6 +2,7 @@
 """Let a simulated stage keep the pace of the wall clock."""
 
 import time
+from typing import Any
 
 import numpy as np
 
@@ -18,11 +19,11 @@ class PacedStage:
         What answers; its other attributes are passed on.
     """
 
-    def __init__(self, backend):
+    def __init__(self, backend: Any):
         self._backend = backend
         self._due_s = 0.0
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._backend, name)
 
     def open(self) -> None:

@@ -44,13 +44,8 @@ class SimulatedStage:
         If seed or sample rate cannot be used.
     """
 
-    def __init__(
-        self,
-        plant: str | Path | PlantConfig | None = None,
-        seed: int = 0,
-        sample_rate_hz: float = 40000.0,
-        rest_voltage_v: float = 0.0,
-    ):
+    def __init__(self, plant: str | Path | PlantConfig | None = None, seed: int = 0,
+                 sample_rate_hz: float = 40000.0, rest_voltage_v: float = 0.0):
         if seed < 0:
             raise ValueError(f"seed is {seed}; give an integer that is not negative.")
         if not 0.0 < sample_rate_hz < float("inf"):

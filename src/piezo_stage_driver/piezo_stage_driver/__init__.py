@@ -1,6 +1,40 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The stage node over a backend: limits, watchdog, waveforms, feedback."""
 
-from piezo_stage_driver.backends.backend import BackendFault
+from typing import TYPE_CHECKING
 
-__all__ = ["BackendFault"]
+from piezo_common.lazy_exports import lazy_exports
+
+if TYPE_CHECKING:
+    from piezo_stage_driver.backends.backend import BackendFault, StageBackend
+    from piezo_stage_driver.backends.registry import BackendSettings, create_backend
+    from piezo_stage_driver.engine.blocks import Block
+    from piezo_stage_driver.engine.program import StageRefusal
+    from piezo_stage_driver.engine.stage_engine import StageEngine
+    from piezo_stage_driver.safety.commands import Command
+    from piezo_stage_driver.safety.guards import StopLatch
+    from piezo_stage_driver.safety.limits import FeedbackLimits, LimitError, VoltageLimits
+    from piezo_stage_driver.safety.supervisor import StageSupervisor
+
+_HOMES = {
+    "BackendFault": "backends.backend",
+    "StageBackend": "backends.backend",
+    "BackendSettings": "backends.registry",
+    "create_backend": "backends.registry",
+    "Block": "engine.blocks",
+    "StageRefusal": "engine.program",
+    "StageEngine": "engine.stage_engine",
+    "Command": "safety.commands",
+    "StopLatch": "safety.guards",
+    "FeedbackLimits": "safety.limits",
+    "LimitError": "safety.limits",
+    "VoltageLimits": "safety.limits",
+    "StageSupervisor": "safety.supervisor",
+}
+__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+
+__all__ = [
+    "BackendFault", "BackendSettings", "Block", "Command", "FeedbackLimits", "LimitError",
+    "StageBackend", "StageEngine", "StageRefusal", "StageSupervisor", "StopLatch",
+    "VoltageLimits", "create_backend",
+]

@@ -4,6 +4,7 @@
 import csv
 import math
 import warnings
+from pathlib import Path
 
 import numpy as np
 
@@ -15,7 +16,7 @@ CSV_COLUMNS = ("time_s", "voltage_v", "displacement_um")
 TIME_TOLERANCE = 0.1
 
 
-def read_csv(path):
+def read_csv(path: Path) -> Recording:
     """Read a CSV file with the columns ``CSV_COLUMNS`` and any further ones.
 
     Parameters
@@ -38,7 +39,7 @@ def read_csv(path):
             f"{path} is not plain text ({error}): save it as comma-separated text.") from None
 
 
-def _read_table(path):
+def _read_table(path: Path) -> Recording:
     header = _header(path)
     values = _values(path, len(header))
     if values is None:
@@ -59,7 +60,7 @@ def _read_table(path):
         columns=columns)
 
 
-def _header(path):
+def _header(path: Path) -> list[str]:
     with open(path, newline="", encoding="utf-8-sig") as stream:
         header = [name.strip() for name in next(csv.reader(stream), [])]
     for name in CSV_COLUMNS:
@@ -74,7 +75,7 @@ def _header(path):
     return header
 
 
-def _values(path, columns):
+def _values(path: Path, columns: int) -> np.ndarray | None:
     """Read the table below the header; None unless all its cells are finite numbers."""
     try:
         with warnings.catch_warnings():
@@ -89,7 +90,7 @@ def _values(path, columns):
     return values if values.shape[1] == columns and np.all(np.isfinite(values)) else None
 
 
-def _first_fault(path, header):
+def _first_fault(path: Path, header: list[str]) -> str:
     """Say which row keeps the file from being a table of finite numbers."""
     with open(path, newline="", encoding="utf-8-sig") as stream:
         rows = csv.reader(stream)
@@ -105,14 +106,14 @@ def _first_fault(path, header):
     return f"{path} is no table of numbers: save it as plain comma-separated text."
 
 
-def _is_finite(cell):
+def _is_finite(cell: str) -> bool:
     try:
         return math.isfinite(float(cell))
     except ValueError:
         return False
 
 
-def _uniform_period_s(path, time_s):
+def _uniform_period_s(path: Path, time_s: np.ndarray) -> float:
     period_s = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
     deviation_s = time_s - time_s[0] - period_s * np.arange(len(time_s))
     if period_s > 0 and np.all(np.abs(deviation_s) <= TIME_TOLERANCE * period_s):

@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Recordings as pandas frames, where pandas is installed."""
 
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
 from piezo_recorder.reading.reader import read_recording
-from piezo_recorder.reading.recording import RecordingError
+from piezo_recorder.reading.recording import Recording, RecordingError
+
+if TYPE_CHECKING:
+    import pandas
 
 
-def to_frame(recording):
+def to_frame(recording: Recording) -> "pandas.DataFrame":
     """Return the samples of a recording as a frame.
 
     Parameters
@@ -35,7 +41,7 @@ def to_frame(recording):
     return pandas.DataFrame(columns, index=pandas.Index(recording.time_s, name="time_s"))
 
 
-def read_frame(path, **options):
+def read_frame(path: str | PathLike[str], **options: Any) -> "pandas.DataFrame":
     """Read a recording as a frame.
 
     Parameters

@@ -2,7 +2,9 @@
 """Reader of recordings: rosbag2 directories, MCAP files and CSV files."""
 
 import hashlib
+from os import PathLike
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import mcap.records
 import numpy as np
@@ -21,7 +23,8 @@ LARGEST_BYTES = 16_000_000_000
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
-def read_recording(path, topic=None, sample_rate_hz=None):
+def read_recording(path: str | PathLike[str], topic: str | None = None,
+                   sample_rate_hz: float | None = None) -> Recording:
     """Read a rosbag2 directory, an MCAP file or a CSV file.
 
     Parameters
@@ -49,7 +52,7 @@ def read_recording(path, topic=None, sample_rate_hz=None):
     return _read_mcap(path, topic, sample_rate_hz)
 
 
-def sha256_of(path):
+def sha256_of(path: str | PathLike[str]) -> str:
     """Return the SHA-256 hash of a recording's data: of its MCAP or CSV file, hexadecimal."""
     digest = hashlib.sha256()
     for file in data_files(Path(path)):
@@ -59,7 +62,7 @@ def sha256_of(path):
     return digest.hexdigest()
 
 
-def data_files(path):
+def data_files(path: Path) -> list[Path]:
     """Return the files that hold a recording's data; RecordingError where there are none."""
     if not path.exists():
         raise RecordingError(f"{path} does not exist: give a recording's directory, MCAP or CSV.")
@@ -84,7 +87,7 @@ def data_files(path):
     return [_bounded(file) for file in files]
 
 
-def _bounded(file):
+def _bounded(file: Path) -> Path:
     size = file.stat().st_size
     if size > LARGEST_BYTES:
         raise RecordingError(f"{file} has {size} bytes, more than the {LARGEST_BYTES} that are "
@@ -95,18 +98,19 @@ def _bounded(file):
 class _Contents:
     """Sample blocks and side files of one or more MCAP files, undecoded."""
 
-    def __init__(self):
-        self.topics = {}
-        self.blocks = {}
-        self.schema = None
-        self.attachments = {}
-        self.sample_rate_hz = None
+    def __init__(self) -> None:
+        self.topics: dict[str, str] = {}
+        self.blocks: dict[str, list[bytes]] = {}
+        self.schema: mcap.records.Schema | None = None
+        self.attachments: dict[str, bytes] = {}
+        self.sample_rate_hz: float | None = None
         self.complete = True
 
-    def read(self, path):
+    def read(self, path: Path) -> None:
         with open(path, "rb") as stream:
             reader = StreamReader(stream, validate_crcs=True)
-            schemas, channels = {}, {}
+            schemas: dict[int, mcap.records.Schema] = {}
+            channels: dict[int, list[bytes] | None] = {}
             try:
                 for record in reader.records:
                     self._add(record, schemas, channels)
@@ -118,7 +122,8 @@ class _Contents:
                         "copy it again or repair the disk.") from None
                 self.complete = False
 
-    def _add(self, record, schemas, channels):
+    def _add(self, record: mcap.records.McapRecord, schemas: dict[int, mcap.records.Schema],
+             channels: dict[int, list[bytes] | None]) -> None:
         if isinstance(record, mcap.records.Message):
             blocks = channels[record.channel_id]
             if blocks is not None:
@@ -138,12 +143,12 @@ class _Contents:
             self.sample_rate_hz = float(record.metadata["sample_rate_hz"])
 
 
-def _brief(error):
-    """What a library says, in one short line."""
+def _brief(error: Exception) -> str:
+    """Shorten what a library says to one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
-def was_cut_short(stream):
+def was_cut_short(stream: BinaryIO) -> bool:
     """Tell a file that a killed recorder left, read to its end, from a damaged one."""
     read_to_end = not stream.read(1)
     stream.seek(0)
@@ -153,17 +158,18 @@ def was_cut_short(stream):
     return read_to_end and starts_well and not was_closed
 
 
-def _read_mcap(path, topic, sample_rate_hz):
+def _read_mcap(path: Path, topic: str | None, sample_rate_hz: float | None) -> Recording:
     contents = _Contents()
     for file in data_files(path):
         contents.read(file)
     topic = _choose_topic(path, contents, topic)
+    assert contents.schema is not None  # it came with the topic
     blocks = _decode(path, contents.schema, contents.blocks[topic])
     rate_hz = sample_rate_hz or contents.sample_rate_hz or sample_block.DEFAULT_SAMPLE_RATE_HZ
     return _join(path, topic, blocks, rate_hz, contents)
 
 
-def _choose_topic(path, contents, topic):
+def _choose_topic(path: Path, contents: _Contents, topic: str | None) -> str:
     names = sorted(contents.blocks)
     if topic is None:
         fitting = [name for name in names if not name.endswith("/" + GROUND_TRUTH)]
@@ -184,11 +190,12 @@ def _choose_topic(path, contents, topic):
     return fitting[0]
 
 
-def _decode(path, schema, blocks):
+def _decode(path: Path, schema: mcap.records.Schema, blocks: list[bytes]) -> list[Any]:
     typestore = get_typestore(Stores.EMPTY)
     try:
         typestore.register(get_types_from_msg(schema.data.decode(), schema.name))
-        decoded = [typestore.deserialize_cdr(data, schema.name) for data in blocks]
+        decoded: list[Any] = [
+            typestore.deserialize_cdr(data, schema.name) for data in blocks]
     except Exception as error:
         raise RecordingError(
             f"{path} has a sample block that does not fit its own definition ({_brief(error)}): "
@@ -202,7 +209,8 @@ def _decode(path, schema, blocks):
     return decoded
 
 
-def _join(path, topic, blocks, sample_rate_hz, contents):
+def _join(path: Path, topic: str, blocks: list[Any], sample_rate_hz: float,
+          contents: _Contents) -> Recording:
     counts = np.array([len(block.voltage_v) for block in blocks])
     first = np.array([block.first_sample for block in blocks], dtype=np.int64)
     periods_s = np.array([block.sample_period_s for block in blocks])
@@ -222,8 +230,8 @@ def _join(path, topic, blocks, sample_rate_hz, contents):
         complete=contents.complete)
 
 
-def _strides(path, periods_s, sample_rate_hz):
-    """Samples of the clock from one sample of a block to the next, for every block."""
+def _strides(path: Path, periods_s: np.ndarray, sample_rate_hz: float) -> np.ndarray:
+    """Return, for every block, the samples of the clock from one of its samples to the next."""
     exact = periods_s * sample_rate_hz
     if not np.all(np.isfinite(exact)) or np.any(exact < 0.5):
         strides = np.zeros(len(exact), dtype=np.int64)
@@ -238,7 +246,7 @@ def _strides(path, periods_s, sample_rate_hz):
     return strides
 
 
-def _gaps(path, topic, first, ends):
+def _gaps(path: Path, topic: str, first: np.ndarray, ends: np.ndarray) -> list[tuple[int, int]]:
     overlapping = np.flatnonzero(first[1:] < ends[:-1])
     if len(overlapping):
         block = overlapping[0]

@@ -49,18 +49,18 @@ class Recording:
     voltage_v: np.ndarray
     displacement_um: np.ndarray
     flags: np.ndarray
-    gaps: list = field(default_factory=list)
-    attachments: dict = field(default_factory=dict)
-    columns: dict = field(default_factory=dict)
+    gaps: list[tuple[int, int]] = field(default_factory=list)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    columns: dict[str, np.ndarray] = field(default_factory=dict)
     complete: bool = True
 
     @property
-    def time_s(self):
+    def time_s(self) -> np.ndarray:
         """Time since the first sample, shape (N,)."""
         return (self.sample_index - self.sample_index[0]) / self.sample_rate_hz
 
     @property
-    def sample_period_s(self):
+    def sample_period_s(self) -> float:
         """The one sample period; RecordingError where parts differ."""
         periods_s = np.unique(self.sample_periods_s)
         if len(periods_s) > 1:
@@ -70,20 +70,20 @@ class Recording:
         return float(periods_s[0])
 
     @property
-    def playing(self):
+    def playing(self) -> np.ndarray:
         """Mask of the samples of waveforms proper, without ramps, shape (N,)."""
         return self.has(Flag.PLAYING) & ~self.has(Flag.RAMPING)
 
     @property
-    def tracking(self):
+    def tracking(self) -> np.ndarray:
         """Mask of the samples while the feedforward plays, shape (N,)."""
         return self.has(Flag.TRACKING) & ~self.has(Flag.RAMPING)
 
-    def has(self, flag):
+    def has(self, flag: int) -> np.ndarray:
         """Return the mask of the samples that have all bits of ``flag``, shape (N,)."""
         return self.flags & np.uint32(flag) == flag
 
-    def select(self, mask):
+    def select(self, mask: np.ndarray) -> "Recording":
         """Return the recording reduced to some of its samples.
 
         Parameters

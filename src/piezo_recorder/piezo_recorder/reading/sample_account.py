@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from piezo_recorder.reading.reader import read_recording
+from piezo_recorder.reading.recording import Recording
 
 GAPS_STATUS = 1
 BAD_INPUT_STATUS = 2
 
 
-def report(recording):
+def report(recording: Recording) -> list[str]:
     """Say what is in a recording, and what is not.
 
     Parameters
@@ -41,7 +42,7 @@ def report(recording):
     return lines
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Run the command; return the exit status, 1 where samples are missing."""
     parser = argparse.ArgumentParser(
         prog="report", description="Account for the samples of a recording.",

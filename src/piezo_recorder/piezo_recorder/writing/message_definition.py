@@ -3,6 +3,7 @@
 
 import json
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,7 +33,7 @@ class MessageDefinition:
     type_hash: str = ""
 
 
-def installed_definition(type_name):
+def installed_definition(type_name: str) -> MessageDefinition:
     """Read the definition of an installed message type.
 
     Parameters
@@ -49,7 +50,7 @@ def installed_definition(type_name):
     ValueError
         If the name has another shape or the type is not installed.
     """
-    texts = {}
+    texts: dict[str, str] = {}
     _collect(type_name, texts)
     dependencies = [
         f"MSG: {name.replace('/msg/', '/')}\n{text}"
@@ -58,7 +59,7 @@ def installed_definition(type_name):
         type_name, SEPARATOR.join([texts[type_name], *dependencies]), _type_hash(type_name))
 
 
-def _collect(type_name, texts):
+def _collect(type_name: str, texts: dict[str, str]) -> None:
     if type_name in texts:
         return
     texts[type_name] = _interface_file(type_name, ".msg").read_text(encoding="utf-8")
@@ -67,8 +68,8 @@ def _collect(type_name, texts):
         _collect(used, texts)
 
 
-def _used_types(text, package):
-    """Full names of the message types that a definition's fields have."""
+def _used_types(text: str, package: str) -> Iterator[str]:
+    """Yield the full names of the message types that a definition's fields have."""
     for line in text.splitlines():
         fields = line.split("#")[0].split()
         if not fields:
@@ -80,13 +81,13 @@ def _used_types(text, package):
         yield f"{parts[0] if len(parts) > 1 else package}/msg/{parts[-1]}"
 
 
-def _type_hash(type_name):
+def _type_hash(type_name: str) -> str:
     description = _interface_file(type_name, ".json")
     hashes = json.loads(description.read_text(encoding="utf-8"))["type_hashes"]
     return next(entry["hash_string"] for entry in hashes if entry["type_name"] == type_name)
 
 
-def _interface_file(type_name, suffix):
+def _interface_file(type_name: str, suffix: str) -> Path:
     parts = type_name.split("/")
     if len(parts) != 3 or parts[1] != "msg":
         raise ValueError(f"'{type_name}' is no message type: write it as 'std_msgs/msg/Header'.")

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Qualities of service of recorded topics in the form that rosbag2 replays them from."""
 
+from collections.abc import Iterable
+from typing import Any
+
 import yaml
 
 NANOSECONDS = 1_000_000_000
@@ -8,7 +11,7 @@ POLICIES = ("reliability", "durability")
 DURATIONS = ("deadline", "lifespan")
 
 
-def offered_profile(quality):
+def offered_profile(quality: Any) -> dict[str, Any]:
     """Return the entry of ``offered_qos_profiles`` for what a publisher offers.
 
     Parameters
@@ -32,12 +35,12 @@ def offered_profile(quality):
     }
 
 
-def profiles_to_text(profiles):
+def profiles_to_text(profiles: Iterable[dict[str, Any]]) -> str:
     """Return the YAML text of a list of profiles, as a channel of an MCAP file bears it."""
     return yaml.safe_dump(list(profiles), sort_keys=False)
 
 
-def profiles_from_text(text):
+def profiles_from_text(text: str) -> list[dict[str, Any]]:
     """Return the profiles of a channel's YAML text; none where it has none or is damaged."""
     try:
         profiles = yaml.safe_load(text)
@@ -46,5 +49,5 @@ def profiles_from_text(text):
     return profiles if isinstance(profiles, list) else []
 
 
-def _duration(duration):
+def _duration(duration: Any) -> dict[str, int]:
     return {"sec": duration.nanoseconds // NANOSECONDS, "nsec": duration.nanoseconds % NANOSECONDS}

@@ -3,6 +3,7 @@
 
 import argparse
 import sys
+from os import PathLike
 from pathlib import Path
 
 import mcap.records
@@ -15,7 +16,7 @@ from piezo_recorder.writing.quality_profiles import profiles_from_text
 from piezo_recorder.writing.writer import STAGE_METADATA, RecordingWriter
 
 
-def repair(path, output):
+def repair(path: str | PathLike[str], output: str | PathLike[str]) -> int:
     """Copy every whole message of a recording into a new one with an index.
 
     Parameters
@@ -36,12 +37,12 @@ def repair(path, output):
     FileExistsError
         If something is at ``output`` already.
     """
-    copy = None
-    for file in data_files(Path(path)):
+    files = data_files(Path(path))
+    for file in files:
         if file.suffix.lower() == ".csv":
             raise RecordingError(f"{file} is no MCAP file: a CSV needs no index.")
-        copy = copy or _Copy(output)
-        with copy:
+    with _Copy(output) as copy:
+        for file in files:
             copy.take(file)
     return copy.writer.message_count
 
@@ -49,17 +50,22 @@ def repair(path, output):
 class _Copy:
     """The new recording."""
 
-    def __init__(self, output):
+    def __init__(self, output: str | PathLike[str]):
         self.writer = RecordingWriter(output)
-        self._schemas, self._channels = {}, {}
+        self._topics: dict[str, int] = {}
+        # By their numbers in the file that is read, which begin anew in the next.
+        self._schemas: dict[int, mcap.records.Schema] = {}
+        self._channels: dict[int, int] = {}
 
-    def __enter__(self):
+    def __enter__(self) -> "_Copy":
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self.writer.close()
 
-    def take(self, file):
+    def take(self, file: Path) -> None:
+        self._schemas.clear()
+        self._channels.clear()
         with open(file, "rb") as stream:
             try:
                 for record in StreamReader(stream, validate_crcs=True).records:
@@ -71,23 +77,28 @@ class _Copy:
                         f"{file} is damaged or no MCAP file ({error or type(error).__name__}): "
                         "copy it again.") from None
 
-    def _take(self, record):
+    def _take(self, record: mcap.records.McapRecord) -> None:
         if isinstance(record, mcap.records.Message):
             self.writer.write(self._channels[record.channel_id], record.data, record.log_time)
         elif isinstance(record, mcap.records.Schema):
             self._schemas[record.id] = record
-        elif isinstance(record, mcap.records.Channel) and record.id not in self._channels:
-            schema = self._schemas[record.schema_id]
-            self._channels[record.id] = self.writer.add_topic(record.topic, MessageDefinition(
-                schema.name, schema.data.decode(), record.metadata.get("topic_type_hash", "")),
-                profiles_from_text(record.metadata.get("offered_qos_profiles", "")))
+        elif isinstance(record, mcap.records.Channel):
+            if record.topic not in self._topics:
+                self._topics[record.topic] = self._announce(record)
+            self._channels[record.id] = self._topics[record.topic]
         elif isinstance(record, mcap.records.Attachment):
             self.writer.attach(record.name, record.data)
         elif isinstance(record, mcap.records.Metadata) and record.name == STAGE_METADATA:
             self.writer.add_metadata(record.metadata)
 
+    def _announce(self, channel: mcap.records.Channel) -> int:
+        schema = self._schemas[channel.schema_id]
+        return self.writer.add_topic(channel.topic, MessageDefinition(
+            schema.name, schema.data.decode(), channel.metadata.get("topic_type_hash", "")),
+            profiles_from_text(channel.metadata.get("offered_qos_profiles", "")))
 
-def main(arguments=None):
+
+def main(arguments: list[str] | None = None) -> int:
     """Run the command; return the exit status, 2 for input that cannot be used."""
     parser = argparse.ArgumentParser(
         prog="repair", description="Make a whole recording of what a killed recorder left.")

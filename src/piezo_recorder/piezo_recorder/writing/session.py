@@ -2,9 +2,13 @@
 """One recording while it is made."""
 
 import time
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from piezo_recorder import sample_block
 from piezo_recorder.sample_block import SampleCount
+from piezo_recorder.writing.message_definition import MessageDefinition
+from piezo_recorder.writing.writer import RecordingWriter
 
 # What belongs to the last sample may come behind it on other topics.
 QUIET_S = 0.02
@@ -26,7 +30,9 @@ class RecordingSession:
         What the publishers of each topic offer.
     """
 
-    def __init__(self, writer, definitions, sample_rate_hz, client, quality_profiles):
+    def __init__(self, writer: RecordingWriter, definitions: Mapping[str, MessageDefinition],
+                 sample_rate_hz: float, client: Any,
+                 quality_profiles: Mapping[str, Sequence[dict[str, Any]]]):
         self.writer = writer
         self.client = client
         self.ended_early = ""
@@ -40,34 +46,34 @@ class RecordingSession:
             if definition.type_name == sample_block.TYPE_NAME}
 
     @property
-    def path(self):
+    def path(self) -> str:
         """Of the recording."""
         return str(self.writer.path)
 
     @property
-    def quiet(self):
+    def quiet(self) -> bool:
         """Whether nothing has come for a while."""
         return time.monotonic() - self._received_at > QUIET_S
 
     @property
-    def samples(self):
+    def samples(self) -> int:
         """Samples received of the first topic of samples."""
         return next(iter(self._counts.values())).samples
 
     @property
-    def missing(self):
+    def missing(self) -> int:
         """Samples that no block of the first topic of samples covers."""
         return next(iter(self._counts.values())).missing
 
-    def receive(self, topic, data, time_ns):
+    def receive(self, topic: str, data: bytes, time_ns: int) -> None:
         """Write one message and count its samples."""
         self._received_at = time.monotonic()
         self.writer.write(self._channels[topic], data, time_ns)
         if topic in self._counts:
             self._counts[topic].add(data)
 
-    def missing_until(self, last_sample):
-        """Samples still to come on the topic that is furthest behind.
+    def missing_until(self, last_sample: int) -> int:
+        """Return how many samples are still to come on the topic that is furthest behind.
 
         A topic that never sent anything, such as the ground truth of a stage that has none,
         is not waited for, except the first.
@@ -76,7 +82,7 @@ class RecordingSession:
         started = [first, *(count for count in others if count.end is not None)]
         return max(count.missing_until(last_sample) for count in started)
 
-    def close(self):
+    def close(self) -> None:
         """Close the recording; nothing more is written."""
         self.closed = True
         self.writer.close()

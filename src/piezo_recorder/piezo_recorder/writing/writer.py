@@ -4,11 +4,15 @@
 import mimetypes
 import os
 import time
+from collections.abc import Iterable
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import mcap.writer
 import yaml
 
+from piezo_recorder.writing.message_definition import MessageDefinition
 from piezo_recorder.writing.quality_profiles import profiles_to_text
 
 METADATA_VERSION = 9
@@ -40,7 +44,7 @@ class RecordingWriter:
         If something is at ``path`` already: nothing is ever overwritten.
     """
 
-    def __init__(self, path, sample_rate_hz=None):
+    def __init__(self, path: str | PathLike[str], sample_rate_hz: float | None = None):
         self.path = Path(path).absolute()
         self.path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -54,31 +58,32 @@ class RecordingWriter:
         self._mcap.start(profile="ros2", library="piezo_recorder")
         if sample_rate_hz is not None:
             self.add_metadata({"sample_rate_hz": repr(sample_rate_hz)})
-        self._schemas = {}
-        self._topics = {}
-        self._counts = {}
-        self._first_time_ns = None
-        self._last_time_ns = None
+        self._schemas: dict[str, int] = {}
+        self._topics: dict[int, tuple[str, MessageDefinition, list[dict[str, Any]]]] = {}
+        self._counts: dict[int, int] = {}
+        self._first_time_ns: int | None = None
+        self._last_time_ns: int | None = None
         self._write_metadata()
         self.flush()
 
-    def __enter__(self):
+    def __enter__(self) -> "RecordingWriter":
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
-    def message_count(self):
+    def message_count(self) -> int:
         """Messages written so far."""
         return sum(self._counts.values())
 
-    def add_metadata(self, metadata):
+    def add_metadata(self, metadata: dict[str, str]) -> None:
         """Keep facts of the stage, a dict of str to str, for the reader."""
         self._mcap.add_metadata(STAGE_METADATA, metadata)
 
-    def add_topic(self, topic, definition, quality_profiles=()):
-        """Announce a topic.
+    def add_topic(self, topic: str, definition: MessageDefinition,
+                  quality_profiles: Iterable[dict[str, Any]] = ()) -> int:
+        """Announce a topic before its first message is written.
 
         Parameters
         ----------
@@ -106,7 +111,7 @@ class RecordingWriter:
         self._write_metadata()
         return channel
 
-    def attach(self, name, content):
+    def attach(self, name: str, content: bytes) -> None:
         """Keep a file inside the recording.
 
         Parameters
@@ -120,7 +125,7 @@ class RecordingWriter:
         self._mcap.add_attachment(now_ns, now_ns, name, media_type, content)
         self.flush()
 
-    def write(self, channel, data, time_ns):
+    def write(self, channel: int, data: bytes, time_ns: int) -> None:
         """Write one message.
 
         Parameters
@@ -134,19 +139,19 @@ class RecordingWriter:
         """
         self._mcap.add_message(channel, time_ns, data, time_ns, self._counts[channel])
         self._counts[channel] += 1
-        if self._first_time_ns is None:
+        if self._first_time_ns is None or self._last_time_ns is None:
             self._first_time_ns = self._last_time_ns = time_ns
         self._last_time_ns = max(self._last_time_ns, time_ns)
         self._first_time_ns = min(self._first_time_ns, time_ns)
         if time.monotonic() - self._flushed_at >= FLUSH_PERIOD_S:
             self.flush()
 
-    def flush(self):
+    def flush(self) -> None:
         """Hand everything written so far to the operating system."""
         self._mcap.flush()
         self._flushed_at = time.monotonic()
 
-    def close(self):
+    def close(self) -> None:
         """Write the index and the final ``metadata.yaml``; further calls do nothing."""
         if self._stream.closed:
             return
@@ -156,7 +161,7 @@ class RecordingWriter:
             self._stream.close()
         self._write_metadata()
 
-    def _write_metadata(self):
+    def _write_metadata(self) -> None:
         start_ns = self._first_time_ns or 0
         span = {
             "duration": {"nanoseconds": (self._last_time_ns or 0) - start_ns},
@@ -184,7 +189,8 @@ class RecordingWriter:
         os.replace(complete, self.path / "metadata.yaml")
 
 
-def _topic_metadata(topic, definition, quality_profiles, count):
+def _topic_metadata(topic: str, definition: MessageDefinition,
+                    quality_profiles: list[dict[str, Any]], count: int) -> dict[str, Any]:
     return {
         "topic_metadata": {
             "name": topic,
@@ -197,10 +203,10 @@ def _topic_metadata(topic, definition, quality_profiles, count):
     }
 
 
-def _to_yaml(value):
+def _to_yaml(value: object) -> str:
     # rosbag2's parser wants no anchors, which the shared time span would get.
     class Dumper(yaml.SafeDumper):
-        def ignore_aliases(self, _):
+        def ignore_aliases(self, _: object) -> bool:
             return True
 
     return yaml.dump(value, Dumper=Dumper, sort_keys=False)

@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -104,6 +105,23 @@ def test_repair_overwrites_nothing_and_refuses_what_is_no_recording(tmp_path, cl
     path.write_bytes(b"no recording")
     assert repair_command([str(path), str(tmp_path / "new")]) == 2
     assert "damaged or no MCAP file" in capsys.readouterr().err
+
+
+def test_repair_copies_every_file_of_a_recording(tmp_path, sample_blocks):
+    blocks = [sample_blocks.serialise(40 * k, np.full(40, k), np.zeros(40)) for k in range(4)]
+    truth = "/stage/ground_truth"
+    # The topics are numbered in another order in the second file.
+    path = sample_blocks.write(tmp_path / "split", {TOPIC: blocks[:2], truth: blocks[:1]})
+    other = sample_blocks.write(tmp_path / "other", {truth: blocks[1:2], TOPIC: blocks[2:]})
+    (other / "other_0.mcap").rename(path / "split_1.mcap")
+    metadata = yaml.safe_load((path / "metadata.yaml").read_text(encoding="utf-8"))
+    metadata["rosbag2_bagfile_information"]["relative_file_paths"].append("split_1.mcap")
+    (path / "metadata.yaml").write_text(yaml.safe_dump(metadata), encoding="utf-8")
+    assert repair_command([str(path), str(tmp_path / "mended")]) == 0
+    mended = read_recording(tmp_path / "mended", topic="samples")
+    assert np.array_equal(mended.voltage_v, np.repeat(np.arange(4.0), 40))
+    truth = read_recording(tmp_path / "mended", topic="ground_truth")
+    assert np.array_equal(truth.voltage_v, np.repeat([0.0, 1.0], 40))
 
 
 def test_report_accounts_for_every_sample(tmp_path, sample_blocks, capsys):

@@ -45,7 +45,7 @@ class CurrentLimit:
     capacitance_f: float = parameter("F")
     capacitance_growth_per_v: float = parameter("1/V")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(
             self.source_current_a > 0.0 and self.sink_current_a > 0.0,
             self,

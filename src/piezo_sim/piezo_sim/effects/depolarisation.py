@@ -32,7 +32,7 @@ class Depolarisation:
     lost_gain: float = parameter("1")
     travel_um: float = parameter("um")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.lost_gain < 1.0, self, "lost_gain must be below 1.")
         require(self.travel_um > 0.0, self, "travel_um must be positive.")
 

@@ -41,7 +41,7 @@ class DistributedLag:
     lag_s: float = parameter("s")
     sections: int = parameter("1")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.lag_s > 0.0, self, "lag_s must be positive.")
         require(1 <= self.sections <= 32, self, "sections must be an integer from 1 to 32.")
 

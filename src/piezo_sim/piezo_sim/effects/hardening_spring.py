@@ -29,7 +29,7 @@ class HardeningSpring:
     relaxed_um: float = parameter("um")
     hardening_length_um: float = parameter("um")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.hardening_length_um > 0.0, self, "hardening_length_um must be positive.")
 
     def start(self, surroundings: Surroundings) -> PointwiseRunner:

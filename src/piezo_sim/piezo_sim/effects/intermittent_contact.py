@@ -24,7 +24,7 @@ class IntermittentContact:
     mean_tight_time_s: float = parameter("s")
     mean_loose_time_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(0.0 <= self.lost_share <= 1.0, self, "lost_share must be between 0 and 1.")
         require(
             self.mean_tight_time_s > 0.0 and self.mean_loose_time_s > 0.0,
@@ -51,7 +51,7 @@ class IntermittentContactRunner:
         self._events.wait(self._mean_samples[self._loose])
 
     def rest(self, level: float) -> float:
-        """The joint is tight at rest."""
+        """Return the level unchanged, because the joint is tight at rest."""
         return level
 
     def apply(self, samples: np.ndarray) -> None:

@@ -32,7 +32,7 @@ class LogarithmicCreep:
     onset_time_s: float = parameter("s")
     memory_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.onset_time_s > 0.0, self, "onset_time_s must be positive.")
         require(
             self.memory_s > self.onset_time_s, self, "memory_s must be longer than onset_time_s."

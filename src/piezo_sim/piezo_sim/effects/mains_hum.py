@@ -33,7 +33,7 @@ class MainsHum:
     amplitudes_um: tuple[float, ...] = parameter("um")
     phase_walk_rad_per_sqrt_s: float = parameter("rad/s^0.5")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.frequency_hz > 0.0, self, "frequency_hz must be positive.")
         require(len(self.amplitudes_um) > 0, self, "amplitudes_um must hold a number.")
         require(
@@ -62,7 +62,7 @@ class HumRunner:
         )
 
     def rest(self, level: float) -> float:
-        """The hum does not wait for the stage to rest."""
+        """Return the level unchanged, because the hum does not wait for the stage to rest."""
         return level
 
     def apply(self, samples: np.ndarray) -> None:

@@ -25,7 +25,7 @@ class ParallelMode:
     compliance_share: float = parameter("1")
     beside: int = parameter("1")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.frequency_rad_per_s > 0.0, self, "frequency_rad_per_s must be positive.")
         require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
         require(
@@ -36,7 +36,7 @@ class ParallelMode:
         require(self.beside >= 1, self, "beside must be an integer of at least 1.")
 
     def state_space(self) -> StateSpace:
-        """The mode alone."""
+        """Return the dynamics of the mode alone."""
         return VibrationMode(self.frequency_rad_per_s, self.damping_ratio).state_space()
 
     def join(self, others: StateSpace) -> StateSpace:

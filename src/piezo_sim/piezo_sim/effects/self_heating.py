@@ -37,7 +37,7 @@ class SelfHeating:
     cooling_time_constant_s: float = parameter("s")
     gain_per_k: float = parameter("1/K")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.heating_k_per_um >= 0.0, self, "heating_k_per_um must not be negative.")
         require(
             self.cooling_time_constant_s > 0.0, self, "cooling_time_constant_s must be positive."

@@ -41,7 +41,7 @@ class SoftBacklash:
 
     half_gap_um: float = parameter("um")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.half_gap_um > 0.0, self, "half_gap_um must be positive.")
 
     def start(self, surroundings: Surroundings) -> "BacklashRunner":

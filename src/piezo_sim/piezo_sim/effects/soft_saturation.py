@@ -33,7 +33,7 @@ class SoftSaturation:
     high_v: float = parameter("V")
     knee_v: float = parameter("V")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.low_v < self.high_v, self, "low_v must be below high_v.")
         require(self.knee_v > 0.0, self, "knee_v must be positive.")
 

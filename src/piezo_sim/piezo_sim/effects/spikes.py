@@ -20,7 +20,7 @@ class Spikes:
     height_um: float = parameter("um")
     height_spread: float = parameter("1")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.rate_per_s > 0.0, self, "rate_per_s must be positive.")
         require(self.height_spread >= 0.0, self, "height_spread must not be negative.")
 

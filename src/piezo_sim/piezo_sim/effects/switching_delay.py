@@ -39,7 +39,7 @@ class SwitchingDelay:
     reference_speed_v_per_s: float = parameter("V/s")
     averaging_time_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(
             self.reference_speed_v_per_s > 0.0, self, "reference_speed_v_per_s must be positive."
         )

@@ -35,7 +35,7 @@ class ThermalDrift:
     ambient_walk_k_per_sqrt_s: float = parameter("K/s^0.5")
     time_constant_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(
             self.ambient_walk_k_per_sqrt_s >= 0.0,
             self,
@@ -62,7 +62,7 @@ class DriftRunner:
         self._temperatures_k = (effect.ambient_start_k, 0.0)
 
     def rest(self, level: float) -> float:
-        """The stage has its own temperature at first, whatever its displacement."""
+        """Return the level unchanged, because temperature does not follow displacement."""
         return level
 
     def apply(self, samples: np.ndarray) -> None:

@@ -26,7 +26,7 @@ class TransducerCurve:
     centre_um: float = parameter("um")
     reach_um: float = parameter("um")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.reach_um > 0.0, self, "reach_um must be positive.")
 
     def start(self, surroundings: Surroundings) -> PointwiseRunner:

@@ -32,7 +32,7 @@ class TransportDelay:
 
     delay_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.delay_s >= 0.0, self, "delay_s must not be negative.")
 
     def start(self, surroundings: Surroundings) -> "DelayRunner":

@@ -20,7 +20,7 @@ class DeviceFailure:
     begin_s: float = parameter("s")
     end_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_window(self)
 
     def start(self, surroundings: Surroundings) -> "DeviceFailureRunner":

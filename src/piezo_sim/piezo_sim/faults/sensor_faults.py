@@ -20,7 +20,7 @@ class StuckSensor:
     begin_s: float = parameter("s")
     end_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_window(self)
 
     def start(self, surroundings: Surroundings) -> "StuckSensorRunner":
@@ -49,7 +49,7 @@ class SilentSensor:
     begin_s: float = parameter("s")
     end_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_window(self)
 
     def start(self, surroundings: Surroundings) -> "SilentSensorRunner":
@@ -58,7 +58,7 @@ class SilentSensor:
 
 
 class SilentSensorRunner(FaultWindow):
-    """Says nothing."""
+    """Replace the readings of a silent sensor by NaN."""
 
     def spoil(self, samples: np.ndarray, first: int, last: int) -> None:
         """Replace readings by NaN."""
@@ -75,7 +75,7 @@ class OffScaleSensor:
     end_s: float = parameter("s")
     reading_um: float = parameter("um")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_window(self)
 
     def start(self, surroundings: Surroundings) -> "OffScaleSensorRunner":
@@ -101,7 +101,7 @@ class NoisySensor:
     end_s: float = parameter("s")
     noise_rms_um: float = parameter("um")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require_window(self)
         require(self.noise_rms_um > 0.0, self, "noise_rms_um must be positive.")
 
@@ -111,12 +111,12 @@ class NoisySensor:
 
 
 class NoisySensorRunner(FaultWindow):
-    """Adds noise from the seed."""
+    """Add noise from the seed to the readings of a noisy sensor."""
 
     def __init__(self, effect: NoisySensor, surroundings: Surroundings):
         super().__init__(effect, surroundings)
         self._noise = NormalStream(bits_for(effect.name, surroundings.seed))
 
     def spoil(self, samples: np.ndarray, first: int, last: int) -> None:
-        """Add noise."""
+        """Add noise to the readings."""
         samples[first:last] += self.effect.noise_rms_um * self._noise.next(last - first)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Effects that remember their last input, and one quantity that gathers as the input moves."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 
@@ -16,7 +18,7 @@ class AccumulatingRunner:
         Parameters of the effect.
     """
 
-    def __init__(self, replace, *constants: float):
+    def __init__(self, replace: Callable[..., tuple[float, float]], *constants: float):
         self._replace = replace
         self._constants = constants
         self._state = (0.0, 0.0)

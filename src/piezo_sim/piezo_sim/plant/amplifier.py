@@ -39,7 +39,7 @@ class VoltageAmplifier:
     converter_bits: int = parameter("1")
     slew_rate_v_per_s: float = parameter("V/s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(
             self.voltage_min_v < self.voltage_max_v,
             self,

@@ -24,7 +24,8 @@ from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 # Numba's cache overlooks changes in other files: compiled functions that call each other stay here.
 @njit(cache=True)
-def density_um_per_v2(alpha_v, beta_v, broad, ridge, width_v, modulation, centre_v, period_v):
+def density_um_per_v2(alpha_v: float, beta_v: float, broad: float, ridge: float, width_v: float,
+                      modulation: float, centre_v: float, period_v: float) -> float:
     """Preisach density at (alpha, beta), alpha >= beta (mu of thesis eq. (4.2))."""
     span = alpha_v - beta_v
     middle = 0.5 * (alpha_v + beta_v)
@@ -33,7 +34,8 @@ def density_um_per_v2(alpha_v, beta_v, broad, ridge, width_v, modulation, centre
 
 
 @njit(cache=True)
-def everett_um(alpha_v, beta_v, broad, ridge, width_v, modulation, centre_v, period_v):
+def everett_um(alpha_v: float, beta_v: float, broad: float, ridge: float, width_v: float,
+               modulation: float, centre_v: float, period_v: float) -> float:
     """Integral of the density over the triangle between beta and alpha, um."""
     span = alpha_v - beta_v
     middle = 0.5 * (alpha_v + beta_v)
@@ -102,7 +104,7 @@ class PreisachHysteresis:
     modulation_period_v: float = parameter("V")
     offset_um: float = parameter("um")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(
             self.broad_density_um_per_v2 >= 0.0
             and self.ridge_density_um_per_v2 >= 0.0

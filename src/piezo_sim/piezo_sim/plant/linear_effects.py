@@ -17,7 +17,10 @@ from piezo_sim.plant.plant_effect import PlantConfigError, parameter, require
 
 
 class StateSpace(NamedTuple):
-    """dx/dt = a x + b u, y = c x + d u; shapes (n, n), (n,), (n,), scalar; rates in rad/s."""
+    """Hold the matrices of dx/dt = a x + b u, y = c x + d u.
+
+    Their shapes are (n, n), (n,), (n,) and scalar; rates are in rad/s.
+    """
 
     a: np.ndarray
     b: np.ndarray
@@ -26,7 +29,7 @@ class StateSpace(NamedTuple):
 
 
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
-    """`first` followed by `second`."""
+    """Return the system `first` followed by the system `second`."""
     n, m = first.b.size, second.b.size
     a = np.zeros((n + m, n + m))
     a[:n, :n] = first.a
@@ -137,7 +140,7 @@ class Creep:
     poles_rad_per_s: tuple[float, ...] = parameter("rad/s")
     zeros_rad_per_s: tuple[float, ...] = parameter("rad/s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(
             len(self.poles_rad_per_s) == len(self.zeros_rad_per_s) > 0,
             self,
@@ -166,11 +169,11 @@ class ElectricLag:
 
     time_constant_s: float = parameter("s")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.time_constant_s > 0.0, self, "time_constant_s must be positive.")
 
     def state_space(self) -> StateSpace:
-        """The state is the output."""
+        """Return the low-pass filter; its state is its output."""
         rate = 1.0 / self.time_constant_s
         return StateSpace(np.array([[-rate]]), np.array([rate]), np.array([1.0]), 0.0)
 
@@ -184,7 +187,7 @@ class VibrationMode:
     frequency_rad_per_s: float = parameter("rad/s")
     damping_ratio: float = parameter("1")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.frequency_rad_per_s > 0.0, self, "frequency_rad_per_s must be positive.")
         require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
 

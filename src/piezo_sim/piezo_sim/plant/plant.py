@@ -43,7 +43,7 @@ class Plant:
             level = runner.rest(level)
 
     def respond(self, voltage_v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Play voltages.
+        """Play voltages and return the displacement at their sample instants.
 
         Parameters
         ----------

@@ -3,7 +3,7 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -53,7 +53,7 @@ class Effect(Protocol):
         """Make the runner of this effect."""
 
 
-def parameter(unit: str):
+def parameter(unit: str) -> Any:
     """Declare a parameter of an effect, with the unit that the plant file must state."""
     return dataclasses.field(metadata={"unit": unit})
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Effects without memory: every output sample follows from its own input sample."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 
@@ -15,7 +17,7 @@ class PointwiseRunner:
         Parameters of the effect.
     """
 
-    def __init__(self, replace, *constants: float):
+    def __init__(self, replace: Callable[..., None], *constants: float):
         self._replace = replace
         self._constants = constants
 

@@ -21,7 +21,7 @@ class NormalStream:
         Where the numbers come from.
     """
 
-    def __init__(self, bits):
+    def __init__(self, bits: np.random.BitGenerator):
         self._generator = np.random.Generator(bits)
         self._ahead = np.empty(0)
 
@@ -45,7 +45,7 @@ class EventStream:
         Where the numbers come from; `generator` serves what else is random about an event.
     """
 
-    def __init__(self, bits):
+    def __init__(self, bits: np.random.BitGenerator):
         self.generator = np.random.Generator(bits)
         self.next = 0
         self._first = 0

@@ -22,7 +22,7 @@ class DisplacementSensor:
     displacement_max_um: float = parameter("um")
     converter_bits: int = parameter("1")
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(self.noise_rms_um >= 0.0, self, "noise_rms_um must not be negative.")
         require(
             self.displacement_min_um < self.displacement_max_um,
@@ -49,7 +49,7 @@ class SensorRunner:
         self._noise = NormalStream(np.random.PCG64(seed))
 
     def rest(self, level: float) -> float:
-        """The sensor has no state of its own."""
+        """Return the level unchanged, because the sensor has no state of its own."""
         return level
 
     def apply(self, samples: np.ndarray) -> None:

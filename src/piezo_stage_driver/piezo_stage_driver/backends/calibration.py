@@ -2,14 +2,18 @@
 """Calibration file of a stage behind a data acquisition card."""
 
 from os import PathLike
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
+import numpy as np
 from pydantic import model_validator
 
 from piezo_common.schema import Document, Number, SchemaError, entry, load_document, violation
 
 # Of NI-DAQmx.
 TERMINALS = ("DEFAULT", "DIFF", "RSE", "NRSE", "PSEUDO_DIFF")
+
+
+Volts = TypeVar("Volts", float, np.ndarray)
 
 
 class CalibrationError(ValueError):
@@ -88,16 +92,16 @@ class Calibration(Document):
         ends_v = (self.voltage_v(self.output_minimum_v), self.voltage_v(self.output_maximum_v))
         return min(ends_v), max(ends_v)
 
-    def card_v(self, voltage_v):
-        """Volts at the card's output for volts at the stage."""
+    def card_v(self, voltage_v: Volts) -> Volts:
+        """Return the volts at the card's output for volts at the stage."""
         return (voltage_v - self.amplifier_offset_v) / self.amplifier_gain
 
-    def voltage_v(self, card_v):
-        """Volts at the stage for volts at the card's output."""
+    def voltage_v(self, card_v: Volts) -> Volts:
+        """Return the volts at the stage for volts at the card's output."""
         return self.amplifier_gain * card_v + self.amplifier_offset_v
 
-    def displacement_um(self, card_v):
-        """Displacement for volts at the card's input."""
+    def displacement_um(self, card_v: Volts) -> Volts:
+        """Return the displacement (um) for volts at the card's input."""
         return self.sensor_um_per_v * card_v + self.sensor_offset_um
 
 

@@ -6,20 +6,22 @@ stage node repeats a periodic feedforward itself and adds the feedback of every 
 results is written `lead_ticks` ahead of the clock. If the computer is later than that, the card
 stops with its last voltage, and the amplifier is brought to rest by single writes.
 
-There is no ``emergency_rest``: no call of the driver waits for longer than `TIMEOUT_S`, so that a
-card that hangs becomes a fault by itself, and a second thread would have to take the output from a
-task that another one is waiting on, which could not be tried on a device.
+There is no ``emergency_rest``. No call of the driver waits for longer than `TIMEOUT_S`, so that a
+card that hangs becomes a fault by itself. A second thread would have to take the output from a task
+that another one is waiting on, and that could not be tried on a device.
 """
 
 import importlib
 import time
 from collections import deque
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from piezo_stage_driver.backends.backend import BackendFault
-from piezo_stage_driver.backends.calibration import load_calibration
+from piezo_stage_driver.backends.calibration import Calibration, load_calibration
+from piezo_stage_driver.backends.registry import BackendSettings
 
 # The input is read every tick; the card may store as much before samples are overwritten.
 INPUT_BUFFER_S = 1.0
@@ -39,8 +41,8 @@ MEANINGS = {
 }
 
 
-def load_driver():
-    """Import the package ``nidaqmx``; return what is needed of it.
+def load_driver() -> SimpleNamespace:
+    """Import the package ``nidaqmx`` and return what is needed of it.
 
     Raises
     ------
@@ -61,7 +63,7 @@ def load_driver():
 
 
 class NidaqmxStage:
-    """The backend.
+    """Drive an amplifier and read a sensor through one card.
 
     Parameters
     ----------
@@ -76,7 +78,8 @@ class NidaqmxStage:
         If the driver is missing, or the card cannot reach the voltages.
     """
 
-    def __init__(self, calibration, settings, driver=None):
+    def __init__(self, calibration: Calibration, settings: BackendSettings,
+                 driver: SimpleNamespace | None = None):
         self._calibration, self._settings = calibration, settings
         self._driver = driver or load_driver()
         self.sample_rate_hz = settings.sample_rate_hz
@@ -86,10 +89,10 @@ class NidaqmxStage:
             raise ValueError(
                 f"the card reaches {lowest_v:g} to {highest_v:g} V at the stage: set "
                 "minimum_voltage_v and maximum_voltage_v within, or mend the calibration")
-        self._tasks = []
-        self._ahead = deque()
+        self._tasks: list[Any] = []
+        self._ahead: deque[np.ndarray] = deque()
 
-    def open(self):
+    def open(self) -> None:
         """Start both tasks with the amplifier at rest; see ``StageBackend.open``."""
         try:
             self._start()
@@ -100,7 +103,7 @@ class NidaqmxStage:
             self._end_tasks()
             raise
 
-    def exchange(self, voltage_v):
+    def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
         """Write what plays `lead_samples` later, read what was measured now."""
         readings_v = np.empty(len(voltage_v))
         try:
@@ -112,11 +115,11 @@ class NidaqmxStage:
         self._ahead.popleft()
         return self._calibration.displacement_um(readings_v)
 
-    def close(self):
+    def close(self) -> None:
         """Stop both tasks; the card holds its last voltage."""
         self._end_tasks()
 
-    def _start(self):
+    def _start(self) -> None:
         driver, calibration = self._driver, self._calibration
         continuous = driver.constants.AcquisitionType.CONTINUOUS
         buffer_samples = round(INPUT_BUFFER_S * self.sample_rate_hz)
@@ -146,27 +149,27 @@ class NidaqmxStage:
         playing.start()
         measuring.start()
 
-    def _task(self, name):
+    def _task(self, name: str) -> Any:
         task = self._driver.Task(f"piezo_stage_{name}")
         self._tasks.append(task)
         return task
 
-    def _add_output(self, task):
+    def _add_output(self, task: Any) -> None:
         task.ao_channels.add_ao_voltage_chan(
             self._calibration.output_channel, min_val=self._calibration.output_minimum_v,
             max_val=self._calibration.output_maximum_v)
 
-    def _write(self, voltage_v):
+    def _write(self, voltage_v: np.ndarray) -> None:
         self._writer.write_many_sample(self._calibration.card_v(voltage_v), timeout=TIMEOUT_S)
         self._ahead.append(voltage_v)
 
-    def _held_v(self, error):
-        """The voltage that the card holds after a fault: the last one if it ran out of them."""
+    def _held_v(self, error: Exception) -> float:
+        """Return the voltage that the card holds after a fault: the last one if it ran out."""
         ran_out = getattr(error, "error_code", None) in UNDERFLOWS
         return float(self._ahead[-1 if ran_out else 0][-1])
 
-    def _return_to_rest(self, start_v):
-        """Ramp by single writes, which the computer times; return whether the card took them."""
+    def _return_to_rest(self, start_v: float) -> bool:
+        """Ramp to rest by single writes in software time; return whether the card took them."""
         settings = self._settings
         self._end_tasks()
         step_v = settings.ramp_rate_v_per_s * SOFTWARE_STEP_S
@@ -183,24 +186,24 @@ class NidaqmxStage:
         finally:
             self._end_tasks()
 
-    def _end_tasks(self):
+    def _end_tasks(self) -> None:
         while self._tasks:
             try:
                 self._tasks.pop().close()
             except self._driver.Error:
                 pass  # of a task that a fault has ended already
 
-    def _meaning(self, error):
-        code = getattr(error, "error_code", None)
+    def _meaning(self, error: Exception) -> str:
+        code = getattr(error, "error_code", 0)
         return f"the card failed: {MEANINGS.get(code) or _first_line(error)}" + (
             f" (NI-DAQmx {code})" if code else "")
 
 
-def _first_line(error):
+def _first_line(error: Exception) -> str:
     return str(error).strip().split("\n")[0]
 
 
-def create(settings):
+def create(settings: BackendSettings) -> "NidaqmxStage":
     """Make the backend from its calibration file; the entry point ``nidaqmx``.
 
     Raises

@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 from piezo_common.registered import registered
+from piezo_stage_driver.backends.backend import StageBackend
 
 GROUP = "piezo_stage_driver.backends"
 
@@ -32,7 +33,7 @@ class BackendSettings:
     ramp_rate_v_per_s: float
 
 
-def create_backend(name, settings):
+def create_backend(name: str, settings: BackendSettings) -> StageBackend:
     """Make the backend that an entry point of the group ``piezo_stage_driver.backends`` names.
 
     Parameters

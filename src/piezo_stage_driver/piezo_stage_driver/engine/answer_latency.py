@@ -18,27 +18,27 @@ class AnswerLatency:
     longest_ms : float
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.counts = [0] * (len(BOUNDS_MS) + 1)
         self.longest_ms = 0.0
         self._published = [(-1, 0.0)] * REMEMBERED_TICKS
 
-    def published(self, tick):
+    def published(self, tick: int) -> None:
         """Note that the block of a tick goes out now."""
         self._published[tick % REMEMBERED_TICKS] = (tick, time.monotonic())
 
-    def answered(self, tick):
+    def answered(self, tick: int) -> None:
         """Note that the answer for a tick is here, in time or late."""
         published_tick, published_s = self._published[tick % REMEMBERED_TICKS]
         if tick == published_tick:
             self.add(1e3 * (time.monotonic() - published_s))
 
-    def add(self, latency_ms):
+    def add(self, latency_ms: float) -> None:
         """Count one latency (ms)."""
         self.counts[bisect.bisect_left(BOUNDS_MS, latency_ms)] += 1
         self.longest_ms = max(self.longest_ms, latency_ms)
 
-    def described(self):
+    def described(self) -> dict[str, object]:
         """Return the counts under names, as in ``answers_within_0.5_ms``."""
         names = [f"answers_within_{bound:g}_ms" for bound in BOUNDS_MS]
         return dict(zip([*names, f"answers_beyond_{BOUNDS_MS[-1]:g}_ms"], self.counts,

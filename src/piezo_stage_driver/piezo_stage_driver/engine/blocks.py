@@ -2,6 +2,7 @@
 """The samples of a stage in the blocks in which they are published."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,7 @@ SAMPLES_PER_BLOCK = 40
 
 @dataclass(frozen=True)
 class Block:
-    """Samples to publish, see ``piezo_interfaces/SampleBlock``."""
+    """Hold the samples that are published together, see ``piezo_interfaces/SampleBlock``."""
 
     first_sample: int
     sample_period_s: float
@@ -27,6 +28,15 @@ class Block:
     displacement_um: np.ndarray
     flags: int
     missed_feedback: int
+
+
+class Filled(NamedTuple):
+    """What a full block holds, and how many samples of the clock it takes."""
+
+    samples: int
+    voltage_v: np.ndarray
+    displacement_um: np.ndarray
+    flags: int
 
 
 class BlockCollector:
@@ -40,16 +50,18 @@ class BlockCollector:
         Samples of the clock that no block holds yet.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.decimation = 1
         self._clear()
 
-    def _clear(self):
-        self._voltage_v, self._displacement_um = [], []
+    def _clear(self) -> None:
+        self._voltage_v: list[np.ndarray] = []
+        self._displacement_um: list[np.ndarray] = []
         self.pending_samples = self._flags = 0
 
-    def add(self, voltage_v, displacement_um, flags, ends):
-        """Take samples.
+    def add(self, voltage_v: np.ndarray, displacement_um: np.ndarray, flags: int,
+            ends: bool) -> "Filled | None":
+        """Take samples, and return those of a block as soon as it is full.
 
         Parameters
         ----------
@@ -60,11 +72,8 @@ class BlockCollector:
 
         Returns
         -------
-        samples : int
-            Of the clock, that the block takes; 0 where it is not full yet.
-        voltage_v, displacement_um : ndarray or None
-            Of the block.
-        flags : int
+        Filled or None
+            None where the block is not full yet.
         """
         self._voltage_v.append(voltage_v)
         self._displacement_um.append(displacement_um)
@@ -74,13 +83,13 @@ class BlockCollector:
         full = self.decimation == 1 or (
             self.pending_samples >= SAMPLES_PER_BLOCK * self.decimation)
         if not (full or ends) or self.pending_samples % self.decimation:
-            return 0, None, None, 0
-        filled = (self.pending_samples, self._decimated(self._voltage_v),
-                  self._decimated(self._displacement_um), self._flags)
+            return None
+        filled = Filled(self.pending_samples, self._decimated(self._voltage_v),
+                        self._decimated(self._displacement_um), self._flags)
         self._clear()
         return filled
 
-    def _decimated(self, parts):
+    def _decimated(self, parts: list[np.ndarray]) -> np.ndarray:
         samples = parts[0] if len(parts) == 1 else np.concatenate(parts)
         if self.decimation == 1:
             return samples

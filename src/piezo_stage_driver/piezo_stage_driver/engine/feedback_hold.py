@@ -37,13 +37,13 @@ class FeedbackHold:
         Answers that asked for more than the limits allow.
     """
 
-    def __init__(self, first_tick, lead_ticks=0, limits=None):
+    def __init__(self, first_tick: int, lead_ticks: int = 0, limits: FeedbackLimits | None = None):
         self.voltage_v = 0.0
         self.missed = self.missed_in_a_row = 0
         self.limited = self.limited_in_a_row = 0
         self._limits = limits or FeedbackLimits()
         self._first_tick = first_tick + lead_ticks
-        self._answers = {}
+        self._answers: dict[int, float] = {}
 
     @property
     def cause(self) -> str:
@@ -54,7 +54,7 @@ class FeedbackHold:
                 f"{self._limits.maximum_v:g} V, or stepped by more than "
                 f"{self._limits.maximum_step_v:g} V")
 
-    def answer(self, tick, voltage_v, present_tick):
+    def answer(self, tick: int, voltage_v: float, present_tick: int) -> None:
         """Keep the answer to the block of ``tick``; one that comes too late has no effect.
 
         Raises
@@ -71,11 +71,11 @@ class FeedbackHold:
         if tick + 1 >= present_tick:
             self._answers[tick] = voltage_v
 
-    def awaited(self, tick):
+    def awaited(self, tick: int) -> bool:
         """Whether ``tick`` cannot be played yet without missing an answer."""
         return tick - 1 > self._first_tick and tick - 1 not in self._answers
 
-    def begin(self, tick):
+    def begin(self, tick: int) -> bool:
         """Take over the answer that acts in ``tick``; return whether the last is held instead."""
         if tick - 1 <= self._first_tick:
             return False
@@ -92,7 +92,7 @@ class FeedbackHold:
         self._take(answer_v)
         return False
 
-    def _take(self, answer_v):
+    def _take(self, answer_v: float) -> None:
         self.voltage_v, limited = self._limits.apply(answer_v, self.voltage_v)
         self.limited += limited
         self.limited_in_a_row = self.limited_in_a_row + 1 if limited else 0

@@ -3,9 +3,24 @@
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
 
 from piezo_stage_driver.engine.sources import Hold
+
+
+class Source(Protocol):
+    """Voltages in their order; each sample is taken once."""
+
+    def take(self, count: int) -> np.ndarray:
+        """Return the next samples, shape (count,), in V."""
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the last voltage was held because nothing was left to take."""
 
 
 class StageRefusal(ValueError):
@@ -17,7 +32,7 @@ class Phase:
     """A stretch of samples from one source; ``samples`` is infinite where only a stop ends it."""
 
     name: str
-    source: object
+    source: Source
     samples: float
     flag: int
 
@@ -35,42 +50,43 @@ class Program:
         Stay at the last voltage instead.
     """
 
-    def __init__(self, phases=(), way_back_samples=0, hold_at_end=False):
+    def __init__(self, phases: Iterable[Phase] = (), way_back_samples: int = 0,
+                 hold_at_end: bool = False):
         self.hold_at_end = hold_at_end
         self._phases = deque(phase for phase in phases if phase.samples > 0)
         self._samples = sum(phase.samples for phase in phases) + way_back_samples
         self._done_samples = 0
 
     @property
-    def over(self):
+    def over(self) -> bool:
         """Whether every phase has been played."""
         return not self._phases
 
     @property
-    def phase_name(self):
+    def phase_name(self) -> str:
         """Of the present phase; rest where there is none."""
         return self._phases[0].name if self._phases else "rest"
 
     @property
-    def fraction(self):
+    def fraction(self) -> float:
         """Done of the whole, 0 to 1."""
         return min(1.0, self._done_samples / self._samples) if self._samples else 1.0
 
     @property
-    def samples_left(self):
+    def samples_left(self) -> float:
         """Left of the whole; infinite until a stop."""
         return max(0.0, self._samples - self._done_samples)
 
-    def phase(self, voltage_v):
+    def phase(self, voltage_v: float) -> Phase:
         """Return the present phase, or one that holds this voltage."""
         return self._phases[0] if self._phases else Phase("rest", Hold(voltage_v), math.inf, 0)
 
-    def replace(self, phase):
+    def replace(self, phase: Phase) -> None:
         """Go over to another last phase."""
         self._phases = deque([phase] if phase.samples > 0 else [])
         self._samples = self._done_samples + phase.samples
 
-    def advance(self, count):
+    def advance(self, count: int) -> Phase | None:
         """Count samples played; return the phase that has ended with them, or None."""
         self._done_samples += count
         if not self._phases:

@@ -9,10 +9,12 @@ import numpy as np
 class Hold:
     """One voltage for as long as it is asked."""
 
-    def __init__(self, voltage_v):
+    exhausted = False
+
+    def __init__(self, voltage_v: float):
         self._voltage_v = voltage_v
 
-    def take(self, count):
+    def take(self, count: int) -> np.ndarray:
         """Return the next samples, shape (count,), in V."""
         return np.full(count, self._voltage_v)
 
@@ -20,11 +22,13 @@ class Hold:
 class Ramp:
     """A straight line between two voltages in a number of samples, then the second."""
 
-    def __init__(self, start_v, end_v, samples):
+    exhausted = False
+
+    def __init__(self, start_v: float, end_v: float, samples: int):
         self._start_v, self._end_v, self._samples = start_v, end_v, samples
         self._at = 0
 
-    def take(self, count):
+    def take(self, count: int) -> np.ndarray:
         """Return the next samples, shape (count,), in V."""
         position = np.arange(self._at + 1, self._at + 1 + count)
         self._at += count
@@ -35,12 +39,14 @@ class Ramp:
 class Waveform:
     """A sequence, each value held for some samples, played some times, then its last value."""
 
-    def __init__(self, voltage_v, hold_samples, repeats):
+    exhausted = False
+
+    def __init__(self, voltage_v: np.ndarray, hold_samples: int, repeats: int):
         self._voltage_v, self._hold_samples = voltage_v, hold_samples
         self.samples = len(voltage_v) * hold_samples * repeats
         self._at = 0
 
-    def take(self, count):
+    def take(self, count: int) -> np.ndarray:
         """Return the next samples, shape (count,), in V."""
         position = np.minimum(np.arange(self._at, self._at + count), self.samples - 1)
         self._at += count
@@ -54,9 +60,9 @@ class Feedforward:
     the time and the memory of what is loaded ahead.
     """
 
-    def __init__(self, once_voltage_v, period_voltage_v):
+    def __init__(self, once_voltage_v: np.ndarray, period_voltage_v: np.ndarray):
         self._once_v, self._period_v = once_voltage_v, period_voltage_v
-        self._appended = deque()
+        self._appended: deque[np.ndarray] = deque()
         self._last_v = once_voltage_v[-1] if len(once_voltage_v) else None
         # Where the next sample lies: in the once part, then in the first of what was appended,
         # then in the periods.
@@ -64,45 +70,45 @@ class Feedforward:
         self._appended_played = self._held = False
 
     @property
-    def periodic(self):
+    def periodic(self) -> bool:
         """Whether a part is repeated."""
         return len(self._period_v) > 0
 
     @property
-    def sequence_v(self):
+    def sequence_v(self) -> np.ndarray:
         """Every voltage of what was loaded first up to the first repetition, shape (n,), in V."""
         return np.r_[self._once_v, self._period_v, self._period_v[:1]]
 
     @property
-    def first_v(self):
+    def first_v(self) -> float:
         """The voltage that is played first (V)."""
         return self._once_v[0] if len(self._once_v) else self._period_v[0]
 
     @property
-    def last_v(self):
+    def last_v(self) -> float | None:
         """The voltage behind which the next part is appended (V)."""
         return self._last_v
 
     @property
-    def exhausted(self):
+    def exhausted(self) -> bool:
         """Whether nothing was left for the last samples and the last voltage was held."""
         return self._held
 
-    def append(self, once_voltage_v):
+    def append(self, once_voltage_v: np.ndarray) -> None:
         """Add samples behind the part that is played once."""
         self._appended.append(once_voltage_v)
         self._last_v = once_voltage_v[-1]
 
     @property
-    def forgotten(self):
+    def forgotten(self) -> bool:
         """Whether appended samples were played, so that it cannot begin anew."""
         return self._appended_played
 
-    def rewind(self):
+    def rewind(self) -> None:
         """Begin anew with the first sample, as long as nothing is forgotten."""
         self._at, self._held = 0, False
 
-    def take(self, count):
+    def take(self, count: int) -> np.ndarray:
         """Return the next samples, shape (count,), in V.
 
         A stream that ran dry goes on where it stopped: without a jump, and later than planned.
@@ -125,7 +131,7 @@ class Feedforward:
         self._at += count
         return np.concatenate(parts)
 
-    def _take_behind_once(self, count):
+    def _take_behind_once(self, count: int) -> np.ndarray:
         if not self.periodic:
             self._held = True
             return np.full(count, self._last_v)

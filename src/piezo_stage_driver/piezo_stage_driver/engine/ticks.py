@@ -17,11 +17,11 @@ class Ticks:
     samples_per_tick : int
     """
 
-    def __init__(self, sample_rate_hz, samples_per_tick):
+    def __init__(self, sample_rate_hz: float, samples_per_tick: int):
         self.sample_period_s = 1.0 / sample_rate_hz
         self.samples_per_tick = samples_per_tick
 
-    def samples_per_value(self, sample_period_s):
+    def samples_per_value(self, sample_period_s: float) -> int:
         """Return for how many samples of the clock a value of a waveform is held.
 
         Raises
@@ -42,14 +42,14 @@ class Ticks:
                 f"clock period {self.sample_period_s:g} s: choose one that is")
         return round(ratio)
 
-    def aligned(self, samples, decimation):
+    def aligned(self, samples: float, decimation: int) -> int:
         """Return a length rounded up to whole ticks and whole published samples."""
         unit = math.lcm(self.samples_per_tick, decimation)
         return math.ceil(samples / unit) * unit
 
-    def stretch(self, samples, decimation, longest_samples):
+    def stretch(self, samples: float, decimation: int, longest_samples: int) -> int:
         """Return how many samples to play at once: a tick, or many of a slow waveform."""
         if decimation == 1:
             return self.samples_per_tick
         ticks = min(samples, longest_samples) // self.samples_per_tick
-        return max(1, ticks) * self.samples_per_tick
+        return max(1, int(ticks)) * self.samples_per_tick

@@ -62,7 +62,7 @@ class StageSettings:
         take("stuck_displacement_um", 0.4,
              "What counts as a move of the sensor (um); more than its noise.", 1.0e-6, 1.0e6)
         take("max_feedback_oscillation_v", 4.0,
-             "Feedback that swings by more from peak to peak, and ever more, stops the stage (V).",
+             "Feedback that swings by more from peak to peak, and grows, stops the stage (V).",
              1.0e-3, 1000.0)
         take("timing", "paced",
              "paced (the clock of the backend) or lockstep (as fast as the loop answers).",

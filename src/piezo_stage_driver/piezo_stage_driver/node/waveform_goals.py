@@ -9,6 +9,7 @@ from piezo_interfaces.action import PlayWaveform
 from rclpy.action import ActionServer, CancelResponse
 
 from piezo_stage_driver.safety.commands import Command
+from piezo_stage_driver.safety.open_answers import OpenAnswers
 
 PROGRESS_PERIOD_S = 0.1
 
@@ -76,8 +77,7 @@ class WaveformGoals:
 
     def __init__(self, node, submit):
         self._node, self._submit = node, submit
-        self._unanswered = 0
-        self._counting = threading.Lock()
+        self._open_answers = OpenAnswers()
         self._server = ActionServer(
             node, PlayWaveform, "play_waveform", self._end,
             handle_accepted_callback=self._accept,
@@ -86,7 +86,7 @@ class WaveformGoals:
     @property
     def answered(self):
         """Whether the client of every goal that ended knows."""
-        return not self._unanswered
+        return self._open_answers.none
 
     def _accept(self, handle):
         wanted, goal = handle.request, WaveformGoal(handle, self._answer)
@@ -98,17 +98,12 @@ class WaveformGoals:
         """Execute a goal now that it is over: the executor polls, busily, a goal that waits."""
         if result.message.startswith("waveform refused"):
             self._node.get_logger().warning(result.message)
-        self._count(1)
+        self._open_answers.begin()
         self._node.executor.create_task(
             goal.handle.execute, functools.partial(self._end, result=result))
 
-    def _count(self, change):
-        # From the thread that ticks, and from the executor's.
-        with self._counting:
-            self._unanswered += change
-
     def _end(self, handle, result):
-        self._count(-1)
+        self._open_answers.end()
         if handle.is_cancel_requested:
             result.success, result.message = False, "the waveform was cancelled"
             handle.canceled()

@@ -8,6 +8,7 @@ answer before it acts. Their answer is empty, or the cause of a stop.
 import math
 import threading
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -18,7 +19,7 @@ RESPONSE_PATIENCE_SAMPLES = 800
 
 
 class StopLatch:
-    """Why the stage is stopped, until somebody resets it; any thread may stop it.
+    """Keep why the stage is stopped, until somebody resets it; any thread may stop it.
 
     Attributes
     ----------
@@ -26,7 +27,7 @@ class StopLatch:
         Of the first stop; empty where there was none.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.cause = ""
         self._lock = threading.Lock()
 
@@ -35,14 +36,14 @@ class StopLatch:
         with self._lock:
             self.cause = self.cause or cause
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget the cause."""
         self.cause = ""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """What the stage played and measured since the guards looked last.
+    """Hold what the stage played and measured since the guards looked last.
 
     Attributes
     ----------
@@ -59,14 +60,25 @@ class Stretch:
     highest_um: float
 
     @classmethod
-    def of(cls, voltage_v, displacement_um, samples_per_tick):
-        """Make one of samples, shape (n,), of whole ticks."""
+    def of(cls, voltage_v: np.ndarray, displacement_um: np.ndarray,
+           samples_per_tick: int) -> "Stretch":
+        """Make a stretch of samples, shape (n,), of whole ticks."""
         return cls(voltage_v.reshape(-1, samples_per_tick).mean(axis=1), displacement_um,
                    float(displacement_um.min()), float(displacement_um.max()))
 
 
+class SensorGuard(Protocol):
+    """What examines every stretch of samples, and says what is wrong."""
+
+    def begin(self) -> None:
+        """Forget what was examined so far."""
+
+    def examine(self, stretch: Stretch) -> str:
+        """Say what is wrong with a `Stretch`; empty if nothing is."""
+
+
 class SensorRange:
-    """The reading is a number within the range of the sensor.
+    """Object to a reading that is no number, or outside the range of the sensor.
 
     Parameters
     ----------
@@ -74,15 +86,15 @@ class SensorRange:
         What the stage can reach, and a margin.
     """
 
-    def __init__(self, minimum_um, maximum_um):
+    def __init__(self, minimum_um: float, maximum_um: float):
         self._minimum_um, self._maximum_um = minimum_um, maximum_um
         self.begin()
 
-    def begin(self):
-        """Start anew."""
+    def begin(self) -> None:
+        """Forget what was examined so far."""
         self._outside_samples = 0
 
-    def examine(self, stretch):
+    def examine(self, stretch: Stretch) -> str:
         """Say what is wrong with a `Stretch`; empty if nothing is."""
         if not (math.isfinite(stretch.lowest_um) and math.isfinite(stretch.highest_um)):
             return "the sensor's reading is not a number"
@@ -99,7 +111,7 @@ class SensorRange:
 
 
 class SensorResponse:
-    """The reading moves when the voltage does.
+    """Object to a reading that does not move when the voltage does.
 
     It is compared from tick to tick: a stage need not follow what is faster.
 
@@ -111,17 +123,17 @@ class SensorResponse:
         Change of the reading that counts as a response; more than its noise.
     """
 
-    def __init__(self, voltage_v=20.0, displacement_um=0.4):
+    def __init__(self, voltage_v: float = 20.0, displacement_um: float = 0.4):
         self._voltage_v, self._displacement_um = voltage_v, displacement_um
         self.begin()
 
-    def begin(self):
-        """Start anew."""
+    def begin(self) -> None:
+        """Forget what was examined so far."""
         self._waited_samples = 0
         self._lowest_v = self._lowest_um = math.inf
         self._highest_v = self._highest_um = -math.inf
 
-    def examine(self, stretch):
+    def examine(self, stretch: Stretch) -> str:
         """Say what is wrong with a `Stretch`; empty if nothing is."""
         self._lowest_v = min(self._lowest_v, float(stretch.voltage_v.min()))
         self._highest_v = max(self._highest_v, float(stretch.voltage_v.max()))
@@ -139,7 +151,7 @@ class SensorResponse:
 
 
 class SensorNoise:
-    """The noise of the reading is not far above normal.
+    """Object to a reading whose noise is far above normal.
 
     It is estimated from fourth differences, to which the stage's own motion is smooth.
 
@@ -150,18 +162,18 @@ class SensorNoise:
 
     WEIGHTS = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 
-    def __init__(self, largest_rms_um):
+    def __init__(self, largest_rms_um: float):
         self._largest_rms_um = largest_rms_um
         # Of normal noise, from the mean of the absolute fourth difference to its RMS.
         self._scale = math.sqrt(np.pi / 2.0) / float(np.linalg.norm(self.WEIGHTS))
         self.begin()
 
-    def begin(self):
-        """Start anew."""
+    def begin(self) -> None:
+        """Forget what was examined so far."""
         self._noisy_samples = 0
         self._tail_um = np.empty(0)
 
-    def examine(self, stretch):
+    def examine(self, stretch: Stretch) -> str:
         """Say what is wrong with a `Stretch`; empty if nothing is."""
         readings_um = stretch.displacement_um
         if len(readings_um) < 2 * len(self.WEIGHTS):
@@ -180,7 +192,7 @@ class SensorNoise:
 
 
 class FeedbackOscillation:
-    """The feedback does not oscillate ever more.
+    """Object to feedback that oscillates with a growing amplitude.
 
     A loop that is not stable swings with a half period of a few ticks, each swing larger than
     all before: by little, or several times as large twice in a row. What swings as slowly as most
@@ -205,19 +217,23 @@ class FeedbackOscillation:
     # Of a swing: what leads back by less is no turn but noise.
     TURN = 0.1
 
-    def __init__(self, limit_v):
+    _begun_v: float
+    _largest_v: float
+    _grown_swings: int
+
+    def __init__(self, limit_v: float):
         self._limit_v = limit_v
         self.begin()
 
-    def begin(self):
-        """Start anew."""
+    def begin(self) -> None:
+        """Forget what was examined so far."""
         self._turn_v = self._extreme_v = self._last_swing_v = 0.0
         self._ticks = 0
         self._steep = False
         self._rises = True
         self._restart(0.0)
 
-    def examine(self, voltage_v):
+    def examine(self, voltage_v: float) -> str:
         """Say what is wrong with the feedback that is to act next; empty if nothing is."""
         self._ticks += 1
         change_v = voltage_v - self._extreme_v
@@ -230,23 +246,23 @@ class FeedbackOscillation:
             return ""
         if not (self._outgrows_all(swing_v) or self._steep and self._is_steep(swing_v)):
             return ""
-        return f"the feedback oscillates ever more, {swing_v:.2g} V from peak to peak"
+        return f"the feedback oscillates with growing amplitude, {swing_v:.2g} V from peak to peak"
 
     @property
-    def _fast(self):
+    def _fast(self) -> bool:
         return self._ticks <= self.LONGEST_HALF_PERIOD_TICKS
 
-    def _outgrows_all(self, swing_v):
-        """True of a swing that goes on a growth of several."""
+    def _outgrows_all(self, swing_v: float) -> bool:
+        """Return whether a swing continues a growth over several swings."""
         return (self._grown_swings >= self.GROWN_SWINGS and swing_v > self._largest_v
                 and self.GROWTH * self._begun_v <= swing_v <= self.LEAP * self._largest_v)
 
-    def _is_steep(self, swing_v):
-        """True of a swing that is several times as large as the one before."""
+    def _is_steep(self, swing_v: float) -> bool:
+        """Return whether a swing is several times as large as the one before."""
         return 0.0 < self.STEEP_GROWTH * self._last_swing_v <= swing_v
 
-    def _turn(self, voltage_v):
-        """Take in the swing that has ended with the last extreme, and begin another."""
+    def _turn(self, voltage_v: float) -> None:
+        """Evaluate the swing that has ended with the last extreme, and begin another."""
         swing_v = abs(self._extreme_v - self._turn_v)
         self._steep = self._is_steep(swing_v)
         self._last_swing_v = swing_v
@@ -260,7 +276,7 @@ class FeedbackOscillation:
         self._turn_v, self._extreme_v, self._ticks = self._extreme_v, voltage_v, 0
         self._rises = not self._rises
 
-    def _restart(self, swing_v):
+    def _restart(self, swing_v: float) -> None:
         """Look for growth from here on."""
         self._begun_v = self._largest_v = swing_v
         self._grown_swings = 0

@@ -5,6 +5,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 FLAG_RANGE_LIMITED = 1
 FLAG_SLEW_LIMITED = 2
@@ -30,12 +31,12 @@ class VoltageLimits:
     maximum_v: float
     slew_v_per_s: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not self.minimum_v < self.maximum_v:
             raise LimitError(f"the voltage range [{self.minimum_v}, {self.maximum_v}] V is empty: "
                              "let minimum_voltage_v be below maximum_voltage_v")
 
-    def check_rest(self, rest_voltage_v):
+    def check_rest(self, rest_voltage_v: float) -> None:
         """Refuse a rest voltage outside the range.
 
         Raises
@@ -47,7 +48,8 @@ class VoltageLimits:
                              f"[{self.minimum_v:g}, {self.maximum_v:g}] V: "
                              "set rest_voltage_v within it")
 
-    def check(self, voltage_v, sample_period_s, previous_v=None):
+    def check(self, voltage_v: npt.ArrayLike, sample_period_s: float,
+              previous_v: float | None = None) -> None:
         """Refuse a voltage sequence that leaves the range or jumps.
 
         Parameters
@@ -84,7 +86,7 @@ class VoltageLimits:
                 f"the voltage jumps by {abs(steps[bad[0]]):.4g} V to sample {at}, more than the "
                 f"{largest_step_v:.4g} V that the slew limit allows: make the change slower")
 
-    def check_start(self, voltage_v, present_v, largest_step_v):
+    def check_start(self, voltage_v: float, present_v: float, largest_step_v: float) -> None:
         """Refuse a first voltage that the stage would have to jump to.
 
         Raises
@@ -97,7 +99,8 @@ class VoltageLimits:
                 f"the {largest_step_v:.4g} V that the ramps go in one tick: "
                 "begin at the present voltage")
 
-    def apply(self, voltage_v, previous_v, sample_period_s):
+    def apply(self, voltage_v: np.ndarray, previous_v: float,
+              sample_period_s: float) -> tuple[np.ndarray, int]:
         """Hold a voltage within the limits; what is not a number holds the voltage before it.
 
         Parameters
@@ -162,7 +165,7 @@ class FeedbackLimits:
         return previous_v + math.copysign(self.maximum_step_v, step_v), True
 
 
-def _numbers(voltage_v, previous_v):
+def _numbers(voltage_v: np.ndarray, previous_v: float) -> np.ndarray:
     """Replace every NaN of a sequence by the last number before it."""
     voltage_v = np.asarray(voltage_v, dtype=float)
     missing = np.isnan(voltage_v)

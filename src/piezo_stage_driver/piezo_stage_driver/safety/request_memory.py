@@ -2,18 +2,26 @@
 """Requests that come twice act once: the second gets the answer of the first."""
 
 from collections import OrderedDict
+from typing import Any, Protocol
 
 REMEMBERED_REQUESTS = 256
 WITHOUT_NUMBER = 0
 
 
+class Late(Protocol):
+    """A response that is still to be given."""
+
+    def share(self, other: Any) -> None:
+        """Give the same response to another call of the same request."""
+
+
 class RequestMemory:
     """Responses to the last requests that bore a number."""
 
-    def __init__(self):
-        self._late = OrderedDict()
+    def __init__(self) -> None:
+        self._late: OrderedDict[int, Late] = OrderedDict()
 
-    def repeats(self, number: int, late) -> bool:
+    def repeats(self, number: int, late: Late) -> bool:
         """Whether a request has been met before; it then gets the answer of the first.
 
         Parameters

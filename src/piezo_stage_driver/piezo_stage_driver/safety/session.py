@@ -44,7 +44,7 @@ class BackendSession:
         return self._began_s is not None
 
     def open(self) -> None:
-        """See ``StageBackend.open``."""
+        """Open the backend; see ``StageBackend.open``."""
         self._backend.open()
 
     def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
@@ -61,7 +61,8 @@ class BackendSession:
             if self._over:
                 raise SessionOver("the backend was given up: activate the stage again")
             self._began_s = self._clock()
-        fault = displacement_um = None
+        fault: BackendFault | None = None
+        displacement_um = np.empty(0)
         try:
             displacement_um = self._checked(self._backend.exchange(voltage_v), len(voltage_v))
         except BackendFault as raised:
@@ -95,13 +96,13 @@ class BackendSession:
         if not over:
             self._backend.close()
 
-    def _close(self):
+    def _close(self) -> None:
         # A backend that has failed may fail to close as well: its fault has been told.
         with contextlib.suppress(Exception):
             self._backend.close()
 
     @staticmethod
-    def _checked(displacement_um, samples):
+    def _checked(displacement_um: object, samples: int) -> np.ndarray:
         displacement_um = np.asarray(displacement_um, dtype=float)
         if displacement_um.shape != (samples,):
             raise BackendFault(

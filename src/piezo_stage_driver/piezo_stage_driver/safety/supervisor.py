@@ -79,8 +79,7 @@ class StageSupervisor:
                  create_engine: Callable[[StageBackend, StopLatch], StageEngine],
                  latch: StopLatch | None = None, max_foreign_feedback: int = 0,
                  exchange_timeout_s: float = 2.0, command_timeout_s: float = 5.0,
-                 closing_ticks: int = 0,
-                 clock: Callable[[], float] = time.monotonic):
+                 closing_ticks: int = 0, clock: Callable[[], float] = time.monotonic):
         self._backend, self._create_engine = backend, create_engine
         self._latch = latch or StopLatch()
         self._exchange_timeout_s, self._clock = exchange_timeout_s, clock
@@ -280,7 +279,7 @@ class StageSupervisor:
             self._follow()
         return block
 
-    def _prepare(self):
+    def _prepare(self) -> bool:
         """Begin the way to rest where that is asked for; return whether there is more to play."""
         with self._lock:
             if self.active:
@@ -289,14 +288,14 @@ class StageSupervisor:
                 self._follow()
             return self.active
 
-    def _run(self, command):
+    def _run(self, command: Command) -> None:
         name = "load_feedforward" if command.name == "append_feedforward" else command.name
         try:
             with self._lock:
                 event = EVENTS[command.name]
                 if not self.active or self._leaving:
                     raise StageRefusal(NOT_ACTIVE)
-                value = getattr(self.engine, name)(*command.arguments)
+                value = getattr(self.engine.commands, name)(*command.arguments)
                 if event is Event.TRACK:
                     value = self._gate.begin(), value
                 if event is Event.PLAY:
@@ -308,7 +307,7 @@ class StageSupervisor:
         else:
             command.finish(value)
 
-    def _follow(self):
+    def _follow(self) -> None:
         """Go from state to state as the engine did."""
         engine = self.engine
         if self._leaving:
@@ -328,7 +327,7 @@ class StageSupervisor:
             if self._state is State.STOPPING:
                 self._come_to_rest()
 
-    def _come_to_rest(self):
+    def _come_to_rest(self) -> None:
         if self._leaving:
             if self.engine.at_rest:
                 self._close()
@@ -338,7 +337,7 @@ class StageSupervisor:
         else:
             self._go(Event.REST)
 
-    def _close(self):
+    def _close(self) -> None:
         self._rest_is_known = True
         self._end_goal()
         try:
@@ -347,12 +346,12 @@ class StageSupervisor:
             self._latch.stop(f"the backend failed to close: {error!r}")
         self._go(Event.REST_LEAVING)
 
-    def _end_goal(self):
+    def _end_goal(self) -> None:
         goal, self._goal = self._goal, None
         if goal:
             goal.end(self.cause or self._leaving, self.engine.last_sample)
 
-    def _fail(self, event, cause, at_rest):
+    def _fail(self, event: Event, cause: str, at_rest: bool) -> None:
         with self._lock:
             if not self.active:
                 return
@@ -362,5 +361,5 @@ class StageSupervisor:
             self._end_goal()
         self._commands.drain(f"the stage is stopped ({self.cause}): reset it first")
 
-    def _go(self, event):
+    def _go(self, event: Event) -> None:
         self._state = TRANSITIONS[self._state, event].to

@@ -25,7 +25,7 @@ def test_backend_of_the_page_drives_a_stage(other_package):
     backend = create_backend("my_lab", SETTINGS)
     backend.open()
     engine = StageEngine(backend, VoltageLimits(-20.0, 120.0, 2.0e6))
-    engine.play(np.full(400, 10.0), 25e-6)
+    engine.commands.play(np.full(400, 10.0), 25e-6)
     blocks = []
     while not engine.idle:
         blocks.append(engine.advance())

@@ -64,8 +64,8 @@ def test_every_sample_is_played_once_in_order_and_scaled(card, stage):
 def test_engine_publishes_what_the_card_applied_with_what_it_measured_at_that_instant(stage):
     engine = StageEngine(stage, VoltageLimits(-20.0, 100.0, 2.0e6))
     once_v = np.linspace(0.0, 60.0, 4000)
-    engine.load_feedforward(once_v, [])
-    engine.start_tracking(feedback=True, ticks=200)
+    engine.commands.load_feedforward(once_v, [])
+    engine.commands.start_tracking(feedback=True, ticks=200)
     blocks = []
     while not engine.idle:
         blocks.append(engine.advance())

@@ -68,7 +68,7 @@ def assert_every_sample_accounted_for(blocks, decimation=1):
 def test_waveform_is_played_sample_by_sample_between_two_ramps():
     engine, backend = make_engine()
     waveform = 30.0 + 5.0 * np.sin(np.arange(400) * 0.1)
-    first, count = engine.play(waveform, PERIOD_S, repeats=2)
+    first, count = engine.commands.play(waveform, PERIOD_S, repeats=2)
     blocks = run(engine)
     assert count == 800
     assert np.array_equal(backend.played_v[first:first + 800], np.tile(waveform, 2))
@@ -85,7 +85,7 @@ def test_waveform_is_played_sample_by_sample_between_two_ramps():
 def test_slow_waveform_is_published_as_means_over_its_samples(decimation):
     engine, backend = make_engine()
     waveform = np.linspace(10.0, 60.0, 97)
-    first, count = engine.play(waveform, decimation * PERIOD_S)
+    first, count = engine.commands.play(waveform, decimation * PERIOD_S)
     blocks = run(engine)
     assert np.array_equal(backend.played_v[first:first + count], np.repeat(waveform, decimation))
     means = backend.played_v.reshape(-1, decimation).mean(axis=1)
@@ -99,7 +99,7 @@ def test_slow_waveform_is_published_as_means_over_its_samples(decimation):
        chunk=st.sampled_from([40, 400, 16000]))
 def test_cancelled_waveform_ramps_to_rest_and_loses_no_sample(decimation, cancel_after, chunk):
     engine, backend = make_engine(longest_stretch_samples=chunk)
-    engine.play(np.full(500, 80.0), decimation * PERIOD_S)
+    engine.commands.play(np.full(500, 80.0), decimation * PERIOD_S)
     blocks = [engine.advance() for _ in range(cancel_after) if not engine.idle]
     engine.return_to_rest()
     blocks += run(engine)
@@ -108,7 +108,7 @@ def test_cancelled_waveform_ramps_to_rest_and_loses_no_sample(decimation, cancel
     if backend.played_v.size:
         means = backend.played_v.reshape(-1, decimation).mean(axis=1)
         assert np.allclose(joined(blocks, "voltage_v"), means, rtol=0, atol=1e-9)
-    engine.play([1.0], PERIOD_S)
+    engine.commands.play([1.0], PERIOD_S)
 
 
 @pytest.mark.parametrize("voltage_v, period_s, repeats, word", [
@@ -127,24 +127,24 @@ def test_cancelled_waveform_ramps_to_rest_and_loses_no_sample(decimation, cancel
 def test_bad_waveform_is_refused_and_moves_nothing(voltage_v, period_s, repeats, word):
     engine, backend = make_engine()
     with pytest.raises(ValueError, match=word):
-        engine.play(voltage_v, period_s, repeats)
+        engine.commands.play(voltage_v, period_s, repeats)
     assert engine.idle and backend.played_v.size == 0
 
 
 def test_second_command_is_refused_while_one_plays():
     engine, _ = make_engine()
-    engine.play(np.full(100, 5.0), PERIOD_S)
+    engine.commands.play(np.full(100, 5.0), PERIOD_S)
     with pytest.raises(StageRefusal, match="busy"):
-        engine.play([1.0], PERIOD_S)
+        engine.commands.play([1.0], PERIOD_S)
     with pytest.raises(StageRefusal, match="busy"):
-        engine.load_feedforward([0.0], [])
+        engine.commands.load_feedforward([0.0], [])
 
 
 @pytest.mark.parametrize("samples_per_tick", [1, 40])
 def test_feedback_computed_from_a_tick_acts_one_tick_after_it_could_be_answered(samples_per_tick):
     engine, backend = make_engine(samples_per_tick=samples_per_tick)
-    engine.load_feedforward(np.zeros(40), np.zeros(40))
-    first_tick = engine.start_tracking(feedback=True, ticks=10)
+    engine.commands.load_feedforward(np.zeros(40), np.zeros(40))
+    first_tick = engine.commands.start_tracking(feedback=True, ticks=10)
     answered = {}
     while engine.phase_name == "track":
         assert not engine.awaiting_answer
@@ -160,8 +160,8 @@ def test_feedback_computed_from_a_tick_acts_one_tick_after_it_could_be_answered(
 
 def test_late_answer_holds_the_last_value_and_is_counted():
     engine, backend = make_engine()
-    engine.load_feedforward([], np.zeros(40))
-    engine.start_tracking(feedback=True)
+    engine.commands.load_feedforward([], np.zeros(40))
+    engine.commands.start_tracking(feedback=True)
     engine.advance()
     engine.answer(1, 0.5)
     engine.advance()
@@ -174,22 +174,22 @@ def test_late_answer_holds_the_last_value_and_is_counted():
 
 def test_watchdog_stops_the_stage_when_answers_stay_away():
     engine, backend = make_engine(max_missed_feedback=3)
-    engine.load_feedforward(np.full(40, 10.0) * np.linspace(0, 1, 40), [])
-    engine.start_tracking(feedback=True)
+    engine.commands.load_feedforward(np.full(40, 10.0) * np.linspace(0, 1, 40), [])
+    engine.commands.start_tracking(feedback=True)
     blocks = run(engine)
     assert "missed" in engine.stop_cause
     assert backend.played_v[-1] == 0.0
     assert blocks[-1].flags & FLAG_STOPPED
     with pytest.raises(StageRefusal, match="reset"):
-        engine.play([1.0], PERIOD_S)
-    engine.reset()
-    engine.play([1.0], PERIOD_S)
+        engine.commands.play([1.0], PERIOD_S)
+    engine.commands.reset()
+    engine.commands.play([1.0], PERIOD_S)
 
 
 def test_feedback_that_is_no_number_is_refused():
     engine, _ = make_engine()
-    engine.load_feedforward([], np.zeros(40))
-    engine.start_tracking(feedback=True)
+    engine.commands.load_feedforward([], np.zeros(40))
+    engine.commands.start_tracking(feedback=True)
     engine.advance()
     with pytest.raises(FeedbackError, match="not a finite"):
         engine.answer(1, float("nan"))
@@ -197,8 +197,8 @@ def test_feedback_that_is_no_number_is_refused():
 
 def test_sum_of_feedforward_and_feedback_stays_within_range_and_slew():
     engine, backend = make_engine()
-    engine.load_feedforward([], np.zeros(40))
-    engine.start_tracking(feedback=True)
+    engine.commands.load_feedforward([], np.zeros(40))
+    engine.commands.start_tracking(feedback=True)
     engine.advance()
     engine.answer(1, 200.0)
     engine.advance()
@@ -211,8 +211,8 @@ def test_sum_of_feedforward_and_feedback_stays_within_range_and_slew():
 def test_feedforward_is_played_exactly_once_then_repeated():
     engine, backend = make_engine()
     once, period = np.linspace(0, 3, 57), 3.0 + np.sin(np.arange(33))
-    engine.load_feedforward(once, period)
-    engine.start_tracking(feedback=False, ticks=5)
+    engine.commands.load_feedforward(once, period)
+    engine.commands.start_tracking(feedback=False, ticks=5)
     blocks = run(engine)
     expected = np.r_[once, np.tile(period, 10)][:200]
     assert np.array_equal(backend.played_v[:200], expected)
@@ -221,47 +221,47 @@ def test_feedforward_is_played_exactly_once_then_repeated():
 
 def test_streamed_feedforward_grows_while_it_plays_and_holds_when_it_runs_dry():
     engine, backend = make_engine()
-    engine.load_feedforward(np.linspace(0, 1, 40), [])
-    engine.start_tracking(feedback=False)
+    engine.commands.load_feedforward(np.linspace(0, 1, 40), [])
+    engine.commands.start_tracking(feedback=False)
     engine.advance()
-    engine.load_feedforward(np.linspace(1, 2, 40), [], append=True)
+    engine.commands.load_feedforward(np.linspace(1, 2, 40), [], append=True)
     engine.advance()
     dry = engine.advance()
     assert np.array_equal(backend.played_v[40:80], np.linspace(1, 2, 40))
     assert np.all(dry.voltage_v == 2.0) and dry.flags & FLAG_FEEDFORWARD_HELD
     with pytest.raises(LimitError, match="jumps"):
-        engine.load_feedforward([100.0], [], append=True)
+        engine.commands.load_feedforward([100.0], [], append=True)
 
 
 def test_feedforward_that_would_jump_is_refused():
     engine, _ = make_engine()
-    engine.load_feedforward(np.full(40, 60.0), [])
+    engine.commands.load_feedforward(np.full(40, 60.0), [])
     with pytest.raises(LimitError, match="jumps"):
-        engine.start_tracking(feedback=False)
+        engine.commands.start_tracking(feedback=False)
     assert engine.idle
 
 
 def test_emergency_stop_ramps_to_rest_and_stays_latched_until_reset():
     engine, backend = make_engine()
-    engine.play(np.full(4000, 100.0), PERIOD_S)
+    engine.commands.play(np.full(4000, 100.0), PERIOD_S)
     for _ in range(80):
         engine.advance()
     engine.stop("pressed")
     with pytest.raises(StageRefusal, match="returns to rest"):
-        engine.reset()
+        engine.commands.reset()
     run(engine)
     assert backend.played_v[-1] == 0.0
     assert np.abs(np.diff(backend.played_v)).max() <= 2000 * PERIOD_S + 1e-9
     with pytest.raises(StageRefusal, match="pressed"):
-        engine.start_tracking(False)
+        engine.commands.start_tracking(False)
 
 
 def test_held_voltage_is_where_the_next_waveform_begins():
     engine, backend = make_engine()
-    engine.play([7.0], PERIOD_S, hold_at_end=True)
+    engine.commands.play([7.0], PERIOD_S, hold_at_end=True)
     run(engine)
     assert engine.voltage_v == 7.0
-    engine.play([9.0], PERIOD_S)
+    engine.commands.play([9.0], PERIOD_S)
     run(engine)
     assert np.abs(np.diff(backend.played_v, prepend=0.0)).max() <= 2000 * PERIOD_S + 1e-9
 
@@ -291,7 +291,7 @@ def test_hardware_that_is_written_ahead_is_published_with_the_voltage_it_applied
     backend = LeadBackend()
     engine = StageEngine(backend, VoltageLimits(-20.0, 120.0, 2.0e6))
     waveform = 30.0 + 5.0 * np.sin(np.arange(400) * 0.1)
-    first, count = engine.play(waveform, PERIOD_S)
+    first, count = engine.commands.play(waveform, PERIOD_S)
     blocks = run(engine)
     last_sample = engine.last_sample
     blocks += [engine.advance(), engine.advance()]
@@ -306,8 +306,8 @@ def test_hardware_that_is_written_ahead_is_published_with_the_voltage_it_applied
 
 def test_answers_to_hardware_that_is_written_ahead_are_awaited_as_much_later():
     engine = StageEngine(LeadBackend(), VoltageLimits(-20.0, 120.0, 2.0e6))
-    engine.load_feedforward([], np.zeros(40))
-    engine.start_tracking(feedback=True)
+    engine.commands.load_feedforward([], np.zeros(40))
+    engine.commands.start_tracking(feedback=True)
     ticks = []
     for _ in range(6):
         block = engine.advance()

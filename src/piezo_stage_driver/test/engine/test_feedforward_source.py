@@ -79,13 +79,13 @@ def test_stream_that_ran_dry_goes_on_where_it_stopped():
 
 def test_played_stream_does_not_begin_anew_without_its_beginning():
     engine = StageEngine(Sink(), VoltageLimits(-20.0, 120.0, 2.0e6))
-    engine.load_feedforward(np.zeros(40), [])
-    engine.load_feedforward(np.full(40, 1.0), [], append=True)
+    engine.commands.load_feedforward(np.zeros(40), [])
+    engine.commands.load_feedforward(np.full(40, 1.0), [], append=True)
     for ticks in (1, 2):  # the first run ends before what was appended
-        engine.start_tracking(feedback=False, ticks=ticks)
+        engine.commands.start_tracking(feedback=False, ticks=ticks)
         while not engine.idle:
             engine.advance()
     with pytest.raises(StageRefusal, match="has been played: load it again"):
-        engine.start_tracking(feedback=False, ticks=1)
-    engine.load_feedforward(np.zeros(40), [])
-    engine.start_tracking(feedback=False, ticks=1)
+        engine.commands.start_tracking(feedback=False, ticks=1)
+    engine.commands.load_feedforward(np.zeros(40), [])
+    engine.commands.start_tracking(feedback=False, ticks=1)

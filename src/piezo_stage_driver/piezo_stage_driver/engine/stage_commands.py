@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What clients may ask of the stage, and when each of it is refused."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from piezo_stage_driver.engine.blocks import FLAG_PLAYING, FLAG_TRACKING
+from piezo_stage_driver.engine.feedback_hold import FeedbackHold
+from piezo_stage_driver.engine.program import Phase, Program, StageRefusal
+from piezo_stage_driver.engine.ramps import Ramps
+from piezo_stage_driver.engine.sources import Feedforward, Waveform
+from piezo_stage_driver.engine.ticks import Ticks
+from piezo_stage_driver.safety.guard_set import GuardSet
+from piezo_stage_driver.safety.guards import StopLatch
+from piezo_stage_driver.safety.limits import FeedbackLimits, VoltageLimits
+
+if TYPE_CHECKING:
+    from piezo_stage_driver.engine.stage_engine import StageEngine
+
+
+class StageCommands:
+    """Turn the commands of clients into programs that the engine plays.
+
+    Parameters
+    ----------
+    engine : StageEngine
+    limits : VoltageLimits
+    ticks : Ticks
+    ramps : Ramps
+    latch : StopLatch
+    guards : GuardSet
+    feedback_limits : FeedbackLimits, optional
+        What one answer may ask for.
+    """
+
+    def __init__(self, engine: "StageEngine", limits: VoltageLimits, ticks: Ticks, ramps: Ramps,
+                 latch: StopLatch, guards: GuardSet,
+                 feedback_limits: FeedbackLimits | None = None):
+        self._engine, self._limits, self._ticks, self._ramps = engine, limits, ticks, ramps
+        self._latch, self._guards, self._feedback_limits = latch, guards, feedback_limits
+        self._feedforward: Feedforward | None = None
+
+    def play(self, voltage_v: npt.ArrayLike, sample_period_s: float, repeats: int = 1,
+             hold_at_end: bool = False, client: str = "") -> tuple[int, int]:
+        """Begin to play a waveform, after an approach from the present voltage.
+
+        Parameters
+        ----------
+        voltage_v : ndarray, shape (n,)
+        sample_period_s : float
+            Whole multiple of the clock's period, at most 1 s.
+        repeats : int
+        hold_at_end : bool
+            Stay at the last voltage instead of returning to rest.
+        client : str
+            Who asks; told to others who are refused meanwhile.
+
+        Returns
+        -------
+        first_sample, samples : int
+            Where the waveform lies on the sample clock.
+
+        Raises
+        ------
+        LimitError, StageRefusal
+        """
+        self._require_ready()
+        voltage_v = np.array(voltage_v, dtype=float)
+        hold_samples = self._ticks.samples_per_value(sample_period_s)
+        if repeats < 1:
+            raise StageRefusal("repeats is 0: play the waveform at least once")
+        self._limits.check(voltage_v, self._ticks.sample_period_s)
+        self._limits.check(voltage_v[:1], self._ticks.sample_period_s,
+                           voltage_v[-1] if repeats > 1 else None)
+        waveform = Waveform(voltage_v, hold_samples, repeats)
+        approach = self._engine.ramp("approach", voltage_v[0], hold_samples)
+        length = self._ticks.aligned(waveform.samples, hold_samples)
+        way_back_samples = 0 if hold_at_end else self._ramps.samples(
+            voltage_v[-1], self._engine.rest_voltage_v)
+        self._engine.begin(Program(
+            [approach, Phase("play", waveform, length, FLAG_PLAYING)],
+            way_back_samples, hold_at_end), client, decimation=hold_samples)
+        return self._engine.last_sample + 1 + int(approach.samples), waveform.samples
+
+    def load_feedforward(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
+                         append: bool = False) -> None:
+        """Take the feedforward that ``start_tracking`` plays.
+
+        Parameters
+        ----------
+        once_voltage_v, period_voltage_v : ndarray, shape (n,), (m,)
+            Played once, then repeated; at the rate of the sample clock.
+        append : bool
+            Add ``once_voltage_v`` behind what is loaded, also while it plays.
+
+        Raises
+        ------
+        LimitError, StageRefusal
+        """
+        once_voltage_v = np.array(once_voltage_v, dtype=float)
+        if append:
+            self._require_not_stopped()
+            if self._feedforward is None or self._feedforward.periodic:
+                raise StageRefusal("there is no streamed feedforward to append to: "
+                                   "load one without a repeated part first")
+            self._limits.check(once_voltage_v, self._ticks.sample_period_s,
+                               self._feedforward.last_v)
+            self._feedforward.append(once_voltage_v)
+            return
+        self._require_ready()
+        feedforward = Feedforward(once_voltage_v, np.array(period_voltage_v, dtype=float))
+        self._limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
+        self._feedforward = feedforward
+
+    def start_tracking(self, feedback: bool, ticks: int = 0, client: str = "") -> int:
+        """Play the loaded feedforward.
+
+        Parameters
+        ----------
+        feedback : bool
+            Add the answers to the blocks.
+        ticks : int
+            How long; 0 until a stop.
+        client : str
+            As in `play`.
+
+        Returns
+        -------
+        first_tick : int
+
+        Raises
+        ------
+        LimitError, StageRefusal
+        """
+        self._require_ready()
+        if self._feedforward is None:
+            raise StageRefusal("no feedforward is loaded: call load_feedforward first")
+        if self._feedforward.forgotten:
+            raise StageRefusal("the streamed feedforward has been played: load it again")
+        self._limits.check_start(
+            self._feedforward.first_v, self._engine.voltage_v, self._ramps.v_per_tick)
+        self._feedforward.rewind()
+        answers = None if not feedback else FeedbackHold(
+            self._engine.tick, self._engine.lead_ticks, self._feedback_limits)
+        samples = ticks * self._ticks.samples_per_tick or math.inf
+        self._engine.begin(Program(
+            [Phase("track", self._feedforward, samples, FLAG_TRACKING)]), client, answers)
+        return self._engine.tick
+
+    def stop_tracking(self) -> None:
+        """End the tracking.
+
+        Raises
+        ------
+        StageRefusal
+        """
+        if self._engine.phase_name != "track":
+            raise StageRefusal(f"the stage does not track ({self._engine.phase_name})")
+        self._engine.return_to_rest()
+
+    def reset(self) -> None:
+        """Take commands again after a stop.
+
+        Raises
+        ------
+        StageRefusal
+            While the voltage still returns to rest.
+        """
+        engine = self._engine
+        if not engine.idle or engine.stop_cause and engine.voltage_v != engine.rest_voltage_v:
+            raise StageRefusal("the stage still returns to rest: reset it afterwards")
+        self._latch.reset()
+        self._guards.begin()
+
+    def _require_not_stopped(self) -> None:
+        if self._latch.cause:
+            raise StageRefusal(f"the stage is stopped ({self._latch.cause}): reset it first")
+
+    def _require_ready(self) -> None:
+        self._require_not_stopped()
+        engine = self._engine
+        if not engine.idle:
+            client = f" for {engine.client}" if engine.client else ""
+            raise StageRefusal(
+                f"the stage is busy ({engine.phase_name}{client}): wait, or cancel that first")

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How many clients still wait for an answer that is on its way."""
+
+import threading
+
+
+class OpenAnswers:
+    """Count answers that have begun and not yet ended; any thread may do both."""
+
+    def __init__(self) -> None:
+        self._open = 0
+        self._lock = threading.Lock()
+
+    @property
+    def none(self) -> bool:
+        """Whether every answer that has begun was given."""
+        return self._open == 0
+
+    def begin(self) -> None:
+        """Count an answer that is on its way."""
+        self._count(1)
+
+    def end(self) -> None:
+        """Count an answer that was given."""
+        self._count(-1)
+
+    def _count(self, change: int) -> None:
+        with self._lock:
+            self._open = self._open + change

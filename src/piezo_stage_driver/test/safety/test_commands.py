@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A command acts once or never, and never late."""
+
+from piezo_stage_driver.safety.commands import Command, CommandQueue
+
+
+class Waiting:
+    """A queue, its clock, and what the clients were told."""
+
+    def __init__(self, *names):
+        self.now_s, self.refusals = 0.0, []
+        self.queue = CommandQueue(5.0, lambda: self.now_s)
+        for name in names:
+            self.queue.put(Command(name, on_done=lambda value, error: self.refusals.append(error)))
+
+
+def test_command_that_has_waited_too_long_is_refused_where_nobody_looked_but_the_loop():
+    waiting = Waiting("play")
+    waiting.now_s = 5.0
+    assert waiting.queue.take() is None
+    assert "will not act any more" in str(waiting.refusals)
+
+
+def test_command_is_taken_once_in_its_turn_as_long_as_it_may_run():
+    waiting = Waiting("load", "play")
+    waiting.now_s = 4.9
+    assert [waiting.queue.take().name for _ in range(2)] == ["load", "play"]
+    assert waiting.queue.take() is None
+    waiting.now_s = 9.0
+    waiting.queue.expire()
+    waiting.queue.drain("the stage is stopped")
+    assert waiting.refusals == []
+
+
+def test_command_that_was_refused_is_not_taken():
+    waiting = Waiting("play")
+    waiting.queue.drain("the stage is stopped")
+    assert waiting.queue.take() is None
+    assert [str(error) for error in waiting.refusals] == ["the stage is stopped"]

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the supervisor lets happen: a machine of invariants also passes where nothing ever acts."""
+
+import numpy as np
+import pytest
+
+from piezo_stage_driver.engine.blocks import FLAG_STOPPED
+from piezo_stage_driver.engine.feedback_hold import FeedbackError
+from piezo_stage_driver.engine.stage_engine import StageEngine
+from piezo_stage_driver.safety.commands import Command
+from piezo_stage_driver.safety.limits import VoltageLimits
+from piezo_stage_driver.safety.supervisor import StageSupervisor
+from piezo_stage_driver.safety.transitions import State
+
+PERIOD_S, TICK = 1 / 40_000.0, 40
+TIME_LIMIT_TICKS = 1000
+
+
+class Backend:
+    """A stage that follows its voltage."""
+
+    sample_rate_hz = 40_000.0
+
+    def __init__(self):
+        self.voltage_v = 0.0
+
+    def open(self):
+        pass
+
+    def exchange(self, voltage_v):
+        self.voltage_v = float(voltage_v[-1])
+        return voltage_v.copy()
+
+    def close(self):
+        pass
+
+
+class Goal:
+    """Note what the client of a waveform is told."""
+
+    cancelled = False
+
+    def __init__(self):
+        self.looks, self.ends = 0, []
+
+    def attend(self, engine):
+        self.looks += 1
+
+    def end(self, cause, last_sample):
+        self.ends.append((cause, last_sample))
+
+
+class Stage:
+    """A supervisor that is active, and what became of the commands."""
+
+    def __init__(self):
+        self.backend, self.told = Backend(), []
+        self.supervisor = StageSupervisor(
+            self.backend, lambda backend, latch: StageEngine(
+                backend, VoltageLimits(-20.0, 120.0, 2.0e5), 0.0, 2.0e4, TICK, latch=latch))
+        self.supervisor.activate()
+
+    def ask(self, name, *arguments, goal=None):
+        self.supervisor.submit(Command(
+            name, *arguments, goal=goal, on_done=lambda value, error: self.told.append(
+                value if error is None else str(error))))
+
+    def tick_until(self, state):
+        for _ in range(TIME_LIMIT_TICKS):
+            if self.supervisor.state is state:
+                return
+            self.supervisor.tick()
+        raise AssertionError(f"the stage is {self.supervisor.state}, never {state}")
+
+    def track(self):
+        self.ask("load_feedforward", np.full(4000, 0.0), [], False)
+        self.ask("start_tracking", True)
+        self.supervisor.tick()
+        run, _ = self.told[-1]
+        return run
+
+
+@pytest.fixture
+def stage():
+    return Stage()
+
+
+def test_waveform_plays_returns_and_its_client_is_told_of_its_end_once(stage):
+    goal = Goal()
+    stage.ask("play", np.full(400, 60.0), PERIOD_S, goal=goal)
+    stage.supervisor.tick()
+    (first, samples), = stage.told
+    assert samples == 400 and stage.supervisor.state is State.PLAYING and goal.looks == 1
+    assert stage.supervisor.has_work and not stage.supervisor.at_rest
+    stage.tick_until(State.STOPPING)
+    assert stage.supervisor.engine.next_sample == first + samples
+    stage.tick_until(State.IDLE)
+    assert goal.ends == [("", stage.supervisor.engine.last_sample)]
+    assert stage.supervisor.at_rest and not stage.supervisor.has_work
+
+
+def test_stop_leads_back_from_the_next_tick_on_and_latches_at_rest(stage):
+    goal = Goal()
+    stage.ask("play", np.full(4000, 60.0), PERIOD_S, goal=goal)
+    while stage.backend.voltage_v < 60.0:
+        stage.supervisor.tick()
+    stage.supervisor.stop("somebody stopped it")
+    block = stage.supervisor.tick()
+    assert stage.supervisor.state is State.STOPPING and block.flags & FLAG_STOPPED
+    assert stage.backend.voltage_v < 60.0
+    stage.tick_until(State.LATCHED)
+    assert stage.backend.voltage_v == 0.0 and goal.ends[0][0] == "somebody stopped it"
+    assert not stage.supervisor.has_work
+    stage.ask("play", [0.0], PERIOD_S)
+    stage.ask("reset")
+    stage.supervisor.tick()
+    assert "somebody stopped it" in stage.told[-2] and stage.told[-1] is None
+    assert stage.supervisor.state is State.IDLE and stage.supervisor.cause == ""
+
+
+def test_cancelled_waveform_returns_to_rest_from_the_next_tick_on(stage):
+    goal = Goal()
+    stage.ask("play", np.full(4000, 60.0), PERIOD_S, goal=goal)
+    while stage.backend.voltage_v < 60.0:
+        stage.supervisor.tick()
+    goal.cancelled = True
+    stage.supervisor.tick()
+    assert stage.supervisor.state is State.STOPPING and stage.backend.voltage_v < 60.0
+    stage.tick_until(State.IDLE)
+    assert len(goal.ends) == 1 and stage.supervisor.cause == ""
+
+
+def test_answer_of_the_run_acts_and_that_of_a_stranger_stops_the_stage(stage):
+    run = stage.track()
+    assert stage.supervisor.state is State.TRACKING
+    for _ in range(3):
+        stage.supervisor.answer(stage.supervisor.engine.tick, 2.0, run, lambda: True)
+        stage.supervisor.tick()
+    assert stage.backend.voltage_v == 2.0
+    with pytest.raises(FeedbackError, match="bears run 7"):
+        stage.supervisor.answer(stage.supervisor.engine.tick, 50.0, 7, lambda: True)
+    stage.supervisor.tick()
+    assert stage.supervisor.state in (State.STOPPING, State.LATCHED)
+    assert "came from others" in stage.supervisor.cause and stage.backend.voltage_v <= 2.0
+
+
+def test_stage_that_is_left_comes_to_rest_and_takes_nothing_more(stage):
+    stage.ask("play", np.full(4000, 60.0), PERIOD_S)
+    while stage.backend.voltage_v < 60.0:
+        stage.supervisor.tick()
+    stage.supervisor.leave("the stage was deactivated")
+    stage.ask("play", [0.0], PERIOD_S)
+    assert "not active" in stage.told[-1]
+    stage.tick_until(State.INACTIVE)
+    assert stage.backend.voltage_v == 0.0 and stage.supervisor.at_rest
+    assert stage.supervisor.tick() is None
