@@ -11,7 +11,7 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
 from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel

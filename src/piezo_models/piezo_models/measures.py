@@ -4,7 +4,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 
 
 def e_rms_percent(reference_um: ArrayLike, displacement_um: ArrayLike,

@@ -36,27 +36,57 @@ class TrackingPlan(Protocol):
 
     # As properties, because a run only reads them.
     @property
-    def once_voltage_v(self) -> NDArray[np.float64]: ...  # noqa: D102
+    def once_voltage_v(self) -> NDArray[np.float64]:
+        """Return the voltages that are played first (V), shape (n,)."""
+
     @property
-    def period_voltage_v(self) -> NDArray[np.float64]: ...  # noqa: D102
+    def period_voltage_v(self) -> NDArray[np.float64]:
+        """Return the voltages that are repeated from then on (V), shape (m,)."""
+
     @property
-    def streamed(self) -> bool: ...  # noqa: D102
+    def streamed(self) -> bool:
+        """Tell whether further voltages come from `continuation`."""
+
     @property
-    def open_ended(self) -> bool: ...  # noqa: D102
+    def open_ended(self) -> bool:
+        """Tell whether the length is known only while the run is played."""
+
     @property
-    def begin_sample(self) -> int: ...  # noqa: D102
+    def begin_sample(self) -> int:
+        """Return the sample from which on the error counts."""
+
     @property
-    def feedback_start_sample(self) -> int: ...  # noqa: D102
+    def feedback_start_sample(self) -> int:
+        """Return the sample from which on feedback may act."""
+
     @property
-    def iteration(self) -> int: ...  # noqa: D102
+    def iteration(self) -> int:
+        """Return the present iteration of the learning."""
+
     @property
-    def uncompensated(self) -> tuple[str, ...]: ...  # noqa: D102
+    def uncompensated(self) -> tuple[str, ...]:
+        """Return the names of effects that stay in the error."""
 
     def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
-        """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
+        """Return the displacements to expect of some samples.
+
+        Parameters
+        ----------
+        first_sample, count : int
+
+        Returns
+        -------
+        ndarray, shape (count,)
+            In um.
+        """
 
     def travel_um(self, samples: int) -> float:
-        """Return the peak-to-peak displacement of the first samples of the reference (um)."""
+        """Return the peak-to-peak displacement of the first samples of the reference (um).
+
+        Parameters
+        ----------
+        samples : int
+        """
 
     def continuation(self) -> Callable[[], NDArray[np.float64] | None] | None:
         """Return what gives the voltages behind `once_voltage_v`; None unless `streamed`.
@@ -66,4 +96,9 @@ class TrackingPlan(Protocol):
         """
 
     def take(self, displacement_um: NDArray[np.float64]) -> None:
-        """Take the samples that were measured next, from the run's first on."""
+        """Take the samples that were measured next, from the run's first on.
+
+        Parameters
+        ----------
+        displacement_um : ndarray, shape (n,)
+        """

@@ -196,6 +196,16 @@ def prepare_learning(request: TrackRequest, model: StageModel, stage: StageClock
                      ) -> tuple[TrackingPlan, Feedback, Learning]:
     """Plan to learn one reference, beginning with what a file holds of it.
 
+    Parameters
+    ----------
+    request : TrackRequest
+        Of one reference, without an inversion.
+    model : StageModel
+    stage : StageClock
+    feedbacks : Feedbacks
+    writable : callable
+        Returns the path under which a file may be written; raises ValueError if none may.
+
     Raises
     ------
     ValueError

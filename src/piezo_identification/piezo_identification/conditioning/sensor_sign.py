@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.waveforms import played
-from piezo_models.arrays import FloatArray
 from piezo_recorder.reading.recording import Recording
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 NEGLIGIBLE = 1e-5

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 

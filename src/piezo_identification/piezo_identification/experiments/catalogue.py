@@ -11,12 +11,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_common.registered import registered
 from piezo_identification.experiments.diagnostic_waveform import diagnostic_block
 from piezo_identification.experiments.input_designs import arc, stair_amplitudes, stair_harmonics
 from piezo_identification.experiments.relay_feedback import RelayExperiment, relay
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
-from piezo_models.arrays import FloatArray
 
 SWING_FRACTION = 0.3
 """Step of the square waves over the voltage range: large, yet within the slew limit."""

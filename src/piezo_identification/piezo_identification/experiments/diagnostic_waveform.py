@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.experiments.input_designs import arc
 from piezo_identification.experiments.stage_limits import StageLimits
-from piezo_models.arrays import FloatArray
 
 REST_S = 0.8
 """Silence: noise, disturbances from outside, outliers, drift."""

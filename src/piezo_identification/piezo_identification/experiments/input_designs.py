@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 
 
 def arc(start: float, end: float, samples: int) -> FloatArray:

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.experiments.input_designs import arc
 from piezo_identification.experiments.stage_limits import StageLimits
-from piezo_models.arrays import ComplexArray, FloatArray
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 

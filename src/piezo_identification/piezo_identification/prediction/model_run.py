@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples, with_outliers_marked
 from piezo_identification.conditioning.sensor_sign import moves_against, reversed_displacement
 from piezo_identification.conditioning.settling import first_settled
@@ -20,7 +21,6 @@ from piezo_identification.estimators.frequency_response.sampled_response import 
     respond,
 )
 from piezo_identification.estimators.hysteresis.everett_regression import NEAR_THE_END
-from piezo_models.arrays import FloatArray
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 

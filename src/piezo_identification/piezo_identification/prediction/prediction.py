@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import outliers_of_residual
 from piezo_identification.prediction.model_run import (
     ModelRun,
@@ -13,7 +14,6 @@ from piezo_identification.prediction.model_run import (
     conditioned,
     starting_past_v,
 )
-from piezo_models.arrays import FloatArray
 from piezo_models.cascade import StageModel
 from piezo_models.effects.outliers import FEWEST
 from piezo_models.measures import e_y_percent

@@ -8,7 +8,7 @@ import control
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import slowed
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import control
 import numpy as np
 
-from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 PLACES = ("voltage", "modes", "linear", "displacement", "sensor")

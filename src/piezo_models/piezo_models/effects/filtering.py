@@ -8,7 +8,7 @@ import control
 import numpy as np
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 
 FAR_APART = 0.1
 """Of two lags T1 and T2: T1 T2 / (T1 + T2)^2 up to which partial fractions lose no digit."""

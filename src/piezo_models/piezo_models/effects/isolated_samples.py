@@ -6,7 +6,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, median_filter
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 
 Mask = NDArray[np.bool_]
 """One truth for each sample, shape (N,)."""

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self
 import control
 import numpy as np
 
-from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered, filtered_on, slowed, unfiltered_period

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numba import njit
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 SCANNED_PARTS = (4.0, 2.0, 1.2, 0.98, 0.95, 0.9, 0.82, 0.7, 0.5, 0.3, 0.15, 0.05, 0.01)

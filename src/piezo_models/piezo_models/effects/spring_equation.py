@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 
 SOFTEST = 0.1
 """Part of the linear stiffness that the spring keeps. Beyond the displacement at which a polynomial

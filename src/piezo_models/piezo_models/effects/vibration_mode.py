@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 import control
 import numpy as np
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered
 

@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 
 
 @dataclass(eq=False)

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_models.hysteresis.preisach_kernels import everett_table, everett_values, invert, simulate
 
 

@@ -9,7 +9,7 @@ laid out as in `preisach.PreisachMemory`.
 import numpy as np
 from numba import njit
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 
 Grid = tuple[float, float, float]
 Table = tuple[FloatArray, FloatArray, FloatArray]

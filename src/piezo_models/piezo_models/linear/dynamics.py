@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 
 Section = tuple[Any, Any, Any, Any]
 """Matrices A, B, C and D of a section of the cascade."""

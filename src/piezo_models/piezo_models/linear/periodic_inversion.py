@@ -7,7 +7,7 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_models.linear.dynamics import zoh_response
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.dynamics.subspace import identify_subspace
 from piezo_identification.estimators.estimate import parameter_covariance
-from piezo_models.arrays import ComplexArray, FloatArray
 
 MOST_ITERATIONS = 100
 MOST_IDLE = 5

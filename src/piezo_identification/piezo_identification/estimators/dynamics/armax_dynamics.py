@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.dynamics.armax import Armax, fit_armax
 from piezo_identification.estimators.dynamics.multisine import hysteresis_and_displacement
@@ -23,7 +24,6 @@ from piezo_identification.estimators.estimate import (
     order_trial,
     split_dynamics_vector,
 )
-from piezo_models.arrays import ComplexArray, FloatArray
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.dynamics.square_wave import free_decay_poles
 from piezo_identification.estimators.estimate import (
@@ -16,7 +17,6 @@ from piezo_identification.estimators.estimate import (
     parameter_covariance,
     split_dynamics_vector,
 )
-from piezo_models.arrays import FloatArray
 from piezo_models.linear.dynamics import ElectricVibrationDynamics, simulate_linear, zoh
 from piezo_recorder.reading.recording import Recording
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.waveforms import slow_branches
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_identification.estimators.dynamics.square_wave import (
@@ -15,7 +16,6 @@ from piezo_identification.estimators.dynamics.square_wave import (
     remove_creep,
 )
 from piezo_identification.estimators.estimate import Estimate
-from piezo_models.arrays import ComplexArray, FloatArray
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import (
     CreepDynamics,

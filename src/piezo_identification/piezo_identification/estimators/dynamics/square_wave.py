@@ -5,10 +5,10 @@ import control
 import numpy as np
 from scipy.signal import lfilter, lfilter_zi
 
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_identification.estimators.estimate import Estimate
-from piezo_models.arrays import ComplexArray, FloatArray
 from piezo_models.linear.dynamics import (
     CreepDynamics,
     ElectricVibrationDynamics,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 
 
 @dataclass(frozen=True)

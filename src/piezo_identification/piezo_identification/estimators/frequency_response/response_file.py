@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 
 COLUMNS = ("frequency_hz", "gain_re", "gain_im")
 

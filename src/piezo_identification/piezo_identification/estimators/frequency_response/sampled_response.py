@@ -7,7 +7,7 @@ from itertools import takewhile
 import control
 import numpy as np
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from piezo_models.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 
 
 def vector_fit(

@@ -3,13 +3,13 @@
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.settling import first_settled, low_frequency_delay_s
 from piezo_identification.conditioning.waveforms import played, sample_by_voltage
 from piezo_identification.estimators.dynamics.square_wave import remove_creep
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
-from piezo_models.arrays import FloatArray
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
-from piezo_models.arrays import FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_models.hysteresis.preisach_kernels import branch_start, cell_of, with_room
 
 NEAR_THE_END = 1e-3
