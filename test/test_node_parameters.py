@@ -19,7 +19,7 @@ CALIBRATION = (Path(__file__).parents[1]
 NOT_OURS = {"use_sim_time", "start_type_description_service"}
 
 # As descriptions bear it: "Rate of the sample clock (Hz)."
-UNIT = re.compile(r"\((V|V/s|Hz|s|um)( RMS)?\)")
+UNIT = re.compile(r"\((V|V/s|Hz|s|um|percent)( RMS)?\)")
 
 
 @pytest.mark.parametrize("node", EXECUTABLES)
