@@ -14,11 +14,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
 LONG = bool(os.environ.get("LONG_TESTS"))
 DOCS = Path(__file__).parent / "docs"
+# A test that draws does not watch the clock.
+settings.register_profile("suite", deadline=None)
+settings.load_profile("suite")
+
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 WIDTHS_PX = {"phone": 390, "desk": 1280}
 # Each page is laid out in a frame of its width; what does not fit or load is written down.

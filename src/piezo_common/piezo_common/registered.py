@@ -34,13 +34,14 @@ def registered(group: str, own: Mapping[str, Any] | None = None) -> Mapping[str,
         If two objects have one name.
     """
     known: dict[str, Any] = dict(own or {})
+    points: dict[str, EntryPoint] = {}
     for point in _announced(group, tuple(sys.path)):
         # A package that is found twice on the path announces the same twice.
-        before = known.setdefault(point.name, point)
-        if not (isinstance(before, EntryPoint) and before.value == point.value):
+        before = points.setdefault(point.name, point)
+        if point.name in known or before.value != point.value:
             raise ValueError(f"two {_plural(group)} are named {point.name}: "
                              "rename one, or uninstall its package")
-    return _Registered(group, known)
+    return _Registered(group, known, points)
 
 
 @cache
@@ -52,22 +53,24 @@ def _announced(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
 class _Registered(Mapping[str, Any]):
     """Objects by name, of which those behind entry points are imported when they are looked up."""
 
-    def __init__(self, group: str, known: dict[str, Any]) -> None:
+    def __init__(self, group: str, known: dict[str, Any], points: dict[str, EntryPoint]) -> None:
         self._group = group
-        self._known = known
+        self._known, self._points = known, points
 
     def __getitem__(self, name: str) -> Any:
-        entry = self._known[name]
-        return _load(self._group, entry) if isinstance(entry, EntryPoint) else entry
+        if name in self._points:
+            return _load(self._group, self._points[name])
+        return self._known[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._known)
+        yield from self._known
+        yield from self._points
 
     def __len__(self) -> int:
-        return len(self._known)
+        return len(self._known) + len(self._points)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._known
+        return name in self._known or name in self._points
 
 
 def _load(group: str, point: EntryPoint) -> Any:
