@@ -60,10 +60,17 @@ def test_every_goal_of_the_client_is_sent_with_absolute_paths(here, send, name, 
         def server_is_ready(self):
             return True
 
-        def send_goal_async(self, goal, feedback_callback):
+        def send_goal_async(self, goal, feedback_callback, goal_uuid=None):
             raise SentGoal(getattr(goal, name))
 
+    class Node:
+        """Takes the place of the node; has a name."""
+
+        def get_fully_qualified_name(self):
+            return "/client"
+
     client = Client.__new__(Client)  # without a node
+    client.node = Node()
     client._actions = dict.fromkeys(
         ("run_experiment", "identify", "diagnose", "track"), Action())
     with pytest.raises(SentGoal) as sent:
