@@ -9,3 +9,6 @@ FloatArray = NDArray[np.float64]
 
 ComplexArray = NDArray[np.complex128]
 """Array of complex numbers, such as a response over frequency."""
+
+BoolArray = NDArray[np.bool_]
+"""Array of truth values, such as which samples are good."""

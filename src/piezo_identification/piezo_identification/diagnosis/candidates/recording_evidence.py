@@ -6,11 +6,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.diagnosis.residual.noise_estimate import residual_um
 from piezo_identification.diagnosis.residual.regression import Regression
 from piezo_models.effects import Effect, Evidence
-
-FloatArray = NDArray[np.float64]
 
 
 def recording_evidence(regression: Regression, effects: Sequence[Effect] = ()) -> list[Evidence]:

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, impossible_effects
 from piezo_identification.diagnosis.residual.regression import Fit, Regression
@@ -14,8 +15,6 @@ from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
 from piezo_models.measures import e_y_percent
 from piezo_recorder.reading.recording import Recording
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

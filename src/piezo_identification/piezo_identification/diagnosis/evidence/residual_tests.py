@@ -4,12 +4,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import csd, welch
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.waveforms import turning_points
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 """Pictures of a diagnosis: before and after on the same axes."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_common.picture_style import (
     AFTER,
     BEFORE,
@@ -22,8 +22,6 @@ from piezo_identification.diagnosis.evidence.residual_tests import (
     whiteness,
 )
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
-
-FloatArray = NDArray[np.float64]
 
 MODEL = {"color": BLACK, "linewidth": 0.8}
 DOTS_PER_INCH = 110

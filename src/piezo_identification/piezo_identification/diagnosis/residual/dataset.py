@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.diagnosis.residual.parameter_sensitivities import (
     nuisance_regressors,
     parameter_sensitivities,
@@ -15,9 +16,6 @@ from piezo_identification.diagnosis.residual.simulated_recording import Simulate
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Extent
 from piezo_recorder.reading.recording import Recording
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

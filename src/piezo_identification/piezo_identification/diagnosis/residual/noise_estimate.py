@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import outliers_of_residual
 from piezo_identification.diagnosis.residual.dataset import Dataset
 from piezo_identification.diagnosis.residual.parameter_sensitivities import nuisance_regressors
@@ -14,8 +15,6 @@ from piezo_identification.diagnosis.residual.sensor_noise import sensor_noise_um
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
-
-FloatArray = NDArray[np.float64]
 
 MOST_SAMPLES = 50_000
 """Samples that the nuisance regressors of one recording are fitted to: they are a handful."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.estimators.refinement.sensitivities import (
     factor_surfaces,
@@ -13,8 +14,6 @@ from piezo_identification.estimators.refinement.sensitivities import (
 )
 from piezo_models.cascade import StageModel
 from piezo_models.linear.creep_errors import creep_error_map
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,17 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.diagnosis.residual.dataset import Dataset
 from piezo_identification.diagnosis.residual.noise_estimate import NoiseEstimate, estimate_noise
 from piezo_identification.diagnosis.residual.parameter_sensitivities import perturbed
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, fitted_values
 from piezo_models.effects.outliers import Outliers
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

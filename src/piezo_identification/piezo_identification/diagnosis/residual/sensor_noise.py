@@ -4,10 +4,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import correlate, detrend, welch
 
-FloatArray = NDArray[np.float64]
+from piezo_common.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from functools import cached_property
 
 import control
 import numpy as np
-from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import OUTLIER, good_samples
 from piezo_identification.conditioning.settling import first_settled
 from piezo_identification.conditioning.waveforms import (
@@ -27,8 +27,6 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

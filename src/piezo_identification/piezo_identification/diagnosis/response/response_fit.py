@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.estimate import (
     dynamics_of_vector,
@@ -17,10 +17,6 @@ from piezo_identification.estimators.estimate import (
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Extent, fitted_values, with_fitted_values
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
