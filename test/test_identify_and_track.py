@@ -218,11 +218,14 @@ def test_cancelled_track_ramps_to_rest_and_its_recording_reads_back(suite, model
 
 def test_track_cancelled_while_it_is_planned_moves_nothing(suite, model, tmp_path):
     before = suite.play([0.0]).last_sample
-    goal = suite.send_goal("track", **goal_fields(model, tmp_path, duration_s=60.0))
+    # A file of its own, for which no feedback has been designed yet: that takes a while.
+    unknown = tmp_path / "model.json"
+    unknown.write_text(model.read_text() + "\n")
+    goal = suite.send_goal("track", **goal_fields(unknown, tmp_path, duration_s=60.0))
     status, result = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED
     assert result.message == "cancelled"
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == [unknown]
     assert suite.play([0.0]).first_sample == before + 1
 
 

@@ -218,15 +218,17 @@ class StageEngine:
         block : Block or None
             None while a slow waveform has not filled a block.
         """
-        if self.stop_cause:  # set by another thread since
-            self.return_to_rest()
         feedback_v, feedback_flag = self._next_feedback()
+        stopped = bool(self.stop_cause)  # read once: any thread may set it meanwhile
+        if stopped:
+            self.return_to_rest()
         wanted_v, program_flags = self._next_voltages(feedback_v)
         voltage_v, limit_flags = self._limits.apply(
             wanted_v, self.voltage_v, self.sample_period_s)
         displacement_um = self._backend.exchange(voltage_v)
         played_v, flags = self._count_played(
-            voltage_v, feedback_flag | program_flags | limit_flags)
+            voltage_v, feedback_flag | program_flags | limit_flags
+            | (FLAG_STOPPED if stopped else 0))
         ended = self._program.advance(len(voltage_v))
         block = self._collect(played_v, displacement_um, flags, ended is not None)
         self._go_on_after(ended)
@@ -235,7 +237,7 @@ class StageEngine:
 
     def _next_feedback(self) -> tuple[float, int]:
         """Return the feedback of the next tick and its flag; stop if it must not act."""
-        if self._feedback is None:
+        if self._feedback is None or self.stop_cause:
             return 0.0, 0
         held = self._feedback.begin(self.tick)
         feedback_v = self._feedback.voltage_v
@@ -252,8 +254,7 @@ class StageEngine:
         wanted_v = phase.source.take(count)
         if phase.name == "track":
             wanted_v = wanted_v + feedback_v
-        flags = phase.flag | (FLAG_STOPPED if self.stop_cause else 0)
-        return wanted_v, flags | (FLAG_FEEDFORWARD_HELD if phase.source.exhausted else 0)
+        return wanted_v, phase.flag | (FLAG_FEEDFORWARD_HELD if phase.source.exhausted else 0)
 
     def _count_played(self, voltage_v: np.ndarray, flags: int) -> tuple[np.ndarray, int]:
         """Count samples; return the voltages, and their flags, that were measured with them."""

@@ -17,6 +17,7 @@ from piezo_stage_driver.engine.blocks import (
 from piezo_stage_driver.engine.feedback_hold import FeedbackError
 from piezo_stage_driver.engine.program import StageRefusal
 from piezo_stage_driver.engine.stage_engine import StageEngine
+from piezo_stage_driver.safety.guards import StopLatch
 from piezo_stage_driver.safety.limits import (
     FLAG_RANGE_LIMITED,
     FLAG_SLEW_LIMITED,
@@ -254,6 +255,37 @@ def test_emergency_stop_ramps_to_rest_and_stays_latched_until_reset():
     assert np.abs(np.diff(backend.played_v)).max() <= 2000 * PERIOD_S + 1e-9
     with pytest.raises(StageRefusal, match="pressed"):
         engine.commands.start_tracking(False)
+
+
+class LatchSetWhileItIsRead(StopLatch):
+    """Another thread stops the stage right after the n-th look at the cause."""
+
+    def __init__(self, looks):
+        super().__init__()
+        self._looks = looks
+
+    @property
+    def cause(self):
+        self._looks -= 1
+        return "pressed" if self._looks < 0 else ""
+
+    @cause.setter
+    def cause(self, cause):
+        pass
+
+
+@pytest.mark.parametrize("looks", range(8))
+def test_every_block_of_a_stopped_stage_ramps_whenever_the_stop_came(looks):
+    latch = LatchSetWhileItIsRead(10**6)
+    engine, _ = make_engine(latch=latch)
+    engine.commands.play(np.full(4000, 60.0), PERIOD_S)
+    for _ in range(40):
+        engine.advance()
+    latch._looks = looks
+    blocks = run(engine)
+    stopped_v = joined([block for block in blocks if block.flags & FLAG_STOPPED], "voltage_v")
+    assert stopped_v[0] < 60.0
+    assert np.allclose(np.diff(stopped_v[:1200]), -2000 * PERIOD_S)
 
 
 def test_held_voltage_is_where_the_next_waveform_begins():
