@@ -16,7 +16,7 @@ MAX_MISSED_FEEDBACK = 5
 
 @pytest.fixture(scope="module")
 def impatient_stage(nodes):
-    return nodes.start(namespace="/impatient", lockstep_timeout_s=0.05,
+    return nodes.start(namespace="/impatient", lockstep_timeout_s=0.3,
                        max_missed_feedback=MAX_MISSED_FEEDBACK)
 
 

@@ -101,7 +101,9 @@ class Suite:
              json.dumps({**self.fields(name, directory), **options})], env=environment)
         moves = SampleBlock.FLAG_PLAYING | SampleBlock.FLAG_TRACKING
         # A paced stage has sent thousands of blocks until then: only the last one is looked at.
-        self.client.until(lambda: self.client.blocks and self.client.blocks[-1].flags & moves)
+        self.client.until(lambda: operator.poll() is not None or (
+            self.client.blocks and self.client.blocks[-1].flags & moves))
+        assert operator.poll() is None, f"the operator ended with {operator.returncode}"
         self.client.forget()
         return operator
 
