@@ -9,7 +9,7 @@ import traceback
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.lifecycle import ManagedEntity, TransitionCallbackReturn
 
-from piezo_ros.calls import Cancelled
+from piezo_ros.calls import Cancelled, InvalidHandle
 from piezo_ros.clock_guard import keep_clock
 from piezo_ros.presence import Presence
 
@@ -160,11 +160,13 @@ class GoalServers(ManagedEntity):
         except ValueError as error:
             result.message = str(error)
             self._node.get_logger().warning(f"goal refused or failed: {error}")
+        except InvalidHandle:  # the node has ended without waiting any longer
+            return
         except Exception as error:
             result.message = f"internal error: {error!r}"
             self._node.get_logger().error(traceback.format_exc())
         executor = self._node.executor
-        if executor is not None:  # else the node has ended without waiting any longer
+        if executor is not None:  # which a node that has ended lacks, too
             # Executed now that it is over: the executor polls, busily, a goal that waits.
             executor.create_task(goal_handle.execute, functools.partial(
                 self._end_goal, result=result, end=end))

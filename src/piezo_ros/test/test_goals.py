@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The work on a goal ends in order, also when its node has ended before it."""
+
+import threading
+
+import pytest
+import rclpy
+from piezo_interfaces.action import Track
+from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode
+
+from piezo_ros.goals import GoalServers
+
+TIMEOUT_S = 60.0
+
+
+@pytest.fixture
+def node():
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = LifecycleNode("works", context=context)
+    yield node
+    rclpy.shutdown(context=context)
+
+
+def test_work_that_outlives_its_node_ends_without_a_word(node, capfd):
+    ended = threading.Event()
+    threads = []
+
+    def work(goal, result, progress):
+        threads.append(threading.current_thread())
+        assert ended.wait(TIMEOUT_S)
+        node.get_publishers_info_by_topic("/parameter_events")
+
+    servers = GoalServers(node)
+    servers.serve(Track, "work", work)
+    node.trigger_configure()
+    node.trigger_activate()
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    client = ActionClient(node, Track, "work")
+    sent = client.send_goal_async(Track.Goal())
+    executor.spin_until_future_complete(sent, TIMEOUT_S)
+    assert sent.result().accepted
+    executor.remove_node(node)
+    node.destroy_node()
+    ended.set()
+    threads[0].join(TIMEOUT_S)
+    assert not threads[0].is_alive()
+    assert "Traceback" not in capfd.readouterr().err
