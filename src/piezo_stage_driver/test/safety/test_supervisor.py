@@ -53,11 +53,12 @@ class Goal:
 class Stage:
     """A supervisor that is active, and what became of the commands."""
 
-    def __init__(self):
+    def __init__(self, closing_ticks=0):
         self.backend, self.told = Backend(), []
         self.supervisor = StageSupervisor(
             self.backend, lambda backend, latch: StageEngine(
-                backend, VoltageLimits(-20.0, 120.0, 2.0e5), 0.0, 2.0e4, TICK, latch=latch))
+                backend, VoltageLimits(-20.0, 120.0, 2.0e5), 0.0, 2.0e4, TICK, latch=latch),
+            closing_ticks=closing_ticks)
         self.supervisor.activate()
 
     def ask(self, name, *arguments, goal=None):
@@ -142,6 +143,33 @@ def test_answer_of_the_run_acts_and_that_of_a_stranger_stops_the_stage(stage):
     stage.supervisor.tick()
     assert stage.supervisor.state in (State.STOPPING, State.LATCHED)
     assert "came from others" in stage.supervisor.cause and stage.backend.voltage_v <= 2.0
+
+
+def test_answer_without_a_number_acts_only_where_one_node_alone_answers(stage):
+    stage.track()
+    for _ in range(3):
+        stage.supervisor.answer(stage.supervisor.engine.tick, 2.0, 0, lambda: True)
+        stage.supervisor.tick()
+    assert stage.backend.voltage_v == 2.0
+    with pytest.raises(FeedbackError, match="bears run 0"):
+        stage.supervisor.answer(stage.supervisor.engine.tick, 3.0, 0, lambda: False)
+    stage.supervisor.tick()
+    assert stage.backend.voltage_v < 2.0 and "others than the client" in stage.supervisor.cause
+
+
+def test_client_of_a_waveform_is_told_its_end_before_the_next_waveform_and_before_closing():
+    stage = Stage(closing_ticks=100)
+    first, second = Goal(), Goal()
+    stage.ask("play", np.full(40, 1.0), PERIOD_S, goal=first)
+    stage.tick_until(State.STOPPING)
+    while not stage.supervisor.engine.idle:
+        stage.supervisor.tick()
+    stage.ask("play", np.full(4000, 1.0), PERIOD_S, goal=second)
+    stage.supervisor.tick()
+    assert [cause for cause, _ in first.ends] == [""]
+    stage.supervisor.leave("the node was deactivated")
+    stage.tick_until(State.INACTIVE)
+    assert [cause for cause, _ in second.ends] == ["the node was deactivated"]
 
 
 def test_stage_that_is_left_comes_to_rest_and_takes_nothing_more(stage):
