@@ -30,7 +30,7 @@ DIFFERENCE = {"color": VERMILION, "linestyle": "none", "marker": ".", "markersiz
 REFERENCE = {"color": GREY, "linewidth": 4.0, "label": "reference"}
 FEEDFORWARD = {"color": ORANGE, "linewidth": 1.6, "label": "feedforward"}
 FEEDBACK = {"color": BLUE, "linewidth": 0.8, "label": "feedback"}
-LIMIT = {"color": BLACK, "linestyle": ":", "linewidth": 1.0}
+LIMIT: dict[str, Any] = {"color": BLACK, "linestyle": ":", "linewidth": 1.0}
 MODE_STYLES = {
     "open_loop": {"color": ORANGE, "linestyle": ":", "linewidth": 2.2, "label": "open loop"},
     "feedforward": {"color": VERMILION, "linestyle": "--", "linewidth": 1.6,
@@ -38,7 +38,7 @@ MODE_STYLES = {
     "composite": {"color": BLUE, "linestyle": "-", "linewidth": 1.3, "label": "composite"},
 }
 PID = {"color": GREEN, "linestyle": "-.", "linewidth": 1.4, "label": "PID"}
-CURVES = tuple(
+CURVES: tuple[dict[str, Any], ...] = tuple(
     {"color": color, "linestyle": linestyle, "linewidth": 1.5} for color, linestyle in (
         (BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (VERMILION, ":"), (PURPLE, (0, (6, 1.5))),
         (BLACK, (0, (6, 1.5, 1, 1.5, 1, 1.5)))))

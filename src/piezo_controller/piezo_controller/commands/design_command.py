@@ -5,6 +5,7 @@ import argparse
 import sys
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from piezo_common.command_line import run_command
 from piezo_controller.feedback.computing_time import computing_time_s
@@ -12,15 +13,22 @@ from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.feedback_design import (
     METHODS,
     SCALINGS,
+    FeedbackController,
     design_feedback,
     structured_singular_value,
 )
 from piezo_controller.feedback.loop_pictures import draw_bode, draw_mu, draw_nyquist, draw_weights
-from piezo_controller.feedback.loop_rules import choose_rates
-from piezo_controller.feedback.robustness import check_robustness
+from piezo_controller.feedback.loop_rules import LoopRules, choose_rates
+from piezo_controller.feedback.robustness import Robustness, check_robustness
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant, generalised_plant
-from piezo_controller.feedback.synthesis.weights import DEFAULT, DISTURBANCE_HZ, load_weights
+from piezo_controller.feedback.synthesis.weights import (
+    DEFAULT,
+    DISTURBANCE_HZ,
+    DesignWeights,
+    load_weights,
+)
 from piezo_controller.feedback.synthesis.ziegler_nichols import ultimate_point_by_relay
+from piezo_models.cascade import StageModel
 from piezo_models.model_file import load_model
 
 CLOCK_PERIOD_S = 25e-6
@@ -48,7 +56,7 @@ ROWS = (
 )
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
     Parameters
@@ -81,7 +89,7 @@ def main(arguments=None):
     return run_command(parser, _design, arguments)
 
 
-def _design(options):
+def _design(options: argparse.Namespace) -> None:
     model = load_model(options.model).model
     weights = load_weights(options.weights)
     if not options.disturbance_hz > 0:
@@ -106,7 +114,8 @@ def _design(options):
     print(f"written: {', '.join(str(path) for path in (options.output, *pictures))}")
 
 
-def _print(report, rules, samples_per_tick, robustness):
+def _print(report: dict[str, Any], rules: LoopRules, samples_per_tick: int,
+           robustness: Robustness) -> None:
     rate_hz = 1 / CLOCK_PERIOD_S / samples_per_tick
     lines = [
         ("feedback rate", f"{rate_hz:.4g} Hz, {samples_per_tick} samples a tick; by (5.10) "
@@ -125,9 +134,10 @@ def _print(report, rules, samples_per_tick, robustness):
         print(f"{label:42s}{text}")
 
 
-def _draw(options, model, weights, controller):
+def _draw(options: argparse.Namespace, model: StageModel, weights: DesignWeights,
+          controller: FeedbackController) -> list[Path]:
     """Draw the pictures; return their paths."""
-    def path(name):
+    def path(name: str) -> Path:
         return options.output.with_name(f"{options.output.stem}_{name}.png")
 
     plant, gain_um_per_v = design_plant(model, weights.sample_period_s, CLOCK_PERIOD_S,

@@ -2,10 +2,11 @@
 """How long the feedback takes to answer one block, on this machine."""
 
 import time
-from types import SimpleNamespace
 
+import control
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 
 REPEATS = 2000
@@ -14,7 +15,8 @@ USUAL_ORDER = 15
 PERCENTILE = 99.0
 
 
-def answer_times_s(feedback, samples_per_tick, repeats=REPEATS):
+def answer_times_s(feedback: MultirateFeedback, samples_per_tick: int,
+                   repeats: int = REPEATS) -> FloatArray:
     """Measure the answers to blocks of noise.
 
     Parameters
@@ -40,9 +42,9 @@ def answer_times_s(feedback, samples_per_tick, repeats=REPEATS):
     return taken_s[WARM_UP:]
 
 
-def computing_time_s(samples_per_tick=40, order=USUAL_ORDER):
-    """99th percentile of the answers of a controller of an order (s)."""
-    controller = SimpleNamespace(A=0.5 * np.eye(order), B=np.ones((order, 1)),
-                                 C=np.ones((1, order)), D=np.zeros((1, 1)))
+def computing_time_s(samples_per_tick: int = 40, order: int = USUAL_ORDER) -> float:
+    """Measure the 99th percentile of the answers of a controller of some order (s)."""
+    controller = control.ss(0.5 * np.eye(order), np.ones((order, 1)), np.ones((1, order)), 0.0,
+                            True)
     times_s = answer_times_s(MultirateFeedback(controller), samples_per_tick)
     return float(np.percentile(times_s, PERCENTILE))

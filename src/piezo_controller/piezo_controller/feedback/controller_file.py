@@ -25,6 +25,7 @@ from piezo_controller.feedback.feedback_design import (
     UnstableLoop,
     check_stabilises,
 )
+from piezo_models.cascade import StageModel
 
 FORMAT = "piezo_stage_controller"
 VERSION = 1
@@ -64,7 +65,7 @@ class ControllerDocument(Document):
         return self
 
 
-def save_controller(path, controller):
+def save_controller(path: str | Path, controller: FeedbackController) -> None:
     """Write a controller file; the file at `path` is replaced at once or not at all.
 
     Parameters
@@ -126,7 +127,8 @@ def load_controller(path: str | PathLike[str]) -> FeedbackController:
         weights=document.weights, model_sha256=document.model_sha256)
 
 
-def load_stabilising_controller(path, model, tick_s, clock_period_s):
+def load_stabilising_controller(path: str | Path, model: StageModel, tick_s: float,
+                                clock_period_s: float) -> FeedbackController:
     """Read a controller file for use with a model.
 
     Parameters

@@ -9,7 +9,11 @@ import math
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
+from piezo_controller.feedback.feedback_design import FeedbackController
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
+from piezo_controller.feedforward.periodic import FeedforwardPlan
+from piezo_models.cascade import StageModel
 
 
 class FeedbackBeforeInverse:
@@ -38,8 +42,9 @@ class FeedbackBeforeInverse:
         The controller does not tell the gain that it was designed for.
     """
 
-    def __init__(self, controller, model, plan, samples_per_tick, max_feedback_v=20.0,
-                 rest_voltage_v=0.0):
+    def __init__(self, controller: FeedbackController, model: StageModel, plan: FeedforwardPlan,
+                 samples_per_tick: int, max_feedback_v: float = 20.0,
+                 rest_voltage_v: float = 0.0) -> None:
         if "hysteresis_gain_um_per_v" not in controller.report:
             raise ValueError("the controller's report lacks hysteresis_gain_um_per_v: make it by "
                              "feedback_from_control, or set feedback_place to behind_inverse")
@@ -56,7 +61,7 @@ class FeedbackBeforeInverse:
         self._hysteresis.simulate(plan.voltage_v(0, self._next_sample), self._played)
         self._planned = self._played.copy()
 
-    def step(self, expected_um, displacement_um):
+    def step(self, expected_um: FloatArray | float, displacement_um: FloatArray | float) -> float:
         """Answer the block of one tick; see `MultirateFeedback.step`."""
         wanted_um = self._gain_um_per_v * self._feedback.step(expected_um, displacement_um)
         planned_v = self._plan.voltage_v(self._next_sample, self._samples)

@@ -2,10 +2,12 @@
 """Design of the feedback at the tick's rate: H-infinity (thesis 5.2.4), PID and PI."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import control
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.loop_measures import measure_loop
 from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
 from piezo_controller.feedback.synthesis.dk_iteration import iterate, scale, tick_frequencies
@@ -20,12 +22,14 @@ from piezo_controller.feedback.synthesis.structured_singular_value import (
     sampled_response,
     structured_singular_values,
 )
+from piezo_controller.feedback.synthesis.weights import DesignWeights
 from piezo_controller.feedback.synthesis.ziegler_nichols import (
     pid,
     proportional_integral,
     ultimate_point_by_relay,
     ultimate_point_by_response,
 )
+from piezo_models.cascade import StageModel
 
 METHODS = ("h_infinity", "pid", "pi")
 SCALINGS = ("constant", "dynamic")
@@ -68,13 +72,14 @@ class FeedbackController:
     weights: dict
     model_sha256: str = ""
 
-    def state_space(self):
+    def state_space(self) -> control.StateSpace:
         """Return the controller as a ``control.StateSpace``."""
         return control.ss(self.A, self.B, self.C, self.D, self.sample_period_s)
 
 
-def design_feedback(model, weights, clock_period_s=25e-6, model_sha256="", method="h_infinity",
-                    scaling="constant", at_once=False, reduce=True):
+def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: float = 25e-6,
+                    model_sha256: str = "", method: str = "h_infinity", scaling: str = "constant",
+                    at_once: bool = False, reduce: bool = True) -> FeedbackController:
     """Design the feedback for a model of the stage.
 
     Parameters
@@ -136,7 +141,9 @@ def design_feedback(model, weights, clock_period_s=25e-6, model_sha256="", metho
                               model_sha256)
 
 
-def feedback_from_control(system, model, clock_period_s=25e-6, model_sha256="", method="own"):
+def feedback_from_control(system: control.StateSpace | control.TransferFunction, model: StageModel,
+                          clock_period_s: float = 25e-6, model_sha256: str = "",
+                          method: str = "own") -> FeedbackController:
     """Take a feedback of any origin, and measure the loop that it closes.
 
     Parameters
@@ -182,7 +189,8 @@ def feedback_from_control(system, model, clock_period_s=25e-6, model_sha256="", 
     return replace(controller, report={"method": method, **measures})
 
 
-def check_stabilises(controller, model, clock_period_s=25e-6):
+def check_stabilises(controller: FeedbackController, model: StageModel,
+                     clock_period_s: float = 25e-6) -> None:
     """Refuse a controller that does not stabilise a model in the loop of the stage.
 
     Parameters
@@ -207,7 +215,8 @@ def check_stabilises(controller, model, clock_period_s=25e-6):
                 f"{gain_um_per_v:.3g} um/V: design one for this model")
 
 
-def structured_singular_value(problem, controller):
+def structured_singular_value(problem: control.StateSpace,
+                              controller: control.StateSpace) -> tuple[FloatArray, FloatArray]:
     """Structured singular value of a closed loop over frequency.
 
     Parameters
@@ -226,7 +235,8 @@ def structured_singular_value(problem, controller):
     return frequency_hz, structured_singular_values(responses, UNCERTAINTIES)[0]
 
 
-def _measures(controller, model, plant, gain_um_per_v):
+def _measures(controller: control.StateSpace, model: StageModel, plant: control.StateSpace,
+              gain_um_per_v: float) -> dict[str, Any]:
     """Make the part of a report that every controller has."""
     spread = hysteresis_gain_range(model)[1] / gain_um_per_v - 1
     return {"order": controller.nstates, "hysteresis_gain_um_per_v": gain_um_per_v,
@@ -234,7 +244,8 @@ def _measures(controller, model, plant, gain_um_per_v):
             **measure_loop(gain_um_per_v * plant, controller, spread)}
 
 
-def _h_infinity(plant, gain_um_per_v, weights, scaling, reduce):
+def _h_infinity(plant: control.StateSpace, gain_um_per_v: float, weights: DesignWeights,
+                scaling: str, reduce: bool) -> tuple[control.StateSpace, dict[str, Any]]:
     problem = generalised_plant(plant, gain_um_per_v, weights)
     synthesis = iterate(problem, UNCERTAINTIES, scaling == "dynamic", SLACK)
     controller = synthesis.controller
@@ -252,7 +263,8 @@ def _h_infinity(plant, gain_um_per_v, weights, scaling, reduce):
     }
 
 
-def _ziegler_nichols(method, model, plant, tick_s, clock_period_s):
+def _ziegler_nichols(method: str, model: StageModel, plant: control.StateSpace, tick_s: float,
+                     clock_period_s: float) -> tuple[control.StateSpace, dict[str, Any]]:
     if method == "pid":
         ultimate = ultimate_point_by_relay(model, round(tick_s / clock_period_s), clock_period_s)
         controller = pid(ultimate, tick_s)

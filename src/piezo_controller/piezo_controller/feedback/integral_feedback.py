@@ -4,15 +4,17 @@
 import control
 import numpy as np
 
-from piezo_controller.feedback.feedback_design import feedback_from_control
+from piezo_controller.feedback.feedback_design import FeedbackController, feedback_from_control
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant
+from piezo_models.cascade import StageModel
 
 BANDWIDTH_HZ = 8.0
 # Of the second integration, which lets creep and drift leave no error, below the bandwidth.
 SEPARATION = 4.0
 
 
-def design_integral_feedback(model, tick_s=1e-3, clock_period_s=25e-6, model_sha256=""):
+def design_integral_feedback(model: StageModel, tick_s: float = 1e-3, clock_period_s: float = 25e-6,
+                             model_sha256: str = "") -> FeedbackController:
     """Design two integrations below the frequencies of what is learned.
 
     A fast feedback amplifies errors about its bandwidth, where what it makes of a correction hangs

@@ -4,6 +4,7 @@
 import control
 import numpy as np
 
+from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
 
 BAND_EDGE = 1 / np.sqrt(2)
@@ -13,7 +14,8 @@ LEAST_CROSSING = 1e-12
 """Size of a loop on the real axis that is rounding."""
 
 
-def loop_responses(plant, controller, frequency_hz):
+def loop_responses(plant: control.StateSpace, controller: control.StateSpace,
+                   frequency_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Responses of the open loop and of its sensitivity.
 
     Parameters
@@ -32,7 +34,8 @@ def loop_responses(plant, controller, frequency_hz):
     return loop, 1 / (1 + loop)
 
 
-def measure_loop(plant, controller, gain_spread):
+def measure_loop(plant: control.StateSpace, controller: control.StateSpace,
+                 gain_spread: float) -> dict[str, float | None]:
     """Measure a closed loop.
 
     Parameters
@@ -72,13 +75,13 @@ def measure_loop(plant, controller, gain_spread):
     return measures
 
 
-def _first_rise_hz(frequency_hz, holds):
+def _first_rise_hz(frequency_hz: FloatArray, holds: BoolArray) -> float | None:
     """Find the first frequency at which something begins to hold; None if it never does."""
     begins = np.flatnonzero(~holds[:-1] & holds[1:])
     return float(frequency_hz[begins[0] + 1]) if begins.size else None
 
 
-def _margins(loop):
+def _margins(loop: ComplexArray) -> tuple[float | None, float | None]:
     """Gain margin (factor) and phase margin (degrees) from a dense frequency response.
 
     The gain margin is that towards higher gains: only crossings between -1 and 0 count. None where
@@ -97,7 +100,7 @@ def _margins(loop):
     return gain_margin, float(np.degrees(phase_margin))
 
 
-def _settling_s(plant, controller):
+def _settling_s(plant: control.StateSpace, controller: control.StateSpace) -> float | None:
     sensitivity = control.feedback(1, plant * controller)
     time_s = np.arange(LONGEST_SETTLING_TICKS) * plant.dt
     error = np.abs(control.step_response(sensitivity, time_s).outputs)

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of a feedback loop: Bode and Nyquist diagrams, weights, structured singular value."""
 
+from pathlib import Path
+
+import control
 import numpy as np
 
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.picture_style import (
     BLACK,
     BLUE,
@@ -16,13 +20,15 @@ from piezo_common.picture_style import (
     new_figure,
 )
 from piezo_controller.feedback.loop_measures import loop_responses
+from piezo_controller.feedback.synthesis.weights import DesignWeights, Weight
 
 LOWEST_HZ = 0.1
 LOWEST_WEIGHT = 1e-4
 DOTS_PER_INCH = 120
 
 
-def draw_bode(path, plant, controller, weights):
+def draw_bode(path: str | Path, plant: control.StateSpace, controller: control.StateSpace,
+              weights: DesignWeights | None) -> None:
     """Open loop above, closed loop with the bounds that the weights set below.
 
     Parameters
@@ -47,7 +53,8 @@ def draw_bode(path, plant, controller, weights):
         gain.loglog(frequency_hz, np.abs(response), label=name, **style)
     phase.semilogx(frequency_hz, np.degrees(np.unwrap(np.angle(loop))), label="open loop",
                    **CURVES[0])
-    bounded = {"sensitivity S": sensitivity, "complementary T": 1 - sensitivity}
+    bounded: dict[str, FloatArray | ComplexArray] = {
+        "sensitivity S": sensitivity, "complementary T": 1 - sensitivity}
     if weights is not None:
         w1, w2, w_d = (_size(weight, frequency_hz, plant.dt) for weight in (
             weights.performance, weights.control, weights.disturbance))
@@ -65,7 +72,8 @@ def draw_bode(path, plant, controller, weights):
     figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
-def draw_nyquist(path, plant, controller, gain_spread):
+def draw_nyquist(path: str | Path, plant: control.StateSpace, controller: control.StateSpace,
+                 gain_spread: float) -> None:
     """Open loop in the complex plane, nominal and at both ends of the gain's spread.
 
     Parameters
@@ -97,7 +105,7 @@ def draw_nyquist(path, plant, controller, gain_spread):
     figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
-def draw_weights(path, weights):
+def draw_weights(path: str | Path, weights: DesignWeights) -> None:
     """Draw the weights over frequency.
 
     Parameters
@@ -128,7 +136,8 @@ def draw_weights(path, weights):
     figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
-def draw_mu(path, frequency_hz, mu, history):
+def draw_mu(path: str | Path, frequency_hz: FloatArray, mu: FloatArray,
+            history: list[float]) -> None:
     """Structured singular value over frequency, and its peak from iterate to iterate.
 
     Parameters
@@ -151,10 +160,10 @@ def draw_mu(path, frequency_hz, mu, history):
     figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
-def _size(weight, frequency_hz, tick_s):
+def _size(weight: Weight, frequency_hz: FloatArray, tick_s: float) -> FloatArray:
     points = np.exp(2j * np.pi * frequency_hz * tick_s)
     return np.abs(weight.state_space(tick_s)(points, squeeze=True)) * np.ones_like(frequency_hz)
 
 
-def _frequencies(tick_s):
+def _frequencies(tick_s: float) -> FloatArray:
     return np.geomspace(LOWEST_HZ, 0.5 / tick_s, 2000)

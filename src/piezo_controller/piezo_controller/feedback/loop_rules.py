@@ -33,8 +33,9 @@ class LoopRules:
     robustness_hz: float
 
 
-def choose_rates(ultimate_hz, clock_hz, computing_s, usual_samples_per_tick, disturbance_hz=20.0,
-                 suppression=2.0):
+def choose_rates(ultimate_hz: float, clock_hz: float, computing_s: float,
+                 usual_samples_per_tick: int, disturbance_hz: float = 20.0,
+                 suppression: float = 2.0) -> LoopRules:
     """Bounds of bandwidth and rate, and the rate to use.
 
     The rate is the usual one if that is within its bounds; otherwise the slowest that is, since

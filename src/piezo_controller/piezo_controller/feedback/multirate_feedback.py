@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The feedback at run time: one error in, one voltage out, every tick."""
 
+import control
 import numpy as np
 from scipy.linalg import solve_discrete_are
+
+from piezo_common.arrays import FloatArray
+from piezo_controller.feedback.feedback_design import FeedbackController
 
 
 class MultirateFeedback:
@@ -23,7 +27,8 @@ class MultirateFeedback:
         `max_feedback_v` is not positive.
     """
 
-    def __init__(self, controller, max_feedback_v=20.0):
+    def __init__(self, controller: FeedbackController | control.StateSpace,
+                 max_feedback_v: float = 20.0) -> None:
         if not max_feedback_v > 0:
             raise ValueError(f"max_feedback_v is {max_feedback_v:g}: give a positive voltage")
         self._a = np.ascontiguousarray(controller.A)
@@ -34,11 +39,11 @@ class MultirateFeedback:
         self._max_v = float(max_feedback_v)
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget all errors so far."""
         self._state = np.zeros(len(self._a))
 
-    def step(self, expected_um, displacement_um):
+    def step(self, expected_um: FloatArray | float, displacement_um: FloatArray | float) -> float:
         """Answer the block of one tick.
 
         Parameters
@@ -52,14 +57,14 @@ class MultirateFeedback:
             To be held over the tick after the one in which this is computed.
         """
         error_um = np.mean(expected_um) - np.mean(displacement_um)
-        wanted_v = self._c @ self._state + self._d * error_um
+        wanted_v = float(self._c @ self._state + self._d * error_um)
         voltage_v = min(max(wanted_v, -self._max_v), self._max_v)
         self._state = (self._a @ self._state + self._b * error_um
                        + self._observer * (voltage_v - wanted_v))
-        return float(voltage_v)
+        return voltage_v
 
 
-def _observer_gain(controller):
+def _observer_gain(controller: FeedbackController | control.StateSpace) -> FloatArray:
     """Gain that corrects the state by the part of the voltage that was cut off.
 
     That of the Kalman predictor for an unknown error of 1 um and a voltage known within 1 V.

@@ -2,13 +2,16 @@
 """Whether a feedback endures what the model does not know: sampled, and at its worst."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import control
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.loop_measures import loop_responses
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
+from piezo_models.cascade import StageModel
 from piezo_models.linear.creep_errors import with_creep_errors
 
 SAMPLES = 200
@@ -35,13 +38,14 @@ class Robustness:
     worst_peak_sensitivity: float
 
     @property
-    def stable(self):
+    def stable(self) -> bool:
         """Whether every loop that was looked at is stable."""
         return self.unstable_samples == 0 and np.isfinite(self.worst_peak_sensitivity)
 
 
-def check_robustness(model, controller, clock_period_s, gain_spread, parameter_error=0.05,
-                     samples=SAMPLES, seed=0, at_once=False):
+def check_robustness(model: StageModel, controller: control.StateSpace, clock_period_s: float,
+                     gain_spread: float, parameter_error: float = 0.05, samples: int = SAMPLES,
+                     seed: int = 0, at_once: bool = False) -> Robustness:
     """Close the loop over models with errors in every parameter, and over gains.
 
     The worst case is sought among the extremes of all errors: one after the other is turned to
@@ -70,7 +74,7 @@ def check_robustness(model, controller, clock_period_s, gain_spread, parameter_e
     frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
     count = 1 + _parameters(model)
 
-    def peak(errors):
+    def peak(errors: FloatArray) -> float:
         plant, gain_um_per_v = design_plant(
             _with_errors(model, parameter_error * errors[1:]), controller.dt, clock_period_s,
             at_once)
@@ -93,14 +97,15 @@ def check_robustness(model, controller, clock_period_s, gain_spread, parameter_e
     return Robustness(samples, int(np.isinf(peaks).sum()), float(worst))
 
 
-def _parameters(model):
+def _parameters(model: StageModel) -> int:
     return 2 * len(model.creep.poles_rad_per_s) + sum(
         np.size(getattr(model.dynamics, name)) for name in DYNAMICS)
 
 
-def _with_errors(model, errors):
+def _with_errors(model: StageModel, errors: FloatArray) -> StageModel:
     """Return the model with relative errors in the parameters of its linear dynamics."""
-    first, fields = 2 * len(model.creep.poles_rad_per_s), {}
+    first = 2 * len(model.creep.poles_rad_per_s)
+    fields: dict[str, Any] = {}
     creep = with_creep_errors(model.creep, errors[:first])
     for name in DYNAMICS:
         values = np.asarray(getattr(model.dynamics, name), dtype=float)

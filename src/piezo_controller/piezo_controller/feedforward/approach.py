@@ -3,18 +3,21 @@
 
 import math
 
+from piezo_models.hysteresis.preisach import PreisachModel
+
 RAMP_S = 0.05
 FADE_S = 0.05
 ALIGNMENT_SAMPLES = 40
 
 
-def aligned_samples(time_s, sample_period_s):
+def aligned_samples(time_s: float, sample_period_s: float) -> int:
     """Count the samples of a time, up to the next multiple of `ALIGNMENT_SAMPLES`."""
     ticks = math.ceil(time_s / sample_period_s / ALIGNMENT_SAMPLES - 1e-9)
     return ticks * ALIGNMENT_SAMPLES
 
 
-def check_amplifier_range(hysteresis, voltage_range_v, start_voltage_v):
+def check_amplifier_range(hysteresis: PreisachModel, voltage_range_v: tuple[float, float],
+                          start_voltage_v: float) -> None:
     """Refuse an amplifier that cannot go to the voltage at which the model begins.
 
     Raises

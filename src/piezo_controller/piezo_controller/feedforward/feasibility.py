@@ -2,8 +2,12 @@
 """What a planner says of a reference that the amplifier cannot follow."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_controller.references.kind import Watch
 
 BISECTIONS = 14
 VOLTAGE = "voltages", "V"
@@ -21,7 +25,7 @@ class UnreachableReference(ValueError):
         its mean is out of reach already; NaN where it was not searched for.
     """
 
-    def __init__(self, message, reachable_um):
+    def __init__(self, message: str, reachable_um: float) -> None:
         super().__init__(message)
         self.reachable_um = reachable_um
 
@@ -30,7 +34,8 @@ class Infeasible(Exception):
     """Why the amplifier cannot follow."""
 
 
-def check_range(values, lowest, highest, quantity):
+def check_range(values: FloatArray, lowest: float, highest: float,
+                quantity: tuple[str, str]) -> None:
     """Refuse values beyond the limits.
 
     Parameters
@@ -50,7 +55,7 @@ def check_range(values, lowest, highest, quantity):
                          f"{unit}, available are {lowest:.4g} to {highest:.4g} {unit}")
 
 
-def check_slew(voltage_v, sample_period_s, slew_limit_v_per_s):
+def check_slew(voltage_v: FloatArray, sample_period_s: float, slew_limit_v_per_s: float) -> None:
     """Raise `Infeasible` if a voltage changes too fast."""
     slew_v_per_s = np.abs(np.diff(voltage_v)).max(initial=0.0) / sample_period_s
     if slew_v_per_s > slew_limit_v_per_s:
@@ -58,7 +63,9 @@ def check_slew(voltage_v, sample_period_s, slew_limit_v_per_s):
                          f"{slew_limit_v_per_s:.3g} V/s")
 
 
-def unreachable(plan, reference_um, output_range_um, reason, watch=None):
+def unreachable(plan: Callable[[float, float], object], reference_um: FloatArray,
+                output_range_um: tuple[float, float], reason: Infeasible,
+                watch: Watch | None = None) -> UnreachableReference:
     """Make the refusal that names the largest feasible amplitude, found by bisection.
 
     Parameters
@@ -80,7 +87,7 @@ def unreachable(plan, reference_um, output_range_um, reason, watch=None):
     mean_um, travel_um = reference_um.mean(), np.ptp(reference_um)
     watch = watch or (lambda fraction: None)
 
-    def feasible(scale):
+    def feasible(scale: float) -> bool:
         try:
             plan(mean_um, scale)
         except Infeasible:
@@ -106,7 +113,7 @@ def unreachable(plan, reference_um, output_range_um, reason, watch=None):
         f"{reason}; {reachable_um:g} um peak to peak is within reach", reachable_um)
 
 
-def _rounded_down(value):
+def _rounded_down(value: float) -> float:
     """To three significant digits."""
     if value <= 0:
         return 0.0

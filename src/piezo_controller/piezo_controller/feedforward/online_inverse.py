@@ -6,16 +6,19 @@ from dataclasses import dataclass, replace
 import control
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.feasibility import STATIC_DISPLACEMENT, Infeasible, check_range
 from piezo_controller.feedforward.preview_inverse import PreviewInverse
 from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect
+from piezo_models.hysteresis.preisach import PreisachMemory
 from piezo_models.linear.dynamics import continue_linear
 
 # What the compensation of an effect looks at before and after the samples it compensates.
 EFFECT_MARGIN_SAMPLES = 80
 
 
-def compensated_effects(model):
+def compensated_effects(model: StageModel) -> tuple[Effect, ...]:
     """Return the effects that a stream compensates, the last first."""
     return tuple(effect for place in ("sensor", "displacement")
                  for effect in reversed(model.effects_at(place)) if effect.follows_voltage)
@@ -33,20 +36,20 @@ class OnlineInverse:
     preview: PreviewInverse
     creep_inverse: control.StateSpace
     sample_period_s: float
-    preview_state: np.ndarray
-    creep_state: np.ndarray
-    hysteresis: object
-    window_um: np.ndarray
+    preview_state: FloatArray
+    creep_state: FloatArray
+    hysteresis: PreisachMemory
+    window_um: FloatArray
 
-    def copy(self):
+    def copy(self) -> "OnlineInverse":
         """Return the same inverse with a memory of its own."""
         return replace(self, hysteresis=self.hysteresis.copy())
 
-    def look_ahead(self, displacement_um):
+    def look_ahead(self, displacement_um: FloatArray) -> None:
         """Take the first displacements, before any voltage is known."""
-        self.continue_with(displacement_um, look_ahead_only=True)
+        self._before_dynamics(displacement_um)
 
-    def continue_with(self, displacement_um, look_ahead_only=False):
+    def continue_with(self, displacement_um: FloatArray) -> FloatArray:
         """Compute the voltages for which the stage will have followed the next displacements.
 
         Parameters
@@ -63,17 +66,19 @@ class OnlineInverse:
         ------
         Infeasible
         """
-        wanted_um, self.preview_state = self.preview.apply(
-            self._before_effects(displacement_um), self.preview_state)
-        if look_ahead_only:
-            return None
         hysteresis_um, self.creep_state = continue_linear(
-            self.creep_inverse, wanted_um, self.creep_state)
+            self.creep_inverse, self._before_dynamics(displacement_um), self.creep_state)
         hysteresis = self.model.hysteresis
         check_range(hysteresis_um, *hysteresis.output_range_um, STATIC_DISPLACEMENT)
         return hysteresis.invert(hysteresis_um, self.hysteresis)
 
-    def _before_effects(self, displacement_um):
+    def _before_dynamics(self, displacement_um: FloatArray) -> FloatArray:
+        """Return the output of the creep for which the sensor measures the displacement."""
+        wanted_um, self.preview_state = self.preview.apply(
+            self._before_effects(displacement_um), self.preview_state)
+        return wanted_um
+
+    def _before_effects(self, displacement_um: FloatArray) -> FloatArray:
         """Return the displacement in front of the effects on it, a margin earlier."""
         effects = compensated_effects(self.model)
         if not effects:

@@ -4,8 +4,9 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.approach import (
     FADE_S,
     RAMP_S,
@@ -21,7 +22,9 @@ from piezo_controller.feedforward.feasibility import (
     unreachable,
 )
 from piezo_controller.feedforward.repeated_input import mean_over_repeats
+from piezo_controller.references.kind import Watch
 from piezo_controller.references.smooth_rise import minimum_jerk
+from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import simulate_linear, zoh
 from piezo_models.linear.periodic_inversion import invert_linear_periodic
 
@@ -53,10 +56,10 @@ class FeedforwardPlan:
         Effects of the model that come from outside at times of their own, and stay in the error.
     """
 
-    once_voltage_v: NDArray[np.float64]
-    period_voltage_v: NDArray[np.float64]
-    reference_once_um: NDArray[np.float64]
-    reference_period_um: NDArray[np.float64]
+    once_voltage_v: FloatArray
+    period_voltage_v: FloatArray
+    reference_once_um: FloatArray
+    reference_period_um: FloatArray
     feedback_start_sample: int
     uncompensated: tuple[str, ...] = ()
 
@@ -68,11 +71,11 @@ class FeedforwardPlan:
         """Where the reference begins: what is played once has ended."""
         return len(self.once_voltage_v)
 
-    def voltage_v(self, first_sample: int, count: int) -> NDArray[np.float64]:
+    def voltage_v(self, first_sample: int, count: int) -> FloatArray:
         """Return the voltages of `count` samples from `first_sample` on (V)."""
         return _play(self.once_voltage_v, self.period_voltage_v, first_sample, count)
 
-    def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
+    def expected_um(self, first_sample: int, count: int) -> FloatArray:
         """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
         return _play(self.reference_once_um, self.reference_period_um, first_sample, count)
 
@@ -84,13 +87,15 @@ class FeedforwardPlan:
         """Return None: the stage repeats the period by itself."""
         return None
 
-    def take(self, displacement_um: NDArray[np.float64]) -> None:
+    def take(self, displacement_um: FloatArray) -> None:
         """Ignore what was measured: the plan does not depend on it."""
 
 
-def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v=(-20.0, 120.0),
-                     slew_limit_v_per_s=2e6, sample_period_s=25e-6, start_voltage_v=0.0,
-                     duration_s=1.0, watch=None):
+def plan_feedforward(reference_um: ArrayLike, model: StageModel, mode: str = "feedforward", *,
+                     voltage_range_v: tuple[float, float] = (-20.0, 120.0),
+                     slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
+                     start_voltage_v: float = 0.0, duration_s: float = 1.0,
+                     watch: Watch | None = None) -> FeedforwardPlan:
     """Plan the voltage that makes a model at rest follow a periodic reference.
 
     The linear dynamics are inverted harmonic by harmonic on the sampled model (4.22), the
@@ -132,7 +137,7 @@ def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v
     try:
         return planner.plan(reference_um)
     except Infeasible as reason:
-        def scaled(centre_um, scale):
+        def scaled(centre_um: float, scale: float) -> FeedforwardPlan:
             return planner.plan(centre_um + scale * (reference_um - centre_um))
 
         raise unreachable(scaled, reference_um, planner.hysteresis.output_range_um, reason,
@@ -142,9 +147,10 @@ def plan_feedforward(reference_um, model, mode="feedforward", *, voltage_range_v
 class FeedforwardPlanner:
     """Plans references of one period length (samples) for one model; see `plan_feedforward`."""
 
-    def __init__(self, period, model, mode="feedforward", *, voltage_range_v=(-20.0, 120.0),
-                 slew_limit_v_per_s=2e6, sample_period_s=25e-6, start_voltage_v=0.0,
-                 duration_s=1.0):
+    def __init__(self, period: int, model: StageModel, mode: str = "feedforward", *,
+                 voltage_range_v: tuple[float, float] = (-20.0, 120.0),
+                 slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
+                 start_voltage_v: float = 0.0, duration_s: float = 1.0) -> None:
         if mode not in MODES:
             raise ValueError(
                 f'unknown mode {mode!r} of the feedforward: use one of {", ".join(MODES)}')
@@ -182,10 +188,11 @@ class FeedforwardPlanner:
         travel_v = self.hysteresis.voltage_max_v - self.hysteresis.voltage_min_v
         self.gain_um_per_v = (high_um - low_um) / travel_v
 
-    def _aligned(self, time_s):
+    def _aligned(self, time_s: float) -> int:
         return aligned_samples(time_s, self.sample_period_s)
 
-    def plan(self, reference_um, correction_um=0.0):
+    def plan(self, reference_um: FloatArray,
+             correction_um: FloatArray | float = 0.0) -> FeedforwardPlan:
         """Plan one reference; raise `Infeasible`.
 
         A correction is played on top of the reference, but not expected.
@@ -197,7 +204,7 @@ class FeedforwardPlanner:
                 reason = error
         raise reason
 
-    def _plan_target(self, target_um, reference_um):
+    def _plan_target(self, target_um: FloatArray, reference_um: FloatArray) -> FeedforwardPlan:
         """Make the plan for which the linear part's output is the target, period by period."""
         mean_um = target_um.mean()
         wave = self._wave(target_um - mean_um)
@@ -217,7 +224,7 @@ class FeedforwardPlanner:
                                self._expected_once_um(hysteresis_um, reference_um),
                                reference_um.copy(), self.fade_start, self.uncompensated)
 
-    def _behind_linear(self, reference_um):
+    def _behind_linear(self, reference_um: FloatArray) -> list[FloatArray]:
         """Periods of the linear part's output for which the sensor measures the reference.
 
         The best first; the further ones take less of the amplifier.
@@ -235,7 +242,7 @@ class FeedforwardPlanner:
                 for cut_hz in COMPENSATION_BANDWIDTHS_HZ
                 if cut_hz >= min(highest_hz, BANDWIDTH_HZ)]
 
-    def _compensated(self, wanted, places):
+    def _compensated(self, wanted: FloatArray, places: tuple[str, ...]) -> FloatArray:
         """One period in front of the effects at places, the last first, for one behind them."""
         for effect in (effect for place in places
                        for effect in reversed(self.model.effects_at(place))):
@@ -245,7 +252,7 @@ class FeedforwardPlanner:
                 raise Infeasible(str(error)) from None
         return wanted
 
-    def _wave(self, alternating_um):
+    def _wave(self, alternating_um: FloatArray) -> FloatArray:
         """One period of what drives the reference without its mean: um, or V in open loop."""
         if self.mode == "open_loop":
             return alternating_um / self.gain_um_per_v
@@ -255,7 +262,7 @@ class FeedforwardPlanner:
         within_um = np.fft.irfft(harmonics, self.period)
         return invert_linear_periodic(within_um, self.linear, self.sample_period_s)
 
-    def _play(self, level, wave):
+    def _play(self, level: float, wave: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Voltage, and the model's hysteresis output, of the once part and one period."""
         lowest_v = self.hysteresis.voltage_min_v
         target = level + self.fade * wave[self.fade_phase]
@@ -280,18 +287,18 @@ class FeedforwardPlanner:
         check_range(played_v, lowest_v, self.highest_v, VOLTAGE)
         return np.r_[voltage_v, played_v], np.r_[hysteresis_um, played_um]
 
-    def _mean_displacement_um(self, hysteresis_um):
+    def _mean_displacement_um(self, hysteresis_um: FloatArray) -> float:
         """Of the model over the run, after the once part."""
         return self.rest_displacement_um + self._mean_over_run_um(
             hysteresis_um - self.rest_hysteresis_um)
 
-    def _mean_over_run_um(self, deviation_um):
+    def _mean_over_run_um(self, deviation_um: ArrayLike) -> float:
         """Mean deviation of the displacement in the repeated part from that of the hysteresis."""
         deviation_um = np.asarray(deviation_um, dtype=float)
         return mean_over_repeats(self.sampled, deviation_um[:self.once],
                                  deviation_um[self.once:], self.periods)
 
-    def _expected_once_um(self, hysteresis_um, reference_um):
+    def _expected_once_um(self, hysteresis_um: FloatArray, reference_um: FloatArray) -> FloatArray:
         """Return what the model measures in the once part, led over to the reference by its end."""
         deviation_um = hysteresis_um[:self.once] - self.rest_hysteresis_um
         expected_um = self.model.sensed(
@@ -303,7 +310,7 @@ class FeedforwardPlanner:
         return expected_um
 
 
-def _play(once, period, first, count):
+def _play(once: FloatArray, period: FloatArray, first: int, count: int) -> FloatArray:
     sample = np.arange(first, first + count)
     repeated = period[(sample - len(once)) % len(period)]
     return np.where(sample < len(once), once[np.minimum(sample, len(once) - 1)], repeated)

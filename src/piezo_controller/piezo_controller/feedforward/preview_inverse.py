@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import control
 import numpy as np
 from numpy.polynomial import legendre
+from numpy.typing import ArrayLike
 from scipy.signal import lfilter, lfilter_zi
 
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.linear.dynamics import zoh, zoh_response
 
 METHODS = ("least_squares", "zero_phase", "derivatives")
@@ -41,21 +43,21 @@ class PreviewInverse:
         How far ahead of the sample that it gives it looks.
     """
 
-    numerator: np.ndarray
-    denominator: np.ndarray
+    numerator: FloatArray
+    denominator: FloatArray
     preview_samples: int
 
-    def response(self, frequency_hz, sample_period_s):
+    def response(self, frequency_hz: ArrayLike, sample_period_s: float) -> ComplexArray:
         """Complex response, the preview counted as an advance."""
-        z = np.exp(2j * np.pi * np.asarray(frequency_hz) * sample_period_s)
+        z: ComplexArray = np.exp(2j * np.pi * np.asarray(frequency_hz) * sample_period_s)
         return (z**self.preview_samples * np.polyval(self.numerator[::-1], 1 / z)
                 / np.polyval(self.denominator[::-1], 1 / z))
 
-    def state(self, rest):
+    def state(self, rest: float) -> FloatArray:
         """Memory of the filter after a long rest at a level of the reference."""
         return rest * lfilter_zi(self.numerator, self.denominator)
 
-    def apply(self, reference, state):
+    def apply(self, reference: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Filter the next samples.
 
         Parameters
@@ -72,8 +74,9 @@ class PreviewInverse:
         return lfilter(self.numerator, self.denominator, reference, zi=state)
 
 
-def preview_inverse(system, sample_period_s, method="least_squares",
-                    preview_samples=PREVIEW_SAMPLES):
+def preview_inverse(system: control.StateSpace, sample_period_s: float,
+                    method: str = "least_squares",
+                    preview_samples: int = PREVIEW_SAMPLES) -> PreviewInverse:
     """Design an inverse of continuous dynamics behind a hold.
 
     Parameters
@@ -106,7 +109,8 @@ def preview_inverse(system, sample_period_s, method="least_squares",
     return design(system, sample_period_s, preview_samples)
 
 
-def _least_squares(system, sample_period_s, preview_samples):
+def _least_squares(system: control.StateSpace, sample_period_s: float,
+                   preview_samples: int) -> PreviewInverse:
     frequency_hz = np.linspace(0.0, BANDWIDTH_HZ, GRID)
     response = zoh_response(system, frequency_hz, sample_period_s)
     lag = np.arange(-preview_samples, preview_samples + 1)
@@ -120,7 +124,8 @@ def _least_squares(system, sample_period_s, preview_samples):
     return PreviewInverse(taps, np.ones(1), preview_samples)
 
 
-def _zero_phase(system, sample_period_s, preview_samples):
+def _zero_phase(system: control.StateSpace, sample_period_s: float,
+                preview_samples: int) -> PreviewInverse:
     sampled = zoh(system, sample_period_s)
     poles, zeros = control.poles(sampled), _exact_zeros(sampled)
     kept = zeros[np.abs(zeros) > LARGEST_CANCELLED_ZERO]
@@ -147,7 +152,7 @@ def _zero_phase(system, sample_period_s, preview_samples):
     return PreviewInverse(numerator, denominator, advance + len(series) // 2)
 
 
-def _exact_zeros(system):
+def _exact_zeros(system: control.StateSpace) -> ComplexArray:
     """Zeros to the last digits: the series multiplies what an eigenvalue problem leaves of them."""
     zeros = control.zeros(system).astype(complex)
     identity = np.eye(system.nstates)
@@ -160,11 +165,12 @@ def _exact_zeros(system):
     return zeros
 
 
-def _rest_gain(sampled):
+def _rest_gain(sampled: control.StateSpace) -> float:
     return float(np.real(sampled(1.0)))
 
 
-def _derivatives(system, sample_period_s, preview_samples):
+def _derivatives(system: control.StateSpace, sample_period_s: float,
+                 preview_samples: int) -> PreviewInverse:
     if control.zeros(system).size:
         raise ValueError("the inverse of dynamics with antiresonances is no polynomial of "
                          "derivatives: use least_squares or zero_phase")
@@ -186,7 +192,7 @@ def _derivatives(system, sample_period_s, preview_samples):
     return PreviewInverse(taps[::-1], np.ones(1), preview_samples)
 
 
-def _projection_taps(half_window, degree, functional):
+def _projection_taps(half_window: int, degree: int, functional: FloatArray) -> FloatArray:
     """Taps of a linear functional of the polynomial that fits a window best.
 
     Parameters

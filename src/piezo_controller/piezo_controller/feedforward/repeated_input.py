@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The mean output of a linear system whose input repeats itself, without playing every period."""
 
+import control
 import numpy as np
 
 from piezo_models.linear.dynamics import continue_linear
 
 
-def mean_over_repeats(system, once: np.ndarray, period: np.ndarray, repeats: int) -> float:
+def mean_over_repeats(system: control.StateSpace, once: np.ndarray, period: np.ndarray,
+                      repeats: int) -> float:
     """Mean output while an input is repeated, after one that is played once.
 
     The states at the beginnings of the periods, and the sum of the outputs so far, go from one

@@ -8,8 +8,8 @@ from functools import partial
 
 import control
 import numpy as np
-from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.approach import (
     ALIGNMENT_SAMPLES,
     FADE_S,
@@ -32,8 +32,11 @@ from piezo_controller.feedforward.online_inverse import (
     compensated_effects,
 )
 from piezo_controller.feedforward.preview_inverse import PREVIEW_SAMPLES, preview_inverse
+from piezo_controller.references.kind import Watch
 from piezo_controller.references.smooth_rise import minimum_jerk, smooth_rise
 from piezo_controller.references.trajectory import KeptTrajectory, Trajectory
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachMemory
 from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh
 
 REST_S = 0.02
@@ -68,7 +71,7 @@ class StreamPlan:
         How far ahead the inverse looks.
     """
 
-    once_voltage_v: NDArray[np.float64]
+    once_voltage_v: FloatArray
     expected: Trajectory
     reference: Trajectory
     samples: int
@@ -82,7 +85,7 @@ class StreamPlan:
     iteration = 0
 
     @property
-    def period_voltage_v(self) -> NDArray[np.float64]:
+    def period_voltage_v(self) -> FloatArray:
         """Nothing is repeated."""
         return np.empty(0)
 
@@ -91,7 +94,7 @@ class StreamPlan:
         """Where feedback may begin."""
         return len(self.once_voltage_v)
 
-    def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
+    def expected_um(self, first_sample: int, count: int) -> FloatArray:
         """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
         return self.expected.sample(first_sample, count)
 
@@ -102,14 +105,14 @@ class StreamPlan:
         """
         return float(np.ptp(self.reference.survey(samples)))
 
-    def continuation(self) -> Callable[[], NDArray[np.float64]]:
+    def continuation(self) -> Callable[[], FloatArray]:
         """Return what gives the next of `chunks`, and at the end an empty array."""
         return partial(next, self.chunks(), np.empty(0))
 
-    def take(self, displacement_um: NDArray[np.float64]) -> None:
+    def take(self, displacement_um: FloatArray) -> None:
         """Ignore what was measured: the plan does not depend on it."""
 
-    def chunks(self, chunk_samples: int = CHUNK_SAMPLES) -> Iterator[NDArray[np.float64]]:
+    def chunks(self, chunk_samples: int = CHUNK_SAMPLES) -> Iterator[FloatArray]:
         """Yield the voltages behind `once_voltage_v`, chunk by chunk.
 
         A chunk is computed from the reference up to its end and the preview, no further; its time
@@ -133,14 +136,14 @@ class StreamPlan:
                 f"s after its beginning: {reason}; the run ends before: ask for less there",
                 math.nan) from None
 
-    def check(self, end, watch):
+    def check(self, end: int, watch: Watch) -> None:
         """Compute the voltages up to a sample; raise `Infeasible` if one is beyond the limits."""
         start = computed = self.feedback_start_sample
         for voltage_v in self._chunks(end, CHUNK_SAMPLES):
             computed += voltage_v.size
             watch((computed - start) / (end - start))
 
-    def _chunks(self, end, chunk_samples):
+    def _chunks(self, end: int, chunk_samples: int) -> Iterator[FloatArray]:
         """Yield the voltages up to a sample, each chunk within the limits."""
         start, margin = self.feedback_start_sample, self.margin_samples
         inverse, last_v = self.inverse.copy(), self.once_voltage_v[-1:]
@@ -167,15 +170,18 @@ class StreamLimits:
     slew_limit_v_per_s: float
     sample_period_s: float
 
-    def check(self, last_v, voltage_v):
+    def check(self, last_v: FloatArray, voltage_v: FloatArray) -> None:
         """Raise `Infeasible` for voltages beyond the limits, behind those played last."""
         check_range(voltage_v, self.lowest_v, self.highest_v, VOLTAGE)
         check_slew(np.r_[last_v, voltage_v], self.sample_period_s, self.slew_limit_v_per_s)
 
 
-def plan_stream(reference, samples, model, method="least_squares", *,
-                voltage_range_v=(-20.0, 120.0), slew_limit_v_per_s=2e6, sample_period_s=25e-6,
-                start_voltage_v=0.0, preview_samples=PREVIEW_SAMPLES, watch=None):
+def plan_stream(reference: Trajectory, samples: int, model: StageModel,
+                method: str = "least_squares", *,
+                voltage_range_v: tuple[float, float] = (-20.0, 120.0),
+                slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
+                start_voltage_v: float = 0.0, preview_samples: int = PREVIEW_SAMPLES,
+                watch: Watch | None = None) -> StreamPlan:
     """Plan the voltage that makes a model at rest follow any reference, with a short preview.
 
     The first `CHECKED_S` are computed before, to know that they stay within the limits, and the
@@ -219,7 +225,7 @@ def plan_stream(reference, samples, model, method="least_squares", *,
     raise planner.refusal(reference, samples, refused)
 
 
-def approach_samples(sample_period_s=25e-6):
+def approach_samples(sample_period_s: float = 25e-6) -> int:
     """Count the samples of a reference before its beginning that `plan_stream` takes."""
     return aligned_samples(APPROACH_S, sample_period_s)
 
@@ -227,7 +233,8 @@ def approach_samples(sample_period_s=25e-6):
 class _StreamPlanner:
     """Plans general references for one model; see `plan_stream`."""
 
-    def __init__(self, model, method, limits, start_voltage_v, preview_samples, watch):
+    def __init__(self, model: StageModel, method: str, limits: StreamLimits, start_voltage_v: float,
+                 preview_samples: int, watch: Watch) -> None:
         self.model = model
         self.hysteresis = model.hysteresis
         self.limits = limits
@@ -246,7 +253,7 @@ class _StreamPlanner:
             effect.name for effect in model.effects
             if effect not in compensated and effect.place not in ("modes", "linear"))
 
-    def plan(self, reference, samples):
+    def plan(self, reference: Trajectory, samples: int) -> StreamPlan:
         """Plan one reference; raise `Infeasible`."""
         approach = approach_samples(self.sample_period_s)
         once_v, memory, slow_um, slow_state = self._approach(reference.sample(-approach, 1)[0])
@@ -266,17 +273,18 @@ class _StreamPlanner:
         plan.check(plan.begin_sample + min(samples, checked), self.watch)
         return plan
 
-    def refusal(self, reference, samples, reason):
+    def refusal(self, reference: Trajectory, samples: int,
+                reason: Infeasible) -> UnreachableReference:
         """Make the refusal of an infeasible reference."""
         checked = min(samples, round(CHECKED_S / self.sample_period_s))
 
-        def scaled(centre_um, scale):
+        def scaled(centre_um: float, scale: float) -> StreamPlan:
             return self.plan(_Scaled(reference, centre_um, scale), samples)
 
         return unreachable(
             scaled, reference.survey(checked), self.hysteresis.output_range_um, reason)
 
-    def _check_extremes(self, reference_um):
+    def _check_extremes(self, reference_um: FloatArray) -> None:
         """Refuse displacements that no past of the hysteresis and no creep brings about."""
         if compensated_effects(self.model):
             return
@@ -284,7 +292,8 @@ class _StreamPlanner:
         reached_um = np.outer(gains, self.hysteresis.output_range_um)
         check_range(reference_um, reached_um.min(), reached_um.max(), DISPLACEMENT)
 
-    def _approach(self, first_um):
+    def _approach(self,
+                  first_um: float) -> tuple[FloatArray, PreisachMemory, FloatArray, FloatArray]:
         """Voltages from rest to the lowest and up to the first displacement, and what they leave.
 
         That is the memory of the hysteresis, and displacement and state of the slow part.
@@ -307,11 +316,12 @@ class _StreamPlanner:
 class _FadedIn(Trajectory):
     """What a run displaces: its beginning, and then a reference that is faded in from a level."""
 
-    def __init__(self, once_um, level_um, reference, approach, fade_samples):
+    def __init__(self, once_um: FloatArray, level_um: float, reference: Trajectory, approach: int,
+                 fade_samples: int) -> None:
         self._once_um, self._level_um, self._reference = once_um, level_um, reference
         self._approach, self._fade_samples = approach, fade_samples
 
-    def sample(self, first, count):
+    def sample(self, first: int, count: int) -> FloatArray:
         """Do what `Trajectory` says."""
         once_um = self._once_um[max(first, 0):max(first + count, 0)]
         at = first + once_um.size - self._once_um.size
@@ -321,7 +331,7 @@ class _FadedIn(Trajectory):
             reference_um = self._level_um + fade * (reference_um - self._level_um)
         return np.r_[once_um, reference_um]
 
-    def survey(self, samples):
+    def survey(self, samples: int) -> FloatArray:
         """Do what `Trajectory` says."""
         return self._reference.survey(samples)
 
@@ -329,22 +339,22 @@ class _FadedIn(Trajectory):
 class _Scaled(Trajectory):
     """A trajectory, larger or smaller about a centre."""
 
-    def __init__(self, trajectory, centre_um, scale):
+    def __init__(self, trajectory: Trajectory, centre_um: float, scale: float) -> None:
         self._trajectory, self._centre_um, self._scale = trajectory, centre_um, scale
 
-    def sample(self, first, count):
+    def sample(self, first: int, count: int) -> FloatArray:
         """Do what `Trajectory` says."""
         return self._scaled(self._trajectory.sample(first, count))
 
-    def survey(self, samples):
+    def survey(self, samples: int) -> FloatArray:
         """Do what `Trajectory` says."""
         return self._scaled(self._trajectory.survey(samples))
 
-    def _scaled(self, displacement_um):
+    def _scaled(self, displacement_um: FloatArray) -> FloatArray:
         return self._centre_um + self._scale * (displacement_um - self._centre_um)
 
 
-def _inverse(system):
+def _inverse(system: control.StateSpace) -> control.StateSpace:
     """Inverse of a discrete system that passes its input on at once, in the same states."""
     a, b, c, d = system.A, system.B, system.C, system.D
     return control.ss(a - b @ c / d, b / d, -c / d, 1 / d, system.dt)

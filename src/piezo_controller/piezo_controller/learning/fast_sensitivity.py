@@ -2,12 +2,17 @@
 """What the slow feedback leaves of an error of the fast feedforward."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from piezo_common.arrays import ComplexArray
+from piezo_controller.feedback.feedback_design import FeedbackController
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant
+from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import zoh_response
 
 
-def fast_sensitivity(model, controller, frequency_hz, clock_period_s=25e-6):
+def fast_sensitivity(model: StageModel, controller: FeedbackController, frequency_hz: ArrayLike,
+                     clock_period_s: float = 25e-6) -> ComplexArray:
     """Response from the displacement without feedback to that with it, at the sample clock.
 
     The feedback sees the mean of a tick and answers with a held voltage: of what it answers, this

@@ -11,8 +11,10 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import ConfigDict
 
+from piezo_common.arrays import FloatArray
 from piezo_common.schema import Document, Number, Numbers, SchemaError, entry, load_document
 from piezo_common.text_file import replace_text
+from piezo_controller.references.kind import Reference
 
 FORMAT = "piezo_learned_feedforward"
 VERSION = 1
@@ -61,21 +63,21 @@ class Learned:
     iterations : int
     """
 
-    reference: object
+    reference: Reference
     model_sha256: str
     sample_rate_hz: float
-    correction_um: np.ndarray
+    correction_um: FloatArray
     error_rms_um: float
     iterations: int
 
 
-def learned_path(directory, reference, model_sha256):
+def learned_path(directory: str | Path, reference: Reference, model_sha256: str) -> Path:
     """Where a directory keeps what was learned of a reference with a model."""
     key = json.dumps([_plain(reference), model_sha256], sort_keys=True)
     return Path(directory) / f"learned_{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"
 
 
-def save_learned(path, learned):
+def save_learned(path: str | Path, learned: Learned) -> None:
     """Write the file at once, in place of one that is there."""
     path = Path(path)
     document = {
@@ -91,7 +93,8 @@ def save_learned(path, learned):
                                "give another directory") from None
 
 
-def load_correction(path, reference, model_sha256, sample_rate_hz):
+def load_correction(path: str | Path, reference: Reference, model_sha256: str,
+                    sample_rate_hz: float) -> FloatArray:
     """Read the correction of a file, which must have been learned for the same.
 
     Parameters
@@ -121,6 +124,6 @@ def load_correction(path, reference, model_sha256, sample_rate_hz):
     return np.array(document.correction_um)
 
 
-def _plain(reference):
+def _plain(reference: Reference) -> dict[str, Any]:
     """Return the reference as it looks after a way through JSON."""
     return json.loads(json.dumps(dataclasses.asdict(reference)))

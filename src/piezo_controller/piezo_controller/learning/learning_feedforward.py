@@ -5,9 +5,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.feasibility import Infeasible, UnreachableReference
+from piezo_controller.feedforward.periodic import FeedforwardPlan, FeedforwardPlanner
+from piezo_controller.learning.periodic_learner import PeriodicLearner
 from piezo_controller.references.smooth_rise import minimum_jerk
 
 FADE_S = 0.01
@@ -55,8 +58,9 @@ class LearningFeedforward:
 
     streamed = open_ended = True
 
-    def __init__(self, planner, reference_um, learner, iterations, run_samples,
-                 samples_per_tick=40):
+    def __init__(self, planner: FeedforwardPlanner, reference_um: ArrayLike,
+                 learner: PeriodicLearner, iterations: int, run_samples: int,
+                 samples_per_tick: int = 40) -> None:
         self._planner, self._learner = planner, learner
         self._reference_um = np.asarray(reference_um, dtype=float)
         self._iterations = iterations
@@ -78,11 +82,12 @@ class LearningFeedforward:
         self._loaded = plan.begin_sample
         self.begin_sample = plan.begin_sample + iterations * self._part + self._settled
         self.iteration = 0
-        self._taken_um, self._taken = [], 0
-        self._window = None
-        self._left_samples = None
+        self._taken_um: list[FloatArray] = []
+        self._taken = 0
+        self._window: tuple[int, int] | None = None
+        self._left_samples: int | None = None
 
-    def _plan_first(self):
+    def _plan_first(self) -> FeedforwardPlan:
         """Plan the correction to begin with, or with as much of the reference as is in reach."""
         alternating_um = self._reference_um - self._reference_um.mean()
         correction_um = self._learner.correction_um
@@ -102,15 +107,15 @@ class LearningFeedforward:
             f"{np.ptp(self._reference_um):.4g} um peak to peak: {reason}", 0.0)
 
     @property
-    def period_voltage_v(self) -> NDArray[np.float64]:
+    def period_voltage_v(self) -> FloatArray:
         """Nothing is repeated: each part is loaded."""
         return np.empty(0)
 
-    def continuation(self) -> Callable[[], NDArray[np.float64] | None]:
+    def continuation(self) -> Callable[[], FloatArray | None]:
         """Return the method that computes each next part."""
         return self.next_voltage_v
 
-    def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
+    def expected_um(self, first_sample: int, count: int) -> FloatArray:
         """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
         return self._expected_plan.expected_um(first_sample, count)
 
@@ -118,7 +123,7 @@ class LearningFeedforward:
         """Return the peak-to-peak displacement of the first samples of the reference (um)."""
         return self._expected_plan.travel_um(samples)
 
-    def take(self, displacement_um: NDArray[np.float64]) -> None:
+    def take(self, displacement_um: FloatArray) -> None:
         """Take the samples that were measured next, from the run's first on."""
         first, window = self._taken, self._window
         self._taken += len(displacement_um)
@@ -126,7 +131,7 @@ class LearningFeedforward:
             self._taken_um.append(np.array(
                 displacement_um[max(window[0] - first, 0):window[1] - first]))
 
-    def next_voltage_v(self) -> NDArray[np.float64] | None:
+    def next_voltage_v(self) -> FloatArray | None:
         """Compute the next voltages behind `once_voltage_v`.
 
         Returns
@@ -135,7 +140,7 @@ class LearningFeedforward:
             Empty at the end; None while what they depend on is not measured.
         """
         if self._left_samples is not None:
-            return self._go_on()
+            return self._go_on(self._left_samples)
         if self._window is None:
             self.iteration = 1
             return self._load(self._part, self._period_v)
@@ -154,13 +159,13 @@ class LearningFeedforward:
         self._learner.limit_to(self._correction_um)
         return self._load(self._part, voltage_v)
 
-    def _go_on(self):
+    def _go_on(self, left_samples: int) -> FloatArray:
         """Load some more of the best."""
-        count = min(self._left_samples, self._part)
-        self._left_samples -= count
+        count = min(left_samples, self._part)
+        self._left_samples = left_samples - count
         return self._load(count, self._period_v)
 
-    def _plan(self, correction_um):
+    def _plan(self, correction_um: FloatArray) -> FloatArray:
         """Plan a period for a correction, or for as much of its change as is feasible."""
         before_um, part = self._correction_um, 1.0
         for _ in range(HALVINGS):
@@ -174,7 +179,7 @@ class LearningFeedforward:
             return plan.period_voltage_v
         return self._period_v
 
-    def _load(self, count, period_v):
+    def _load(self, count: int, period_v: FloatArray) -> FloatArray:
         """Return the next voltages, faded over from the last period to a new one."""
         phase = np.arange(self._loaded, self._loaded + count) - self._expected_plan.begin_sample
         phase %= period_v.size

@@ -7,10 +7,13 @@ by the error over the response that is expected of it (iterative learning); what
 brought about corrects that response (adaptive Fourier coefficients).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_controller.feedforward.periodic import BANDWIDTH_HZ
 
 GAIN = 1.0
@@ -45,16 +48,16 @@ class Measured:
         Standard deviation of each of them (of real and imaginary part together).
     """
 
-    harmonics_um: np.ndarray
+    harmonics_um: ComplexArray
     noise_um: float
 
     @property
-    def rms_um(self):
+    def rms_um(self) -> float:
         """Of the harmonics together."""
         return float(np.sqrt(np.sum(np.abs(self.harmonics_um) ** 2) / 2))
 
     @property
-    def floor_um(self):
+    def floor_um(self) -> float:
         """What noise alone would make of `rms_um`."""
         return float(np.sqrt(self.harmonics_um.size / 2) * self.noise_um)
 
@@ -84,7 +87,9 @@ class PeriodicLearner:
     best_rms_um : float
     """
 
-    def __init__(self, reference_um, response, effort, sample_period_s, correction_um=None):
+    def __init__(self, reference_um: ArrayLike, response: Callable[[FloatArray], ComplexArray],
+                 effort: Callable[[FloatArray], ComplexArray], sample_period_s: float,
+                 correction_um: FloatArray | None = None) -> None:
         self._reference_um = np.asarray(reference_um, dtype=float)
         self._period = self._reference_um.size
         count = min(int(BANDWIDTH_HZ * self._period * sample_period_s + 1e-9),
@@ -99,7 +104,7 @@ class PeriodicLearner:
         self._correction = self._harmonics(
             np.zeros(self._period) if correction_um is None else correction_um)
         self._best = self._correction.copy()
-        self._last = None
+        self._last: tuple[ComplexArray, Measured] | None = None
         self._gain = GAIN
         self._since_better = self._divergences = 0
         self.iterations = 0
@@ -107,20 +112,20 @@ class PeriodicLearner:
         self.best_rms_um = np.inf
 
     @property
-    def correction_um(self):
+    def correction_um(self) -> FloatArray:
         """One period of the correction to play next."""
         return self._wave(self._correction)
 
     @property
-    def best_um(self):
+    def best_um(self) -> FloatArray:
         """One period of the correction with the smallest error."""
         return self._wave(self._best)
 
-    def limit_to(self, correction_um):
+    def limit_to(self, correction_um: FloatArray) -> None:
         """Say what was played in place of `correction_um`, where that was out of reach."""
         self._correction = self._harmonics(correction_um)
 
-    def measure(self, displacement_um):
+    def measure(self, displacement_um: FloatArray) -> Measured:
         """Take the mean error of some periods apart.
 
         Parameters
@@ -142,7 +147,7 @@ class PeriodicLearner:
         scatter = np.sum(np.abs(harmonics - mean) ** 2) / (means.size - 1)
         return Measured(mean, float(np.sqrt(scatter / (mean.size * means.size))))
 
-    def learn(self, displacement_um):
+    def learn(self, displacement_um: FloatArray) -> Measured:
         """Take the periods that were measured under `correction_um`, and set the next.
 
         Parameters
@@ -174,7 +179,7 @@ class PeriodicLearner:
             self._step(measured)
         return measured
 
-    def _return_to_best(self):
+    def _return_to_best(self) -> None:
         self._divergences += 1
         self._gain /= 2
         self._forget_responses()
@@ -182,14 +187,14 @@ class PeriodicLearner:
         if self._divergences >= DIVERGENCES:
             self.finished = "the iteration diverged: the best is kept"
 
-    def _forget_responses(self):
+    def _forget_responses(self) -> None:
         """Expect what the model says: each harmonic turned and scaled, as a real matrix."""
         real, imaginary = self._response.real, self._response.imag
         self._expected = np.moveaxis(np.array([[real, -imaginary], [imaginary, real]]), -1, 0)
         self._scale = np.abs(self._response)[:, None, None] ** 2 * np.eye(2)
         self._variance = RESPONSE_UNCERTAINTY**2 * self._scale
 
-    def _adapt(self, measured):
+    def _adapt(self, measured: Measured) -> None:
         """Correct the expected responses by what the last change has brought about (Kalman).
 
         Around a large oscillation the hysteresis, and the feedback around it, answers to a change
@@ -209,7 +214,7 @@ class PeriodicLearner:
         self._expected = self._expected + surprise[:, :, None] * weight[:, None, :]
         self._variance = self._variance - weight[:, :, None] * seen[:, None, :]
 
-    def _step(self, measured):
+    def _step(self, measured: Measured) -> None:
         """Change each harmonic by the part of its error that is not noise."""
         power = np.abs(measured.harmonics_um) ** 2
         real = np.clip(1 - measured.noise_um**2 / np.maximum(power, 1e-30), 0.0, 1.0)
@@ -218,21 +223,21 @@ class PeriodicLearner:
             self._expected, _parts(real * measured.harmonics_um)[:, :, None])[:, :, 0]
         self._correction = self._correction + self._gain * (change[:, 0] + 1j * change[:, 1])
 
-    def _too_fine(self, noise_um):
+    def _too_fine(self, noise_um: float) -> BoolArray:
         """Harmonics of which the reference has none, and noise would take much of the drive."""
         content = np.abs(self._harmonics(self._reference_um))
         drive_um = np.max(content * self._effort)
         return ((content < NEGLIGIBLE_CONTENT * content.max())
                 & (noise_um * self._effort > LARGEST_RIPPLE * drive_um))
 
-    def _harmonics(self, wave_um):
+    def _harmonics(self, wave_um: FloatArray) -> ComplexArray:
         return 2 * np.fft.rfft(wave_um)[self._orders] / self._period
 
-    def _wave(self, harmonics):
+    def _wave(self, harmonics: ComplexArray) -> FloatArray:
         content = np.zeros(self._period // 2 + 1, dtype=complex)
         content[self._orders] = harmonics * self._period / 2
         return np.fft.irfft(content, self._period)
 
 
-def _parts(harmonics):
+def _parts(harmonics: ComplexArray) -> FloatArray:
     return np.stack([harmonics.real, harmonics.imag], axis=1)

@@ -6,9 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from piezo_common.arrays import FloatArray
 from piezo_controller.references.trajectory import FormulaTrajectory, Trajectory
 
 LONGEST_PERIOD_S = 20.0
@@ -80,7 +78,7 @@ class ReferenceKind(Protocol):
     def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
         """Tell whether `period_um` has a period for this reference."""
 
-    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> FloatArray:
         """Sample one period, shape (P,); its repetition must be exactly periodic."""
 
     def trajectory(self, reference: Reference, sample_rate_hz: float,
@@ -95,7 +93,7 @@ class PeriodicKind:
         """Tell whether the period is short enough to be uploaded."""
         return len(self.period_um(reference, sample_rate_hz)) <= LONGEST_PERIOD_S * sample_rate_hz
 
-    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> FloatArray:
         """Sample one period, shape (P,)."""
         raise NotImplementedError
 

@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_controller.references.kind import (
     LOWEST_FREQUENCY_HZ,
     InvalidReference,
@@ -59,7 +60,7 @@ class RandomTrajectory(Trajectory):
         # Two threads ask for neighbours.
         self._coefficients = lru_cache(maxsize=8)(self._draw)
 
-    def sample(self, first: int, count: int) -> NDArray[np.float64]:
+    def sample(self, first: int, count: int) -> FloatArray:
         """Do what `Trajectory` says."""
         values, hop = np.zeros(count), self._samples - self._fade
         for number in range((first - self._fade) // hop, (first + count - 1) // hop + 1):
@@ -71,7 +72,7 @@ class RandomTrajectory(Trajectory):
                 values[low - first:high - first] += weight * self._block(number, at[0], at.size)
         return self._centre_um + values
 
-    def survey(self, samples: int) -> NDArray[np.float64]:
+    def survey(self, samples: int) -> FloatArray:
         """See `Trajectory`: pieces of its first blocks; longer runs come closer to the range."""
         if samples <= SURVEYED_PIECES * SURVEYED_SAMPLES:
             return self.sample(0, samples)
@@ -79,7 +80,7 @@ class RandomTrajectory(Trajectory):
         begins = np.linspace(0, end, SURVEYED_PIECES).astype(np.int64)
         return np.concatenate([self.sample(int(begin), SURVEYED_SAMPLES) for begin in begins])
 
-    def _block(self, number: int, first: int, count: int) -> NDArray[np.float64]:
+    def _block(self, number: int, first: int, count: int) -> FloatArray:
         """Return the samples of a block, row by row of a table, as sines of sums are products."""
         rows = np.arange(first // ROW_SAMPLES, (first + count - 1) // ROW_SAMPLES + 1)
         columns = self._coefficients(number) * _turns(self._lines, rows * ROW_SAMPLES)
@@ -87,7 +88,7 @@ class RandomTrajectory(Trajectory):
         begin = first - rows[0] * ROW_SAMPLES
         return table.ravel()[begin:begin + count]
 
-    def _draw(self, number: int) -> NDArray[np.complex128]:
+    def _draw(self, number: int) -> ComplexArray:
         """Draw the complex amplitudes of the lines of a block (um), shape (LINES,)."""
         generator = np.random.default_rng([self._seed, FIRST_SEQUENCE + number])
         drawn = generator.standard_normal(LINES) + 1j * generator.standard_normal(LINES)
@@ -96,7 +97,7 @@ class RandomTrajectory(Trajectory):
         return self._amplitude_um / 2 / bound * drawn
 
 
-def _turns(lines: NDArray[np.float64], samples: NDArray[np.int64]) -> NDArray[np.complex128]:
+def _turns(lines: FloatArray, samples: NDArray[np.int64]) -> ComplexArray:
     """Return the unit vectors of each line at each sample, shape (samples, lines)."""
     return np.exp(2j * np.pi * (np.outer(samples, lines) % 1.0))
 
@@ -108,7 +109,7 @@ class RandomKind:
         """Tell that there is no period."""
         return False
 
-    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> FloatArray:
         """Refuse to sample a period, as there is none."""
         raise InvalidReference("a random reference that is not repeated has no period: "
                                "use a mode that streams it")

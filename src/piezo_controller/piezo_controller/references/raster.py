@@ -9,6 +9,7 @@ fast one goes back, and after the last line it flies back to the first.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.references.kind import (
     LONGEST_PERIOD_S,
     InvalidReference,
@@ -31,7 +32,7 @@ FLYBACK = 0.05
 """Lines that the slow axis' way back takes, as a part of those of the frame."""
 
 
-def fast_axis(lines: ArrayLike) -> NDArray[np.float64]:
+def fast_axis(lines: ArrayLike) -> FloatArray:
     """Draw the lines, which begin in the middle of the way forward.
 
     Its speed is constant between the turns, where the displacement goes from -0.5 to 0.5; in the
@@ -56,7 +57,7 @@ def fast_axis(lines: ArrayLike) -> NDArray[np.float64]:
     return position / (0.5 - TURN)
 
 
-def _risen(share: NDArray[np.float64]) -> NDArray[np.float64]:
+def _risen(share: FloatArray) -> FloatArray:
     """Integrate `smooth_rise` from 0 to its argument."""
     within = np.clip(share, 0.0, 1.0)
     return within**4 * (2.5 - 3 * within + within**2) + np.maximum(share - 1.0, 0.0)
@@ -67,7 +68,7 @@ def flyback_lines(lines: int) -> int:
     return max(1, round(FLYBACK * lines))
 
 
-def slow_axis(at_line: NDArray[np.float64], lines: int) -> NDArray[np.float64]:
+def slow_axis(at_line: FloatArray, lines: int) -> FloatArray:
     """Step from line to line on a staircase from -0.5 to 0.5, and fly back.
 
     Parameters
@@ -99,7 +100,7 @@ class Raster:
         """Tell whether the period is short enough to be uploaded."""
         return _period_samples(reference, sample_rate_hz) <= LONGEST_PERIOD_S * sample_rate_hz
 
-    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> FloatArray:
         """Sample a line of the fast axis, or a frame of the slow one."""
         return _displacement_um(reference, sample_rate_hz,
                                 np.arange(_period_samples(reference, sample_rate_hz)))
@@ -133,7 +134,7 @@ def _period_samples(reference: Reference, sample_rate_hz: float) -> int:
 
 
 def _displacement_um(reference: Reference, sample_rate_hz: float,
-                     at: NDArray[np.int64]) -> NDArray[np.float64]:
+                     at: NDArray[np.int64]) -> FloatArray:
     lines = at / _line_samples(reference, sample_rate_hz)
     shape = fast_axis(lines) if reference.axis == "fast" else slow_axis(lines, reference.lines)
     return reference.centre_um + reference.amplitude_um[0] * shape

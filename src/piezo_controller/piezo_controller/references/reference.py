@@ -8,8 +8,8 @@ through an entry point of the group `piezo_controller.references`.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_common.registered import registered
 from piezo_controller.references.kind import (
     LONGEST_DURATION_S,
@@ -58,7 +58,7 @@ def is_periodic(reference: Reference, sample_rate_hz: float = 40000.0) -> bool:
 
 
 def sample_reference(reference: Reference,
-                     sample_rate_hz: float = 40000.0) -> NDArray[np.float64]:
+                     sample_rate_hz: float = 40000.0) -> FloatArray:
     """Sample one period of a reference.
 
     The period is the shortest that holds whole cycles of every component, so that its
@@ -133,7 +133,7 @@ class _CheckedTrajectory(Trajectory):
     def __init__(self, trajectory: Trajectory, reference: Reference) -> None:
         self._trajectory, self._reference = trajectory, reference
 
-    def sample(self, first: int, count: int) -> NDArray[np.float64]:
+    def sample(self, first: int, count: int) -> FloatArray:
         """Do what `Trajectory` says."""
         displacement_um = _checked(self._trajectory.sample(first, count), self._reference)
         if displacement_um.size != count:
@@ -142,12 +142,12 @@ class _CheckedTrajectory(Trajectory):
                                    "mend the package of this kind")
         return displacement_um
 
-    def survey(self, samples: int) -> NDArray[np.float64]:
+    def survey(self, samples: int) -> FloatArray:
         """Do what `Trajectory` says."""
         return _checked(self._trajectory.survey(samples), self._reference)
 
 
-def _checked(displacement_um: NDArray[np.float64], reference: Reference) -> NDArray[np.float64]:
+def _checked(displacement_um: FloatArray, reference: Reference) -> FloatArray:
     if np.ndim(displacement_um) != 1 or not np.isfinite(displacement_um).all():
         raise InvalidReference(f"the {reference.kind} reference is not one sequence of finite "
                                "displacements: mend its fields, or the package of this kind")

@@ -8,8 +8,8 @@ from itertools import islice
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.references.kind import (
     LONGEST_DURATION_S,
     LONGEST_PERIOD_S,
@@ -24,7 +24,7 @@ LINES_AT_ONCE = 100_000
 
 
 def read_samples(path: str, sample_rate_hz: float, longest_s: float,
-                 watch: Watch | None = None) -> NDArray[np.float64]:
+                 watch: Watch | None = None) -> FloatArray:
     """Read a reference that is sampled at the sample rate.
 
     The samples are kept in a temporary file that is mapped: a long way takes no memory.
@@ -67,7 +67,7 @@ def read_samples(path: str, sample_rate_hz: float, longest_s: float,
         return np.memmap(kept, dtype=float, mode="r", shape=(samples,))
 
 
-def _keep(kept: BinaryIO, displacement_um: NDArray[np.float64]) -> None:
+def _keep(kept: BinaryIO, displacement_um: FloatArray) -> None:
     try:
         kept.write(displacement_um.tobytes())
         kept.flush()
@@ -76,7 +76,7 @@ def _keep(kept: BinaryIO, displacement_um: NDArray[np.float64]) -> None:
                          f"{error.strerror}; let TMPDIR name another directory") from None
 
 
-def _pieces(path: str, watch: Watch) -> Iterator[NDArray[np.float64]]:
+def _pieces(path: str, watch: Watch) -> Iterator[FloatArray]:
     """Yield times and displacements of the file, some lines at a time."""
     try:
         with open(path, newline=None, encoding="utf-8") as stream:
@@ -95,7 +95,7 @@ def _pieces(path: str, watch: Watch) -> Iterator[NDArray[np.float64]]:
         raise ValueError(f"the reference file {path!r} cannot be read: {reason}") from None
 
 
-def _numbers(path: str, lines: list[str]) -> NDArray[np.float64]:
+def _numbers(path: str, lines: list[str]) -> FloatArray:
     try:
         values = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
     except ValueError:
@@ -116,7 +116,7 @@ class FileKind:
         """Tell whether the file is one period."""
         return not reference.once
 
-    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> FloatArray:
         """Read the period."""
         if reference.once:
             raise InvalidReference("a file reference that is not repeated has no period: "
@@ -134,7 +134,7 @@ class FileKind:
 
 
 def _read(reference: Reference, sample_rate_hz: float, longest_s: float,
-          watch: Watch | None = None) -> NDArray[np.float64]:
+          watch: Watch | None = None) -> FloatArray:
     try:
         return read_samples(reference.file, sample_rate_hz, longest_s, watch)
     except ValueError as error:

@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.references.kind import (
     LONGEST_PERIOD_S,
     Components,
@@ -18,7 +19,7 @@ from piezo_controller.references.kind import (
 )
 from piezo_controller.references.trajectory import FormulaTrajectory, Trajectory
 
-Shape = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
+Shape = Callable[[FloatArray, float], FloatArray]
 
 
 class Waves:
@@ -44,7 +45,7 @@ class Waves:
             return False
         return True
 
-    def period_um(self, reference: Reference, sample_rate_hz: float) -> NDArray[np.float64]:
+    def period_um(self, reference: Reference, sample_rate_hz: float) -> FloatArray:
         """Sample the shortest period that holds whole cycles of every wave."""
         frequencies, amplitudes, phases = self._components(reference, sample_rate_hz)
         cycles, length = _common_period(frequencies, sample_rate_hz)
@@ -61,10 +62,11 @@ class Waves:
         waves = list(zip(*self._components(reference, sample_rate_hz), strict=True))
         centre_um = float(reference.centre_um)
 
-        def formula(at: NDArray[np.int64]) -> NDArray[np.float64]:
+        def formula(at: NDArray[np.int64]) -> FloatArray:
+            sample = at.astype(float)
             displacement_um = np.full(at.size, centre_um)
             for frequency_hz, amplitude_um, phase in waves:
-                angle_rad = 2 * np.pi * (at * (frequency_hz / sample_rate_hz) % 1.0) + phase
+                angle_rad = 2 * np.pi * (sample * (frequency_hz / sample_rate_hz) % 1.0) + phase
                 displacement_um += amplitude_um / 2 * self._shape(angle_rad, frequency_hz)
             return displacement_um
 
@@ -104,7 +106,7 @@ def _cycles_per_sample(frequency_hz: float, sample_rate_hz: float) -> Fraction:
         f"{sample_rate_hz:g} samples a second: the nearest that has is {nearest_hz:.12g} Hz")
 
 
-def _sine(angle_rad: NDArray[np.float64], _frequency_hz: float) -> NDArray[np.float64]:
+def _sine(angle_rad: FloatArray, _frequency_hz: float) -> FloatArray:
     return np.sin(angle_rad)
 
 

@@ -2,10 +2,12 @@
 """The smooth rise that all transitions take: the reference's and the voltage's."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from piezo_common.arrays import FloatArray
 
 
-def minimum_jerk(count: int) -> NDArray[np.float64]:
+def minimum_jerk(count: int) -> FloatArray:
     """Rise smoothly from 0 towards 1, which the sample after the last would reach.
 
     The quintic has neither speed nor acceleration at its ends, and so excites no vibration.
@@ -13,7 +15,7 @@ def minimum_jerk(count: int) -> NDArray[np.float64]:
     return smooth_rise(np.arange(count) / count)
 
 
-def smooth_rise(share: ArrayLike) -> NDArray[np.float64]:
+def smooth_rise(share: ArrayLike) -> FloatArray:
     """Evaluate the quintic of `minimum_jerk` at any time: 0 before 0, 1 after 1.
 
     Parameters

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.references.smooth_rise import smooth_rise
 
 SURVEYED_SAMPLES = 20_000
@@ -21,14 +22,14 @@ class Trajectory(ABC):
     """A displacement over time; its samples do not depend on the pieces they are asked for in."""
 
     @abstractmethod
-    def sample(self, first: int, count: int) -> NDArray[np.float64]:
+    def sample(self, first: int, count: int) -> FloatArray:
         """Return the displacements (um) of `count` samples from `first` on, shape (count,).
 
         Sample 0 is where the trajectory begins; negative ones lie before.
         """
 
     @abstractmethod
-    def survey(self, samples: int) -> NDArray[np.float64]:
+    def survey(self, samples: int) -> FloatArray:
         """Return some displacements (um) of the first samples, enough to find their extremes."""
 
 
@@ -41,14 +42,14 @@ class FormulaTrajectory(Trajectory):
         Displacements (um) of sample numbers, shape (N,).
     """
 
-    def __init__(self, formula: Callable[[NDArray[np.int64]], NDArray[np.float64]]) -> None:
+    def __init__(self, formula: Callable[[NDArray[np.int64]], FloatArray]) -> None:
         self._formula = formula
 
-    def sample(self, first: int, count: int) -> NDArray[np.float64]:
+    def sample(self, first: int, count: int) -> FloatArray:
         """Do what `Trajectory` says."""
         return self._formula(np.arange(first, first + count))
 
-    def survey(self, samples: int) -> NDArray[np.float64]:
+    def survey(self, samples: int) -> FloatArray:
         """See `Trajectory`: all of a short one, of a long one samples at irregular distances."""
         if samples <= SURVEYED_SAMPLES:
             return self.sample(0, samples)
@@ -76,7 +77,7 @@ class JoinedTrajectory(Trajectory):
         self._parts, self._durations, self._transition = parts, durations, transition
         self._begins = np.r_[0, np.cumsum(durations[:-1], dtype=np.int64)]
 
-    def sample(self, first: int, count: int) -> NDArray[np.float64]:
+    def sample(self, first: int, count: int) -> FloatArray:
         """Do what `Trajectory` says."""
         joined = np.empty(count)
         ends = np.r_[self._begins[1:], np.iinfo(np.int64).max]
@@ -94,7 +95,7 @@ class JoinedTrajectory(Trajectory):
             joined[low - first:high - first] = piece
         return joined
 
-    def survey(self, samples: int) -> NDArray[np.float64]:
+    def survey(self, samples: int) -> FloatArray:
         """Do what `Trajectory` says."""
         left = np.clip(samples - self._begins, 0, self._durations)
         left[-1] = max(samples - self._begins[-1], 0)
@@ -114,10 +115,10 @@ class KeptTrajectory(Trajectory):
 
     def __init__(self, trajectory: Trajectory) -> None:
         self._trajectory = trajectory
-        self._blocks: OrderedDict[int, NDArray[np.float64]] = OrderedDict()
+        self._blocks: OrderedDict[int, FloatArray] = OrderedDict()
         self._lock = threading.Lock()
 
-    def sample(self, first: int, count: int) -> NDArray[np.float64]:
+    def sample(self, first: int, count: int) -> FloatArray:
         """Do what `Trajectory` says."""
         at, last, pieces = first, first + count, [np.empty(0)]
         while at < last:
@@ -127,11 +128,11 @@ class KeptTrajectory(Trajectory):
             at += piece.size
         return np.concatenate(pieces)
 
-    def survey(self, samples: int) -> NDArray[np.float64]:
+    def survey(self, samples: int) -> FloatArray:
         """Do what `Trajectory` says."""
         return self._trajectory.survey(samples)
 
-    def _block(self, number: int) -> NDArray[np.float64]:
+    def _block(self, number: int) -> FloatArray:
         with self._lock:
             if number in self._blocks:
                 self._blocks.move_to_end(number)

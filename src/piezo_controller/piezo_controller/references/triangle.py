@@ -2,9 +2,9 @@
 """A triangle whose corners stay within what the stage can follow."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import sici
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.references.sines import Waves
 
 BANDWIDTH_HZ = 2000.0
@@ -12,7 +12,7 @@ BANDWIDTH_HZ = 2000.0
 MOST_SUMMED = 500
 
 
-def triangle_wave(angle_rad: NDArray[np.float64], frequency_hz: float) -> NDArray[np.float64]:
+def triangle_wave(angle_rad: FloatArray, frequency_hz: float) -> FloatArray:
     """Fourier series of a unit triangle up to 2 kHz.
 
     Parameters
@@ -30,7 +30,7 @@ def triangle_wave(angle_rad: NDArray[np.float64], frequency_hz: float) -> NDArra
     return _summed(angle_rad, orders) if orders <= MOST_SUMMED else _closed(angle_rad, orders)
 
 
-def _summed(angle_rad: NDArray[np.float64], orders: int) -> NDArray[np.float64]:
+def _summed(angle_rad: FloatArray, orders: int) -> FloatArray:
     odd = np.arange(1, 2 * orders, 2)
     wave = np.zeros_like(angle_rad)
     for order, sign in zip(odd, np.where(odd % 4 == 1, 1.0, -1.0), strict=True):
@@ -38,7 +38,7 @@ def _summed(angle_rad: NDArray[np.float64], orders: int) -> NDArray[np.float64]:
     return wave / np.sum(1 / odd.astype(float) ** 2)
 
 
-def _closed(angle_rad: NDArray[np.float64], orders: int) -> NDArray[np.float64]:
+def _closed(angle_rad: FloatArray, orders: int) -> FloatArray:
     """Return the same to 1e-9, at a cost that does not depend on the number of orders."""
     from_crest = np.abs(np.mod(angle_rad + np.pi / 2, 2 * np.pi) - np.pi)
     from_tip = np.minimum(from_crest, np.pi - from_crest)
@@ -48,7 +48,7 @@ def _closed(angle_rad: NDArray[np.float64], orders: int) -> NDArray[np.float64]:
         np.pi**2 / 8 - _left_out(np.zeros(1), orders))
 
 
-def _left_out(distance: NDArray[np.float64], orders: int) -> NDArray[np.float64]:
+def _left_out(distance: FloatArray, orders: int) -> FloatArray:
     """Sum of cos(k d) / k**2 over the odd k above 2 orders.
 
     The integral over k, and what the middle of steps of two misses of it: sin(d) / d.

@@ -16,12 +16,12 @@ class AnswerTimes:
         Answers beyond it are late (s).
     """
 
-    def __init__(self, limit_s: float):
+    def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
         self._counts = np.zeros(BOUNDS_S.size + 1, dtype=np.int64)
         self.count = self.late = 0
 
-    def add(self, time_s: float):
+    def add(self, time_s: float) -> None:
         """Count one answer."""
         self.count += 1
         self.late += time_s > self._limit_s

@@ -4,14 +4,13 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.controller_file import load_stabilising_controller
 from piezo_controller.feedback.feedback_before_inverse import FeedbackBeforeInverse
 from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.synthesis.weights import DEFAULT, load_weights
+from piezo_controller.feedforward.periodic import FeedforwardPlan
 from piezo_controller.tracking.plan import TrackingPlan
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock, feedback_room_v
 from piezo_models.cascade import StageModel
@@ -22,8 +21,8 @@ PLACES = ("behind_inverse", "before_inverse")
 class Feedback(Protocol):
     """What answers the blocks of a run."""
 
-    def step(self, expected_um: NDArray[np.float64],
-             displacement_um: NDArray[np.float64]) -> float:
+    def step(self, expected_um: FloatArray,
+             displacement_um: FloatArray) -> float:
         """Return the voltage (V) that answers the block of one tick."""
 
 
@@ -93,7 +92,7 @@ class Feedbacks:
             return MultirateFeedback(controller, feedback_room_v(plan, stage.voltage_range_v))
         if settings.place == "behind_inverse":
             return self.limited(controller)
-        if plan.streamed:
+        if not isinstance(plan, FeedforwardPlan):
             raise ValueError("a streamed reference takes its feedback behind the inverse: set "
                              "feedback_place to behind_inverse")
         return FeedbackBeforeInverse(

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The loop without messages: a run over the backend of a stage, tick by tick."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_controller.feedforward.periodic import FeedforwardPlan
+from piezo_controller.tracking.tracking_run import TrackingRun
 
 
 @dataclass(frozen=True)
@@ -21,7 +26,8 @@ class PlayedRun:
     displacement_um: np.ndarray
 
 
-def play_run(run, plan, exchange, samples_per_tick):
+def play_run(run: TrackingRun, plan: FeedforwardPlan,
+             exchange: Callable[[FloatArray], FloatArray], samples_per_tick: int) -> PlayedRun:
     """Play a run to its end, with the timing of the stage.
 
     The answer to the samples of a tick, computed in the next tick, acts in the one after that.

@@ -4,8 +4,7 @@
 from collections.abc import Callable
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from piezo_common.arrays import FloatArray
 
 
 class TrackingPlan(Protocol):
@@ -36,11 +35,11 @@ class TrackingPlan(Protocol):
 
     # As properties, because a run only reads them.
     @property
-    def once_voltage_v(self) -> NDArray[np.float64]:
+    def once_voltage_v(self) -> FloatArray:
         """Return the voltages that are played first (V), shape (n,)."""
 
     @property
-    def period_voltage_v(self) -> NDArray[np.float64]:
+    def period_voltage_v(self) -> FloatArray:
         """Return the voltages that are repeated from then on (V), shape (m,)."""
 
     @property
@@ -67,7 +66,7 @@ class TrackingPlan(Protocol):
     def uncompensated(self) -> tuple[str, ...]:
         """Return the names of effects that stay in the error."""
 
-    def expected_um(self, first_sample: int, count: int) -> NDArray[np.float64]:
+    def expected_um(self, first_sample: int, count: int) -> FloatArray:
         """Return the displacements to expect of some samples.
 
         Parameters
@@ -88,14 +87,14 @@ class TrackingPlan(Protocol):
         samples : int
         """
 
-    def continuation(self) -> Callable[[], NDArray[np.float64] | None] | None:
+    def continuation(self) -> Callable[[], FloatArray | None] | None:
         """Return what gives the voltages behind `once_voltage_v`; None unless `streamed`.
 
         Each call of it gives the next voltages (V), shape (k,): none at the end, and None while
         they depend on what is not measured yet.
         """
 
-    def take(self, displacement_um: NDArray[np.float64]) -> None:
+    def take(self, displacement_um: FloatArray) -> None:
         """Take the samples that were measured next, from the run's first on.
 
         Parameters

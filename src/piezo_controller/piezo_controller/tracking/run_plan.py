@@ -1,11 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which way a goal's references are played: as a period, streamed, or learned."""
 
-from piezo_controller.feedforward.periodic import FeedforwardPlanner
-from piezo_controller.feedforward.streamed import plan_stream
+from collections.abc import Sequence
+from typing import TypedDict
+
+from piezo_common.arrays import FloatArray
+from piezo_controller.feedback.feedback_design import FeedbackController
+from piezo_controller.feedforward.periodic import FeedforwardPlan, FeedforwardPlanner
+from piezo_controller.feedforward.streamed import StreamPlan, plan_stream
 from piezo_controller.learning.fast_sensitivity import fast_sensitivity
 from piezo_controller.learning.learning_feedforward import LearningFeedforward
 from piezo_controller.learning.periodic_learner import PeriodicLearner
+from piezo_controller.references.kind import Reference, Watch
 from piezo_controller.references.reference import (
     LONGEST_DURATION_S,
     InvalidReference,
@@ -14,14 +20,26 @@ from piezo_controller.references.reference import (
     trajectory,
 )
 from piezo_controller.references.trajectory import JoinedTrajectory
-from piezo_controller.tracking.tracking_modes import plan_mode
+from piezo_controller.tracking.tracking_modes import StageClock, plan_mode
+from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import zoh_response
 
 STREAMED_MODES = ("feedforward", "composite")
 TRANSITION_S = 0.05
 
 
-def plan_references(mode, references, durations_s, model, stage, inversion="", watch=None):
+class _Limits(TypedDict):
+    """What every planner takes of the stage."""
+
+    voltage_range_v: tuple[float, float]
+    slew_limit_v_per_s: float
+    sample_period_s: float
+    start_voltage_v: float
+
+
+def plan_references(mode: str, references: Sequence[Reference], durations_s: Sequence[float],
+                    model: StageModel, stage: StageClock, inversion: str = "",
+                    watch: Watch | None = None) -> FeedforwardPlan | StreamPlan:
     """Plan the feedforward of one reference, or of several that follow each other.
 
     Parameters
@@ -70,8 +88,10 @@ def plan_references(mode, references, durations_s, model, stage, inversion="", w
                        watch=watch, **_limits(stage))
 
 
-def plan_learning(reference, run_samples, model, controller, stage, iterations,
-                  correction_um=None):
+def plan_learning(reference: Reference, run_samples: int, model: StageModel,
+                  controller: FeedbackController, stage: StageClock, iterations: int,
+                  correction_um: FloatArray | None = None,
+                  ) -> tuple[LearningFeedforward, PeriodicLearner]:
     """Plan to learn the feedforward of a periodic reference, and to play the best for a while.
 
     Parameters
@@ -115,7 +135,8 @@ def plan_learning(reference, run_samples, model, controller, stage, iterations,
     return feedforward, learner
 
 
-def _limits(stage):
-    return {"voltage_range_v": stage.voltage_range_v,
-            "slew_limit_v_per_s": stage.slew_limit_v_per_s,
-            "sample_period_s": stage.sample_period_s, "start_voltage_v": stage.rest_voltage_v}
+def _limits(stage: StageClock) -> _Limits:
+    """Return what the planners take of the stage, by their names for it."""
+    return _Limits(voltage_range_v=stage.voltage_range_v,
+                   slew_limit_v_per_s=stage.slew_limit_v_per_s,
+                   sample_period_s=stage.sample_period_s, start_voltage_v=stage.rest_voltage_v)

@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.integral_feedback import design_integral_feedback
 from piezo_controller.learning.learned_file import (
     Learned,
@@ -135,7 +133,7 @@ class PreparedRun:
         """Whether the stage must be stopped, as it was not told how long to play."""
         return self.plan.open_ended and self.run.complete
 
-    def take(self, displacement_um: NDArray[np.float64]) -> float:
+    def take(self, displacement_um: FloatArray) -> float:
         """Take the displacements of a block, and return the answer to it (V)."""
         self.plan.take(displacement_um)
         return self.run.take(displacement_um)

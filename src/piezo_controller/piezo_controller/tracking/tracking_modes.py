@@ -5,10 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.approach import FADE_S
-from piezo_controller.feedforward.periodic import plan_feedforward
+from piezo_controller.feedforward.periodic import FeedforwardPlan, plan_feedforward
+from piezo_controller.references.kind import Reference, Watch
 from piezo_controller.references.reference import sample_reference
 from piezo_controller.references.smooth_rise import minimum_jerk
+from piezo_controller.tracking.plan import TrackingPlan
+from piezo_models.cascade import StageModel
 
 MODES = ("open_loop", "pid", "pi", "feedforward", "composite", "composite_single_rate",
          "learning")
@@ -30,24 +34,25 @@ class StageClock:
     samples_per_tick : int
     """
 
-    voltage_range_v: tuple = (-20.0, 120.0)
+    voltage_range_v: tuple[float, float] = (-20.0, 120.0)
     slew_limit_v_per_s: float = 2e6
     rest_voltage_v: float = 0.0
     sample_rate_hz: float = 40000.0
     samples_per_tick: int = 40
 
     @property
-    def sample_period_s(self):
+    def sample_period_s(self) -> float:
         """Period of the sample clock (s)."""
         return 1.0 / self.sample_rate_hz
 
     @property
-    def tick_s(self):
+    def tick_s(self) -> float:
         """Period of the feedback (s)."""
         return self.samples_per_tick / self.sample_rate_hz
 
 
-def plan_mode(mode, reference, model, stage, duration_s, watch=None):
+def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageClock,
+              duration_s: float, watch: Watch | None = None) -> FeedforwardPlan:
     """Plan what the stage plays in a mode.
 
     Parameters
@@ -81,7 +86,8 @@ def plan_mode(mode, reference, model, stage, duration_s, watch=None):
         raise ValueError(f"unknown mode {mode!r}: use one of {', '.join(MODES)}")
     reference_um = sample_reference(reference, stage.sample_rate_hz)
 
-    def plan(wanted_um, kind="feedforward", samples_held=1):
+    def plan(wanted_um: FloatArray, kind: str = "feedforward",
+             samples_held: int = 1) -> FeedforwardPlan:
         return plan_feedforward(
             wanted_um, model, kind, voltage_range_v=stage.voltage_range_v,
             slew_limit_v_per_s=stage.slew_limit_v_per_s,
@@ -98,7 +104,8 @@ def plan_mode(mode, reference, model, stage, duration_s, watch=None):
     return plan(reference_um, "open_loop" if mode == "open_loop" else "feedforward")
 
 
-def _with_reference(plan, reference_um, sample_period_s):
+def _with_reference(plan: FeedforwardPlan, reference_um: FloatArray,
+                    sample_period_s: float) -> FeedforwardPlan:
     """Make a plan that holds the mean, but expects the reference, faded in."""
     once = plan.reference_once_um.size
     fade_start = plan.feedback_start_sample
@@ -110,7 +117,7 @@ def _with_reference(plan, reference_um, sample_period_s):
     return replace(plan, reference_once_um=expected_um, reference_period_um=reference_um)
 
 
-def _held(plan, samples, reference_um):
+def _held(plan: FeedforwardPlan, samples: int, reference_um: FloatArray) -> FeedforwardPlan:
     """Make a plan at the tick's rate, played by the sample clock."""
     once = plan.reference_once_um.size
     expected_um = np.interp(np.arange(once * samples) / samples, np.arange(once),
@@ -123,7 +130,7 @@ def _held(plan, samples, reference_um):
         feedback_start_sample=plan.feedback_start_sample * samples)
 
 
-def feedback_room_v(plan, voltage_range_v):
+def feedback_room_v(plan: TrackingPlan, voltage_range_v: tuple[float, float]) -> float:
     """How far a feedback may go from a plan, of either sign, without leaving the range (V)."""
     played_v = plan.period_voltage_v
     lowest_v, highest_v = voltage_range_v

@@ -7,7 +7,10 @@ from collections import deque
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.tracking.answer_times import AnswerTimes
+from piezo_controller.tracking.feedbacks import Feedback
+from piezo_controller.tracking.plan import TrackingPlan
 
 ON_TARGET_SAMPLES = 400
 USUAL_PERCENT = 99
@@ -34,8 +37,9 @@ class TrackingRun:
         Of the running error.
     """
 
-    def __init__(self, plan, run_samples, feedback=None, tick_s=1e-3, tolerance_um=0.0,
-                 window_samples=4000):
+    def __init__(self, plan: TrackingPlan, run_samples: int, feedback: Feedback | None = None,
+                 tick_s: float = 1e-3, tolerance_um: float = 0.0,
+                 window_samples: int = 4000) -> None:
         self._plan = plan
         self._tick_s = tick_s
         self._answer_times = AnswerTimes(tick_s)
@@ -46,46 +50,46 @@ class TrackingRun:
         self.tolerance_um = tolerance_um or max(
             TOLERANCE_OF_TRAVEL * self._planned_travel_um, LEAST_TOLERANCE_UM)
         self.samples = 0
-        self._squares = self._counted = 0
+        self._squares, self._counted = 0.0, 0
         self.largest_error_um = math.nan
         self._window = RunningSquares(window_samples)
         self._target = RunningSquares(ON_TARGET_SAMPLES)
-        self._on_target_since = None
+        self._on_target_since: int | None = None
 
     @property
-    def total_samples(self):
+    def total_samples(self) -> int:
         """Samples of the approach and of the part that counts."""
         return self._plan.begin_sample + self._run_samples
 
     @property
-    def complete(self):
+    def complete(self) -> bool:
         """Whether every sample that counts has been taken."""
         return self.samples >= self.total_samples
 
     @property
-    def begun(self):
+    def begun(self) -> bool:
         """Whether a sample that counts has been taken."""
         return self._counted > 0
 
     @property
-    def fraction(self):
+    def fraction(self) -> float:
         """Done of the whole, 0 to 1."""
         return min(1.0, self.samples / self.total_samples)
 
     @property
-    def on_target(self):
+    def on_target(self) -> bool:
         """Whether the error is within the tolerance now."""
         return self._on_target_since is not None
 
     @property
-    def settled_after_sample(self):
+    def settled_after_sample(self) -> float:
         """Sample of the part that counts from which on the error was within the tolerance.
 
         NaN if it is not.
         """
         return math.nan if self._on_target_since is None else self._on_target_since
 
-    def take(self, displacement_um):
+    def take(self, displacement_um: FloatArray) -> float:
         """Take the next block of samples.
 
         Parameters
@@ -113,7 +117,7 @@ class TrackingRun:
         return voltage_v
 
     @property
-    def lateness(self):
+    def lateness(self) -> str:
         """What to tell of answers that no stage at the wall clock could have waited for."""
         times = self._answer_times
         if 100 * times.late <= (100 - USUAL_PERCENT) * times.count:
@@ -123,7 +127,7 @@ class TrackingRun:
                 f"late ({USUAL_PERCENT} % took {1e6 * times.percentile_s(USUAL_PERCENT):.0f} us "
                 "or less)")
 
-    def _account(self, before, expected_um, displacement_um):
+    def _account(self, before: int, expected_um: FloatArray, displacement_um: FloatArray) -> None:
         """Add a block to the account, except its samples before the part that counts."""
         expected_um, displacement_um = expected_um[before:], displacement_um[before:]
         if not expected_um.size:
@@ -143,11 +147,11 @@ class TrackingRun:
             self._on_target_since = self._counted - self._target.samples
 
     @property
-    def _travel_um(self):
+    def _travel_um(self) -> float:
         """Of the reference as far as it is known: of all that was expected, and of the plan."""
         return max(self._planned_travel_um, self._highest_um - self._lowest_um)
 
-    def e_rms_percent(self, running=False):
+    def e_rms_percent(self, running: bool = False) -> float:
         """Error so far of the part that counts, (2.32); of its last samples if so asked.
 
         Returns
@@ -171,12 +175,12 @@ class RunningSquares:
         At least so many are kept, if there are, and less than a block more.
     """
 
-    def __init__(self, samples):
+    def __init__(self, samples: int) -> None:
         self._wanted = samples
-        self._blocks = deque()
+        self._blocks: deque[tuple[float, int]] = deque()
         self.samples = 0
 
-    def add(self, squares, samples):
+    def add(self, squares: float, samples: int) -> None:
         """Take the sum of squares of a block."""
         self._blocks.append((squares, samples))
         self.samples += samples
@@ -184,12 +188,12 @@ class RunningSquares:
             self.samples -= self._blocks.popleft()[1]
 
     @property
-    def full(self):
+    def full(self) -> bool:
         """Whether there are as many samples as wanted."""
         return self.samples >= self._wanted
 
     @property
-    def rms(self):
+    def rms(self) -> float:
         """NaN before the first block."""
         # Copied at once: one thread asks while another adds.
         blocks = tuple(self._blocks)

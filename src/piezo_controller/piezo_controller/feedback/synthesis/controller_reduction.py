@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fewer states for the same loop: balanced truncation of a controller."""
 
+from collections.abc import Callable
+
 import control
 from slycot import ab09ad
 
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
 
 
-def reduce_order(controller, acceptable):
+def reduce_order(controller: control.StateSpace,
+                 acceptable: Callable[[control.StateSpace], bool]) -> control.StateSpace:
     """Find the controller of lowest order that is still acceptable.
 
     The order is lowered step by step until one is not.
@@ -33,7 +36,7 @@ def reduce_order(controller, acceptable):
     return best
 
 
-def _truncate(system, order):
+def _truncate(system: control.StateSpace, order: int) -> control.StateSpace:
     _, a, b, c, _ = ab09ad("D", "B", "N", system.nstates, 1, 1, system.A, system.B, system.C,
                            nr=order)
     return control.ss(a, b, c, system.D, system.dt)

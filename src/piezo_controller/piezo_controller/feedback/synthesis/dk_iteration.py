@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """D-K iteration: the controller of smallest structured singular value (thesis 5.3.1)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import control
 import numpy as np
 from scipy.optimize import least_squares, minimize
 from scipy.signal import zpk2ss
 
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_controller.feedback.synthesis.h_infinity import NoController, close, synthesise
 from piezo_controller.feedback.synthesis.structured_singular_value import (
     sampled_response,
@@ -22,6 +25,10 @@ LOWEST_HZ = 1e-3
 SCALING_ORDER = 1
 # A scaling matters where the structured singular value is near its peak.
 IMPORTANCE = 4
+
+
+Scaling: TypeAlias = "float | control.StateSpace"
+"""What scales one scalar uncertainty."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +49,12 @@ class RobustSynthesis:
 
     controller: control.StateSpace
     gamma: float
-    scalings: tuple
-    history: list
+    scalings: tuple[Scaling, ...]
+    history: list[float]
 
 
-def iterate(plant, scalars, dynamic=False, slack=0.0, iterations=ITERATIONS):
+def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False, slack: float = 0.0,
+            iterations: int = ITERATIONS) -> RobustSynthesis:
     """Alternate between synthesis (K) and scaling (D), and keep the best controller.
 
     The iteration creeps: an optimal K levels what the next D could lower. Constant scalings are
@@ -89,28 +97,29 @@ def iterate(plant, scalars, dynamic=False, slack=0.0, iterations=ITERATIONS):
 class _Iteration:
     """Where an iteration stands, and the best that it has met."""
 
-    def __init__(self, plant, scalars):
+    def __init__(self, plant: control.StateSpace, scalars: int) -> None:
         self._plant = plant
         self._scalars = scalars
         self._frequency_hz = tick_frequencies(plant.dt)
         self._points = np.exp(2j * np.pi * self._frequency_hz * plant.dt)
-        self._history = []
-        self._best = np.inf, None
+        self._history: list[float] = []
+        self._best: tuple[float, Sequence[Scaling] | FloatArray] = np.inf, ()
 
-    def synthesise(self, scalings):
+    def synthesise(self, scalings: Sequence[Scaling] | FloatArray) -> None:
         """Design the controller for the present scalings (K-step)."""
         controller, _ = synthesise(scale(self._plant, scalings), tolerance=COARSE)
         self._take(scalings, controller)
 
-    def _take(self, scalings, controller):
+    def _take(self, scalings: Sequence[Scaling] | FloatArray,
+              controller: control.StateSpace) -> None:
         self.responses = sampled_response(close(self._plant, controller), self._points)
         self.mu, self._profiles = structured_singular_values(self.responses, self._scalars)
         self._history.append(float(self.mu.max()))
         self._best = min(self._best, (self._history[-1], scalings), key=lambda pair: pair[0])
 
-    def search(self):
+    def search(self) -> None:
         """Search the constant scalings of smallest norm, beginning with the best so far."""
-        def norm(log_d):
+        def norm(log_d: FloatArray) -> float:
             try:
                 return synthesise(scale(self._plant, np.exp(log_d)), largest_norm=10.0,
                                   tolerance=COARSE)[1]
@@ -123,25 +132,25 @@ class _Iteration:
             "initial_simplex": simplex, "maxfev": SEARCHED, "xatol": 1e-2, "fatol": COARSE})
         self.synthesise(np.exp(found.x))
 
-    def fitted_scalings(self):
+    def fitted_scalings(self) -> list[control.StateSpace]:
         """Fit dynamic scalings to the present controller (D-step)."""
         importance = (self.mu / self.mu.max()) ** IMPORTANCE
         return [fit_scaling(self._frequency_hz, profile, importance, self._plant.dt)
                 for profile in self._profiles.T]
 
-    def best(self, slack):
+    def best(self, slack: float) -> RobustSynthesis:
         """Synthesise with the best scalings, relaxed by the slack."""
         controller, gamma = synthesise(scale(self._plant, self._best[1]), slack)
         self._take(self._best[1], controller)
         return RobustSynthesis(controller, gamma, tuple(self._best[1]), self._history)
 
 
-def tick_frequencies(tick_s, count=FREQUENCIES):
+def tick_frequencies(tick_s: float, count: int = FREQUENCIES) -> FloatArray:
     """Zero and frequencies up to half the rate, evenly spaced on a logarithmic axis (Hz)."""
     return np.r_[0.0, np.geomspace(LOWEST_HZ, 0.5 / tick_s, count)]
 
 
-def constant_scaling(responses, scalars):
+def constant_scaling(responses: ComplexArray, scalars: int) -> FloatArray:
     """Positive numbers d that make the peak of the largest singular value of D M D^-1 smallest.
 
     Parameters
@@ -155,7 +164,7 @@ def constant_scaling(responses, scalars):
     """
     _, outputs, inputs = responses.shape
 
-    def peak(log_d):
+    def peak(log_d: FloatArray) -> float:
         left, right = np.ones(outputs), np.ones(inputs)
         left[:scalars], right[:scalars] = np.exp(log_d), np.exp(-log_d)
         return np.linalg.norm(left[:, None] * responses * right, ord=2, axis=(1, 2)).max()
@@ -166,7 +175,8 @@ def constant_scaling(responses, scalars):
     return np.exp(found.x)
 
 
-def fit_scaling(frequency_hz, magnitude, importance, tick_s, order=SCALING_ORDER):
+def fit_scaling(frequency_hz: FloatArray, magnitude: FloatArray, importance: FloatArray,
+                tick_s: float, order: int = SCALING_ORDER) -> control.StateSpace:
     """Fit a stable system with a stable inverse to a magnitude.
 
     Parameters
@@ -183,11 +193,11 @@ def fit_scaling(frequency_hz, magnitude, importance, tick_s, order=SCALING_ORDER
     points = np.exp(2j * np.pi * frequency_hz * tick_s)
     target = np.log(magnitude)
 
-    def roots(parameters):
+    def roots(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         # From corner frequencies, whatever they are, to the inside of the unit circle.
         return np.exp(-np.exp(parameters[:order])), np.exp(-np.exp(parameters[order:2 * order]))
 
-    def residual(parameters):
+    def residual(parameters: FloatArray) -> FloatArray:
         zeros, poles = roots(parameters)
         fitted = parameters[-1] + sum(
             np.log(np.abs(points - zero) / np.abs(points - pole))
@@ -202,7 +212,8 @@ def fit_scaling(frequency_hz, magnitude, importance, tick_s, order=SCALING_ORDER
     return control.ss(*zpk2ss(zeros, poles, np.exp(found[-1])), tick_s)
 
 
-def scale(plant, scalings):
+def scale(plant: control.StateSpace,
+          scalings: Sequence[Scaling] | FloatArray) -> control.StateSpace:
     """Scale the outputs of the uncertainties by D, their inputs by the inverse.
 
     Parameters
@@ -224,7 +235,7 @@ def scale(plant, scalings):
     return control.append(*systems, others_out) * plant * control.append(*inverses, others_in)
 
 
-def _inverse(system):
+def _inverse(system: control.StateSpace) -> control.StateSpace:
     """Inverse of a system with direct feedthrough."""
     d = np.linalg.inv(system.D)
     return control.ss(system.A - system.B @ d @ system.C, system.B @ d, -d @ system.C, d,

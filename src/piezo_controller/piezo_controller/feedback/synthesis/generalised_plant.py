@@ -5,13 +5,16 @@ import control
 import numpy as np
 
 from piezo_controller.feedback.synthesis.lifted_plant import lift
+from piezo_controller.feedback.synthesis.weights import DesignWeights
+from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import zoh
 
 UNCERTAINTIES = 2
 """Scalar uncertainties of `generalised_plant`, which are its first inputs and outputs."""
 
 
-def design_plant(model, tick_s, clock_period_s, at_once=False):
+def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
+                 at_once: bool = False) -> tuple[control.StateSpace, float]:
     """Make the linear plant that the feedback is designed on.
 
     Parameters
@@ -42,14 +45,15 @@ def design_plant(model, tick_s, clock_period_s, at_once=False):
     return plant, float(np.mean(hysteresis_gain_range(model)))
 
 
-def hysteresis_gain_range(model):
+def hysteresis_gain_range(model: StageModel) -> tuple[float, float]:
     """Smallest and largest secant gain (3.16) of a model's hysteresis at mid-travel (um/V)."""
     hysteresis = model.hysteresis
     middle_v = (hysteresis.voltage_min_v + hysteresis.voltage_max_v) / 2
     return hysteresis.gain_um_per_v([middle_v])
 
 
-def generalised_plant(plant, hysteresis_gain_um_per_v, weights):
+def generalised_plant(plant: control.StateSpace, hysteresis_gain_um_per_v: float,
+                      weights: DesignWeights) -> control.StateSpace:
     """Pose the design problem of thesis figs. 5.2 and 5.5.
 
     Two complex numbers of at most 1 are unknown: the hysteresis' gain varies by ``w_u`` times the
@@ -70,14 +74,14 @@ def generalised_plant(plant, hysteresis_gain_um_per_v, weights):
     """
     dt = plant.dt
 
-    def named(system, name, source, sink):
+    def named(system: control.StateSpace, name: str, source: str, sink: str) -> control.StateSpace:
         return control.ss(system.A, system.B, system.C, system.D, dt, name=name,
                           inputs=[source], outputs=[sink])
 
-    def gain(value, name, source, sink):
+    def gain(value: float, name: str, source: str, sink: str) -> control.StateSpace:
         return control.ss([], [], [], [[value]], dt, name=name, inputs=[source], outputs=[sink])
 
-    def weight(name, source, sink):
+    def weight(name: str, source: str, sink: str) -> control.StateSpace:
         return named(getattr(weights, name).state_space(dt), name, source, sink)
 
     return control.interconnect(

@@ -13,7 +13,8 @@ class NoController(ValueError):
     """No stabilising controller keeps the closed loop below the largest norm tried."""
 
 
-def synthesise(plant, slack=0.0, largest_norm=100.0, tolerance=1e-4):
+def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: float = 100.0,
+               tolerance: float = 1e-4) -> tuple[control.StateSpace, float]:
     """Find the H-infinity (sub)optimal controller of a generalised plant by bisection.
 
     Only controllers that are stable themselves are taken: one that is not could not wait for a
@@ -66,7 +67,7 @@ def synthesise(plant, slack=0.0, largest_norm=100.0, tolerance=1e-4):
     return best, upper
 
 
-def close(plant, controller):
+def close(plant: control.StateSpace, controller: control.StateSpace) -> control.StateSpace:
     """Close the loop of a generalised plant: the lower linear fractional transformation.
 
     Parameters
@@ -82,12 +83,12 @@ def close(plant, controller):
     return plant.lft(controller, nu=1, ny=1)
 
 
-def is_stable(system):
+def is_stable(system: control.StateSpace) -> bool:
     """Whether all poles of a discrete system lie inside the unit circle."""
     return bool(np.abs(system.poles()).max(initial=0.0) < 1.0)
 
 
-def _admissible(plant, norm):
+def _admissible(plant: control.StateSpace, norm: float) -> control.StateSpace | None:
     """Return the controller for one bound, or None where there is none."""
     outputs, inputs = plant.D.shape
     try:

@@ -5,7 +5,7 @@ import control
 import numpy as np
 
 
-def lift(system, samples_per_tick):
+def lift(system: control.StateSpace, samples_per_tick: int) -> control.StateSpace:
     """Lift a fast discrete system to the tick, with its averaging and its computing time.
 
     The voltage that the controller decides in tick k acts over tick k + 1, held for all its

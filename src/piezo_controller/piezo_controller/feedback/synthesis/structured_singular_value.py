@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Structured singular value: how large a perturbation of known structure a loop endures."""
 
+import control
 import numpy as np
 from slycot import ab13md
+
+from piezo_common.arrays import ComplexArray, FloatArray
 
 COMPLEX = 2
 
 
-def structured_singular_values(responses, scalars):
+def structured_singular_values(responses: ComplexArray,
+                               scalars: int) -> tuple[FloatArray, FloatArray]:
     """Upper bound of the structured singular value, frequency by frequency.
 
     The structure is `scalars` complex numbers of their own, then one full complex block, the
@@ -38,6 +42,6 @@ def structured_singular_values(responses, scalars):
     return mu, scalings
 
 
-def sampled_response(system, points):
+def sampled_response(system: control.StateSpace, points: ComplexArray) -> ComplexArray:
     """Response of a discrete system at points of the z plane, shape (points, outputs, inputs)."""
     return np.moveaxis(system(points, squeeze=False), -1, 0)

@@ -2,15 +2,17 @@
 """Weights of the feedback design: what is asked of the loop, at which frequency."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.resources import files
 from pathlib import Path
+from typing import Any, TypeVar
 
 import control
 from scipy.signal import zpk2ss
 
-from piezo_common.schema import SchemaError, load_document
-from piezo_controller.feedback.synthesis.weights_document import WeightsDocument
+from piezo_common.schema import SchemaError, load_document, parsed
+from piezo_controller.feedback.synthesis.weights_document import WeightEntry, WeightsDocument
 
 DISTURBANCE_HZ = 20.0
 """Bandwidth of the disturbances that the weights are made for, section 5.3.1."""
@@ -18,6 +20,9 @@ DISTURBANCE_HZ = 20.0
 DEFAULT = "default"
 BUILT_IN = {DEFAULT: files("piezo_controller") / "weights.yaml",
             "thesis": files("piezo_controller") / "weights_thesis.yaml"}
+
+
+Root = TypeVar("Root", float, complex)
 
 
 class WeightsError(ValueError):
@@ -29,21 +34,21 @@ class Weight:
     """``gain * prod(z - zero) / prod(z - pole)`` at the tick's rate."""
 
     gain: float
-    zeros: tuple = ()
-    poles: tuple = ()
+    zeros: tuple[float, ...] = ()
+    poles: tuple[float, ...] = ()
 
-    def state_space(self, sample_period_s):
+    def state_space(self, sample_period_s: float) -> control.StateSpace:
         """Return the weight as a discrete ``control.StateSpace``."""
         if not self.poles:
             return control.ss([], [], [], [[self.gain]], sample_period_s)
         return control.ss(*zpk2ss(self.zeros, self.poles, self.gain), sample_period_s)
 
-    def stretched(self, factor):
+    def stretched(self, factor: float) -> "Weight":
         """Multiply the frequencies of the weight, as Tustin's rule counts them, by `factor`."""
         if factor == 1:
             return self
 
-        def moved(z):
+        def moved(z: Root) -> Root:
             # -1 is infinite frequency, and stays where it is.
             return ((z + 1) + factor * (z - 1)) / ((z + 1) - factor * (z - 1))
 
@@ -82,28 +87,28 @@ class DesignWeights:
     feedforward_error: float
     hysteresis_uncertainty: float
 
-    def at_tick(self, sample_period_s):
+    def at_tick(self, sample_period_s: float) -> "DesignWeights":
         """Return the same demands at another tick."""
-        return self._stretched(("performance", "control", "reference", "noise", "disturbance"),
-                               sample_period_s / self.sample_period_s,
-                               sample_period_s=sample_period_s)
+        names = ("performance", "control", "reference", "noise", "disturbance")
+        stretched = self._stretched(names, sample_period_s / self.sample_period_s)
+        return replace(stretched, sample_period_s=sample_period_s)
 
-    def for_disturbances(self, bandwidth_hz):
-        """Disturbances of another bandwidth, rejected as well: ``w1`` and ``w_d`` are moved."""
+    def for_disturbances(self, bandwidth_hz: float) -> "DesignWeights":
+        """Reject disturbances of another bandwidth as well: ``w1`` and ``w_d`` are moved."""
         return self._stretched(("performance", "disturbance"), bandwidth_hz / DISTURBANCE_HZ)
 
-    def _stretched(self, names, factor, **changes):
-        return replace(self, **{name: getattr(self, name).stretched(factor) for name in names},
-                       **changes)
+    def _stretched(self, names: Sequence[str], factor: float) -> "DesignWeights":
+        """Multiply the frequencies of some weights by a factor."""
+        return replace(self, **{name: getattr(self, name).stretched(factor) for name in names})
 
-    def as_dict(self):
+    def as_dict(self) -> dict[str, Any]:
         """Plain numbers and lists, in the layout of the weights file."""
         return {name: {key: list(item) if isinstance(item, tuple) else item
                        for key, item in value.items()} if isinstance(value, dict) else value
                 for name, value in asdict(self).items()}
 
 
-def load_weights(path=DEFAULT):
+def load_weights(path: str | Path = DEFAULT) -> DesignWeights:
     """Read a weights file.
 
     Parameters
@@ -120,15 +125,21 @@ def load_weights(path=DEFAULT):
     WeightsError
         Names the file, the entry and what it should be.
     """
-    source = BUILT_IN.get(str(path), Path(path))
+    built_in = BUILT_IN.get(str(path))
     try:
-        document = load_document(WeightsDocument, source)
+        document = (load_document(WeightsDocument, path) if built_in is None
+                    else parsed(WeightsDocument, built_in.read_text(encoding="utf-8")))
     except SchemaError as error:
-        raise WeightsError(f"the weights file {source}: {error}") from None
-    return DesignWeights(**{
-        name: Weight(value.gain, tuple(value.zeros), tuple(value.poles))
-        if hasattr(value, "gain") else value for name, value in document})
+        raise WeightsError(f"the weights file {path}: {error}") from None
+    return DesignWeights(
+        document.sample_period_s, _weight(document.performance), _weight(document.control),
+        _weight(document.reference), _weight(document.noise), _weight(document.disturbance),
+        document.feedforward_error, document.hysteresis_uncertainty)
 
 
-def _product(point, zeros, poles):
+def _weight(entry: WeightEntry) -> Weight:
+    return Weight(entry.gain, tuple(entry.zeros), tuple(entry.poles))
+
+
+def _product(point: complex, zeros: Sequence[float], poles: Sequence[float]) -> complex:
     return math.prod(point - zero for zero in zeros) / math.prod(point - pole for pole in poles)

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 import control
 import numpy as np
+from numpy.typing import ArrayLike
 
+from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import continue_linear, zoh
 
 RELAY_SWING = 0.9
@@ -37,7 +39,8 @@ class UltimatePoint:
     period_s: float
 
 
-def ultimate_point_by_relay(model, samples_per_tick, clock_period_s, swing=RELAY_SWING):
+def ultimate_point_by_relay(model: StageModel, samples_per_tick: int, clock_period_s: float,
+                            swing: float = RELAY_SWING) -> UltimatePoint:
     """Let a relay oscillate with the model of a stage, as in thesis 2.4.2.
 
     The relay switches about the middle of the travel, once a tick, on the mean that is known then.
@@ -91,7 +94,8 @@ def ultimate_point_by_relay(model, samples_per_tick, clock_period_s, swing=RELAY
     return UltimatePoint(float(8 * amplitude_v / (np.pi * swing_um)), float(period_s))
 
 
-def ultimate_point_by_response(plant, largest_gain_um_per_v):
+def ultimate_point_by_response(plant: control.StateSpace,
+                               largest_gain_um_per_v: float) -> UltimatePoint:
     """From the linear dynamics, with the ultimate gain corrected for the hysteresis.
 
     (3.18), (3.19): the period is that at which the phase crosses -180 degrees; the gain
@@ -125,7 +129,7 @@ def ultimate_point_by_response(plant, largest_gain_um_per_v):
     return UltimatePoint(float(margin / largest_gain_um_per_v), float(1 / ultimate_hz))
 
 
-def pid(ultimate, tick_s):
+def pid(ultimate: UltimatePoint, tick_s: float) -> control.StateSpace:
     """Make a PID by the rule of Ziegler and Nichols, discrete by Tustin's rule.
 
     It is 0.6 Ku (1 + 2 / (Tu s) + Tu s / 8), (2.31), with a lag on the derivative.
@@ -148,7 +152,7 @@ def pid(ultimate, tick_s):
     return 0.6 * gain * (1 + integral + derivative)
 
 
-def proportional_integral(ultimate, tick_s):
+def proportional_integral(ultimate: UltimatePoint, tick_s: float) -> control.StateSpace:
     """Make a PI, discrete by Tustin's rule: 0.6 Ku (1 + 2 / (Tu s)), (3.20).
 
     Parameters
@@ -165,5 +169,6 @@ def proportional_integral(ultimate, tick_s):
     return 0.6 * ultimate.gain * (1 + integral)
 
 
-def _tustin(a, b, c, d, tick_s):
+def _tustin(a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike,
+            tick_s: float) -> control.StateSpace:
     return control.ss(a, b, c, d).sample(tick_s, method="bilinear")
