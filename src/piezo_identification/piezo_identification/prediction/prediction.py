@@ -28,24 +28,24 @@ class Prediction:
     ----------
     time_s, voltage_v, measured_um, simulated_um : ndarray, shape (N,)
         From when the start has settled.
+    sample_index : ndarray of int, shape (N,)
+        Of the samples in the recording.
     past_v : (float, float) or ()
         Of `starting_past_v`.
     outlier : ndarray of bool, shape (N,), optional
         Samples that neither fits nor errors count; none by default.
     reversed : bool
         The sign of the measured displacement was changed.
-    sample_index : ndarray of int, shape (N,), optional
-        Of the samples in the recording.
     """
 
     time_s: FloatArray
     voltage_v: FloatArray
     measured_um: FloatArray
     simulated_um: FloatArray
+    sample_index: NDArray[np.int64]
     past_v: PastVoltages = ()
     outlier: NDArray[np.bool_] | None = None
     reversed: bool = False
-    sample_index: NDArray[np.int64] | None = None
 
     @property
     def good(self) -> NDArray[np.bool_]:
@@ -100,5 +100,5 @@ def predict(model: StageModel, recording: Recording) -> Prediction:
         simulated_um = run.simulated_um(past_v)
     return Prediction(
         part.time_s[settled], part.voltage_v[settled], run.measured_um,
-        simulated_um, past_v, ~run.good, is_reversed, part.sample_index[settled],
+        simulated_um, part.sample_index[settled], past_v, ~run.good, is_reversed,
     )

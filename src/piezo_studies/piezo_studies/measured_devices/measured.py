@@ -112,7 +112,8 @@ def nrmse_percent(prediction):
 
 def _without_offset(time_s, voltage_v, measured_um, simulated_um):
     return Prediction(
-        time_s, voltage_v, measured_um, simulated_um + np.mean(measured_um - simulated_um))
+        time_s, voltage_v, measured_um, simulated_um + np.mean(measured_um - simulated_um),
+        np.arange(time_s.size))
 
 
 def scanner(directory):

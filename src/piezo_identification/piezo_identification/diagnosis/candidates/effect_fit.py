@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.diagnosis.residual.regression import Fit, Regression
 from piezo_models.effects import Effect, Evidence, Extent, fitted_values, with_fitted_values
 
@@ -60,13 +61,13 @@ def fit_effects(regression: Regression, effects: Sequence[Effect],
     guesses = [fitted_values(effect, regression.dataset.extent) for effect in effects]
     sizes = np.cumsum([0, *(values.size for values, _, _ in guesses)])
 
-    def effects_at(vector):
+    def effects_at(vector: FloatArray) -> tuple[Effect, ...]:
         return tuple(
             with_fitted_values(effect, vector[start:end])
             for effect, start, end in zip(effects, sizes[:-1], sizes[1:], strict=True)
         )
 
-    def remainder(vector):
+    def remainder(vector: FloatArray) -> FloatArray:
         tried = effects_at(vector)
         return regression.remainder(
             regression.difference((*fixed, *tried), tried if quick else ()))
@@ -128,6 +129,6 @@ def impossible_effects(fit: Fit, extent: Extent) -> dict[str, str]:
     return {name: reason for name, reason in reasons.items() if reason}
 
 
-def _within_bounds(effect, extent):
+def _within_bounds(effect: Effect, extent: Extent) -> Effect:
     """Move the parameters of an effect to what is physically possible, each by itself."""
     return with_fitted_values(effect, fitted_values(effect, extent)[0])

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.diagnosis.residual.noise_estimate import residual_um
 from piezo_identification.diagnosis.residual.regression import Regression
 from piezo_models.effects import Effect, Evidence
@@ -28,7 +28,8 @@ def recording_evidence(regression: Regression, effects: Sequence[Effect] = ()) -
             for index, mask in enumerate(regression.dataset.masks())]
 
 
-def _of_recording(regression, index, mask, effects):
+def _of_recording(regression: Regression, index: int, mask: BoolArray,
+                  effects: Sequence[Effect]) -> Evidence:
     dataset = regression.dataset
     part, used = dataset.simulated[index], regression.estimation[mask]
     simulated_um = part.simulate(effects)
@@ -45,7 +46,7 @@ def _of_recording(regression, index, mask, effects):
 def _projections(
     regressors: FloatArray, prior: FloatArray, rows: NDArray[np.intp], tolerance_um: float,
     difference_um: FloatArray,
-) -> tuple[Callable, Callable]:
+) -> tuple[Callable[[FloatArray], tuple[FloatArray, float]], Callable[[FloatArray], float]]:
     """Return how much a contribution explains of what the regressors leave, and how much shows.
 
     Parameters
@@ -65,7 +66,7 @@ def _projections(
     """
     q, _ = np.linalg.qr(np.vstack([regressors, prior]))
 
-    def project(values):
+    def project(values: FloatArray) -> FloatArray:
         zeros = np.zeros((len(prior), values.shape[1]))
         padded = np.vstack([values[rows] / tolerance_um, zeros])
         return padded - q @ (q.T @ padded)
@@ -73,14 +74,15 @@ def _projections(
     left = project(difference_um[:, None])[:, 0]
     energy = left @ left
 
-    def reduction(contributions):
+    def reduction(contributions: FloatArray) -> tuple[FloatArray, float]:
         seen = project(contributions)
         gains = np.linalg.lstsq(seen, left, rcond=1e-10)[0]
         rest = left - seen @ gains
-        return gains, 1.0 - (rest @ rest) / energy
+        return np.asarray(gains, dtype=float), float(1.0 - (rest @ rest) / energy)
 
-    def visible(contribution):
+    def visible(contribution: FloatArray) -> float:
         varying = (contribution[rows] - contribution[rows].mean()) / tolerance_um
-        return np.linalg.norm(project(contribution)) / max(np.linalg.norm(varying), 1e-300)
+        whole = float(np.linalg.norm(varying))
+        return float(np.linalg.norm(project(contribution))) / max(whole, 1e-300)
 
     return reduction, visible

@@ -153,6 +153,6 @@ def simplest_first(regression: Regression, fits: list[Fit]) -> list[Fit]:
     return sorted(fits, key=lambda fit: fit is not first)
 
 
-def _left(regression, fit):
+def _left(regression: Regression, fit: Fit) -> float:
     """RMS of what is left beyond the noise on held-out data, in tolerances."""
     return np.sqrt(max(CRITERIA.noticeable**2, lack_of_fit(regression, fit)))

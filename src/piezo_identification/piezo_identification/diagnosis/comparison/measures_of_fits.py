@@ -60,8 +60,8 @@ def visible_part(regression: Regression, before: Fit, after: Fit) -> float:
     """
     contribution = before.difference - after.difference
     contribution = contribution - contribution[regression.estimation].mean()
-    whole = np.linalg.norm(contribution[regression.estimation])
-    return float(np.linalg.norm(regression.remainder(contribution)) / max(whole, 1e-300))
+    whole = float(np.linalg.norm(contribution[regression.estimation]))
+    return float(np.linalg.norm(regression.remainder(contribution))) / max(whole, 1e-300)
 
 
 def contribution_rms(regression: Regression, before: Fit, after: Fit) -> float:

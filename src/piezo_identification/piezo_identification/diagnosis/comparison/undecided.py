@@ -52,7 +52,8 @@ def like_the_best(regression: Regression, fits: Sequence[Fit]) -> dict[str, str]
     dict of str to str
         Name of the effect that is in place of another, and that other one.
     """
-    best, found = fits[0], {}
+    best = fits[0]
+    found: dict[str, str] = {}
     names = [effect.name for effect in best.effects]
     for other in fits[1:]:
         if is_indistinguishable(regression, best, other):

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, impossible_effects
 from piezo_identification.diagnosis.residual.regression import Fit, Regression
@@ -85,13 +84,14 @@ class Validation:
         fit, refused = self._possible(fit)
         # Among the stretches of the recordings, each effect was chosen by just this.
         while self.holdout is not None and len(fit.effects) > 1:
-            errors_um = [(*self._rms_um(other, fit), number, other) for number, other in (
-                (number, self._without(fit, number)) for number in range(len(fit.effects)))]
-            without_um, with_um, number, other = min(errors_um, key=lambda error: error[0])
+            others = [self._without(fit, number) for number in range(len(fit.effects))]
+            errors_um = [self._rms_um(other, fit) for other in others]
+            number = min(range(len(others)), key=lambda number: errors_um[number][0])
+            without_um, with_um = errors_um[number]
             if without_um > with_um:
                 break
             refused[fit.effects[number].name] = self._worse(without_um, with_um)
-            fit = other
+            fit = others[number]
         if fit.effects and not self.improves(fit):
             without_um, with_um = self._rms_um(None, fit)
             refused |= {effect.name: self._worse(without_um, with_um) for effect in fit.effects}
@@ -110,7 +110,7 @@ class Validation:
         text = outlier_text(self.source, ~self._given.good, self._given.time_s)
         return [text] if text else []
 
-    def _possible(self, fit):
+    def _possible(self, fit: Fit) -> tuple[Fit, dict[str, str]]:
         """Remove the effects that no stage can have, and say why."""
         refused = {}
         while impossible := impossible_effects(fit, self.regression.dataset.extent):
@@ -121,30 +121,30 @@ class Validation:
             fit = self._without(fit, number)
         return fit, refused
 
-    def _worse(self, without_um, with_um):
+    def _worse(self, without_um: float, with_um: float) -> str:
         return (f"with it the error on {self.source} rises from {1e3 * without_um:.3g} to "
                 f"{1e3 * with_um:.3g} nm RMS")
 
-    def _without(self, fit, number):
+    def _without(self, fit: Fit, number: int) -> Fit:
         """Remove one of the effects, and fit the rest anew."""
         others = fit.without(number)
         return fit_effects(self.regression, others) if others else self.regression.fit(())
 
-    def _rms_um(self, *fits):
-        """RMS errors of some fits on the samples that are good beside all of them."""
+    def _rms_um(self, *fits: Fit | None) -> tuple[float, ...]:
+        """Return the RMS errors of some fits on the samples that are good beside all of them."""
         samples = [self._of(fit) for fit in fits]
         good = np.all([each.good for each in samples], axis=0)
         return tuple(each.errors(good)["rms_um"] for each in samples)
 
     @cached_property
-    def _given(self):
+    def _given(self) -> "_Samples":
         """Samples of the model as given."""
         regression = self.regression
         if self.holdout is not None:
             return _predicted(regression.dataset.model, self.holdout)
         return self._at_rows(regression.nuisance_remainder(regression.difference(())))
 
-    def _of(self, fit):
+    def _of(self, fit: Fit | None) -> "_Samples":
         """Return samples of the model extended by a fit, or as given without one."""
         if fit is None:
             return self._given
@@ -152,7 +152,7 @@ class Validation:
             return _predicted(self.regression.extended_model(fit), self.holdout)
         return self._at_rows(fit.residual)
 
-    def _at_rows(self, left):
+    def _at_rows(self, left: FloatArray) -> "_Samples":
         """Return samples of what is left, over the tolerance, at the rows of the data set."""
         dataset = self.regression.dataset
         measured_um = dataset.at_rows([part.measured_um for part in dataset.simulated])
@@ -168,9 +168,9 @@ class _Samples:
     time_s: FloatArray
     measured_um: FloatArray
     left_um: FloatArray
-    good: NDArray[np.bool_]
+    good: BoolArray
 
-    def errors(self, good):
+    def errors(self, good: BoolArray) -> dict[str, float]:
         """Return the errors of some samples."""
         measured_um, left_um = self.measured_um[good], self.left_um[good]
         return {"rms_um": float(np.sqrt(np.mean(left_um**2))),

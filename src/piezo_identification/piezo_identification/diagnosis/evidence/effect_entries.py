@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Entries of the verdict for the effects found: parameters, uncertainty, what each explains."""
 
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.diagnosis.comparison.measures_of_fits import (
     contribution_rms,
     mean_square,
 )
 from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_models.effects import Effect
 
 
 def effect_entries(regression: Regression, fit: Fit) -> list[dict[str, Any]]:
@@ -36,15 +39,16 @@ def effect_entries(regression: Regression, fit: Fit) -> list[dict[str, Any]]:
             "name": effect.name, "parameters": effect.parameters(),
             "error_reduction_percent": float(100.0 * (1.0 - left / np.hypot(left, added)))})
     if fit.covariance is not None:
-        _add_deviations(entries, fit)
+        _add_deviations(entries, fit.effects, fit.covariance)
     return entries
 
 
-def _add_deviations(entries, fit):
+def _add_deviations(entries: list[dict[str, Any]], effects: Sequence[Effect],
+                    covariance: FloatArray) -> None:
     """Add the standard deviations of the fitted parameters."""
-    deviations = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     start = 0
-    for entry, effect in zip(entries, fit.effects, strict=True):
+    for entry, effect in zip(entries, effects, strict=True):
         entry["standard_deviations"] = named = {}
         for field in fields(effect):
             value, scale = getattr(effect, field.name), field.metadata["scale"]

@@ -34,7 +34,7 @@ def describe_residual(regression: Regression, fit: Fit) -> str:
                     for index in range(len(regression.dataset.simulated)))
 
 
-def _sentence(regression, fit, index):
+def _sentence(regression: Regression, fit: Fit, index: int) -> str:
     part, noise = regression.dataset.simulated[index], regression.noise
     residual = residual_um(regression.dataset, index, fit.effects, noise)
     residual = np.where(noise.outliers[index], 0.0, residual)[part.begin :]

@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import csd, welch
 
 from piezo_common.arrays import FloatArray
@@ -112,7 +113,8 @@ def input_correlation(residual_um: FloatArray, input: FloatArray,
                            SETTINGS.band_99 / np.sqrt(residual.size))
 
 
-def _whitened(signal, order=SETTINGS.whitening_order):
+def _whitened(signal: FloatArray,
+              order: int = SETTINGS.whitening_order) -> tuple[FloatArray, FloatArray]:
     """Make a signal white by an autoregressive filter; return it, and the filter."""
     lagged = np.column_stack(
         [signal[order - lag : signal.size - lag] for lag in range(1, order + 1)]
@@ -122,7 +124,7 @@ def _whitened(signal, order=SETTINGS.whitening_order):
     return np.convolve(signal, coefficients, mode="valid"), coefficients
 
 
-def _correlation(later, earlier, lags):
+def _correlation(later: FloatArray, earlier: FloatArray, lags: NDArray[np.intp]) -> FloatArray:
     scale = np.linalg.norm(later) * np.linalg.norm(earlier)
     if scale == 0.0:
         return np.zeros(lags.size)
@@ -145,7 +147,7 @@ def spectrum(signal_um: FloatArray, sample_period_s: float) -> tuple[FloatArray,
                  detrend="linear")
 
 
-def _segment(samples):
+def _segment(samples: int) -> int:
     """Return the samples of each of the segments whose spectra are averaged."""
     return int(min(samples, max(SETTINGS.shortest_segment, samples // SETTINGS.segments)))
 
@@ -281,7 +283,7 @@ def dependences(residual_um: FloatArray, displacement_um: FloatArray, voltage_v:
     ]
 
 
-def _branches(voltage_v):
+def _branches(voltage_v: FloatArray) -> tuple[FloatArray, FloatArray]:
     """For each sample the span of its branch, and the voltage at which the branch began."""
     points = turning_points(voltage_v, 1e-3 * np.ptp(voltage_v))
     span, start_v = np.zeros(voltage_v.size), np.full(voltage_v.size, voltage_v[0])
@@ -291,7 +293,7 @@ def _branches(voltage_v):
     return span, start_v
 
 
-def _correlated_samples(residual_um):
+def _correlated_samples(residual_um: FloatArray) -> float:
     """Neighbours for which one independent sample stands."""
     residual = residual_um - residual_um.mean()
     energy = residual @ residual

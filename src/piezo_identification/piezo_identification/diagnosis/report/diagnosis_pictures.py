@@ -61,7 +61,7 @@ def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: Fl
     return to_png(figure, DOTS_PER_INCH)
 
 
-def _closest_look(part, before_um, after_um):
+def _closest_look(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> slice:
     """Return the slice of samples in which the scatter of the residual fell most."""
     samples = min(CLOSE_SAMPLES, before_um.size - part.begin)
     windows = (before_um.size - part.begin) // samples

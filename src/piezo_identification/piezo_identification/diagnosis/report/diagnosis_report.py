@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_common.report_page import Picture, Section, render_page
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.diagnosis.comparison.attempts import Attempt
@@ -19,6 +20,7 @@ from piezo_identification.diagnosis.residual.noise_estimate import (
     residual_of_model_um,
     residual_um,
 )
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
 
@@ -68,7 +70,7 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
                        [f"{name}: {text}" for name, text in origin], sections)
 
 
-def _found(diagnosis):
+def _found(diagnosis: Diagnosis) -> Section:
     before, after = diagnosis.before, diagnosis.after
     where = "{samples} samples of {source}".format(**diagnosis.holdout)
     told = [f"Held out: {where}.", *(f"{text}." for text in diagnosis.left_out),
@@ -82,7 +84,8 @@ def _found(diagnosis):
 
 
 def _effects(effects: list[dict[str, Any]]) -> list[tuple[str, ...]]:
-    rows = [("effect", "parameter", "value", "standard deviation", "error reduction (%)")]
+    rows: list[tuple[str, ...]] = [
+        ("effect", "parameter", "value", "standard deviation", "error reduction (%)")]
     for entry in effects:
         first = True
         for name, value in entry["parameters"].items():
@@ -96,8 +99,9 @@ def _effects(effects: list[dict[str, Any]]) -> list[tuple[str, ...]]:
     return rows
 
 
-def _recording(part, before_um, after_um, noise_um):
-    def picture(name, caption, png):
+def _recording(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
+               noise_um: float) -> Section:
+    def picture(name: str, caption: str, png: bytes) -> Picture:
         return Picture(name, caption, png, wide=True)
 
     return Section(str(part.path), table=_tests_table(part, before_um, after_um), pictures=(
@@ -115,8 +119,9 @@ def _recording(part, before_um, after_um, noise_um):
                 pictures.draw_dependences(part, before_um, after_um))))
 
 
-def _tests_table(part, before_um, after_um):
-    rows = [("lags outside the band of 99 %", "before", "after")]
+def _tests_table(part: SimulatedRecording, before_um: FloatArray,
+                 after_um: FloatArray) -> list[tuple[str, ...]]:
+    rows: list[tuple[str, ...]] = [("lags outside the band of 99 %", "before", "after")]
     before_um, after_um = before_um[part.begin :], after_um[part.begin :]
     voltage_v = part.voltage_v[part.begin :]
     for name, tests in (
@@ -134,8 +139,8 @@ def _tried(selection: Selection) -> Iterator[Section]:
         f"{CRITERIA.significant:g} are asked for. The tolerance is the noise and what a "
         "good model may be wrong by.",))
     for number, attempts in enumerate(selection.rounds, 1):
-        rows = [("candidate", "error reduction (%)", "significance", "size / tolerance",
-                 "outcome")]
+        rows: list[tuple[str, ...]] = [
+            ("candidate", "error reduction (%)", "significance", "size / tolerance", "outcome")]
         rows += [
             (attempt.name, *(
                 (f"{attempt.reduction_percent:.2f}", f"{attempt.significance:.1f}",
@@ -164,12 +169,12 @@ def _outcome(attempt: Attempt, best: Attempt, selection: Selection) -> str:
     return "rejected: too small" if attempt is best else f"rejected: less than {best.name}"
 
 
-def _undecided(diagnosis):
+def _undecided(diagnosis: Diagnosis) -> Section:
     title = "What the data could not decide"
     if not diagnosis.not_decidable:
         return Section(title, ("Nothing.",))
     kinds = known_effects()
-    rows = [("effect", "why", "experiment that would")]
+    rows: list[tuple[str, ...]] = [("effect", "why", "experiment that would")]
     rows += [
         (name, reason, kinds[name].experiment) for name, reason in diagnosis.not_decidable.items()
     ]
@@ -178,7 +183,7 @@ def _undecided(diagnosis):
 
 def _other_parameters(before: StageModel, after: StageModel) -> Section:
     """Tabulate the model's own parameters; what they gain alone is no effect's."""
-    rows = [("parameter", "before", "after", "change (%)")]
+    rows: list[tuple[str, ...]] = [("parameter", "before", "after", "change (%)")]
     for old, new in ((before.dynamics, after.dynamics), (before.creep, after.creep)):
         for field in fields(old):
             pairs = zip(np.atleast_1d(getattr(old, field.name)),
@@ -193,7 +198,7 @@ def _other_parameters(before: StageModel, after: StageModel) -> Section:
         "Beside the effects they were free to move as far as they are uncertain.",), rows)
 
 
-def _number(value, digits=5):
+def _number(value: float | Sequence[float], digits: int = 5) -> str:
     if isinstance(value, (list, tuple)):
         return ", ".join(f"{number:.{min(digits, 4)}g}" for number in value)
     return f"{value:.{digits}g}"

@@ -141,7 +141,7 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
                    nuisance_count, _extent(simulated))
 
 
-def _extent(simulated):
+def _extent(simulated: Sequence[SimulatedRecording]) -> Extent:
     """How far the recordings go."""
     return Extent(
         max(float(np.ptp(part.measured_um[part.begin :])) for part in simulated),
@@ -152,7 +152,8 @@ def _extent(simulated):
     )
 
 
-def _split(simulated):
+def _split(simulated: Sequence[SimulatedRecording],
+           ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.intp], BoolArray]:
     """Rows of each recording, the stretch of each row, and whether it may be fitted."""
     budget = SPLIT.most_rows // len(simulated)
     rows, numbers = [], []

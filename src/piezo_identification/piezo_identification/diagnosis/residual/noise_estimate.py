@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import outliers_of_residual
 from piezo_identification.diagnosis.residual.dataset import Dataset
 from piezo_identification.diagnosis.residual.parameter_sensitivities import nuisance_regressors
@@ -33,7 +32,7 @@ class NoiseEstimate:
     """
 
     noise_um: tuple[float, ...]
-    outliers: tuple[NDArray[np.bool_], ...]
+    outliers: tuple[BoolArray, ...]
 
 
 def estimate_noise(dataset: Dataset, effects: Sequence[Effect] = (),
@@ -56,7 +55,8 @@ def estimate_noise(dataset: Dataset, effects: Sequence[Effect] = (),
                  for index in range(len(dataset.simulated))]
     noise_um, outliers = [], []
     for part, residual in zip(dataset.simulated, residuals, strict=True):
-        def standing_out(noise, part=part, residual=residual):
+        def standing_out(noise: float, part: SimulatedRecording = part,
+                         residual: FloatArray = residual) -> BoolArray:
             return part.outlier | outliers_of_residual(
                 residual, part.measured_um, part.voltage_v, noise)
 
@@ -93,11 +93,12 @@ def residual_of_model_um(dataset: Dataset, index: int, model: StageModel,
     return _without_nuisance(part, (), _outliers(dataset, index, noise))
 
 
-def _outliers(dataset, index, noise):
+def _outliers(dataset: Dataset, index: int, noise: NoiseEstimate | None) -> BoolArray:
     return dataset.simulated[index].outlier if noise is None else noise.outliers[index]
 
 
-def _without_nuisance(part, effects, outlier):
+def _without_nuisance(part: SimulatedRecording, effects: Sequence[Effect],
+                      outlier: BoolArray) -> FloatArray:
     difference = part.measured_um - part.simulate(effects)
     every = np.arange(part.begin, part.time_s.size)
     step = max(1, every.size // MOST_SAMPLES)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How a simulated displacement changes with the model's parameters, and with what is unknown."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from piezo_identification.estimators.refinement.sensitivities import (
     sensitivity_systems,
 )
 from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.creep_errors import creep_error_map
 
 
@@ -107,7 +109,7 @@ def perturbed(model: StageModel, changes: FloatArray) -> StageModel:
     changes = _width_map(model) @ changes
     used = 0
 
-    def factors(values):
+    def factors(values: Sequence[float]) -> tuple[float, ...]:
         nonlocal used
         used += len(values)
         return tuple(np.array(values) * np.exp(changes[used - len(values) : used]))
@@ -116,10 +118,9 @@ def perturbed(model: StageModel, changes: FloatArray) -> StageModel:
         factors(model.creep.poles_rad_per_s), factors(model.creep.zeros_rad_per_s)
     )
     dynamics = model.dynamics
-    lag = (dynamics.time_constant_s,) if dynamics.time_constant_s > 0.0 else ()
-    lag = factors(lag)
+    lag_s = factors((dynamics.time_constant_s,) if dynamics.time_constant_s > 0.0 else ())
     dynamics = type(dynamics)(
-        lag[0] if lag else 0.0, factors(dynamics.mode_frequencies_rad_per_s),
+        lag_s[0] if lag_s else 0.0, factors(dynamics.mode_frequencies_rad_per_s),
         factors(dynamics.damping_ratios), factors(dynamics.antiresonance_frequencies_rad_per_s),
         factors(dynamics.antiresonance_damping_ratios),
     )
@@ -129,7 +130,7 @@ def perturbed(model: StageModel, changes: FloatArray) -> StageModel:
     return replace(model, creep=creep, dynamics=dynamics, hysteresis=hysteresis)
 
 
-def _width_map(model):
+def _width_map(model: StageModel) -> FloatArray:
     """Logarithms of the factors of the parameters, for a change of each by one width."""
     pairs = len(model.creep.poles_rad_per_s)
     dynamics = model.dynamics
@@ -143,13 +144,13 @@ def _width_map(model):
     return widths
 
 
-def _surfaces(model):
+def _surfaces(model: StageModel) -> FloatArray:
     return factor_surfaces(
         model.hysteresis.density_um_per_v2.shape[0], WIDTHS.middle_knots, WIDTHS.span_knots
     )
 
 
-def _traded(hysteresis, part):
+def _traded(hysteresis: PreisachModel, part: float) -> PreisachModel:
     """Make a part of the gain of the hysteresis over the whole range reversible."""
     low_um, high_um = hysteresis.output_range_um
     gain_um_per_v = (high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
@@ -160,7 +161,7 @@ def _traded(hysteresis, part):
     )
 
 
-def _times(hysteresis, surface):
+def _times(hysteresis: PreisachModel, surface: FloatArray) -> PreisachModel:
     """Multiply the density of the hysteresis, and its reversible part on the diagonal."""
     return replace(
         hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * surface,

@@ -136,7 +136,7 @@ class Regression:
         coefficients = np.linalg.lstsq(
             self.r, self.q.T @ self._padded(difference), rcond=1e-12)[0]
         return Fit(tuple(effects), difference - self.weighted @ coefficients, difference,
-                   coefficients, covariance)
+                   np.asarray(coefficients, dtype=float), covariance)
 
     def nuisance_remainder(self, difference: FloatArray) -> FloatArray:
         """Return what the nuisance regressors alone leave at all rows, (r,)."""
@@ -158,7 +158,7 @@ class Regression:
         model = perturbed(dataset.model, fit.coefficients[dataset.nuisance_count :])
         return replace(model, effects=(*dataset.model.effects, *fit.effects))
 
-    def _padded(self, difference):
+    def _padded(self, difference: FloatArray) -> FloatArray:
         parameters = self.weighted.shape[1] - self.dataset.nuisance_count
         return np.concatenate([difference[self.estimation], np.zeros(parameters)])
 

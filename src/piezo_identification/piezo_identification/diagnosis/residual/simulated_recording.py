@@ -161,14 +161,15 @@ class SimulatedRecording:
         without_modes = replace(self.model, dynamics=lag, effects=self.model.effects_at("linear"))
         return self.respond(without_modes.linear(), self.input_um)
 
-    def _hysteresis(self, hysteresis, amplified_v):
+    def _hysteresis(self, hysteresis: PreisachModel,
+                    amplified_v: FloatArray) -> tuple[FloatArray, float]:
         """Output while the waveform plays, and at the first sample of the recording."""
         memory = hysteresis.memory()
         hysteresis.simulate(self.past_v, memory)
         output_um = hysteresis.simulate(amplified_v, memory)
         return output_um[self._samples_before :], output_um[0]
 
-    def _with_creep(self, hysteresis_um, amplified_v):
+    def _with_creep(self, hysteresis_um: FloatArray, amplified_v: FloatArray) -> FloatArray:
         """Input of the linear part: the output of the hysteresis with its creep."""
         model = self.model
         if model.hysteretic_creep is None:
@@ -176,11 +177,12 @@ class SimulatedRecording:
         past = model.hysteresis.memory()
         model.hysteresis.simulate(
             [*self.past_v, *amplified_v[: self._samples_before + 1]], past)
-        memory = model.memory(hysteresis=past).hysteretic_creep
+        memory = model.hysteretic_creep.memory(past.extremes_v[: past.top + 1])
         return hysteresis_um + model.hysteretic_creep.simulate(
             amplified_v[self._samples_before :], self.sample_period_s, memory)
 
-    def _output(self, on_voltage, in_series, lags):
+    def _output(self, on_voltage: tuple[Effect, ...], in_series: tuple[Effect, ...],
+                lags: tuple[Effect, ...]) -> FloatArray:
         """Output of the linear part and the lags behind it, kept for the next time."""
         key = on_voltage, in_series, lags
         if key not in self._outputs:

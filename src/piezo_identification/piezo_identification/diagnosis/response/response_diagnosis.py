@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezo_common.arrays import ComplexArray
 from piezo_identification.diagnosis.response.response_candidates import fit_each_candidate
 from piezo_identification.diagnosis.response.response_fit import (
     SETTINGS,
@@ -51,8 +51,8 @@ class ResponseDiagnosis(Verdict):
 
     tried: list[list[tuple[str, float]]]
     measured: FrequencyResponse
-    before_gain: NDArray[np.complex128]
-    after_gain: NDArray[np.complex128]
+    before_gain: ComplexArray
+    after_gain: ComplexArray
 
 
 @dataclass(frozen=True, eq=False)

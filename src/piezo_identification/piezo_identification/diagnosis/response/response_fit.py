@@ -122,7 +122,7 @@ class ResponseProblem:
         """Return the model with the effects, and its dynamics as they were fitted."""
         return self._model(fit.changes, fit.effects)
 
-    def _model(self, changes, effects):
+    def _model(self, changes: FloatArray, effects: Sequence[Effect]) -> StageModel:
         vector = self._dynamics.copy()
         vector[self._free] *= np.exp(changes)
         dynamics = dynamics_of_vector(
@@ -131,7 +131,7 @@ class ResponseProblem:
         return replace(
             self.model, dynamics=dynamics, effects=(*self.model.effects, *effects))
 
-    def _residual(self, changes, effects):
+    def _residual(self, changes: FloatArray, effects: Sequence[Effect]) -> ComplexArray:
         """Return what the gain that fits best leaves, over tolerance, (N,)."""
         check_cancelled()
         response = full_response(self._model(changes, effects), self.measured.frequency_hz)
@@ -140,20 +140,20 @@ class ResponseProblem:
         gain = np.vdot(fitted, wanted[self.estimation]).real / np.vdot(fitted, fitted).real
         return wanted - gain * response
 
-    def _fit(self, changes, effects):
+    def _fit(self, changes: FloatArray, effects: Sequence[Effect]) -> ResponseFit:
         return ResponseFit(changes, tuple(effects), self._residual(changes, effects))
 
-    def _solve(self, changes, effects, count):
+    def _solve(self, changes: FloatArray, effects: tuple[Effect, ...], count: int) -> ResponseFit:
         """Fit the last effect, and the first `count` changes of the dynamics."""
         last = effects[-1:]
         values, low, high = fitted_values(last[0], self.extent) if last else (np.empty(0),) * 3
 
-        def at(vector):
+        def at(vector: FloatArray) -> tuple[FloatArray, tuple[Effect, ...]]:
             changed = vector[:count] if count else changes
             found = (with_fitted_values(last[0], vector[count:]),) if last else ()
             return changed, (*effects[:-1], *found)
 
-        def errors(vector):
+        def errors(vector: FloatArray) -> FloatArray:
             left = self._residual(*at(vector))[self.estimation]
             return np.concatenate([left.real, left.imag])
 
@@ -192,7 +192,7 @@ def _least_squares(
     determined : (m,) array of bool
         Of the free ones.
     """
-    def whole(part):
+    def whole(part: FloatArray) -> FloatArray:
         vector = start.copy()
         vector[free] = part
         return vector
@@ -218,7 +218,7 @@ def full_response(model: StageModel, frequency_hz: FloatArray) -> ComplexArray:
     -------
     (N,) array of complex
     """
-    s = 2j * np.pi * frequency_hz
+    s = np.asarray(2j * np.pi * frequency_hz, dtype=complex)
     response = model.response(frequency_hz)
     behind: Sequence[Effect] = [
         effect for place in ("displacement", "sensor") for effect in model.effects_at(place)]

@@ -4,8 +4,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_identification.diagnosis.response.response_fit import (
     SETTINGS,
     ResponseFit,
@@ -42,7 +42,7 @@ CRITERIA = ResponseCriteria()
 
 
 def mean_square(problem: ResponseProblem, fit: ResponseFit,
-                part: NDArray[np.bool_] | None = None) -> float:
+                part: BoolArray | None = None) -> float:
     """Return the mean square of what is left, over tolerance, by default of the validation set."""
     return float(np.mean(np.abs(fit.residual[~problem.estimation if part is None else part]) ** 2))
 
@@ -64,8 +64,9 @@ def is_convincing(problem: ResponseProblem, before: ResponseFit, after: Response
         return False
     rows, change = ~problem.estimation, before.residual - after.residual
 
-    def blocks(residual):
-        return np.bincount(problem.block[rows], (residual * change.conj()).real[rows])
+    def blocks(residual: ComplexArray) -> FloatArray:
+        sums = np.bincount(problem.block[rows], (residual * change.conj()).real[rows])
+        return np.asarray(sums, dtype=float)
 
     spread = np.sqrt(np.sum(blocks(after.residual) ** 2))
     return bool(np.sum(blocks(before.residual)) > CRITERIA.significant * spread)

@@ -42,7 +42,7 @@ def diagnose_response_file(
         If a file cannot be read or written, or the response cannot be used.
     """
     identified, directory = load_model(model), Path(directory)
-    measured = read_frequency_response(response).held(hold_s)
+    measured = read_frequency_response(Path(response)).held(hold_s)
     directory.mkdir(parents=True, exist_ok=True)
     diagnosis = diagnose_response(identified.model, measured)
     write_verdict(directory / "verdict.json", diagnosis)
