@@ -4,7 +4,7 @@
 import time
 from typing import Any
 
-import numpy as np
+from piezo_common.arrays import FloatArray
 
 # Further behind than this the clock is set anew instead of being caught up with.
 LARGEST_LAG_S = 0.1
@@ -19,7 +19,7 @@ class PacedStage:
         What answers; its other attributes are passed on.
     """
 
-    def __init__(self, backend: Any):
+    def __init__(self, backend: Any) -> None:
         self._backend = backend
         self._due_s = 0.0
 
@@ -31,7 +31,7 @@ class PacedStage:
         self._backend.open()
         self._due_s = time.monotonic()
 
-    def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
+    def exchange(self, voltage_v: FloatArray) -> FloatArray:
         """Play voltages in real time; see ``StageBackend.exchange``."""
         displacement_um = self._backend.exchange(voltage_v)
         self._due_s += len(voltage_v) / self._backend.sample_rate_hz

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant import Plant
 from piezo_sim.plant.plant_effect import Surroundings
 from piezo_sim.plant.plant_file import PlantConfig, read_plant
@@ -45,7 +46,7 @@ class SimulatedStage:
     """
 
     def __init__(self, plant: str | Path | PlantConfig | None = None, seed: int = 0,
-                 sample_rate_hz: float = 40000.0, rest_voltage_v: float = 0.0):
+                 sample_rate_hz: float = 40000.0, rest_voltage_v: float = 0.0) -> None:
         if seed < 0:
             raise ValueError(f"seed is {seed}; give an integer that is not negative.")
         if not 0.0 < sample_rate_hz < float("inf"):
@@ -54,7 +55,7 @@ class SimulatedStage:
         self.true_displacement_um = np.empty(0)
         self._config = plant if isinstance(plant, PlantConfig) else read_plant(plant)
         self._surroundings = Surroundings(1.0 / sample_rate_hz, rest_voltage_v, seed)
-        self._plant = None
+        self._plant: Plant | None = None
         self._failed = False
         # Compiles what is not compiled yet, so that no exchange has to wait for it.
         Plant(self._config, self._surroundings).respond(np.zeros(1))
@@ -65,7 +66,7 @@ class SimulatedStage:
         self._plant = Plant(self._config, self._surroundings)
         self.true_displacement_um = np.empty(0)
 
-    def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
+    def exchange(self, voltage_v: FloatArray) -> FloatArray:
         """Play voltages and return the displacements measured at their start.
 
         Parameters

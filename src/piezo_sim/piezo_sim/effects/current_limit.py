@@ -9,14 +9,15 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 
 @njit(cache=True)
-def _charge(samples, output_v, period_s, source_v_per_s, sink_v_per_s, growth_per_v):
+def _charge(samples: FloatArray, output_v: float, period_s: float, source_v_per_s: float,
+            sink_v_per_s: float, growth_per_v: float) -> float:
     for n in range(samples.size):
         change_v = samples[n] - output_v
         if change_v == 0.0:
@@ -61,7 +62,7 @@ class CurrentLimit:
 class CurrentLimitRunner:
     """Current limit with the voltage at the actuator."""
 
-    def __init__(self, effect: CurrentLimit, sample_period_s: float):
+    def __init__(self, effect: CurrentLimit, sample_period_s: float) -> None:
         self._output_v = 0.0
         self._constants = (
             sample_period_s,
@@ -75,6 +76,6 @@ class CurrentLimitRunner:
         self._output_v = level
         return level
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace voltages by mean voltages over each sample."""
         self._output_v = _charge(samples, self._output_v, *self._constants)

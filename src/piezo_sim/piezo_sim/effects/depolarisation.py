@@ -7,12 +7,14 @@ from typing import ClassVar
 
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.accumulating import AccumulatingRunner
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 
 @njit(cache=True)
-def _age(samples, previous_um, travelled_um, lost_gain, travel_um):
+def _age(samples: FloatArray, previous_um: float, travelled_um: float, lost_gain: float,
+         travel_um: float) -> tuple[float, float]:
     for n in range(samples.size):
         travelled_um += abs(samples[n] - previous_um)
         previous_um = samples[n]

@@ -8,11 +8,13 @@ import numpy as np
 from numba import njit
 from scipy.linalg import expm
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 
 @njit(cache=True)
-def _advance(samples, state, following, previous, a, held, ramp):
+def _advance(samples: FloatArray, state: FloatArray, following: FloatArray, previous: float,
+             a: FloatArray, held: FloatArray, ramp: FloatArray) -> float:
     order = state.size
     for n in range(samples.size):
         level = samples[n]
@@ -53,7 +55,7 @@ class DistributedLag:
 class DistributedLagRunner:
     """Distributed lag with the state of every section."""
 
-    def __init__(self, effect: DistributedLag, sample_period_s: float):
+    def __init__(self, effect: DistributedLag, sample_period_s: float) -> None:
         n = effect.sections
         rate = n / effect.lag_s
         # Augmented by the input and its slope, both over one sample period.
@@ -76,7 +78,7 @@ class DistributedLagRunner:
         self._previous = level
         return level
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace samples by lagging ones."""
         self._previous = _advance(
             samples, self._state, self._following, self._previous, *self._matrices

@@ -7,12 +7,13 @@ from typing import ClassVar
 
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 from piezo_sim.plant.pointwise import PointwiseRunner
 
 
 @njit(cache=True)
-def _balance(samples, relaxed_um, length_um):
+def _balance(samples: FloatArray, relaxed_um: float, length_um: float) -> None:
     # The one real root of a cubic without square term, in hyperbolic form.
     for n in range(samples.size):
         free = (samples[n] - relaxed_um) / length_um

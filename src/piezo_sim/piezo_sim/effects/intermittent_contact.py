@@ -4,8 +4,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 from piezo_sim.plant.random_stream import EventStream, bits_for
 
@@ -40,7 +39,7 @@ class IntermittentContact:
 class IntermittentContactRunner:
     """Intermittent contact with its state and the instant of the next change."""
 
-    def __init__(self, effect: IntermittentContact, surroundings: Surroundings):
+    def __init__(self, effect: IntermittentContact, surroundings: Surroundings) -> None:
         self._effect = effect
         self._mean_samples = {
             False: effect.mean_tight_time_s / surroundings.sample_period_s,
@@ -54,7 +53,7 @@ class IntermittentContactRunner:
         """Return the level unchanged, because the joint is tight at rest."""
         return level
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace displacements of the drive by those behind the joint."""
         done = 0
         while (position := self._events.within(samples.size)) is not None:
@@ -65,6 +64,6 @@ class IntermittentContactRunner:
         self._pass_on(samples[done:])
         self._events.advance(samples.size)
 
-    def _pass_on(self, samples: np.ndarray) -> None:
+    def _pass_on(self, samples: FloatArray) -> None:
         if self._loose:
             samples -= self._effect.lost_share * (samples - self._effect.joint_um)

@@ -8,12 +8,14 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 from piezo_sim.plant.random_stream import NormalStream, bits_for
 
 
 @njit(cache=True)
-def _hum(samples, normals, phase, amplitudes_um, step, walk):
+def _hum(samples: FloatArray, normals: FloatArray, phase: float, amplitudes_um: FloatArray,
+         step: float, walk: float) -> float:
     for n in range(samples.size):
         value = 0.0
         for k in range(amplitudes_um.size):
@@ -50,7 +52,7 @@ class MainsHum:
 class HumRunner:
     """Hum with its phase."""
 
-    def __init__(self, effect: MainsHum, surroundings: Surroundings):
+    def __init__(self, effect: MainsHum, surroundings: Surroundings) -> None:
         period_s = surroundings.sample_period_s
         bits = bits_for(effect.name, surroundings.seed)
         self._phase = np.random.Generator(bits).uniform(0.0, 2.0 * math.pi)
@@ -65,7 +67,7 @@ class HumRunner:
         """Return the level unchanged, because the hum does not wait for the stage to rest."""
         return level
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Add the hum to displacements."""
         normals = self._normals.next(samples.size)
         self._phase = _hum(samples, normals, self._phase, *self._constants)

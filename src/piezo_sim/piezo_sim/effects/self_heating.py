@@ -10,12 +10,14 @@ from typing import ClassVar
 
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.accumulating import AccumulatingRunner
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 
 @njit(cache=True)
-def _heat(samples, previous_um, warm_k, heating_k_per_um, remaining, gain_per_k):
+def _heat(samples: FloatArray, previous_um: float, warm_k: float, heating_k_per_um: float,
+          remaining: float, gain_per_k: float) -> tuple[float, float]:
     for n in range(samples.size):
         travel_um = abs(samples[n] - previous_um)
         previous_um = samples[n]

@@ -9,14 +9,15 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 
 @njit(cache=True)
-def _trail(samples, drive_um, trail_um, gap_um):
+def _trail(samples: FloatArray, drive_um: float, trail_um: float,
+           gap_um: float) -> tuple[float, float]:
     for n in range(samples.size):
         move_um = samples[n] - drive_um
         drive_um = samples[n]
@@ -52,7 +53,7 @@ class SoftBacklash:
 class BacklashRunner:
     """Backlash with the positions of drive and driven part."""
 
-    def __init__(self, half_gap_um: float):
+    def __init__(self, half_gap_um: float) -> None:
         self._gap_um = half_gap_um
         self._state = (0.0, 0.0)
 
@@ -61,6 +62,6 @@ class BacklashRunner:
         self._state = (level, self._gap_um)
         return level - self._gap_um
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace displacements of the drive by those of the driven part."""
         self._state = _trail(samples, *self._state, self._gap_um)

@@ -7,12 +7,13 @@ from typing import ClassVar
 
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 from piezo_sim.plant.pointwise import PointwiseRunner
 
 
 @njit(cache=True)
-def _saturate(samples, low_v, high_v, knee_v):
+def _saturate(samples: FloatArray, low_v: float, high_v: float, knee_v: float) -> None:
     for n in range(samples.size):
         voltage = samples[n]
         above = (voltage - high_v) / knee_v

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 from piezo_sim.plant.random_stream import EventStream, bits_for
 
@@ -32,7 +33,7 @@ class Spikes:
 class SpikesRunner:
     """Spikes with the instant of the next one."""
 
-    def __init__(self, effect: Spikes, surroundings: Surroundings):
+    def __init__(self, effect: Spikes, surroundings: Surroundings) -> None:
         self._effect = effect
         self._mean_samples = 1.0 / (effect.rate_per_s * surroundings.sample_period_s)
         self._events = EventStream(bits_for(effect.name, surroundings.seed))
@@ -42,7 +43,7 @@ class SpikesRunner:
         """Spikes leave the level as it is."""
         return level
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Add spikes to displacements."""
         while (position := self._events.within(samples.size)) is not None:
             generator, effect = self._events.generator, self._effect

@@ -12,12 +12,14 @@ from typing import ClassVar
 
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.accumulating import AccumulatingRunner
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 
 @njit(cache=True)
-def _shift(samples, previous_v, speed_v_per_s, period_s, share, shift_v, reference_v_per_s):
+def _shift(samples: FloatArray, previous_v: float, speed_v_per_s: float, period_s: float,
+           share: float, shift_v: float, reference_v_per_s: float) -> tuple[float, float]:
     for n in range(samples.size):
         change_v = samples[n] - previous_v
         previous_v = samples[n]

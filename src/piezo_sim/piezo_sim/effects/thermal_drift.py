@@ -5,15 +5,16 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 from piezo_sim.plant.random_stream import NormalStream, bits_for
 
 
 @njit(cache=True)
-def _drift(samples, normals, ambient_k, stage_k, expansion_um_per_k, walk_k, share):
+def _drift(samples: FloatArray, normals: FloatArray, ambient_k: float, stage_k: float,
+           expansion_um_per_k: float, walk_k: float, share: float) -> tuple[float, float]:
     for n in range(samples.size):
         samples[n] += expansion_um_per_k * stage_k
         stage_k += share * (ambient_k - stage_k)
@@ -51,7 +52,7 @@ class ThermalDrift:
 class DriftRunner:
     """Thermal drift with its temperatures."""
 
-    def __init__(self, effect: ThermalDrift, surroundings: Surroundings):
+    def __init__(self, effect: ThermalDrift, surroundings: Surroundings) -> None:
         period_s = surroundings.sample_period_s
         self._constants = (
             effect.expansion_um_per_k,
@@ -65,7 +66,7 @@ class DriftRunner:
         """Return the level unchanged, because temperature does not follow displacement."""
         return level
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Add the expansion to displacements."""
         normals = self._normals.next(samples.size)
         self._temperatures_k = _drift(samples, normals, *self._temperatures_k, *self._constants)

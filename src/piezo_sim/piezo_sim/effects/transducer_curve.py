@@ -7,12 +7,13 @@ from typing import ClassVar
 
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 from piezo_sim.plant.pointwise import PointwiseRunner
 
 
 @njit(cache=True)
-def _bend(samples, centre_um, reach_um):
+def _bend(samples: FloatArray, centre_um: float, reach_um: float) -> None:
     for n in range(samples.size):
         samples[n] = centre_um + reach_um * math.atan((samples[n] - centre_um) / reach_um)
 

@@ -8,11 +8,13 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 
 @njit(cache=True)
-def _delay(samples, history, newest, first, weights):
+def _delay(samples: FloatArray, history: FloatArray, newest: int, first: int,
+           weights: FloatArray) -> int:
     length = history.size
     for n in range(samples.size):
         newest = (newest + 1) % length
@@ -43,7 +45,7 @@ class TransportDelay:
 class DelayRunner:
     """Delay with the samples that it has not passed on yet."""
 
-    def __init__(self, delay_samples: float):
+    def __init__(self, delay_samples: float) -> None:
         # Four samples about the instant wanted; none of them in the future.
         self._first = max(math.floor(delay_samples) - 1, 0)
         wanted = delay_samples - self._first
@@ -62,6 +64,6 @@ class DelayRunner:
         self._history[:] = level
         return level
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace samples by delayed ones."""
         self._newest = _delay(samples, self._history, self._newest, self._first, self._weights)

@@ -4,8 +4,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
+from piezo_common.arrays import FloatArray
 from piezo_sim.faults.window import FaultWindow, require_window
 from piezo_sim.plant.plant_effect import Surroundings, parameter
 from piezo_stage_driver.backends.backend import BackendFault
@@ -28,9 +27,9 @@ class DeviceFailure:
         return DeviceFailureRunner(self, surroundings)
 
 
-class DeviceFailureRunner(FaultWindow):
+class DeviceFailureRunner(FaultWindow[DeviceFailure]):
     """Refuses to go on."""
 
-    def spoil(self, samples: np.ndarray, first: int, last: int) -> None:
+    def spoil(self, samples: FloatArray, first: int, last: int) -> None:
         """Raise the fault."""
         raise BackendFault("the simulated device failed: the samples were lost")

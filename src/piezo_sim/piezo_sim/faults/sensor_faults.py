@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.faults.window import FaultWindow, require_window
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 from piezo_sim.plant.random_stream import NormalStream, bits_for
@@ -28,12 +29,12 @@ class StuckSensor:
         return StuckSensorRunner(self, surroundings)
 
 
-class StuckSensorRunner(FaultWindow):
+class StuckSensorRunner(FaultWindow[StuckSensor]):
     """Keeps the last good reading."""
 
-    _reading_um = None
+    _reading_um: float | None = None
 
-    def spoil(self, samples: np.ndarray, first: int, last: int) -> None:
+    def spoil(self, samples: FloatArray, first: int, last: int) -> None:
         """Repeat the reading at which the sensor got stuck."""
         if self._at + first == self._begin or self._reading_um is None:
             self._reading_um = samples[first]
@@ -57,10 +58,10 @@ class SilentSensor:
         return SilentSensorRunner(self, surroundings)
 
 
-class SilentSensorRunner(FaultWindow):
+class SilentSensorRunner(FaultWindow[SilentSensor]):
     """Replace the readings of a silent sensor by NaN."""
 
-    def spoil(self, samples: np.ndarray, first: int, last: int) -> None:
+    def spoil(self, samples: FloatArray, first: int, last: int) -> None:
         """Replace readings by NaN."""
         samples[first:last] = np.nan
 
@@ -83,10 +84,10 @@ class OffScaleSensor:
         return OffScaleSensorRunner(self, surroundings)
 
 
-class OffScaleSensorRunner(FaultWindow):
+class OffScaleSensorRunner(FaultWindow[OffScaleSensor]):
     """Reads one value."""
 
-    def spoil(self, samples: np.ndarray, first: int, last: int) -> None:
+    def spoil(self, samples: FloatArray, first: int, last: int) -> None:
         """Replace readings by the value."""
         samples[first:last] = self.effect.reading_um
 
@@ -110,13 +111,13 @@ class NoisySensor:
         return NoisySensorRunner(self, surroundings)
 
 
-class NoisySensorRunner(FaultWindow):
+class NoisySensorRunner(FaultWindow[NoisySensor]):
     """Add noise from the seed to the readings of a noisy sensor."""
 
-    def __init__(self, effect: NoisySensor, surroundings: Surroundings):
+    def __init__(self, effect: NoisySensor, surroundings: Surroundings) -> None:
         super().__init__(effect, surroundings)
         self._noise = NormalStream(bits_for(effect.name, surroundings.seed))
 
-    def spoil(self, samples: np.ndarray, first: int, last: int) -> None:
+    def spoil(self, samples: FloatArray, first: int, last: int) -> None:
         """Add noise to the readings."""
         samples[first:last] += self.effect.noise_rms_um * self._noise.next(last - first)

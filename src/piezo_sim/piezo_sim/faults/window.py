@@ -1,22 +1,37 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The time for which a fault lasts."""
 
-import numpy as np
+from typing import Generic, Protocol, TypeVar
 
-from piezo_sim.plant.plant_effect import Effect, Surroundings, require
+from piezo_common.arrays import FloatArray
+from piezo_sim.plant.plant_effect import StartedEffect, Surroundings, require
 
 
-class FaultWindow:
+class Fault(StartedEffect, Protocol):
+    """An effect that acts from one time to another."""
+
+    @property
+    def begin_s(self) -> float:
+        """Return the beginning (s of stage time)."""
+
+    @property
+    def end_s(self) -> float:
+        """Return the end (s of stage time)."""
+
+
+F = TypeVar("F", bound=Fault)
+
+
+class FaultWindow(Generic[F]):
     """A fault from ``begin_s`` to ``end_s`` of stage time; a runner's base.
 
     Parameters
     ----------
-    effect : piezo_sim.plant.plant_effect.Effect
-        Has the two times.
+    effect : Fault
     surroundings : Surroundings
     """
 
-    def __init__(self, effect: Effect, surroundings: Surroundings):
+    def __init__(self, effect: F, surroundings: Surroundings) -> None:
         self.effect = effect
         self._begin, self._end = (
             round(time_s / surroundings.sample_period_s)
@@ -27,7 +42,7 @@ class FaultWindow:
         """Nothing is broken before the stage starts."""
         return level
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Spoil the samples of the window."""
         first, last = (min(max(edge - self._at, 0), samples.size)
                        for edge in (self._begin, self._end))
@@ -35,8 +50,12 @@ class FaultWindow:
             self.spoil(samples, first, last)
         self._at += samples.size
 
+    def spoil(self, samples: FloatArray, first: int, last: int) -> None:
+        """Replace the samples from the first up to the last, which is not included."""
+        raise NotImplementedError
 
-def require_window(effect: Effect) -> None:
+
+def require_window(effect: Fault) -> None:
     """Refuse a window that is empty or begins before the stage starts."""
     require(0.0 <= effect.begin_s < effect.end_s, effect,
             "begin_s must be at least 0 and below end_s.")

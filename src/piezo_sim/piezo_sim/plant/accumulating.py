@@ -3,7 +3,7 @@
 
 from collections.abc import Callable
 
-import numpy as np
+from piezo_common.arrays import FloatArray
 
 
 class AccumulatingRunner:
@@ -18,7 +18,7 @@ class AccumulatingRunner:
         Parameters of the effect.
     """
 
-    def __init__(self, replace: Callable[..., tuple[float, float]], *constants: float):
+    def __init__(self, replace: Callable[..., tuple[float, float]], *constants: float) -> None:
         self._replace = replace
         self._constants = constants
         self._state = (0.0, 0.0)
@@ -28,6 +28,6 @@ class AccumulatingRunner:
         self._state = (level, 0.0)
         return level
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace inputs by outputs."""
         self._state = self._replace(samples, *self._state, *self._constants)

@@ -7,12 +7,13 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.converter import Converter
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 
 @njit(cache=True)
-def _slew(samples, output_v, largest_change_v):
+def _slew(samples: FloatArray, output_v: float, largest_change_v: float) -> float:
     for n in range(samples.size):
         change_v = samples[n] - output_v
         if change_v > largest_change_v:
@@ -58,7 +59,7 @@ class VoltageAmplifier:
 class AmplifierRunner:
     """Amplifier with its present output."""
 
-    def __init__(self, effect: VoltageAmplifier, sample_period_s: float):
+    def __init__(self, effect: VoltageAmplifier, sample_period_s: float) -> None:
         self._converter = Converter(
             effect.voltage_min_v, effect.voltage_max_v, effect.converter_bits
         )
@@ -72,7 +73,7 @@ class AmplifierRunner:
         self._output_v = float(samples[0])
         return self._output_v
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace commanded voltages by output voltages."""
         self._converter.apply(samples)
         self._output_v = _slew(samples, self._output_v, self._largest_change_v)

@@ -19,6 +19,7 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 
@@ -59,7 +60,9 @@ def everett_um(alpha_v: float, beta_v: float, broad: float, ridge: float, width_
 
 
 @njit(cache=True)
-def _follow(samples, extremes_v, outputs_um, depth, last_v, last_um, offset_um, shape):
+def _follow(samples: FloatArray, extremes_v: FloatArray, outputs_um: FloatArray, depth: int,
+            last_v: float, last_um: float, offset_um: float,
+            shape: tuple[float, ...]) -> tuple[int, float, float]:
     """Replace voltages by hysteresis outputs.
 
     extremes_v[0..depth] are the remembered extremes: minimum, maximum, minimum, ...; outputs_um
@@ -140,7 +143,7 @@ class PreisachHysteresis:
 class HysteresisRunner:
     """Hysteresis with its memory of extremes."""
 
-    def __init__(self, effect: PreisachHysteresis):
+    def __init__(self, effect: PreisachHysteresis) -> None:
         self._shape = effect.shape
         self._offset_um = effect.offset_um
         self._extremes_v = np.full(64, effect.saturation_voltage_v)
@@ -153,7 +156,7 @@ class HysteresisRunner:
         self.apply(samples)
         return float(samples[0])
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace voltages by hysteresis outputs in um."""
         # Each sample adds at most one extreme.
         needed = self._state[0] + samples.size + 1

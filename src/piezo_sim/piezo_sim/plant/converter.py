@@ -6,9 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from piezo_common.arrays import FloatArray
+
 
 @njit(cache=True)
-def _quantise(samples, low, step, highest):
+def _quantise(samples: FloatArray, low: float, step: float, highest: float) -> None:
     for n in range(samples.size):
         level = np.rint((samples[n] - low) / step)
         samples[n] = low + step * min(max(level, 0.0), highest)
@@ -22,7 +24,7 @@ class Converter:
     high: float
     bits: int
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace samples, float64 of shape (N,), by the nearest levels."""
         highest = 2.0**self.bits - 1.0
         _quantise(samples, self.low, (self.high - self.low) / highest, highest)

@@ -5,15 +5,17 @@ The input is constant within a sample, so x[n+1] = A x[n] + B u[n] with the matr
 without error; y[n] = C x[n] is the output at the start of the sample.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numba import njit
 from scipy.linalg import expm
 
-from piezo_sim.plant.plant_effect import PlantConfigError, parameter, require
+from piezo_common.arrays import FloatArray
+from piezo_sim.plant.plant_effect import Effect, PlantConfigError, parameter, require
 
 
 class StateSpace(NamedTuple):
@@ -22,10 +24,30 @@ class StateSpace(NamedTuple):
     Their shapes are (n, n), (n,), (n,) and scalar; rates are in rad/s.
     """
 
-    a: np.ndarray
-    b: np.ndarray
-    c: np.ndarray
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
     d: float
+
+
+@runtime_checkable
+class LinearEffect(Effect, Protocol):
+    """A linear and time-invariant effect; neighbouring ones are discretised together."""
+
+    def state_space(self) -> StateSpace:
+        """Return the dynamics of the effect."""
+
+
+@runtime_checkable
+class ParallelEffect(LinearEffect, Protocol):
+    """A linear effect that lies in parallel to some before it."""
+
+    @property
+    def beside(self) -> int:
+        """Return the number of linear effects before it that it lies in parallel to."""
+
+    def join(self, others: StateSpace) -> StateSpace:
+        """Add the effect to the series of those others."""
 
 
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
@@ -43,23 +65,22 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
     )
 
 
-def chain(effects: list) -> StateSpace:
-    """Linear effects in the order of the signal.
+def chain(effects: Sequence[LinearEffect]) -> StateSpace:
+    """Join linear effects in the order of the signal.
 
-    Most follow what lies before them. One with the attribute `beside` lies in parallel to that many
-    effects before it, and its method `join` adds it to their series.
+    Most follow what lies before them; a `ParallelEffect` is added to the series of those beside it.
 
     Raises
     ------
     PlantConfigError
         If fewer linear effects lie before an effect than it wants to lie beside.
     """
-    systems = []
+    systems: list[StateSpace] = []
     for effect in effects:
-        beside = getattr(effect, "beside", 0)
-        if beside == 0:
+        if not isinstance(effect, ParallelEffect):
             systems.append(effect.state_space())
             continue
+        beside = effect.beside
         if beside > len(systems):
             raise PlantConfigError(
                 f"{effect.name}: it lies beside {beside} linear effects, but only {len(systems)} "
@@ -69,7 +90,7 @@ def chain(effects: list) -> StateSpace:
     return reduce(series, systems)
 
 
-def zero_order_hold(system: StateSpace, sample_period_s: float) -> tuple[np.ndarray, np.ndarray]:
+def zero_order_hold(system: StateSpace, sample_period_s: float) -> tuple[FloatArray, FloatArray]:
     """Exact discrete matrices A (n, n) and B (n,) for an input held over the sample period."""
     n = system.b.size
     augmented = np.zeros((n + 1, n + 1))
@@ -80,7 +101,8 @@ def zero_order_hold(system: StateSpace, sample_period_s: float) -> tuple[np.ndar
 
 
 @njit(cache=True)
-def _advance(samples, state, following, a_columns, b, c):
+def _advance(samples: FloatArray, state: FloatArray, following: FloatArray, a_columns: FloatArray,
+             b: FloatArray, c: FloatArray) -> None:
     order = state.size
     for n in range(samples.size):
         level = samples[n]
@@ -107,7 +129,7 @@ class LinearRunner:
         voltage that has not acted yet.
     """
 
-    def __init__(self, effects: list, sample_period_s: float):
+    def __init__(self, effects: Sequence[LinearEffect], sample_period_s: float) -> None:
         system = chain(effects)
         if system.d != 0.0:
             names = ", ".join(effect.name for effect in effects)
@@ -126,7 +148,7 @@ class LinearRunner:
         self._state[:] = np.linalg.solve(self._system.a, -self._system.b * level)
         return float(self._system.c @ self._state)
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace inputs by outputs at the start of each sample."""
         _advance(samples, self._state, self._following, self._a_columns, self._b, self._system.c)
 
@@ -153,12 +175,10 @@ class Creep:
         )
 
     def state_space(self) -> StateSpace:
-        """One state for each pole."""
-        system = None
-        for pole, zero in zip(self.poles_rad_per_s, self.zeros_rad_per_s, strict=True):
-            section = StateSpace(np.array([[-pole]]), np.array([1.0]), np.array([zero - pole]), 1.0)
-            system = section if system is None else series(system, section)
-        return system
+        """Return the series of one section for each pole."""
+        return reduce(series, (
+            StateSpace(np.array([[-pole]]), np.array([1.0]), np.array([zero - pole]), 1.0)
+            for pole, zero in zip(self.poles_rad_per_s, self.zeros_rad_per_s, strict=True)))
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The plant: the effects of a plant file, started and chained."""
 
-from itertools import groupby
-
-import numpy as np
-
-from piezo_sim.plant.linear_effects import LinearRunner
-from piezo_sim.plant.plant_effect import Effect, PlantConfigError, Runner, Surroundings
+from piezo_common.arrays import FloatArray
+from piezo_sim.plant.linear_effects import LinearEffect, LinearRunner
+from piezo_sim.plant.plant_effect import (
+    Effect,
+    PlantConfigError,
+    Runner,
+    StartedEffect,
+    Surroundings,
+)
 from piezo_sim.plant.plant_file import PlantConfig
 
 
@@ -29,7 +32,7 @@ class Plant:
         If the effects do not fit together.
     """
 
-    def __init__(self, config: PlantConfig, surroundings: Surroundings):
+    def __init__(self, config: PlantConfig, surroundings: Surroundings) -> None:
         self._to_position = _start(config.amplifier, surroundings) + _start(
             config.stage, surroundings
         )
@@ -42,7 +45,7 @@ class Plant:
         for runner in self._to_position + self._to_measurement:
             level = runner.rest(level)
 
-    def respond(self, voltage_v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def respond(self, voltage_v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Play voltages and return the displacement at their sample instants.
 
         Parameters
@@ -66,10 +69,18 @@ class Plant:
 
 def _start(effects: tuple[Effect, ...], surroundings: Surroundings) -> list[Runner]:
     """Start effects; neighbouring linear effects become one exactly discretised series."""
-    runners = []
-    for linear, group in groupby(effects, lambda effect: hasattr(effect, "state_space")):
-        if linear:
-            runners.append(LinearRunner(list(group), surroundings.sample_period_s))
+    groups: list[StartedEffect | list[LinearEffect]] = []
+    for effect in effects:
+        if isinstance(effect, LinearEffect):
+            neighbours = groups[-1] if groups else None
+            if isinstance(neighbours, list):
+                neighbours.append(effect)
+            else:
+                groups.append([effect])
+        elif isinstance(effect, StartedEffect):
+            groups.append(effect)
         else:
-            runners.extend(effect.start(surroundings) for effect in group)
-    return runners
+            raise PlantConfigError(f"{effect.name}: it has neither state_space nor start; "
+                                   "give it the one or the other.")
+    return [LinearRunner(group, surroundings.sample_period_s) if isinstance(group, list)
+            else group.start(surroundings) for group in groups]

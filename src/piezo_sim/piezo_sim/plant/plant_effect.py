@@ -3,9 +3,9 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
-import numpy as np
+from piezo_common.arrays import FloatArray
 
 
 class PlantConfigError(ValueError):
@@ -37,17 +37,23 @@ class Runner(Protocol):
     def rest(self, level: float) -> float:
         """Take the equilibrium state at the constant input `level`; return the output."""
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace the input samples, float64 of shape (N,), by the output samples."""
 
 
 class Effect(Protocol):
     """Parameters of one effect, a frozen dataclass whose fields are made by `parameter`.
 
-    An effect offers either `start`, or `state_space` if it is linear and time-invariant.
+    An effect is a `StartedEffect`, or a `piezo_sim.plant.linear_effects.LinearEffect`.
     """
 
+    __dataclass_fields__: ClassVar[dict[str, Any]]
     name: ClassVar[str]
+
+
+@runtime_checkable
+class StartedEffect(Effect, Protocol):
+    """An effect that passes samples on by a runner of its own."""
 
     def start(self, surroundings: Surroundings) -> Runner:
         """Make the runner of this effect."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, get_type_hints
 
 from pydantic import create_model, model_validator
 
@@ -142,11 +142,18 @@ class Parameter(Part):
         return self
 
 
+SCHEMAS: dict[Any, Any] = {int: int, float: Number}
+"""How a parameter of a type is checked; others are lists of numbers."""
+
+
 @cache
 def effect_schema(kind: type[Effect]) -> type[Part]:
     """Return the schema of an effect's entry in a plant file, from the effect's own fields."""
+    # Of a module with postponed annotations the fields know no more than the names of the types.
+    types = get_type_hints(kind)
+
     def parameter(field: dataclasses.Field) -> type[Part]:
-        value = {int: int, float: Number}.get(field.type, Numbers)
+        value = SCHEMAS.get(types[field.name], Numbers)
         typed = create_model("Value", __base__=Parameter, value=(value, ...))
         typed.UNIT = field.metadata["unit"]
         return typed
@@ -170,13 +177,14 @@ def read_plant(path: str | Path | None = None) -> PlantConfig:
         If the file cannot be read, or a section, effect or parameter is unknown, missing, without
         unit or source, not finite, or impossible.
     """
-    file = resources.files("piezo_sim") / "plant.yaml" if path is None else Path(path)
+    if path is None:
+        return parse_plant((resources.files("piezo_sim") / "plant.yaml").read_text("utf-8"))
     try:
-        return parse_plant(read_bounded_text(file))
+        return parse_plant(read_bounded_text(path))
     except UnreadableFile as error:
-        raise PlantConfigError(f"{file}: the plant file {error}.") from None
+        raise PlantConfigError(f"{path}: the plant file {error}.") from None
     except PlantConfigError as error:
-        raise PlantConfigError(f"{file}: {error}") from None
+        raise PlantConfigError(f"{path}: {error}") from None
 
 
 def parse_plant(text: str) -> PlantConfig:

@@ -5,6 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
+
 
 class PointwiseRunner:
     """A compiled function of the samples and of constants.
@@ -17,7 +19,7 @@ class PointwiseRunner:
         Parameters of the effect.
     """
 
-    def __init__(self, replace: Callable[..., None], *constants: float):
+    def __init__(self, replace: Callable[..., None], *constants: float) -> None:
         self._replace = replace
         self._constants = constants
 
@@ -27,6 +29,6 @@ class PointwiseRunner:
         self.apply(samples)
         return float(samples[0])
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace inputs by outputs."""
         self._replace(samples, *self._constants)

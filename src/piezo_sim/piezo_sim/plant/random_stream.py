@@ -3,6 +3,8 @@
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
+
 # Drawn ahead in blocks: one draw for 40 samples would cost more than all the rest.
 _BLOCK = 4096
 
@@ -21,11 +23,11 @@ class NormalStream:
         Where the numbers come from.
     """
 
-    def __init__(self, bits: np.random.BitGenerator):
+    def __init__(self, bits: np.random.BitGenerator) -> None:
         self._generator = np.random.Generator(bits)
         self._ahead = np.empty(0)
 
-    def next(self, count: int) -> np.ndarray:
+    def next(self, count: int) -> FloatArray:
         """Return the next numbers, shape (count,)."""
         missing = count - self._ahead.size
         if missing > 0:
@@ -45,7 +47,7 @@ class EventStream:
         Where the numbers come from; `generator` serves what else is random about an event.
     """
 
-    def __init__(self, bits: np.random.BitGenerator):
+    def __init__(self, bits: np.random.BitGenerator) -> None:
         self.generator = np.random.Generator(bits)
         self.next = 0
         self._first = 0

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_sim.plant.converter import Converter
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 from piezo_sim.plant.random_stream import NormalStream
@@ -41,7 +42,7 @@ class DisplacementSensor:
 class SensorRunner:
     """Sensor with its stream of noise."""
 
-    def __init__(self, effect: DisplacementSensor, seed: int):
+    def __init__(self, effect: DisplacementSensor, seed: int) -> None:
         self._noise_rms_um = effect.noise_rms_um
         self._converter = Converter(
             effect.displacement_min_um, effect.displacement_max_um, effect.converter_bits
@@ -52,7 +53,7 @@ class SensorRunner:
         """Return the level unchanged, because the sensor has no state of its own."""
         return level
 
-    def apply(self, samples: np.ndarray) -> None:
+    def apply(self, samples: FloatArray) -> None:
         """Replace displacements by measured displacements."""
         samples += self._noise_rms_um * self._noise.next(samples.size)
         self._converter.apply(samples)
