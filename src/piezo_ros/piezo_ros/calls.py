@@ -4,9 +4,18 @@
 import queue
 import secrets
 import time
+from collections.abc import Callable
+from typing import Any
 
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from rclpy.client import Client
+from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.task import Future
+
+from piezo_ros.messages import Message, MessageType
 
 InvalidHandle = rclpy_implementation.InvalidHandle
 
@@ -32,7 +41,7 @@ class GoalAborted(CallFailed):
         What the action gave all the same.
     """
 
-    def __init__(self, result):
+    def __init__(self, result: Message) -> None:
         super().__init__(result.message)
         self.result = result
 
@@ -41,7 +50,7 @@ class Cancelled(Exception):
     """The work was cancelled from outside."""
 
 
-def number_request(request):
+def number_request(request: Message) -> bool:
     """Give a request a number of its own, if it can bear one and has none.
 
     The server answers a number once: such a request may be sent again.
@@ -60,7 +69,8 @@ def number_request(request):
     return hasattr(request, "request_id")
 
 
-def call_service(client, request, timeout_s=CALL_TIMEOUT_S, appearance_s=CALL_TIMEOUT_S):
+def call_service(client: Client, request: Message, timeout_s: float = CALL_TIMEOUT_S,
+                 appearance_s: float = CALL_TIMEOUT_S) -> Message:
     """Call a service whose response has ``success`` and ``message``.
 
     A request that bears a number is sent again where no response came.
@@ -104,12 +114,13 @@ class ActionCaller:
     name : str
     """
 
-    def __init__(self, node, action_type, name):
+    def __init__(self, node: Node, action_type: MessageType, name: str) -> None:
         self._node = node
         self._name = name
         self._client = ActionClient(node, action_type, name)
 
-    def run(self, goal, on_feedback=None, cancelled=lambda: False):
+    def run(self, goal: Message, on_feedback: Callable[[Message], object] | None = None,
+            cancelled: Callable[[], bool] = lambda: False) -> Message:
         """Run one goal to its end.
 
         Parameters
@@ -146,10 +157,10 @@ class ActionCaller:
             raise GoalAborted(result)
         return result
 
-    def _end(self, handle, cancelled):
+    def _end(self, handle: ClientGoalHandle, cancelled: Callable[[], bool]) -> Message:
         asked = False
 
-        def look():
+        def look() -> None:
             nonlocal asked
             if cancelled() and not asked:
                 asked = True
@@ -157,12 +168,13 @@ class ActionCaller:
 
         return self._await(handle.get_result_async, None, look)
 
-    def _await(self, send, timeout_s, look=lambda: None):
+    def _await(self, send: Callable[[], Future], timeout_s: float | None,
+               look: Callable[[], None] = lambda: None) -> Any:
         """Send from the executor's thread, between two callbacks, and wait for the answer.
 
         From another thread the answer may come before rclpy has noted what it answers.
         """
-        sent = queue.SimpleQueue()
+        sent: queue.SimpleQueue[Future] = queue.SimpleQueue()
         self._in_executor(lambda: sent.put(send()))
         context, begin_s = self._node.context, time.monotonic()
         while sent.empty():
@@ -174,16 +186,18 @@ class ActionCaller:
         return _await(sent.get, context, self._client.server_is_ready, self._name, timeout_s,
                       look=look)
 
-    def _in_executor(self, work):
+    def _in_executor(self, work: Callable[[], object]) -> None:
         executor = self._node.executor
         if executor is None:
             raise CallFailed(f"this node ended before {self._name} answered: start it again")
         executor.create_task(work)
 
 
-def _await(send, context, is_served, name, timeout_s, repeatable=False, look=lambda: None):
+def _await(send: Callable[[], Future], context: Context, is_served: Callable[[], bool], name: str,
+           timeout_s: float | None, repeatable: bool = False,
+           look: Callable[[], None] = lambda: None) -> Any:
     """Send, and return the first answer; look at what goes on while there is none."""
-    answers = queue.SimpleQueue()
+    answers: queue.SimpleQueue[Future] = queue.SimpleQueue()
     sent_s = begin_s = served_s = time.monotonic()
     send().add_done_callback(answers.put)
     while True:
@@ -205,12 +219,12 @@ def _await(send, context, is_served, name, timeout_s, repeatable=False, look=lam
         look()
 
 
-def _check_alive(context, name):
+def _check_alive(context: Context, name: str) -> None:
     if not context.ok():
         raise CallFailed(f"this node ended before {name} answered: start it again")
 
 
-def _holds(is_served):
+def _holds(is_served: Callable[[], bool]) -> bool:
     try:
         return is_served()
     except InvalidHandle:  # of a node that is being destroyed

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Keep the clock of a node while something runs that reads it."""
 
+from collections.abc import Callable
+
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 PARAMETER = "use_sim_time"
 
 
-def keep_clock(node, why_busy):
+def keep_clock(node: Node, why_busy: Callable[[], str]) -> None:
     """Refuse a change of the parameter ``use_sim_time`` while the node is busy.
 
     Stamps before and after such a change are of two clocks, which may be decades apart.
@@ -17,7 +21,7 @@ def keep_clock(node, why_busy):
     why_busy : callable
         Returns what runs, such as ``"a goal runs"``; empty if nothing does.
     """
-    def examine(parameters):
+    def examine(parameters: list[Parameter]) -> SetParametersResult:
         changes = any(parameter.name == PARAMETER
                       and parameter.value != node.get_parameter(PARAMETER).value
                       for parameter in parameters)

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a node publishes of its state on ``/diagnostics`` (REP-107)."""
 
+from collections.abc import Mapping
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
 
 
-def diagnostic(node, name, level, message, values, hardware_id=""):
+def diagnostic(node: Node, name: str, level: bytes, message: str, values: Mapping[str, object],
+               hardware_id: str = "") -> DiagnosticArray:
     """Return the state of a part of a node, as of now.
 
     Parameters

@@ -13,7 +13,7 @@ ANNOUNCEMENT_S = 0.5
 LONGEST_STANDSTILL_S = LEASE_S - 2.0 * ANNOUNCEMENT_S
 
 
-def prepare_discovery():
+def prepare_discovery() -> None:
     """Stay on this machine, and announce this process often; call it before ROS is initialised.
 
     Others then miss a process that was killed within 3 s; by default they do after 20 s only.

@@ -5,12 +5,16 @@ import functools
 import threading
 import time
 import traceback
+from collections.abc import Callable
+from typing import Any
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.lifecycle import ManagedEntity, TransitionCallbackReturn
+from rclpy.action.server import ServerGoalHandle
+from rclpy.lifecycle import LifecycleNode, LifecycleState, ManagedEntity, TransitionCallbackReturn
 
 from piezo_ros.calls import Cancelled, InvalidHandle
 from piezo_ros.clock_guard import keep_clock
+from piezo_ros.messages import Message, MessageType
 from piezo_ros.presence import Presence
 
 
@@ -27,7 +31,8 @@ class Progress:
         Says why the node that serves ends its goals; empty while it does not.
     """
 
-    def __init__(self, goal_handle, feedback_type, client, why_ending):
+    def __init__(self, goal_handle: ServerGoalHandle, feedback_type: MessageType, client: Presence,
+                 why_ending: Callable[[], str]) -> None:
         self._goal_handle = goal_handle
         self._feedback_type = feedback_type
         self._client = client
@@ -35,7 +40,7 @@ class Progress:
         self._begin_s = time.monotonic()
 
     @property
-    def cause(self):
+    def cause(self) -> str:
         """Why the work shall end early; empty if it shall not."""
         if self._goal_handle.is_cancel_requested:
             return "cancelled"
@@ -45,21 +50,25 @@ class Progress:
         return ending and f"cancelled: {ending}"
 
     @property
-    def cancelled(self):
+    def cancelled(self) -> bool:
         """Whether the work shall end early."""
         return bool(self.cause)
 
-    def check(self):
+    def check(self) -> None:
         """Raise ``Cancelled`` if the work shall end early."""
         if self.cancelled:
             raise Cancelled
 
-    def report(self, fraction, **fields):
+    def report(self, fraction: float, **fields: Any) -> None:
         """Publish feedback; the seconds left are estimated from the time taken so far."""
         taken_s = time.monotonic() - self._begin_s
         left_s = taken_s * (1.0 - fraction) / fraction if fraction > 0.0 else 0.0
         self._goal_handle.publish_feedback(self._feedback_type(
             fraction=float(fraction), seconds_left=float(left_s), **fields))
+
+
+Work = Callable[[Message, Message, Progress], None]
+"""Fills in the result of a goal: ``work(goal, result, progress)``."""
 
 
 class GoalServers(ManagedEntity):
@@ -74,21 +83,21 @@ class GoalServers(ManagedEntity):
     node : rclpy.lifecycle.LifecycleNode
     """
 
-    def __init__(self, node):
+    def __init__(self, node: LifecycleNode) -> None:
         self._node = node
         self._one_at_a_time = threading.Lock()
         self._active = False
         self._why_ending = ""
-        self._servers = []
+        self._servers: list[ActionServer] = []
         node.add_managed_entity(self)
         keep_clock(node, lambda: "a goal runs" if self.busy else "")
 
     @property
-    def busy(self):
+    def busy(self) -> bool:
         """Whether a goal runs."""
         return self._one_at_a_time.locked()
 
-    def serve(self, action_type, name, work):
+    def serve(self, action_type: MessageType, name: str, work: Work) -> None:
         """Serve an action whose result has ``success`` and ``message``.
 
         Parameters
@@ -104,17 +113,17 @@ class GoalServers(ManagedEntity):
             handle_accepted_callback=lambda goal: self._begin_goal(goal, action_type, work),
             cancel_callback=lambda goal: CancelResponse.ACCEPT))
 
-    def end(self):
+    def end(self) -> bool:
         """Ask the running goal to end; return whether none runs any more."""
         self._why_ending = f"the node {self._node.get_fully_qualified_name()} was ended"
         return not self.busy
 
-    def on_activate(self, state):
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take goals from now on."""
         self._active, self._why_ending = True, ""
         return TransitionCallbackReturn.SUCCESS
 
-    def on_deactivate(self, state):
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Cancel the running goal, and take no more."""
         self._active = False
         self._why_ending = f"the node {self._node.get_fully_qualified_name()} was deactivated"
@@ -122,7 +131,7 @@ class GoalServers(ManagedEntity):
 
     on_shutdown = on_deactivate
 
-    def _examine(self, goal):
+    def _examine(self, goal: Message) -> GoalResponse:
         """Tell whether a goal can be taken at all; the answer has no room for a reason."""
         reason = ""
         if self._why_ending or not self._active:
@@ -133,7 +142,8 @@ class GoalServers(ManagedEntity):
             self._node.get_logger().warning(f"goal rejected: {self._node.get_name()} {reason}")
         return GoalResponse.REJECT if reason else GoalResponse.ACCEPT
 
-    def _begin_goal(self, goal_handle, action_type, work):
+    def _begin_goal(self, goal_handle: ServerGoalHandle, action_type: MessageType,
+                    work: Work) -> None:
         # Free: the executor takes one goal after the other, and has just asked.
         self._one_at_a_time.acquire(blocking=False)
         client = Presence(self._node, goal_handle.request.client)
@@ -142,12 +152,13 @@ class GoalServers(ManagedEntity):
         threading.Thread(target=self._work, name="goal", args=(
             work, goal_handle, action_type.Result(), progress)).start()
 
-    def _end_goal(self, goal_handle, result, end):
+    def _end_goal(self, goal_handle: ServerGoalHandle, result: Message, end: str) -> Message:
         self._one_at_a_time.release()
         getattr(goal_handle, end)()
         return result
 
-    def _work(self, work, goal_handle, result, progress):
+    def _work(self, work: Work, goal_handle: ServerGoalHandle, result: Message,
+              progress: Progress) -> None:
         end = "abort"
         try:
             work(goal_handle.request, result, progress)

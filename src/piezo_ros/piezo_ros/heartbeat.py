@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Notice that this process stood still, as after Ctrl-Z."""
 
+import math
 import signal
 import threading
 import time
 from types import FrameType
 
 PERIOD_S = 0.2
-# How much later than it goes on a process may be told that it does.
+# Shorter gaps are those of a busy computer.
+SHORTEST_GAP_S = 2 * PERIOD_S
+# How much later than it goes on a process may be told that it does, or notice the gap.
 SIGNAL_DELAY_S = 2.0
 
 
@@ -21,7 +24,8 @@ class Heartbeat:
 
     def __init__(self) -> None:
         self._ended = threading.Event()
-        self._longest_s, self._continued_at_s = 0.0, -SIGNAL_DELAY_S
+        self._gap_s, self._gap_ended_s = 0.0, -math.inf
+        self._continued_s, self._standstill_s = -math.inf, 0.0
         self._hears_signals = threading.current_thread() is threading.main_thread()
         if self._hears_signals:
             self._others = signal.signal(signal.SIGCONT, self._go_on)
@@ -29,19 +33,16 @@ class Heartbeat:
 
     def standstill_s(self) -> float:
         """Return how long the process stood still since this was asked last (s)."""
-        told = time.monotonic() - self._continued_at_s < SIGNAL_DELAY_S
-        if self._hears_signals and not told:
-            self._longest_s = 0.0
-            return 0.0
-        longest_s, self._longest_s = self._longest_s, 0.0
-        return longest_s
+        standstill_s, self._standstill_s = self._standstill_s, 0.0
+        return standstill_s
 
     def end(self) -> None:
         """Let the thread end."""
         self._ended.set()
 
     def _go_on(self, number: int, frame: FrameType | None) -> None:
-        self._continued_at_s = time.monotonic()
+        self._continued_s = time.monotonic()
+        self._compare()
         if callable(self._others):
             self._others(number, frame)
 
@@ -49,5 +50,15 @@ class Heartbeat:
         last_s = time.monotonic()
         while not self._ended.wait(PERIOD_S):
             now_s = time.monotonic()
-            self._longest_s = max(self._longest_s, now_s - last_s - PERIOD_S)
-            last_s = now_s
+            gap_s, last_s = now_s - last_s, now_s
+            forgotten = now_s - self._gap_ended_s > SIGNAL_DELAY_S
+            if gap_s > (SHORTEST_GAP_S if forgotten else max(self._gap_s, SHORTEST_GAP_S)):
+                self._gap_ended_s, self._gap_s = now_s, gap_s
+                self._compare()
+
+    def _compare(self) -> None:
+        """Take the gap for a standstill if it ended about when the process was told to go on."""
+        apart_s = abs(self._gap_ended_s - self._continued_s)
+        if not self._hears_signals or apart_s < SIGNAL_DELAY_S:
+            self._standstill_s = max(self._standstill_s, self._gap_s)
+            self._gap_s = 0.0

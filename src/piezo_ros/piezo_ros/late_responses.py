@@ -2,6 +2,12 @@
 """Services that are answered later than they are called, while the executor goes on."""
 
 import threading
+from collections.abc import Callable
+
+from rclpy.node import Node
+from rclpy.service import Service
+
+from piezo_ros.messages import Message, MessageType
 
 
 class LateResponse:
@@ -20,13 +26,13 @@ class LateResponse:
     response : message
     """
 
-    def __init__(self, node, response):
+    def __init__(self, node: Node, response: Message) -> None:
         self.response = response
         self._node = node
         self._lock = threading.Lock()
         self._given = False
-        self._send = None
-        self._sharers = []
+        self._send: Callable[[Message], None] | None = None
+        self._sharers: list[LateResponse] = []
 
     def give(self) -> None:
         """Send the response, unless that is done."""
@@ -35,8 +41,9 @@ class LateResponse:
             send, sharers = self._send, self._sharers
         if given:
             return
-        if send:
-            self._node.executor.create_task(send, self.response)
+        executor = self._node.executor
+        if send and executor is not None:  # else the node has ended, and nobody waits any more
+            executor.create_task(send, self.response)
         for other in sharers:
             other.response = self.response
             other.give()
@@ -51,7 +58,7 @@ class LateResponse:
             other.response = self.response
             other.give()
 
-    def send_by(self, send) -> None:
+    def send_by(self, send: Callable[[Message], None]) -> None:
         """Take what sends; called once the service's callback has returned."""
         with self._lock:
             self._send, given = send, self._given
@@ -59,7 +66,8 @@ class LateResponse:
             send(self.response)
 
 
-def create_late_service(node, service_type, name, callback):
+def create_late_service(node: Node, service_type: MessageType, name: str,
+                        callback: Callable[[Message, LateResponse], object]) -> Service:
     """Create a service whose callback need not answer before it returns.
 
     Parameters
@@ -74,14 +82,17 @@ def create_late_service(node, service_type, name, callback):
     -------
     rclpy.service.Service
     """
-    def begin(request, response):
+    def begin(request: Message, response: Message) -> LateResponse:
         late = LateResponse(node, response)
         callback(request, late)
         return late
 
     service = node.create_service(service_type, name, begin)
     send_response = service.send_response
+
+    def send_later(late: LateResponse, header: Message) -> None:
+        late.send_by(lambda response: send_response(response, header))
+
     # The executor passes on what the callback returns as if it were the response.
-    service.send_response = lambda late, header: late.send_by(
-        lambda response: send_response(response, header))
+    service.send_response = send_later  # type: ignore[method-assign, assignment]
     return service

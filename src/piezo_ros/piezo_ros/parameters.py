@@ -1,20 +1,28 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Declare parameters with a description and a range."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
 
 from piezo_common.data_root import DataRoot
+
+Value = TypeVar(
+    "Value", bound=bool | int | float | str | list[bool] | list[int] | list[float] | list[str])
+"""What a parameter can hold."""
 
 
 class InvalidParameter(ValueError):
     """A parameter that a node cannot start with."""
 
 
-def declare(node, name, default, description, minimum=None, maximum=None, read_only=True,
-            choices=()):
+def declare(node: Node, name: str, default: Value, description: str, minimum: float | None = None,
+            maximum: float | None = None, read_only: bool = True,
+            choices: Sequence[str] = ()) -> Value:
     """Declare a parameter, unless that is done, and return its value.
 
     Parameters
@@ -41,12 +49,13 @@ def declare(node, name, default, description, minimum=None, maximum=None, read_o
     if node.has_parameter(name):
         return node.get_parameter(name).value
     descriptor = ParameterDescriptor(name=name, description=description, read_only=read_only)
-    if minimum is not None and isinstance(default, float):
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(minimum), to_value=float(maximum))]
-    elif minimum is not None:
-        descriptor.integer_range = [
-            IntegerRange(from_value=int(minimum), to_value=int(maximum), step=1)]
+    if minimum is not None and maximum is not None:
+        if isinstance(default, float):
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(minimum), to_value=float(maximum))]
+        else:
+            descriptor.integer_range = [
+                IntegerRange(from_value=int(minimum), to_value=int(maximum), step=1)]
     try:
         value = node.declare_parameter(name, default, descriptor).value
     except InvalidParameterTypeException:
@@ -60,7 +69,7 @@ def declare(node, name, default, description, minimum=None, maximum=None, read_o
     return value
 
 
-def declare_data_root(node):
+def declare_data_root(node: Node) -> DataRoot:
     """Declare the parameter ``data_root`` and return the folder under which the node writes.
 
     Parameters

@@ -3,6 +3,8 @@
 
 import time
 
+from rclpy.node import Node
+
 # What a node that has just started may take to be seen.
 APPEARANCE_TIMEOUT_S = 10.0
 # What is found of a node so soon belongs to the one that is meant, not to a successor of its name.
@@ -26,16 +28,16 @@ class Presence:
         Full name of the node that is watched; with an empty one nobody ever is gone.
     """
 
-    def __init__(self, node, name):
+    def __init__(self, node: Node, name: str) -> None:
         self._node = node
         self.name = name
-        self._identities = set()
+        self._identities: set[bytes] = set()
         self._seen = self._gone = False
         self._since_s = time.monotonic()
         self._looked_s = -LOOK_PERIOD_S
 
     @property
-    def gone(self):
+    def gone(self) -> bool:
         """Whether the node has been there and is not any more; one that is gone stays so.
 
         One that was never seen counts as gone after a while.
@@ -46,7 +48,7 @@ class Presence:
             self._gone = self._look(now_s - self._since_s)
         return self._gone
 
-    def _look(self, watched_s):
+    def _look(self, watched_s: float) -> bool:
         identities = _identities(self._node, self.name)
         if watched_s < SETTLING_S or not self._seen:
             self._identities |= identities
@@ -66,11 +68,11 @@ class ClientWatch:
         That watches.
     """
 
-    def __init__(self, node):
+    def __init__(self, node: Node) -> None:
         self._node = node
         self._presence = Presence(node, "")
 
-    def is_gone(self, client):
+    def is_gone(self, client: str) -> bool:
         """Whether a node, given by its full name, has been there and is not any more.
 
         Ask with an empty name while there is none: a client that comes later under the name of
@@ -81,15 +83,15 @@ class ClientWatch:
         return self._presence.gone
 
 
-def _identities(node, name):
+def _identities(node: Node, name: str) -> set[bytes]:
     return {bytes(publisher.endpoint_gid)
             for publisher in node.get_publishers_info_by_topic(COMMON_TOPIC)
             if _full_name(publisher.node_name, publisher.node_namespace) == name}
 
 
-def _full_names(node):
+def _full_names(node: Node) -> set[str]:
     return {_full_name(*found) for found in node.get_node_names_and_namespaces()}
 
 
-def _full_name(name, namespace):
+def _full_name(name: str, namespace: str) -> str:
     return f"{namespace.rstrip('/')}/{name}"

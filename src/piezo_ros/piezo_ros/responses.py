@@ -3,15 +3,22 @@
 
 import functools
 import warnings
+from collections.abc import Callable
 
 from rclpy.service import Service
+
+from piezo_ros.messages import Message
 
 NOT_SENT = "failed to send response"
 ATTEMPTS = 20
 """Each waits up to 0.1 s in the middleware for the client's end to be known."""
 
 
-def sent_again(send):
+Send = Callable[[Service, Message, Message], None]
+"""Sends a response of a service, given the header of the request."""
+
+
+def sent_again(send: Send) -> Send:
     """Return what sends a response again while the middleware does not know the client.
 
     rclpy sends once and warns that the client will not receive it; the client waits for ever.
@@ -27,7 +34,7 @@ def sent_again(send):
         To be used in its place.
     """
     @functools.wraps(send)
-    def patient(service, response, header):
+    def patient(service: Service, response: Message, header: Message) -> None:
         for _ in range(ATTEMPTS):
             with warnings.catch_warnings(record=True) as told:
                 warnings.simplefilter("always")
@@ -40,7 +47,9 @@ def sent_again(send):
     return patient
 
 
-def answer_patiently():
+def answer_patiently() -> None:
     """Make every service of this process send a response until it is received."""
     if not hasattr(Service.send_response, "__wrapped__"):
-        Service.send_response = sent_again(Service.send_response)
+        # rclpy offers no other place at which a response can be sent again.
+        Service.send_response = sent_again(  # type: ignore[method-assign, assignment]
+            Service.send_response)

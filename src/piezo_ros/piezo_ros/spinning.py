@@ -4,15 +4,20 @@
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 import rclpy
+from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
+from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.parameters import declare
 from piezo_ros.responses import answer_patiently
 
@@ -20,8 +25,6 @@ RCLError = rclpy_implementation.RCLError
 SPIN_TIMEOUT_S = 0.2
 WIND_DOWN_TIMEOUT_S = 10.0
 LAST_WORDS_S = 0.2
-# How much later than it goes on a process may be told that it does.
-SIGNAL_DELAY_S = 1.0
 FAILED_STATUS = 1
 BAD_INPUT_STATUS = 2
 
@@ -38,36 +41,25 @@ class Ending:
         How long the process stood still; 0 unless it ends for that.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._requested = False
         self.stood_still_s = 0.0
-        self._alive_s = time.monotonic()
-        self._pause_s = self._pause_end_s = 0.0
+        self._heartbeat = Heartbeat()
         # Own handlers: rclpy's would shut ROS down before the node can close in order.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._end)
-        signal.signal(signal.SIGCONT, self._go_on)
 
-    def __bool__(self):
-        now_s = time.monotonic()
-        if now_s - self._alive_s > LONGEST_STANDSTILL_S:
-            self._pause_s, self._pause_end_s = now_s - self._alive_s, now_s
-        self._alive_s = now_s
-        return self._requested
-
-    def _end(self, *_):
-        self._requested = True
-
-    def _go_on(self, *_):
-        now_s = time.monotonic()
-        standstill_s = now_s - self._alive_s
-        if now_s - self._pause_end_s < SIGNAL_DELAY_S:  # the loop went on before the signal came
-            standstill_s = max(standstill_s, self._pause_s)
+    def __bool__(self) -> bool:
+        standstill_s = self._heartbeat.standstill_s()
         if standstill_s > LONGEST_STANDSTILL_S:
             self._requested, self.stood_still_s = True, standstill_s
+        return self._requested
+
+    def _end(self, *_: object) -> None:
+        self._requested = True
 
 
-def autostart(node, default=True):
+def autostart(node: LifecycleNode, default: bool = True) -> None:
     """Configure and activate a lifecycle node if its parameter ``autostart`` says so.
 
     Parameters
@@ -88,7 +80,7 @@ def autostart(node, default=True):
             sys.exit(BAD_INPUT_STATUS)
 
 
-def run_node(create_node, args=None):
+def run_node(create_node: Callable[[], Node], args: list[str] | None = None) -> None:
     """Run one node until SIGINT or SIGTERM, or until it has stood still for too long.
 
     The node may have methods of its own: ``step() -> float`` is called between two
@@ -132,7 +124,7 @@ def run_node(create_node, args=None):
         sys.exit(FAILED_STATUS)
 
 
-def _start(create_node, args):
+def _start(create_node: Callable[[], Node], args: list[str] | None) -> Node:
     prepare_discovery()
     answer_patiently()
     try:
@@ -142,28 +134,28 @@ def _start(create_node, args):
     try:
         return create_node()
     except ValueError as error:
-        _refuse(error)
+        _refuse(str(error))
     except RCLError as error:  # as where security is asked for that the middleware has not
         _refuse(" ".join(str(error).split(", at /")[0].split()))
 
 
-def _refuse(reason):
+def _refuse(reason: str) -> NoReturn:
     print(f"{Path(sys.argv[0]).name}: {reason}", file=sys.stderr)
     sys.exit(BAD_INPUT_STATUS)
 
 
-def _spin(executor, step, ending):
+def _spin(executor: Executor, step: Callable[[], float], ending: Ending) -> None:
     while not ending and rclpy.ok():
         executor.spin_once(timeout_sec=step())
 
 
-def _wind_down(executor, wind_down):
+def _wind_down(executor: Executor, wind_down: Callable[[], bool]) -> None:
     _spin_until(executor, wind_down, WIND_DOWN_TIMEOUT_S)
     # The results of goals that have just ended go out by callbacks of their own.
     _spin_until(executor, lambda: False, LAST_WORDS_S)
 
 
-def _spin_until(executor, condition, timeout_s):
+def _spin_until(executor: Executor, condition: Callable[[], bool], timeout_s: float) -> None:
     deadline = time.monotonic() + timeout_s
     while not condition() and time.monotonic() < deadline:
         executor.spin_once(timeout_sec=0.05)

@@ -5,12 +5,14 @@ import importlib
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 
 INTERRUPTED_STATUS = 130
 
 
-def node_entry(module):
+def node_entry(module: str) -> Callable[[list[str] | None], None]:
     """Return what the executable of a node calls.
 
     Importing a node takes seconds, in which nothing runs yet that had to be ended in order. A
@@ -25,7 +27,7 @@ def node_entry(module):
     -------
     callable
     """
-    def main(args=None):
+    def main(args: list[str] | None = None) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, _leave)
         return importlib.import_module(module).main(args)
@@ -34,7 +36,7 @@ def node_entry(module):
     return main
 
 
-def _leave(number, frame):
+def _leave(number: int, frame: FrameType | None) -> None:
     # Neither an exception, which an import may swallow or tell as its own, nor what Python does
     # at its end: what is half imported may fail there.
     name = Path(sys.argv[0]).name

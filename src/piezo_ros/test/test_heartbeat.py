@@ -6,17 +6,31 @@ import signal
 import subprocess
 import sys
 
-PROGRAM = """
-import sys, time
-from piezo_ros.heartbeat import Heartbeat
+import pytest
 
-heartbeat = Heartbeat()
+PROGRAM = """
+import signal, sys, time
+import piezo_ros.heartbeat
+
+# Only the main thread gets the signal, when it wants it.
+signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCONT])
+heartbeat = piezo_ros.heartbeat.Heartbeat()
 print("begun", flush=True)
 {work}
 print(heartbeat.standstill_s())
 """
-BUSY = "end_s = time.process_time() + 1.5\nwhile time.process_time() < end_s: pass"
-WAITING = "sys.stdin.readline()\ntime.sleep(0.5)  # a beat behind the standstill"
+HEAR = "signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGCONT])"
+BUSY = f"{HEAR}\nend_s = time.process_time() + 1.5\nwhile time.process_time() < end_s: pass"
+WAIT = "sys.stdin.readline()"
+SOON = f"{HEAR}\n{WAIT}\ntime.sleep(0.5)  # a beat behind the standstill"
+LONG_AFTER = f"{HEAR}\npiezo_ros.heartbeat.SIGNAL_DELAY_S = 0.5\n{WAIT}\ntime.sleep(1.0)"
+BEFORE_IT_WAS_TOLD = f"""
+{WAIT}
+time.sleep(0.5)
+assert heartbeat.standstill_s() == 0.0
+{HEAR}
+"""
+TWICE = f"{SOON}\nassert heartbeat.standstill_s() > 0.0"
 
 
 def begun(work):
@@ -28,15 +42,24 @@ def begun(work):
     return process
 
 
-def test_a_stopped_process_knows_for_how_long():
-    process = begun(WAITING)
+def answer_of_stopped(work):
+    process = begun(work)
     process.send_signal(signal.SIGSTOP)
     os.waitpid(process.pid, os.WUNTRACED)
     try:
-        process.wait(timeout=2.0)
+        process.wait(timeout=1.0)
     except subprocess.TimeoutExpired:
         process.send_signal(signal.SIGCONT)
-    assert float(process.communicate("go on\n")[0]) > 1.5
+    return float(process.communicate("go on\n")[0])
+
+
+@pytest.mark.parametrize("asked", [SOON, LONG_AFTER, BEFORE_IT_WAS_TOLD])
+def test_a_stopped_process_knows_for_how_long_whenever_it_is_asked(asked):
+    assert answer_of_stopped(asked) > 0.9
+
+
+def test_a_standstill_is_told_once():
+    assert answer_of_stopped(TWICE) == 0.0
 
 
 def test_a_busy_process_does_not_take_itself_for_stopped():

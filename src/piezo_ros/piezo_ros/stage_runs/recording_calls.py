@@ -2,11 +2,15 @@
 """Have a run recorded by the recorder node."""
 
 import os
+from collections.abc import Callable, Mapping
 from itertools import chain, count
+from os import PathLike
 from pathlib import Path
+from types import TracebackType
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from piezo_interfaces.srv import StartRecording, StopRecording
+from rclpy.node import Node
 
 from piezo_ros.calls import CallFailed, call_service
 from piezo_ros.presence import Presence
@@ -28,9 +32,9 @@ class RunRecording:
         Of the node that records.
     unrecorded : bool
         Whether the run may go on once its recording has ended.
-    stop : callable
+    stop : callable, optional
         Closes the recording: takes the last sample that is to be in it, and returns what the
-        recorder answers.
+        recorder answers. Without it whoever had it started closes it.
 
     Attributes
     ----------
@@ -38,7 +42,8 @@ class RunRecording:
         Of the run, once it is over; 0 until then: the recording is then closed as it is.
     """
 
-    def __init__(self, path, recorder, unrecorded, stop):
+    def __init__(self, path: str, recorder: Presence, unrecorded: bool,
+                 stop: Callable[[int], StopRecording.Response] | None) -> None:
         self.path = path
         self.last_sample = 0
         self._recorder, self._unrecorded, self._stop = recorder, unrecorded, stop
@@ -46,7 +51,7 @@ class RunRecording:
         self._over = False
 
     @property
-    def failure(self):
+    def failure(self) -> str:
         """Why the recording ended before the run; empty if it did not."""
         if not (self._failure or self._over) and self._recorder.gone:
             self._failure = (f"the recorder {self._recorder.name} is gone: start it again; what "
@@ -54,37 +59,38 @@ class RunRecording:
         return self._failure
 
     @property
-    def must_stop(self):
+    def must_stop(self) -> bool:
         """Whether the run must end because its recording has."""
         return bool(self.failure) and not self._unrecorded
 
     @property
-    def note(self):
+    def note(self) -> str:
         """What to tell of the recording of a run that was played to its end; may be empty."""
         if self._failure:
             return f"the run went on unrecorded: {self._failure}"
         return self._note
 
-    def ended(self, path, message):
+    def ended(self, path: str, message: str) -> None:
         """Take the news that the recorder closed the recording of a path early."""
         if path == self.path:
             self._failure = self._failure or f"{path} was {message}"
 
-    def __enter__(self):
+    def __enter__(self) -> "RunRecording":
         return self
 
-    def __exit__(self, kind, error, traceback):
-        if not self.failure:
-            self._close()
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 traceback: TracebackType | None) -> None:
+        if self._stop and not self.failure:
+            self._close(self._stop)
         self._over = True
         if self._failure and isinstance(error, ValueError):
             raise CallFailed(f"{error}; {self._failure}") from error
         if error is None and self.must_stop:
             raise CallFailed(self._failure)
 
-    def _close(self):
+    def _close(self, stop: Callable[[int], StopRecording.Response]) -> None:
         try:
-            missing_samples = self._stop(self.last_sample).missing_samples
+            missing_samples = stop(self.last_sample).missing_samples
         except CallFailed as error:
             self._failure = str(error)
         else:
@@ -100,19 +106,20 @@ class RecorderNews:
     node : rclpy.node.Node
     """
 
-    def __init__(self, node):
+    def __init__(self, node: Node) -> None:
         self._node = node
-        self._recording = None
+        self._recording: RunRecording | None = None
         self._recorder = f"{node.get_namespace().rstrip('/')}/recorder"
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
-    def about(self, path, unrecorded=False, stop=None):
+    def about(self, path: str, unrecorded: bool = False,
+              stop: Callable[[int], StopRecording.Response] | None = None) -> RunRecording:
         """Return the `RunRecording` of a path, which hears of its end from now on."""
         self._recording = RunRecording(
             path, Presence(self._node, self._recorder), unrecorded, stop)
         return self._recording
 
-    def _on_diagnostics(self, message):
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if (self._recording and status.level == DiagnosticStatus.ERROR
                     and status.name == f"{self._recorder}: recording"):
@@ -128,13 +135,14 @@ class RecorderCaller:
     node : rclpy.node.Node
     """
 
-    def __init__(self, node):
+    def __init__(self, node: Node) -> None:
         self._news = RecorderNews(node)
         self._client = node.get_fully_qualified_name()
         self._start = node.create_client(StartRecording, "recorder/start_recording")
         self._stop = node.create_client(StopRecording, "recorder/stop_recording")
 
-    def record(self, directory, name, attachments, unrecorded=False):
+    def record(self, directory: str | PathLike[str], name: str, attachments: Mapping[str, str],
+               unrecorded: bool = False) -> RunRecording:
         """Start a recording under a name that is not taken yet.
 
         Parameters
@@ -160,13 +168,13 @@ class RecorderCaller:
             attachment_contents=list(attachments.values()), client=self._client)).path
         return self._news.about(path, unrecorded, self._close)
 
-    def _close(self, last_sample):
+    def _close(self, last_sample: int) -> StopRecording.Response:
         return call_service(
             self._stop, StopRecording.Request(last_sample=last_sample, client=self._client),
             STOP_TIMEOUT_S, STOP_APPEARANCE_S)
 
 
-def free_name(directory, name):
+def free_name(directory: str | PathLike[str], name: str) -> str:
     """Return the name, or the first of name_2, name_3 ... that the directory does not hold yet."""
     try:
         taken = set(os.listdir(directory))

@@ -2,6 +2,7 @@
 """Tell whether the stage played what it was asked to in a run of the loop."""
 
 from piezo_interfaces.msg import SampleBlock
+from rclpy.node import Node
 
 from piezo_ros.parameters import declare
 
@@ -24,14 +25,15 @@ class RunAccount:
         Whether the feedforward is streamed: the stage then never is to hold its last voltage.
     """
 
-    def __init__(self, max_late_percent=MAX_LATE_PERCENT, max_limited_percent=MAX_LIMITED_PERCENT,
-                 answered=True, streamed=False):
+    def __init__(self, max_late_percent: float = MAX_LATE_PERCENT,
+                 max_limited_percent: float = MAX_LIMITED_PERCENT, answered: bool = True,
+                 streamed: bool = False) -> None:
         self._max_late_percent = max_late_percent
         self._max_limited_percent = max_limited_percent
         self._answered, self._streamed = answered, streamed
         self.blocks = self.late = self.limited = self.starved = 0
 
-    def take(self, flags):
+    def take(self, flags: int) -> None:
         """Count one block by its flags."""
         self.blocks += 1
         self.late += self._answered and bool(flags & SampleBlock.FLAG_FEEDBACK_HELD)
@@ -40,7 +42,7 @@ class RunAccount:
         self.starved += self._streamed and bool(flags & SampleBlock.FLAG_FEEDFORWARD_HELD)
 
     @property
-    def failure(self):
+    def failure(self) -> str:
         """Why the run does not count as done; empty if it does."""
         failures = []
         if self._exceeds(self.late, self._max_late_percent):
@@ -55,23 +57,24 @@ class RunAccount:
         return "; ".join(failures)
 
     @property
-    def note(self):
+    def note(self) -> str:
         """What to tell of a run that counts as done; may be empty."""
-        return "; ".join(filter(None, (self.late and self._late, self.limited and self._limited)))
+        counted = ((self.late, self._late), (self.limited, self._limited))
+        return "; ".join(text for count, text in counted if count)
 
     @property
-    def _late(self):
+    def _late(self) -> str:
         return f"{self.late} of {self.blocks} answers came late"
 
     @property
-    def _limited(self):
+    def _limited(self) -> str:
         return f"the stage limited the voltage in {self.limited} of {self.blocks} ticks"
 
-    def _exceeds(self, count, percent):
+    def _exceeds(self, count: int, percent: float) -> bool:
         return 100.0 * count > percent * self.blocks
 
 
-def declare_run_limits(node):
+def declare_run_limits(node: Node) -> dict[str, float]:
     """Declare the parameters ``max_late_percent`` and ``max_limited_percent``.
 
     Returns

@@ -4,17 +4,20 @@
 import array
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
+from piezo_common.arrays import FloatArray
 from piezo_ros.calls import CallFailed, call_service
 from piezo_ros.quality import FEEDBACK, SAMPLES
 from piezo_ros.stage_runs.stage_watch import StageWatch
-from piezo_ros.stage_runs.streaming import Stream
+from piezo_ros.stage_runs.streaming import More, Stream
 
 REPORT_PERIOD_S = 0.1
 SILENCE_TIMEOUT_S = 10.0
@@ -40,10 +43,13 @@ class StageTracker:
         Answers of the last run that the stage missed.
     """
 
-    def __init__(self, node):
-        self._take = self._stream = None
+    def __init__(self, node: Node) -> None:
+        self._take: Callable[[SampleBlock], float] | None = None
+        self._stream: Stream | None = None
         # Answers to the first blocks wait here until the number of their run is known.
-        self._early_answers, self._run, self._numbering = [], None, threading.Lock()
+        self._early_answers: list[tuple[int, float]] = []
+        self._run: int | None = None
+        self._numbering = threading.Lock()
         self._client = node.get_fully_qualified_name()
         self._stage = StageWatch(node)
         self._at_rest, self._awake = threading.Event(), threading.Event()
@@ -55,8 +61,9 @@ class StageTracker:
         self._start = node.create_client(StartTracking, "start_tracking")
         self._stop = node.create_client(Trigger, "stop_tracking")
 
-    def run(self, once_voltage_v, period_voltage_v, ticks, take, answering, cancelled, report,
-            more=None):
+    def run(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray, ticks: int,
+            take: Callable[[SampleBlock], float], answering: bool, cancelled: Callable[[], bool],
+            report: Callable[[], object], more: More | None = None) -> None:
         """Play a feedforward for some ticks and wait until the stage is at rest.
 
         Parameters
@@ -101,32 +108,33 @@ class StageTracker:
         finally:
             self._take = self._stream = None
 
-    def why_ended(self):
+    def why_ended(self) -> str:
         """Say why the stage ended the last run before its time, as far as the stage tells."""
         return self._stage.why_ended()
 
-    def _load_voltages(self, once_voltage_v, period_voltage_v=b"", append=False):
+    def _load_voltages(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray | bytes = b"",
+                       append: bool = False) -> None:
         call_service(self._load, LoadFeedforward.Request(
             once_voltage_v=array.array("d", bytes(once_voltage_v)),
             period_voltage_v=array.array("d", bytes(period_voltage_v)), append=append))
 
-    def _append(self, voltage_v):
+    def _append(self, voltage_v: FloatArray) -> None:
         self._load_voltages(voltage_v, append=True)
 
-    def _publish(self, tick, voltage_v):
+    def _publish(self, tick: int, voltage_v: float) -> None:
         with self._numbering:
             if self._run is None:
                 self._early_answers.append((tick, voltage_v))
                 return
         self._feedback.publish(FeedbackVoltage(tick=tick, voltage_v=voltage_v, run=self._run))
 
-    def _begin_answers(self, run):
+    def _begin_answers(self, run: int) -> None:
         with self._numbering:
             self._run, early = run, self._early_answers
         for tick, voltage_v in early:
             self._publish(tick, voltage_v)
 
-    def _wait(self, cancelled, report):
+    def _wait(self, cancelled: Callable[[], bool], report: Callable[[], object]) -> None:
         blocks_before, heard_s, reported_s = 0, time.monotonic(), 0.0
         stopping, failure = False, None
         while not self._at_rest.is_set():
@@ -155,7 +163,7 @@ class StageTracker:
         if failure:
             raise failure
 
-    def _on_samples(self, raw):
+    def _on_samples(self, raw: bytes) -> None:
         take = self._take
         if take is None:
             return

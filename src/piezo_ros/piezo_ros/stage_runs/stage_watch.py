@@ -5,6 +5,7 @@ import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
 
 from piezo_ros.presence import Presence
 
@@ -21,7 +22,7 @@ class StageWatch:
     node : rclpy.node.Node
     """
 
-    def __init__(self, node):
+    def __init__(self, node: Node) -> None:
         self._node = node
         self._name = f"{node.get_namespace().rstrip('/')}/stage"
         self._news = threading.Event()
@@ -29,17 +30,17 @@ class StageWatch:
         self.begin()
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
-    def begin(self):
+    def begin(self) -> None:
         """Begin a run: what was before does not matter any more."""
         self._stopped = self._state = ""
         self._presence = Presence(self._node, self._name)
 
     @property
-    def gone(self):
+    def gone(self) -> bool:
         """Whether the stage's node went away since the run began."""
         return self._presence.gone
 
-    def why_ended(self):
+    def why_ended(self) -> str:
         """Say why a run ended before its time; wait for the stage's word if need be.
 
         Returns
@@ -59,7 +60,7 @@ class StageWatch:
             return "it was deactivated"
         return "somebody else called stop_tracking"
 
-    def _on_diagnostics(self, message):
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name != f"{self._name}: stage":
                 continue

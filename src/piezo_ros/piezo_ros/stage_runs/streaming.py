@@ -2,9 +2,16 @@
 """Keep a stage supplied with a feedforward that is computed while it plays."""
 
 import threading
+from collections.abc import Callable
+
+from piezo_common.arrays import FloatArray
 
 AHEAD_SAMPLES = 12000
 LEAST_AHEAD_SAMPLES = 160
+
+
+More = Callable[[], FloatArray | None]
+"""Returns the next voltages (V): none at the end; None while they cannot be told yet."""
 
 
 class Stream:
@@ -25,20 +32,21 @@ class Stream:
         Gives the stage an answer: ``answer(tick, voltage_v)``.
     """
 
-    def __init__(self, more, loaded_samples, append, answer):
+    def __init__(self, more: More, loaded_samples: int, append: Callable[[FloatArray], None],
+                 answer: Callable[[int, float], None]) -> None:
         self._more, self._append, self._answer = more, append, answer
         self._loaded_samples = loaded_samples
         self._played_samples = 0
         self._ended = False
-        self._held_back = None
+        self._held_back: tuple[int, float] | None = None
         self._lock = threading.Lock()
 
     @property
-    def wants_more(self):
+    def wants_more(self) -> bool:
         """Whether less is loaded than is to be."""
         return not self._ended and self._loaded_samples - self._played_samples < AHEAD_SAMPLES
 
-    def feed(self):
+    def feed(self) -> None:
         """Load chunks until enough is loaded, or the next cannot be told yet."""
         while self.wants_more:
             chunk_v = self._more()
@@ -53,7 +61,7 @@ class Stream:
                     self._answer(*self._held_back)
                     self._held_back = None
 
-    def answer(self, tick, voltage_v, played_samples):
+    def answer(self, tick: int, voltage_v: float, played_samples: int) -> None:
         """Give an answer, at once or when enough is loaded for the stage to go on."""
         with self._lock:
             self._played_samples += played_samples
@@ -63,6 +71,6 @@ class Stream:
                 self._answer(tick, voltage_v)
 
     @property
-    def _scarce(self):
+    def _scarce(self) -> bool:
         ahead = self._loaded_samples - self._played_samples
         return not self._ended and ahead < LEAST_AHEAD_SAMPLES
