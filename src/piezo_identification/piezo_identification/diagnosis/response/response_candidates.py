@@ -21,12 +21,13 @@ class GuessSettings:
     Attributes
     ----------
     modes : int
-        Frequencies of a mode over the measured range: close enough that one falls on a resonance.
+        Frequencies of a mode over the range in which one shows: close enough that one falls on a
+        resonance.
     creep_relaxations : int
         Time constants of creep over the lower half of the range.
     """
 
-    modes: int = 24
+    modes: int = 27
     creep_relaxations: int = 3
 
 
@@ -67,7 +68,7 @@ def _guesses(problem: ResponseProblem) -> dict[type[Effect], list[Effect]]:
         Creep: [Creep((0.05,) * count, tuple(slow_s))],
         VibrationMode: [
             VibrationMode(2.0 * np.pi * frequency_hz, damping, 0.1)
-            for frequency_hz in np.geomspace(low_hz, high_hz, SETTINGS.modes)
+            for frequency_hz in np.geomspace(*problem.mode_range_hz, SETTINGS.modes)
             for damping in (0.02, 0.2)],
         Delay: [Delay(delay_s) for delay_s in np.geomspace(0.01, 1.0, 4) / high_hz],
         SensorLag: [SensorLag(lag_s) for lag_s in np.geomspace(0.01, 1.0, 4) / high_hz],

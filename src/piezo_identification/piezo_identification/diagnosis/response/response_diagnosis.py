@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a model lacks to explain a measured frequency response: a comparison of linear effects."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -138,6 +139,7 @@ def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
     ResponseSelection
     """
     start = current = problem.fit_dynamics(problem.as_given())
+    found = [start]
     effects: list[dict[str, Any]] = []
     tried: list[list[tuple[str, float]]] = []
     not_decidable: dict[str, str] = {}
@@ -157,11 +159,31 @@ def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
             "name": best.effects[-1].name,
             "error_reduction_percent": reduction_percent(problem, current, best)})
         current = best
+        found.append(current)
+    kept, refused = _accepted(problem, found)
+    current, effects = found[kept], effects[:kept]
     for entry, effect in zip(effects, current.effects, strict=True):
         entry["parameters"] = effect.parameters()
         not_decidable.pop(entry["name"], None)
+    not_decidable |= refused
     return ResponseSelection(current, effects, tried, not_decidable,
                              lack_of_fit(problem, current) <= allowed)
+
+
+def _accepted(problem: ResponseProblem,
+              found: Sequence[ResponseFit]) -> tuple[int, dict[str, str]]:
+    """Return how many of the effects lower the error that is reported, and why not the others.
+
+    The comparison weighs every frequency by its tolerance, and begins with dynamics that were
+    fitted; the errors that are reported are those of the gain, and begin with the given model.
+    """
+    before, *after = (held_out_errors(problem, fit)["e_y_percent"]
+                      for fit in (problem.as_given(), *found[1:]))
+    kept = max((number for number, error in enumerate(after, 1) if error < before), default=0)
+    return kept, {
+        effect.name: f"the error on held-out frequencies would rise from {before:.3g} to "
+                     f"{error:.3g} %"
+        for effect, error in zip(found[-1].effects[kept:], after[kept:], strict=True)}
 
 
 def _told(problem: ResponseProblem, selection: ResponseSelection,

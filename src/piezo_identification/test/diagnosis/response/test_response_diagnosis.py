@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from piezo_identification.commands.diagnose_command import main
+from piezo_identification.diagnosis.response import response_diagnosis
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.response.response_fit import ResponseProblem, full_response
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
+from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -55,6 +57,31 @@ def test_a_further_resonance_is_a_vibration_mode():
     assert diagnosis.effects[0]["parameters"]["frequency_rad_per_s"] == pytest.approx(
         4400.0, rel=0.01)
     assert diagnosis.after["e_y_percent"] < 0.1 * diagnosis.before["e_y_percent"]
+
+
+@pytest.mark.parametrize("frequency_rad_per_s", [7000.0, 9000.0])
+def test_a_mode_beyond_the_measured_band_is_found_by_its_flank(frequency_rad_per_s):
+    further = VibrationMode(frequency_rad_per_s, 0.03, 0.3)
+    assert frequency_rad_per_s > 2.0 * np.pi * FREQUENCY_HZ[-1]
+    extra = replace(MODEL, effects=(further,)).response(FREQUENCY_HZ) / MODEL.response(FREQUENCY_HZ)
+    diagnosis = diagnose_response(MODEL, measured(extra))
+    assert [entry["name"] for entry in diagnosis.effects] == ["vibration_mode"]
+    assert diagnosis.effects[0]["parameters"]["frequency_rad_per_s"] == pytest.approx(
+        frequency_rad_per_s, rel=0.01)
+
+
+def test_an_effect_that_raises_the_error_of_the_gain_is_not_named(monkeypatch):
+    """Small gains are held to a closer tolerance: what mends many of them may spoil a resonance."""
+    problem = ResponseProblem(MODEL, measured(1.0 + 0.2 * np.sin(12.0 * np.log(FREQUENCY_HZ))))
+    start = problem.fit_dynamics(problem.as_given())
+    residual = np.where(np.abs(problem.measured.gain) < 1.0, 0.1, 6.0) * start.residual
+    spoilt = replace(start, effects=(Delay(1e-4),), residual=residual)
+    monkeypatch.setattr(response_diagnosis, "fit_each_candidate",
+                        lambda problem, current: [] if current.effects else [spoilt])
+    monkeypatch.setattr(response_diagnosis, "is_convincing", lambda *fits: True)
+    selection = response_diagnosis.select_linear_effects(problem)
+    assert (selection.effects, selection.fit.effects) == ([], ())
+    assert "would rise from" in selection.not_decidable["delay"]
 
 
 def test_what_no_candidate_explains_is_described_and_not_named():
