@@ -14,6 +14,15 @@ QUIET_HZ = 8000.0
 """Above it nothing moves: what is there is the sensor's noise."""
 
 
+def _compared(before, after):
+    """Draw two curves, each of frequencies and values, on new double-logarithmic axes."""
+    figure = new_figure()
+    axes = figure.subplots()
+    for curve, style in ((before, BEFORE), (after, AFTER)):
+        axes.loglog(*curve, **style)
+    return figure, axes
+
+
 def draw_model_errors(before, after, sample_period_s):
     """Spectra of a model's error on one recording, before and after.
 
@@ -26,15 +35,16 @@ def draw_model_errors(before, after, sample_period_s):
     -------
     matplotlib.figure.Figure
     """
-    figure = new_figure()
-    axes = figure.subplots()
-    for prediction, style in ((before, BEFORE), (after, AFTER)):
+    def density(prediction):
         frequency_hz, power = welch(
             1e3 * (prediction.measured_um - prediction.simulated_um), 1.0 / sample_period_s,
             nperseg=min(SEGMENT, prediction.measured_um.size))
-        axes.loglog(frequency_hz[1:-1], np.sqrt(power[1:-1]), **style)
-    noise = np.sqrt(np.median(power[frequency_hz > QUIET_HZ]))
-    axes.axhline(noise, label="noise", **LIMIT)
+        return frequency_hz[1:-1], np.sqrt(power[1:-1])
+
+    curves = density(before), density(after)
+    figure, axes = _compared(*curves)
+    frequency_hz, left = curves[1]
+    axes.axhline(np.median(left[frequency_hz > QUIET_HZ]), label="noise", **LIMIT)
     axes.legend()
     label(axes, "frequency (Hz)", "model error (nm per root Hz)")
     return figure
@@ -52,11 +62,9 @@ def draw_responses(before, after, sample_period_s):
     -------
     matplotlib.figure.Figure
     """
-    figure = new_figure()
-    axes = figure.subplots()
-    for model, style in ((before, BEFORE), (after, AFTER)):
-        response = zoh_response(model.linear(), RESPONSE_HZ, sample_period_s)
-        axes.loglog(RESPONSE_HZ, np.abs(response), **style)
+    figure, axes = _compared(*(
+        (RESPONSE_HZ, np.abs(zoh_response(model.linear(), RESPONSE_HZ, sample_period_s)))
+        for model in (before, after)))
     axes.legend()
     plain_numbers(axes.xaxis)
     label(axes, "frequency (Hz)", "magnitude (um/um)")
