@@ -7,6 +7,7 @@ setup(
     name=package,
     version="0.1.0",
     packages=find_packages(include=[package, package + ".*"]),
+    package_data={package: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + package]),
         ("share/" + package, ["package.xml"]),

@@ -5,7 +5,10 @@ import os
 import shutil
 import signal
 import subprocess
+from collections.abc import Iterable, Mapping
+from os import PathLike
 from pathlib import Path
+from typing import Self
 
 from ament_index_python.packages import get_package_prefix
 
@@ -33,22 +36,26 @@ class Processes:
         parameter file says.
     """
 
-    def __init__(self, log_directory, environment=None, data_root=None):
+    def __init__(self, log_directory: str | PathLike[str],
+                 environment: Mapping[str, str] | None = None,
+                 data_root: str | PathLike[str] | None = None) -> None:
         self._log_directory = Path(log_directory)
         self._log_directory.mkdir(parents=True, exist_ok=True)
         self._parameters = {} if data_root is None else {"data_root": Path(data_root).absolute()}
         self._environment = {**os.environ, **(environment or {})}
         # The wheels' guard is of this process: what we start must find its libraries itself.
         self._environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
-        self._running = {}
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def start(self, name, parameters=None, namespace=None, parameter_file=None):
+    def start(self, name: str, parameters: Mapping[str, object] | None = None,
+              namespace: str | None = None,
+              parameter_file: str | PathLike[str] | None = None) -> None:
         """Start one of `EXECUTABLES`.
 
         Parameters
@@ -76,15 +83,15 @@ class Processes:
                 command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
                 env=self._environment, start_new_session=True)
 
-    def log(self, name):
+    def log(self, name: str) -> Path:
         """Return the path of the log file of a process."""
         return self._log_directory / f"{name}.log"
 
-    def process(self, name):
+    def process(self, name: str) -> subprocess.Popen[bytes]:
         """Return the ``subprocess.Popen`` of a process."""
         return self._running[name]
 
-    def stop(self, names=None):
+    def stop(self, names: Iterable[str] | None = None) -> None:
         """End processes by SIGINT, last started first; kill what does not end."""
         for name in reversed(list(names or self._running)):
             process = self._running.pop(name)
@@ -96,7 +103,7 @@ class Processes:
                 process.wait()
 
 
-def clean_shared_memory():
+def clean_shared_memory() -> None:
     """Remove what killed nodes left in shared memory."""
     if shutil.which("fastdds"):
         subprocess.run(["fastdds", "shm", "clean"], check=False,

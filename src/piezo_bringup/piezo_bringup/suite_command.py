@@ -15,7 +15,7 @@ POLL_S = 0.2
 FAILED, BAD_INPUT = 1, 2
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
     Parameters
@@ -36,7 +36,7 @@ def main(arguments=None):
     if options.data_root and not options.data_root.is_dir():
         print(f"suite: {options.data_root} is no folder: give one that exists", file=sys.stderr)
         return BAD_INPUT
-    ending = []
+    ending: list[bool] = []
     for number in signal.SIGINT, signal.SIGTERM:
         signal.signal(number, lambda *_: ending.append(True))
     with Processes(options.logs, data_root=options.data_root) as processes:
@@ -54,7 +54,7 @@ def main(arguments=None):
     return 0
 
 
-def _parser():
+def _parser() -> argparse.ArgumentParser:
     default = Path(get_package_share_directory("piezo_bringup"), "config", "simulated_stage.yaml")
     parser = argparse.ArgumentParser(
         prog="suite", description="Start the nodes of a simulated stage, and end them in order.")

@@ -3,6 +3,8 @@
 
 import time
 import uuid
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Self
 
 import rclpy
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment, Track
@@ -10,13 +12,15 @@ from piezo_interfaces.msg import Reference
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.experimental import EventsExecutor
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 from unique_identifier_msgs.msg import UUID
 
-from piezo_client.paths import with_absolute_paths
+from piezo_client.paths import AnyPath, with_absolute_paths
 from piezo_ros.calls import number_request
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.heartbeat import Heartbeat
+from piezo_ros.messages import Message, MessageType
 
 SERVER_TIMEOUT_S = 30.0
 LOST_RESPONSE_S = 10.0
@@ -38,7 +42,7 @@ ACTIONS = {
 class GoalFailed(RuntimeError):
     """An action ended without success; the text is the action's own."""
 
-    def __init__(self, name, result):
+    def __init__(self, name: str, result: Message) -> None:
         super().__init__(f"{name}: {result.message}")
         self.result = result
 
@@ -51,7 +55,7 @@ class ServiceFailed(GoalFailed):
     text : str
     """
 
-    def __init__(self, text):
+    def __init__(self, text: str) -> None:
         RuntimeError.__init__(self, text)
         self.result = None
 
@@ -64,7 +68,7 @@ class StoodStill(ServiceFailed):
     standstill_s : float
     """
 
-    def __init__(self, standstill_s):
+    def __init__(self, standstill_s: float) -> None:
         super().__init__(f"this process stood still for {standstill_s:.1f} s, and the nodes have "
                          "given it up: make a new client")
 
@@ -80,7 +84,7 @@ class Client:
         Of the node.
     """
 
-    def __init__(self, namespace="", name="client"):
+    def __init__(self, namespace: str = "", name: str = "client") -> None:
         prepare_discovery()
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
@@ -91,15 +95,15 @@ class Client:
         self._actions = {
             name: ActionClient(self.node, action_type, topic)
             for name, (action_type, topic) in ACTIONS.items()}
-        self._running = None
+        self._running: str | None = None
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def close(self):
+    def close(self) -> None:
         """Leave ROS, and let its threads and its waits end."""
         self._heartbeat.end()
         # Without this the executor keeps what it waits on, and the stage a reader that hangs.
@@ -112,28 +116,33 @@ class Client:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    def run_experiment(self, experiment, directory, **options):
+    def run_experiment(self, experiment: str, directory: AnyPath,
+                       **options: Any) -> RunExperiment.Result:
         """Run and record one experiment; see `goal`."""
         return self.goal(
             "run_experiment", experiment=experiment, directory=directory, **options)
 
-    def identify(self, directory, **options):
+    def identify(self, directory: AnyPath, **options: Any) -> Identify.Result:
         """Run the whole identification; see `goal`."""
         return self.goal("identify", directory=directory, **options)
 
-    def diagnose(self, model, recordings, directory, holdout="", **options):
+    def diagnose(self, model: AnyPath, recordings: Sequence[AnyPath], directory: AnyPath,
+                 holdout: AnyPath = "", **options: Any) -> Diagnose.Result:
         """Find what a model lacks to explain recordings; see `goal`."""
         return self.goal(
             "diagnose", model=model, recordings=recordings, holdout=holdout,
             directory=directory, **options)
 
-    def track(self, reference, model, mode, duration_s, directory, **options):
+    def track(self, reference: Mapping[str, Any], model: AnyPath, mode: str, duration_s: float,
+              directory: AnyPath, **options: Any) -> Track.Result:
         """Track a reference given as a dict of the fields of ``Reference``; see `goal`."""
         return self.goal(
             "track", reference=Reference(**reference), model=model, mode=mode,
             duration_s=float(duration_s), directory=directory, **options)
 
-    def goal(self, name, on_feedback=None, cancel_after_s=None, why_stop=None, **fields):
+    def goal(self, name: str, on_feedback: Callable[[Message], object] | None = None,
+             cancel_after_s: float | None = None, why_stop: Callable[[], str] | None = None,
+             **fields: Any) -> Message:
         """Send a goal and wait for its end.
 
         Parameters
@@ -182,7 +191,8 @@ class Client:
             raise GoalFailed(name, message)
         return message
 
-    def _stop_if(self, why_stop, handle, result):
+    def _stop_if(self, why_stop: Callable[[], str], handle: ClientGoalHandle,
+                 result: Future) -> str:
         """Wait for the end of a goal, or cancel it for a cause, and return that."""
         while not self.spin_until(result.done, WATCH_PERIOD_S):
             self.check()
@@ -191,7 +201,8 @@ class Client:
                 return cause
         return ""
 
-    def send(self, name, on_feedback=None, **fields):
+    def send(self, name: str, on_feedback: Callable[[Message], object] | None = None,
+             **fields: Any) -> ClientGoalHandle:
         """Send a goal and return its handle without waiting for the end.
 
         Raises
@@ -208,12 +219,12 @@ class Client:
             **{"client": self.node.get_fully_qualified_name(), **with_absolute_paths(fields)})
         number = UUID(uuid=list(uuid.uuid4().bytes))
 
-        def ask():
+        def ask() -> Future:
             # Under the same number: where only the answer was lost it does not act twice.
             return client.send_goal_async(
                 goal, lambda m: on_feedback(m.feedback) if on_feedback else None, number)
 
-        sent = []
+        sent: list[Future] = []
         try:
             handle = self._accepted(client, sent, ask)
         except KeyboardInterrupt:
@@ -231,9 +242,10 @@ class Client:
                 "or not active, its log tells which")))
         return handle
 
-    def _accepted(self, client, sent, ask):
+    def _accepted(self, client: ActionClient, sent: list[Future],
+                  ask: Callable[[], Future]) -> ClientGoalHandle | None:
         """Ask, a second time if need be; return the handle that tells, or None."""
-        def settled():
+        def settled() -> bool:
             return (any(answer.done() and answer.result().accepted for answer in sent)
                     or all(answer.done() for answer in sent))
 
@@ -246,18 +258,18 @@ class Client:
                 break
         return None
 
-    def _withdraw(self, client, number, action_type):
+    def _withdraw(self, client: ActionClient, number: UUID, action_type: MessageType) -> None:
         """Cancel a goal of which nobody knows whether it runs; wait for its end if it does."""
         handle = ClientGoalHandle(
             client, number, action_type.Impl.SendGoalService.Response(accepted=True))
         self._cancel(handle, handle.get_result_async())
 
-    def _cancel(self, handle, result):
+    def _cancel(self, handle: ClientGoalHandle, result: Future) -> None:
         """Cancel a goal; wait for its end."""
         handle.cancel_goal_async()
         self.spin_until(result.done, CANCEL_TIMEOUT_S)
 
-    def call(self, service_type, name, /, **fields):
+    def call(self, service_type: MessageType, name: str, /, **fields: Any) -> Message:
         """Call a service and return its response.
 
         A request that bears a number is sent again under the same where no response comes, and
@@ -277,11 +289,11 @@ class Client:
         finally:
             self.node.destroy_client(client)
 
-    def _answer(self, client, name, request):
+    def _answer(self, client: rclpy.client.Client, name: str, request: Message) -> Message:
         repeatable = number_request(request) or isinstance(request, Trigger.Request)
         answers = [client.call_async(request)]
 
-        def answered():
+        def answered() -> bool:
             return any(answer.done() for answer in answers)
 
         deadline = time.monotonic() + CALL_TIMEOUT_S
@@ -297,20 +309,20 @@ class Client:
                 answers.append(client.call_async(request))
         return next(answer for answer in answers if answer.done()).result()
 
-    def wait(self, future):
+    def wait(self, future: Future) -> Message:
         """Spin until a future is done; return its result."""
         while not self.spin_until(future.done, ALIVE_PERIOD_S):
             self.check()
         return future.result()
 
-    def check(self):
+    def check(self) -> None:
         """Raise GoalFailed if the node that works on the present goal has ended."""
         if self._running and not self._actions[self._running].server_is_ready():
             action_type, topic = ACTIONS[self._running]
             raise GoalFailed(self._running, action_type.Result(
                 message=f"the node that serves {topic} has ended: start it again"))
 
-    def spin_until(self, condition, timeout_s):
+    def spin_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Spin until a condition holds or time is up; return whether it holds.
 
         Raises

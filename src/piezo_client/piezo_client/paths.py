@@ -5,6 +5,12 @@ import copy
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+from piezo_interfaces.msg import Reference
+
+AnyPath = str | os.PathLike[str]
+"""A path in any form; a string may be empty, for none."""
 
 ONE_PATH = ("directory", "model", "holdout", "learned")
 SEVERAL_PATHS = ("recordings",)
@@ -12,13 +18,13 @@ ONE_REFERENCE = ("reference",)
 SEVERAL_REFERENCES = ("then",)
 
 
-def absolute(path: str | os.PathLike) -> str:
+def absolute(path: AnyPath) -> str:
     """Return a path as it is seen from every folder; an empty one, for none, stays empty."""
     path = os.fspath(path)
     return path and str(Path(path).absolute())
 
 
-def with_absolute_paths(fields: Mapping) -> dict:
+def with_absolute_paths(fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a goal or a request with all paths in them made absolute.
 
     Parameters
@@ -39,7 +45,7 @@ def with_absolute_paths(fields: Mapping) -> dict:
     return made
 
 
-def _with_absolute_file(reference):
+def _with_absolute_file(reference: Reference) -> Reference:
     reference = copy.copy(reference)
     reference.file = absolute(reference.file)
     return reference

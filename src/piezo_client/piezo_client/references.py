@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """References to track, as the fields of ``piezo_interfaces/Reference``."""
 
+from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
-def harmonic(frequency_hz, amplitude_um, centre_um):
+def harmonic(frequency_hz: float, amplitude_um: float, centre_um: float) -> dict[str, Any]:
     """Return a sine of one frequency.
 
     Parameters
@@ -24,7 +28,7 @@ def harmonic(frequency_hz, amplitude_um, centre_um):
     return _of_components("harmonic", [frequency_hz], [amplitude_um], [], centre_um)
 
 
-def triangle(frequency_hz, amplitude_um, centre_um):
+def triangle(frequency_hz: float, amplitude_um: float, centre_um: float) -> dict[str, Any]:
     """Return a triangle that is rounded to its harmonics up to 2 kHz.
 
     Parameters
@@ -42,7 +46,8 @@ def triangle(frequency_hz, amplitude_um, centre_um):
     return _of_components("triangle", [frequency_hz], [amplitude_um], [], centre_um)
 
 
-def multi_frequency(frequencies_hz, amplitudes_um, centre_um, phases_rad=()):
+def multi_frequency(frequencies_hz: Sequence[float], amplitudes_um: Sequence[float],
+                    centre_um: float, phases_rad: Sequence[float] = ()) -> dict[str, Any]:
     """Return a sum of sines, equation (4.21).
 
     Parameters
@@ -61,7 +66,8 @@ def multi_frequency(frequencies_hz, amplitudes_um, centre_um, phases_rad=()):
     return _of_components("multi_frequency", frequencies_hz, amplitudes_um, phases_rad, centre_um)
 
 
-def sampled(displacement_um, path, sample_rate_hz=40000.0):
+def sampled(displacement_um: ArrayLike, path: str | PathLike[str],
+            sample_rate_hz: float = 40000.0) -> dict[str, Any]:
     """Any periodic trajectory, given by the samples of one period.
 
     Parameters
@@ -93,7 +99,8 @@ def sampled(displacement_um, path, sample_rate_hz=40000.0):
     return {"kind": "file", "file": str(path)}
 
 
-def _of_components(kind, frequencies_hz, amplitudes_um, phases_rad, centre_um):
+def _of_components(kind: str, frequencies_hz: Sequence[float], amplitudes_um: Sequence[float],
+                   phases_rad: Sequence[float], centre_um: float) -> dict[str, Any]:
     return {"kind": kind, "frequency_hz": [float(value) for value in frequencies_hz],
             "amplitude_um": [float(value) for value in amplitudes_um],
             "phase_rad": [float(value) for value in phases_rad], "centre_um": float(centre_um)}

@@ -3,18 +3,23 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from piezo_recorder.reading.reader import read_recording
+from piezo_recorder.reading.recording import Recording
+
+if TYPE_CHECKING:
+    from piezo_models.identified_model import IdentifiedModel
 
 
 @dataclass(frozen=True)
 class _Run:
     path: Path
 
-    def __fspath__(self):
+    def __fspath__(self) -> str:
         return str(self.path)
 
-    def recording(self):
+    def recording(self) -> Recording:
         """Read the samples: a `piezo_recorder.reading.recording.Recording`."""
         return read_recording(self.path)
 
@@ -83,13 +88,13 @@ class Identification:
     """
 
     path: Path
-    errors: dict
-    recordings: tuple
+    errors: dict[str, float]
+    recordings: tuple[Path, ...]
 
-    def __fspath__(self):
+    def __fspath__(self) -> str:
         return str(self.path)
 
-    def model(self):
+    def model(self) -> "IdentifiedModel":
         """Read the model file: a `piezo_models.identified_model.IdentifiedModel`."""
         return _load_model(self.path)
 
@@ -116,20 +121,20 @@ class Diagnosis:
 
     verdict: str
     sentence: str
-    effects: tuple
+    effects: tuple[str, ...]
     path: Path
     report: Path
-    details: dict
+    details: dict[str, Any]
 
-    def __fspath__(self):
+    def __fspath__(self) -> str:
         return str(self.path)
 
-    def model(self):
+    def model(self) -> "IdentifiedModel":
         """Read the extended model's file: a `piezo_models.identified_model.IdentifiedModel`."""
         return _load_model(self.path)
 
 
-def _load_model(path):
+def _load_model(path: Path) -> "IdentifiedModel":
     # Its imports take seconds, which a client that only drives the stage need not wait for.
     from piezo_models.model_file import load_model
 

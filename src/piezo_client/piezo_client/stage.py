@@ -5,14 +5,20 @@ import array
 import itertools
 import json
 import os
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
+from piezo_interfaces.action import PlayWaveform
 from piezo_interfaces.srv import StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
 from piezo_client.client import Client, GoalFailed
+from piezo_client.paths import AnyPath
 from piezo_client.results import Diagnosis, Experiment, Identification, Played, Tracking
+from piezo_ros.messages import Message, MessageType
 from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
 
 SAMPLE_PERIOD_S = 25e-6
@@ -34,25 +40,26 @@ class Stage:
         ``ProgressLine().show``.
     """
 
-    def __init__(self, namespace="", progress=None):
+    def __init__(self, namespace: str = "",
+                 progress: Callable[[str, float, float], object] | None = None) -> None:
         # A name of its own: the stage stops when the node of this name is gone.
         self._client = Client(namespace, f"client_{os.getpid()}_{next(_numbers)}")
         self._name = self._client.node.get_fully_qualified_name()
         self._news = RecorderNews(self._client.node)
         self._progress = progress
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def close(self):
+    def close(self) -> None:
         """Leave ROS; the nodes stay."""
         self._client.close()
 
-    def play(self, voltage_v, sample_period_s=SAMPLE_PERIOD_S, repeats=1, directory="runs",
-             name="waveform"):
+    def play(self, voltage_v: ArrayLike, sample_period_s: float = SAMPLE_PERIOD_S, repeats: int = 1,
+             directory: AnyPath = "runs", name: str = "waveform") -> Played:
         """Play a voltage and record it; what can no longer be recorded is stopped.
 
         Parameters
@@ -61,8 +68,10 @@ class Stage:
         sample_period_s : float
             A whole multiple of the sample clock's, at most 1 s.
         repeats : int
-        directory, name : path-like, str
-            Where the recording is made, and its name, to which a number is added where it is taken.
+        directory : path-like
+            Where the recording is made.
+        name : str
+            Of the recording, to which a number is added where it is taken.
 
         Returns
         -------
@@ -81,7 +90,7 @@ class Stage:
                            client=self._name)
         return Played(Path(path))
 
-    def settle(self, lowest_voltage_v=-20.0, rest_s=60):
+    def settle(self, lowest_voltage_v: float = -20.0, rest_s: int = 60) -> None:
         """Wipe out the past: go to the lowest voltage, then rest at 0 V while the creep dies out.
 
         Parameters
@@ -92,7 +101,7 @@ class Stage:
         """
         self._play("settle, ", [lowest_voltage_v] + [0.0] * rest_s, 1.0)
 
-    def run_experiment(self, name, directory=""):
+    def run_experiment(self, name: str, directory: AnyPath = "") -> Experiment:
         """Run and record one experiment.
 
         Parameters
@@ -109,7 +118,8 @@ class Stage:
         result = self._client.run_experiment(name, directory, on_feedback=self._shown(""))
         return Experiment(Path(result.recording), result.summary)
 
-    def identify(self, directory="", recordings=(), creep_pairs=0, modes=0):
+    def identify(self, directory: AnyPath = "", recordings: Sequence[AnyPath] = (),
+                 creep_pairs: int = 0, modes: int = 0) -> Identification:
         """Run all experiments, or take these recordings, and estimate the model.
 
         Parameters
@@ -132,7 +142,8 @@ class Stage:
             Path(result.model), dict(zip(result.error_names, result.error_values, strict=True)),
             tuple(map(Path, result.recordings)))
 
-    def track(self, reference, model, mode="composite", duration_s=1.0, directory=""):
+    def track(self, reference: Mapping[str, Any], model: AnyPath, mode: str = "composite",
+              duration_s: float = 1.0, directory: AnyPath = "") -> Tracking:
         """Track a reference and record the run.
 
         Parameters
@@ -158,7 +169,8 @@ class Stage:
         return Tracking(Path(result.recording), result.e_rms_percent, result.largest_error_um,
                         result.missed_feedback, result.message)
 
-    def diagnose(self, model, recordings, directory, holdout=""):
+    def diagnose(self, model: AnyPath, recordings: Sequence[AnyPath], directory: AnyPath,
+                 holdout: AnyPath = "") -> Diagnosis:
         """Find what a model lacks to explain recordings, and extend it by that.
 
         Parameters
@@ -182,32 +194,33 @@ class Stage:
                          Path(result.extended_model), Path(result.report),
                          json.loads(result.verdict_json))
 
-    def emergency_stop(self):
+    def emergency_stop(self) -> None:
         """Ramp to the rest voltage and stay there until `reset`."""
         self._call("emergency_stop", Trigger)
 
-    def reset(self):
+    def reset(self) -> None:
         """Release a latched stop."""
         self._call("reset", Trigger)
 
-    def _play(self, step, voltage_v, sample_period_s, repeats=1, why_stop=None):
+    def _play(self, step: str, voltage_v: ArrayLike, sample_period_s: float, repeats: int = 1,
+              why_stop: Callable[[], str] | None = None) -> PlayWaveform.Result:
         return self._client.goal(
             "play_waveform", self._shown(step), why_stop=why_stop,
             sample_period_s=float(sample_period_s),
             voltage_v=_doubles(voltage_v), repeats=repeats)
 
-    def _call(self, name, service_type, /, **fields):
+    def _call(self, name: str, service_type: MessageType, /, **fields: Any) -> Message:
         response = self._client.call(service_type, name, **fields)
         if not response.success:
             raise GoalFailed(name, response)
         return response
 
-    def _shown(self, step):
+    def _shown(self, step: str) -> Callable[[Message], object] | None:
         """Return what passes feedback on to the progress, if that is asked for."""
         progress = self._progress
         return progress and (lambda feedback: progress(
             step + getattr(feedback, "stage", ""), feedback.fraction, feedback.seconds_left))
 
 
-def _doubles(values):
+def _doubles(values: ArrayLike) -> array.array:
     return array.array("d", np.asarray(values, dtype=float).tobytes())

@@ -4,7 +4,9 @@
 import argparse
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeAlias
 
 from rclpy.utilities import remove_ros_args
 
@@ -14,10 +16,14 @@ from piezo_client.stage import Stage
 from piezo_common.progress_line import ProgressLine
 
 FAILED, INTERRUPTED = 1, 130
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+Run = Callable[[Stage, argparse.Namespace], list[str]]
+"""Does what a command is for; returns the lines to print."""
+
 SHAPES = {"harmonic": harmonic, "triangle": triangle}
 
 
-def main(arguments=None):
+def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
     Parameters
@@ -52,7 +58,7 @@ def main(arguments=None):
     return 0
 
 
-def _parser():
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="stage", description="Drive a stage whose nodes run; a line on stderr shows progress.")
     parser.add_argument("--namespace", default="", help="of the stage's nodes")
@@ -69,7 +75,7 @@ def _parser():
     return parser
 
 
-def _add(commands, name, run, text):
+def _add(commands: Commands, name: str, run: Run, text: str) -> argparse.ArgumentParser:
     parser = commands.add_parser(name, help=text, description=text)
     parser.set_defaults(run=run)
     parser.add_argument("--output", type=Path, metavar="DIR", required=True,
@@ -77,20 +83,20 @@ def _add(commands, name, run, text):
     return parser
 
 
-def _add_experiment(commands):
+def _add_experiment(commands: Commands) -> None:
     parser = _add(commands, "experiment", _experiment, "run and record one experiment")
     parser.add_argument("experiment", metavar="NAME", help="creep, dynamics, multisine, relay, "
                         "hysteresis, validation or diagnostic")
 
 
-def _add_identify(commands):
+def _add_identify(commands: Commands) -> None:
     parser = _add(commands, "identify", _identify, "run all experiments and estimate the model")
     parser.add_argument("--recordings", type=Path, nargs=4, default=(),
                         metavar=("CREEP", "DYNAMICS", "HYSTERESIS", "VALIDATION"),
                         help="take these instead of running experiments")
 
 
-def _add_track(commands):
+def _add_track(commands: Commands) -> None:
     parser = _add(commands, "track", _track, "track a periodic reference and record the run")
     parser.add_argument("--model", type=Path, required=True, help="model file")
     parser.add_argument("--mode", default="composite",
@@ -108,7 +114,7 @@ def _add_track(commands):
                             help=f"{text} (default: %(default)s)")
 
 
-def _add_diagnose(commands):
+def _add_diagnose(commands: Commands) -> None:
     parser = _add(commands, "diagnose", _diagnose, "find what a model lacks, and extend it")
     parser.add_argument("--model", type=Path, required=True, help="model file")
     parser.add_argument("--data", type=Path, nargs="+", required=True, metavar="FILE",
@@ -117,18 +123,18 @@ def _add_diagnose(commands):
                         help="recording on which the errors are measured")
 
 
-def _experiment(stage, options):
+def _experiment(stage: Stage, options: argparse.Namespace) -> list[str]:
     experiment = stage.run_experiment(options.experiment, options.output)
     return [experiment.summary, f"recorded {experiment.path}"]
 
 
-def _identify(stage, options):
+def _identify(stage: Stage, options: argparse.Namespace) -> list[str]:
     identification = stage.identify(options.output, options.recordings)
     return [*(f"{name} {value:.4g}" for name, value in identification.errors.items()),
             f"written {identification.path}"]
 
 
-def _track(stage, options):
+def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
     reference = (
         {"kind": "file", "file": str(options.file)} if options.file else
         SHAPES[options.shape](options.frequency_hz, options.amplitude_um, options.centre_um))
@@ -138,22 +144,22 @@ def _track(stage, options):
             *filter(None, [run.message]), f"recorded {run.path}"]
 
 
-def _diagnose(stage, options):
+def _diagnose(stage: Stage, options: argparse.Namespace) -> list[str]:
     diagnosis = stage.diagnose(options.model, options.data, options.output, options.holdout)
     return [f"{diagnosis.verdict}: {diagnosis.sentence}", f"written {diagnosis.report}"]
 
 
-def _settle(stage, _):
+def _settle(stage: Stage, _: argparse.Namespace) -> list[str]:
     stage.settle()
     return ["the stage has settled"]
 
 
-def _stop(stage, _):
+def _stop(stage: Stage, _: argparse.Namespace) -> list[str]:
     stage.emergency_stop()
     return ["the stage ramps to rest and stays there until reset"]
 
 
-def _reset(stage, _):
+def _reset(stage: Stage, _: argparse.Namespace) -> list[str]:
     stage.reset()
     return ["the stage is released"]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A response that is given after its node has ended is dropped, and those given in time are sent."""
+"""A response given after its node has ended is dropped, and one given in time is sent."""
 
 from types import SimpleNamespace
 
