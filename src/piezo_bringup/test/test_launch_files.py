@@ -15,7 +15,7 @@ LAUNCH_FILES = sorted(SOURCE.glob("piezo_bringup/launch/*.launch.py"))
 
 
 def calls(path, name):
-    """Keyword and positional arguments of every call of a function, as source text."""
+    """Yield the keyword and positional arguments of every call of a function, as source text."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Call) and ast.unparse(node.func) == name:
             yield ([ast.unparse(value) for value in node.args],
@@ -28,7 +28,7 @@ def executables(package):
 
 
 def declared(path):
-    """Default of every launch argument of a file and of the one it includes."""
+    """Return the default of every launch argument of a file and of the one it includes."""
     arguments = {ast.literal_eval(values[0]): options["default_value"]
                  for values, options in calls(path, "DeclareLaunchArgument")}
     if path.name != "stage.launch.py" and "stage.launch.py" in path.read_text():

@@ -14,7 +14,7 @@ PUBLISHED = re.compile(r"create_publisher\(\s*(\w+), \"([\w/]+)\"")
 
 
 def published_types():
-    """Message type of every topic that a node publishes, under the namespace /."""
+    """Return the message type of every topic that a node publishes, under the namespace /."""
     found = {}
     for path in SOURCE.glob("piezo_*/piezo_*/**/*.py"):
         for message, topic in PUBLISHED.findall(path.read_text()):
@@ -23,7 +23,7 @@ def published_types():
 
 
 def fields(message):
-    """Type of every field of one of our messages, as in its definition."""
+    """Return the type of every field of one of our messages, as in its definition."""
     text = (SOURCE / "piezo_interfaces" / "msg" / f"{message}.msg").read_text()
     return {name: kind for kind, name in re.findall(r"^([\w/\[\]]+) +(\w+) *(?:#|$)", text, re.M)}
 

@@ -68,7 +68,7 @@ def multi_frequency(frequencies_hz: Sequence[float], amplitudes_um: Sequence[flo
 
 def sampled(displacement_um: ArrayLike, path: str | PathLike[str],
             sample_rate_hz: float = 40000.0) -> dict[str, Any]:
-    """Any periodic trajectory, given by the samples of one period.
+    """Give any periodic trajectory by the samples of one period.
 
     Parameters
     ----------

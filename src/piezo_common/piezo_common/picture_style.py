@@ -42,7 +42,7 @@ CURVES: tuple[dict[str, Any], ...] = tuple(
     {"color": color, "linestyle": linestyle, "linewidth": 1.5} for color, linestyle in (
         (BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (VERMILION, ":"), (PURPLE, (0, (6, 1.5))),
         (BLACK, (0, (6, 1.5, 1, 1.5, 1, 1.5)))))
-"""For smooth curves of equal rank."""
+"""These styles are for smooth curves of equal rank."""
 
 
 def new_figure(height_in: float = 3.8, width_in: float = WIDTH_IN) -> Figure:

@@ -17,7 +17,7 @@ PARTS = ["", ".", "..", "inside", "new", "out", "up", "home", "loop", "file", "Ã
 
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory):
-    """A data root with symbolic links that lead out of it, back into it, and in a circle."""
+    """Return a data root with symbolic links that lead out of it, back into it, and in a circle."""
     top = Path(os.path.realpath(tmp_path_factory.mktemp("tree")))
     root = top / "root"
     (root / "inside").mkdir(parents=True)

@@ -16,7 +16,7 @@ from piezo_models.linear.dynamics import (
 
 @pytest.fixture(scope="session")
 def stage_model():
-    """The stage of thesis chapter 4 with a density that is no sum f(alpha) + g(beta)."""
+    """Return the stage of thesis chapter 4 with a density that is no sum f(alpha) + g(beta)."""
     cells = 35
     width_v = 140 / cells
     alpha, beta = np.indices((cells, cells)) * width_v - 20 + width_v / 2
@@ -31,7 +31,7 @@ def stage_model():
 
 @pytest.fixture(scope="session")
 def controller(stage_model):
-    """The default design for the stage."""
+    """Return the default design for the stage."""
     return design_feedback(stage_model, load_weights(), model_sha256="0" * 64)
 
 
@@ -41,7 +41,7 @@ NOISE_UM = 0.009
 
 @pytest.fixture(scope="session")
 def exchange_with():
-    """Makes the `exchange` of a stage that is another model, with noise and an offset."""
+    """Make the `exchange` of a stage that is another model, with noise and an offset."""
     def make(model, offset_um=0.0):
         memory, system = model.memory(), zoh(model.linear(), CLOCK_PERIOD_S)
         hysteresis, states = memory.hysteresis, [memory.linear_state]

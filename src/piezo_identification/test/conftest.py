@@ -16,7 +16,7 @@ RAMP_S = 0.1
 
 
 def true_density(cells=250):
-    """Ridge along the diagonal and a bump, on a grid that fits no estimator's."""
+    """Return the ridge along the diagonal and a bump, on a grid that fits no estimator's."""
     width_v = 140 / cells
     alpha, beta = np.indices((cells, cells)) * width_v - 20 + width_v / 2
     ridge = 0.04 * np.exp(-(alpha - beta) / 25)
@@ -35,7 +35,7 @@ def plant():
 
 @pytest.fixture
 def noise():
-    """White, of unit variance."""
+    """Draw white noise of unit variance."""
     return np.random.default_rng(3).normal(size=40_000)
 
 

@@ -26,7 +26,7 @@ def study():
 
 @pytest.fixture(scope="module")
 def record(study):
-    """Square wave over the whole range; draws of the noise by seed."""
+    """Return a square wave over the whole range; the seed draws the noise."""
     clean_um = {}
 
     def draw(period_s, sample_period_s, periods, seed):

@@ -98,7 +98,7 @@ def from_control(system: control.StateSpace | control.TransferFunction,
 
 def _sorted_roots(roots: Iterable[complex], kind: str,
                   ) -> tuple[list[float], list[tuple[float, float]]]:
-    """Rates of the real roots, rising, and (frequency, damping ratio) of each complex pair."""
+    """Return the rates of real roots, rising, and frequency and damping of each complex pair."""
     real, pairs = [], []
     for root in sorted(roots, key=abs):
         if not (np.isfinite(root) and root.real < 0.0):

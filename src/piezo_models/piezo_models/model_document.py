@@ -98,7 +98,7 @@ Deviation = NotNegative | None
 """A standard deviation; null where no data told the parameter."""
 
 Deviations = list[Deviation]
-"""One for each number of a parameter."""
+"""There is one for each number of a parameter."""
 
 
 class CreepDeviations(Part):
@@ -249,7 +249,7 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers of NumPy as plain ones and tuples as lists, in dicts of any depth."""
+    """Return the numbers of NumPy as plain ones and tuples as lists, in dicts of any depth."""
     if isinstance(value, dict):
         return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

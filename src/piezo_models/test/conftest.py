@@ -9,7 +9,7 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 
 @pytest.fixture
 def uneven_model():
-    """A density that is not additive in alpha and beta, with cells of no weight."""
+    """Return a density that is not additive in alpha and beta, with cells of no weight."""
     rng = np.random.default_rng(7)
     density = np.tril(rng.random((20, 20))) * 0.02
     density[rng.random((20, 20)) < 0.2] = 0.0
@@ -18,7 +18,7 @@ def uneven_model():
 
 @pytest.fixture
 def thesis_creep():
-    """Creep of section 4.7.1."""
+    """Return the creep of section 4.7.1."""
     return CreepDynamics(
         (0.01419, 0.1684, 0.2402, 1.053, 17.57), (0.01458, 0.1716, 0.241, 1.07, 18.29)
     )
@@ -26,7 +26,7 @@ def thesis_creep():
 
 @pytest.fixture
 def thesis_dynamics():
-    """Electric and vibration dynamics of section 4.7.1."""
+    """Return the electric and vibration dynamics of section 4.7.1."""
     return ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.685, 0.082))
 
 

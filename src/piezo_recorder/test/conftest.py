@@ -56,7 +56,7 @@ def sample_blocks():
 
 @pytest.fixture
 def ten_blocks(sample_blocks):
-    """Ten contiguous blocks of 40 samples, serialised, and their voltages and displacements."""
+    """Return ten contiguous blocks of 40 samples, serialised, their voltages and displacements."""
     generator = np.random.default_rng(1)
     voltage_v = generator.uniform(-20, 120, 400)
     displacement_um = generator.uniform(0, 60, 400)

@@ -41,7 +41,7 @@ class Progress:
 
     @property
     def cause(self) -> str:
-        """Why the work shall end early; empty if it shall not."""
+        """Tell why the work shall end early; empty if it shall not."""
         if self._goal_handle.is_cancel_requested:
             return "cancelled"
         if self._client.gone:
@@ -51,7 +51,7 @@ class Progress:
 
     @property
     def cancelled(self) -> bool:
-        """Whether the work shall end early."""
+        """Tell whether the work shall end early."""
         return bool(self.cause)
 
     def check(self) -> None:
@@ -94,7 +94,7 @@ class GoalServers(ManagedEntity):
 
     @property
     def busy(self) -> bool:
-        """Whether a goal runs."""
+        """Tell whether a goal runs."""
         return self._one_at_a_time.locked()
 
     def serve(self, action_type: MessageType, name: str, work: Work) -> None:

@@ -38,7 +38,7 @@ class Presence:
 
     @property
     def gone(self) -> bool:
-        """Whether the node has been there and is not any more; one that is gone stays so.
+        """Tell whether the node has been there and is not any more; one that is gone stays so.
 
         One that was never seen counts as gone after a while.
         """
@@ -73,7 +73,7 @@ class ClientWatch:
         self._presence = Presence(node, "")
 
     def is_gone(self, client: str) -> bool:
-        """Whether a node, given by its full name, has been there and is not any more.
+        """Tell whether a node, given by its full name, has been there and is not any more.
 
         Ask with an empty name while there is none: a client that comes later under the name of
         one before is then looked at anew.

@@ -14,7 +14,7 @@ TIMEOUT_S = 60.0
 
 @pytest.fixture
 def contexts():
-    """Makes nodes, each of a context of its own as if of another process."""
+    """Make nodes, each of a context of its own as if of another process."""
     made = []
 
     def make(name):

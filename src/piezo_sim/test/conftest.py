@@ -9,14 +9,14 @@ from piezo_sim.simulated_stage import SimulatedStage
 
 @pytest.fixture
 def wandering_voltage_v():
-    """Voltages all over the range, with reversals everywhere, shape (10000,)."""
+    """Return the voltages all over the range, with reversals everywhere, shape (10000,)."""
     steps = np.random.default_rng(7).normal(0.0, 3.0, 10_000)
     return 50.0 + 90.0 * np.sin(np.cumsum(steps) / 60.0)
 
 
 @pytest.fixture(scope="session")
 def exchanged():
-    """Measured and true displacement of a plant, played in calls of `size` samples."""
+    """Return the measured and true displacement of a plant, played in calls of `size` samples."""
     def exchange(voltage_v, size, plant=None):
         stage = SimulatedStage(plant, seed=3)
         stage.open()

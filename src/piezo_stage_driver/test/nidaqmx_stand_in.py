@@ -60,7 +60,7 @@ class Card:
                 "The application is not able to keep up with the hardware acquisition.", -200279)
 
     def driver(self):
-        """What `nidaqmx_stage.load_driver` would return."""
+        """Tell what `nidaqmx_stage.load_driver` would return."""
         card = self
 
         class BoundTask(Task):

@@ -217,7 +217,7 @@ def check_stabilises(controller: FeedbackController, model: StageModel,
 
 def structured_singular_value(problem: control.StateSpace,
                               controller: control.StateSpace) -> tuple[FloatArray, FloatArray]:
-    """Structured singular value of a closed loop over frequency.
+    """Return the structured singular value of a closed loop over frequency.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ LEAST_CROSSING = 1e-12
 
 def loop_responses(plant: control.StateSpace, controller: control.StateSpace,
                    frequency_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Responses of the open loop and of its sensitivity.
+    """Return the responses of the open loop and of its sensitivity.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def _first_rise_hz(frequency_hz: FloatArray, holds: BoolArray) -> float | None:
 
 
 def _margins(loop: ComplexArray) -> tuple[float | None, float | None]:
-    """Gain margin (factor) and phase margin (degrees) from a dense frequency response.
+    """Return the gain margin (factor) and phase margin (degrees) from a dense frequency response.
 
     The gain margin is that towards higher gains: only crossings between -1 and 0 count. None where
     the response does not cross the axis there, or the unit circle.

@@ -74,7 +74,7 @@ def draw_bode(path: str | Path, plant: control.StateSpace, controller: control.S
 
 def draw_nyquist(path: str | Path, plant: control.StateSpace, controller: control.StateSpace,
                  gain_spread: float) -> None:
-    """Open loop in the complex plane, nominal and at both ends of the gain's spread.
+    """Draw the open loop in the complex plane, nominal and at both ends of the gain's spread.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def draw_weights(path: str | Path, weights: DesignWeights) -> None:
 
 def draw_mu(path: str | Path, frequency_hz: FloatArray, mu: FloatArray,
             history: list[float]) -> None:
-    """Structured singular value over frequency, and its peak from iterate to iterate.
+    """Draw the structured singular value over frequency, and its peak from iterate to iterate.
 
     Parameters
     ----------

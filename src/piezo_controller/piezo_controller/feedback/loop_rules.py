@@ -36,7 +36,7 @@ class LoopRules:
 def choose_rates(ultimate_hz: float, clock_hz: float, computing_s: float,
                  usual_samples_per_tick: int, disturbance_hz: float = 20.0,
                  suppression: float = 2.0) -> LoopRules:
-    """Bounds of bandwidth and rate, and the rate to use.
+    """Return the bounds of bandwidth and rate, and the rate to use.
 
     The rate is the usual one if that is within its bounds; otherwise the slowest that is, since
     a fast one amplifies noise and costs computing time.

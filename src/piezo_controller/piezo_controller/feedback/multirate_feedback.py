@@ -65,7 +65,7 @@ class MultirateFeedback:
 
 
 def _observer_gain(controller: FeedbackController | control.StateSpace) -> FloatArray:
-    """Gain that corrects the state by the part of the voltage that was cut off.
+    """Return the gain that corrects the state by the part of the voltage that was cut off.
 
     That of the Kalman predictor for an unknown error of 1 um and a voltage known within 1 V.
     """

@@ -39,7 +39,7 @@ class Robustness:
 
     @property
     def stable(self) -> bool:
-        """Whether every loop that was looked at is stable."""
+        """Tell whether every loop that was looked at is stable."""
         return self.unstable_samples == 0 and np.isfinite(self.worst_peak_sensitivity)
 
 

@@ -114,7 +114,7 @@ def unreachable(plan: Callable[[float, float], object], reference_um: FloatArray
 
 
 def _rounded_down(value: float) -> float:
-    """To three significant digits."""
+    """Round down to three significant digits."""
     if value <= 0:
         return 0.0
     digits = 2 - math.floor(math.log10(value))

@@ -68,7 +68,7 @@ class FeedforwardPlan:
 
     @property
     def begin_sample(self) -> int:
-        """Where the reference begins: what is played once has ended."""
+        """Return where the reference begins: what is played once has ended."""
         return len(self.once_voltage_v)
 
     def voltage_v(self, first_sample: int, count: int) -> FloatArray:
@@ -225,7 +225,7 @@ class FeedforwardPlanner:
                                reference_um.copy(), self.fade_start, self.uncompensated)
 
     def _behind_linear(self, reference_um: FloatArray) -> list[FloatArray]:
-        """Periods of the linear part's output for which the sensor measures the reference.
+        """Return periods of the linear part's output for which the sensor measures the reference.
 
         The best first; the further ones take less of the amplifier.
         """
@@ -243,7 +243,7 @@ class FeedforwardPlanner:
                 if cut_hz >= min(highest_hz, BANDWIDTH_HZ)]
 
     def _compensated(self, wanted: FloatArray, places: tuple[str, ...]) -> FloatArray:
-        """One period in front of the effects at places, the last first, for one behind them."""
+        """Return the period in front of the effects at places for one behind them."""
         for effect in (effect for place in places
                        for effect in reversed(self.model.effects_at(place))):
             try:
@@ -253,7 +253,7 @@ class FeedforwardPlanner:
         return wanted
 
     def _wave(self, alternating_um: FloatArray) -> FloatArray:
-        """One period of what drives the reference without its mean: um, or V in open loop."""
+        """Return a period of what drives the reference without its mean: um, or V in open loop."""
         if self.mode == "open_loop":
             return alternating_um / self.gain_um_per_v
         harmonics = np.fft.rfft(alternating_um)
@@ -263,7 +263,7 @@ class FeedforwardPlanner:
         return invert_linear_periodic(within_um, self.linear, self.sample_period_s)
 
     def _play(self, level: float, wave: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Voltage, and the model's hysteresis output, of the once part and one period."""
+        """Return voltage, and the model's hysteresis output, of the once part and one period."""
         lowest_v = self.hysteresis.voltage_min_v
         target = level + self.fade * wave[self.fade_phase]
         if self.mode == "open_loop":
@@ -288,12 +288,12 @@ class FeedforwardPlanner:
         return np.r_[voltage_v, played_v], np.r_[hysteresis_um, played_um]
 
     def _mean_displacement_um(self, hysteresis_um: FloatArray) -> float:
-        """Of the model over the run, after the once part."""
+        """Return the mean displacement of the model over the run, after the once part."""
         return self.rest_displacement_um + self._mean_over_run_um(
             hysteresis_um - self.rest_hysteresis_um)
 
     def _mean_over_run_um(self, deviation_um: ArrayLike) -> float:
-        """Mean deviation of the displacement in the repeated part from that of the hysteresis."""
+        """Return the mean deviation of the displacement in the repeated part for a hysteresis."""
         deviation_um = np.asarray(deviation_um, dtype=float)
         return mean_over_repeats(self.sampled, deviation_um[:self.once],
                                  deviation_um[self.once:], self.periods)

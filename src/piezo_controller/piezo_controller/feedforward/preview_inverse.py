@@ -48,13 +48,13 @@ class PreviewInverse:
     preview_samples: int
 
     def response(self, frequency_hz: ArrayLike, sample_period_s: float) -> ComplexArray:
-        """Complex response, the preview counted as an advance."""
+        """Return the complex response, the preview counted as an advance."""
         z: ComplexArray = np.exp(2j * np.pi * np.asarray(frequency_hz) * sample_period_s)
         return (z**self.preview_samples * np.polyval(self.numerator[::-1], 1 / z)
                 / np.polyval(self.denominator[::-1], 1 / z))
 
     def state(self, rest: float) -> FloatArray:
-        """Memory of the filter after a long rest at a level of the reference."""
+        """Return the memory of the filter after a long rest at a level of the reference."""
         return rest * lfilter_zi(self.numerator, self.denominator)
 
     def apply(self, reference: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -153,7 +153,7 @@ def _zero_phase(system: control.StateSpace, sample_period_s: float,
 
 
 def _exact_zeros(system: control.StateSpace) -> ComplexArray:
-    """Zeros to the last digits: the series multiplies what an eigenvalue problem leaves of them."""
+    """Refine the zeros to the last digits, because the series multiplies what is left of them."""
     zeros = control.zeros(system).astype(complex)
     identity = np.eye(system.nstates)
     for _ in range(ZERO_REFINEMENTS):
@@ -193,7 +193,7 @@ def _derivatives(system: control.StateSpace, sample_period_s: float,
 
 
 def _projection_taps(half_window: int, degree: int, functional: FloatArray) -> FloatArray:
-    """Taps of a linear functional of the polynomial that fits a window best.
+    """Return the taps of a linear functional of the polynomial that fits a window best.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from piezo_models.linear.dynamics import continue_linear
 
 def mean_over_repeats(system: control.StateSpace, once: np.ndarray, period: np.ndarray,
                       repeats: int) -> float:
-    """Mean output while an input is repeated, after one that is played once.
+    """Return the mean output while an input is repeated, after one that is played once.
 
     The states at the beginnings of the periods, and the sum of the outputs so far, go from one
     period to the next by one affine map; a power of its matrix is all of the periods.

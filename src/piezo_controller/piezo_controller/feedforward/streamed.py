@@ -86,12 +86,12 @@ class StreamPlan:
 
     @property
     def period_voltage_v(self) -> FloatArray:
-        """Nothing is repeated."""
+        """Return no voltages, as nothing is repeated."""
         return np.empty(0)
 
     @property
     def feedback_start_sample(self) -> int:
-        """Where feedback may begin."""
+        """Tell where feedback may begin."""
         return len(self.once_voltage_v)
 
     def expected_um(self, first_sample: int, count: int) -> FloatArray:
@@ -294,9 +294,10 @@ class _StreamPlanner:
 
     def _approach(self,
                   first_um: float) -> tuple[FloatArray, PreisachMemory, FloatArray, FloatArray]:
-        """Voltages from rest to the lowest and up to the first displacement, and what they leave.
+        """Compute the voltages from rest down to the lowest and up to the first displacement.
 
-        That is the memory of the hysteresis, and displacement and state of the slow part.
+        Return with them what they leave: the memory of the hysteresis, and displacement and state
+        of the slow part.
         """
         lowest_v = self.hysteresis.voltage_min_v
         reachable_um = np.clip(first_um, *self.hysteresis.output_range_um)
@@ -355,6 +356,6 @@ class _Scaled(Trajectory):
 
 
 def _inverse(system: control.StateSpace) -> control.StateSpace:
-    """Inverse of a discrete system that passes its input on at once, in the same states."""
+    """Return inverse of a discrete system that passes its input on at once, in the same states."""
     a, b, c, d = system.A, system.B, system.C, system.D
     return control.ss(a - b @ c / d, b / d, -c / d, 1 / d, system.dt)

@@ -13,7 +13,7 @@ from piezo_models.linear.dynamics import zoh_response
 
 def fast_sensitivity(model: StageModel, controller: FeedbackController, frequency_hz: ArrayLike,
                      clock_period_s: float = 25e-6) -> ComplexArray:
-    """Response from the displacement without feedback to that with it, at the sample clock.
+    """Return response from the displacement without feedback to that with it, at the sample clock.
 
     The feedback sees the mean of a tick and answers with a held voltage: of what it answers, this
     is the part at the frequency itself, not its images at other multiples of the tick.

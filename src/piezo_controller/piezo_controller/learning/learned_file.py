@@ -72,7 +72,7 @@ class Learned:
 
 
 def learned_path(directory: str | Path, reference: Reference, model_sha256: str) -> Path:
-    """Where a directory keeps what was learned of a reference with a model."""
+    """Tell where a directory keeps what was learned of a reference with a model."""
     key = json.dumps([_plain(reference), model_sha256], sort_keys=True)
     return Path(directory) / f"learned_{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"
 

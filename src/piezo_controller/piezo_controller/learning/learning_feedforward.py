@@ -108,7 +108,7 @@ class LearningFeedforward:
 
     @property
     def period_voltage_v(self) -> FloatArray:
-        """Nothing is repeated: each part is loaded."""
+        """Return no voltages, as nothing is repeated: each part is loaded."""
         return np.empty(0)
 
     def continuation(self) -> Callable[[], FloatArray | None]:

@@ -53,12 +53,12 @@ class Measured:
 
     @property
     def rms_um(self) -> float:
-        """Of the harmonics together."""
+        """Return the RMS of the harmonics together."""
         return float(np.sqrt(np.sum(np.abs(self.harmonics_um) ** 2) / 2))
 
     @property
     def floor_um(self) -> float:
-        """What noise alone would make of `rms_um`."""
+        """Tell what noise alone would make of `rms_um`."""
         return float(np.sqrt(self.harmonics_um.size / 2) * self.noise_um)
 
 
@@ -113,12 +113,12 @@ class PeriodicLearner:
 
     @property
     def correction_um(self) -> FloatArray:
-        """One period of the correction to play next."""
+        """Return one period of the correction to play next."""
         return self._wave(self._correction)
 
     @property
     def best_um(self) -> FloatArray:
-        """One period of the correction with the smallest error."""
+        """Return one period of the correction with the smallest error."""
         return self._wave(self._best)
 
     def limit_to(self, correction_um: FloatArray) -> None:
@@ -224,7 +224,7 @@ class PeriodicLearner:
         self._correction = self._correction + self._gain * (change[:, 0] + 1j * change[:, 1])
 
     def _too_fine(self, noise_um: float) -> BoolArray:
-        """Harmonics of which the reference has none, and noise would take much of the drive."""
+        """Mark harmonics which the reference lacks, and noise would take much of the drive."""
         content = np.abs(self._harmonics(self._reference_um))
         drive_um = np.max(content * self._effort)
         return ((content < NEGLIGIBLE_CONTENT * content.max())

@@ -43,7 +43,7 @@ KINDS: dict[str, ReferenceKind] = {
     "random": RandomKind(),
     "file": FileKind(),
 }
-"""Those of this package."""
+"""These kinds come with this package."""
 
 
 def is_periodic(reference: Reference, sample_rate_hz: float = 40000.0) -> bool:

@@ -13,7 +13,7 @@ MOST_SUMMED = 500
 
 
 def triangle_wave(angle_rad: FloatArray, frequency_hz: float) -> FloatArray:
-    """Fourier series of a unit triangle up to 2 kHz.
+    """Return the Fourier series of a unit triangle up to 2 kHz.
 
     Parameters
     ----------

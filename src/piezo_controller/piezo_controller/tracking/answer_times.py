@@ -28,7 +28,7 @@ class AnswerTimes:
         self._counts[np.searchsorted(BOUNDS_S, time_s)] += 1
 
     def percentile_s(self, percent: float) -> float:
-        """Time (s) within which so many percent of the answers came, up to the next bound.
+        """Return time (s) within which so many percent of the answers came, up to the next bound.
 
         Infinite beyond the last bound.
         """

@@ -93,7 +93,7 @@ class Learning:
 
     @property
     def account(self) -> str:
-        """What to tell of the learning at its end."""
+        """Return what to tell of the learning at its end."""
         return (f"learning ended after {self.learner.iterations} iterations: "
                 f"{self.learner.finished}")
 
@@ -130,7 +130,7 @@ class PreparedRun:
 
     @property
     def over(self) -> bool:
-        """Whether the stage must be stopped, as it was not told how long to play."""
+        """Tell whether the stage must be stopped, as it was not told how long to play."""
         return self.plan.open_ended and self.run.complete
 
     def take(self, displacement_um: FloatArray) -> float:

@@ -42,12 +42,12 @@ class StageClock:
 
     @property
     def sample_period_s(self) -> float:
-        """Period of the sample clock (s)."""
+        """Return the period of the sample clock (s)."""
         return 1.0 / self.sample_rate_hz
 
     @property
     def tick_s(self) -> float:
-        """Period of the feedback (s)."""
+        """Return the period of the feedback (s)."""
         return self.samples_per_tick / self.sample_rate_hz
 
 
@@ -131,7 +131,7 @@ def _held(plan: FeedforwardPlan, samples: int, reference_um: FloatArray) -> Feed
 
 
 def feedback_room_v(plan: TrackingPlan, voltage_range_v: tuple[float, float]) -> float:
-    """How far a feedback may go from a plan, of either sign, without leaving the range (V)."""
+    """Tell how far a feedback may go from a plan, of either sign, without leaving the range (V)."""
     played_v = plan.period_voltage_v
     lowest_v, highest_v = voltage_range_v
     return float(min(played_v.min() - lowest_v, highest_v - played_v.max()))

@@ -58,27 +58,27 @@ class TrackingRun:
 
     @property
     def total_samples(self) -> int:
-        """Samples of the approach and of the part that counts."""
+        """Return the samples of the approach and of the part that counts."""
         return self._plan.begin_sample + self._run_samples
 
     @property
     def complete(self) -> bool:
-        """Whether every sample that counts has been taken."""
+        """Tell whether every sample that counts has been taken."""
         return self.samples >= self.total_samples
 
     @property
     def begun(self) -> bool:
-        """Whether a sample that counts has been taken."""
+        """Tell whether a sample that counts has been taken."""
         return self._counted > 0
 
     @property
     def fraction(self) -> float:
-        """Done of the whole, 0 to 1."""
+        """Return the part of the whole that is done, 0 to 1."""
         return min(1.0, self.samples / self.total_samples)
 
     @property
     def on_target(self) -> bool:
-        """Whether the error is within the tolerance now."""
+        """Tell whether the error is within the tolerance now."""
         return self._on_target_since is not None
 
     @property
@@ -118,7 +118,7 @@ class TrackingRun:
 
     @property
     def lateness(self) -> str:
-        """What to tell of answers that no stage at the wall clock could have waited for."""
+        """Return what to tell of answers that no stage at the wall clock could have waited for."""
         times = self._answer_times
         if 100 * times.late <= (100 - USUAL_PERCENT) * times.count:
             return ""
@@ -148,11 +148,11 @@ class TrackingRun:
 
     @property
     def _travel_um(self) -> float:
-        """Of the reference as far as it is known: of all that was expected, and of the plan."""
+        """Return the travel as far as it is known: of all that was expected, and of the plan."""
         return max(self._planned_travel_um, self._highest_um - self._lowest_um)
 
     def e_rms_percent(self, running: bool = False) -> float:
-        """Error so far of the part that counts, (2.32); of its last samples if so asked.
+        """Return the error (2.32) so far of the part that counts; of its last samples if so asked.
 
         Returns
         -------
@@ -189,12 +189,12 @@ class RunningSquares:
 
     @property
     def full(self) -> bool:
-        """Whether there are as many samples as wanted."""
+        """Tell whether there are as many samples as wanted."""
         return self.samples >= self._wanted
 
     @property
     def rms(self) -> float:
-        """NaN before the first block."""
+        """Return the root mean square, NaN before the first block."""
         # Copied at once: one thread asks while another adds.
         blocks = tuple(self._blocks)
         if not blocks:

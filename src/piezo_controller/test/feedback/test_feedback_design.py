@@ -85,7 +85,7 @@ def test_bisection_ends_where_the_bilinear_continuous_synthesis_ends(problem, so
 
 
 def bilinear(system):
-    """The continuous system that has the discrete one's values under z = (1 + s) / (1 - s)."""
+    """Return continuous system that has the discrete one's values under z = (1 + s) / (1 - s)."""
     a, b, c, d = system.A, system.B, system.C, system.D
     inverse = np.linalg.inv(np.eye(len(a)) + a)
     root = np.sqrt(2)
@@ -239,7 +239,7 @@ def test_measures_of_a_loop_known_in_closed_form():
 
 
 def static_loop(gain, delay=0):
-    """L = gain / z^delay."""
+    """Return the loop L = gain / z^delay."""
     return control.ss(np.eye(delay, k=-1), np.eye(delay, 1), gain * np.eye(1, delay, delay - 1),
                       [[0.0 if delay else gain]], TICK_S)
 

@@ -20,7 +20,7 @@ SAMPLES = 40
 
 @pytest.fixture(scope="module")
 def disturbed_stage(stage_model):
-    """A stage with other parameters than its model."""
+    """Return a stage with other parameters than its model."""
     hysteresis, creep, dynamics = stage_model.hysteresis, stage_model.creep, stage_model.dynamics
     return StageModel(
         PreisachModel(-20.0, 120.0, 1.01 * hysteresis.density_um_per_v2, hysteresis.offset_um),

@@ -54,7 +54,7 @@ def without_creep(stage_model):
 
 
 def tracking_error_um(model, plan, samples=8000):
-    """What the model's sensor measures in the periodic part, less the reference."""
+    """Tell what the model's sensor measures in the periodic part, less the reference."""
     begin = len(plan.once_voltage_v)
     measured_um = model.simulate(plan.voltage_v(0, begin + samples), SAMPLE_PERIOD_S)
     return measured_um[begin:] - plan.expected_um(begin, samples)

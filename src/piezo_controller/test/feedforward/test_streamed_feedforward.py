@@ -32,7 +32,7 @@ def planned(reference, model, *options, samples=SAMPLES):
 
 
 def streamed_error_um(plan, plant):
-    """Error of a plant under a whole stream, from the reference's beginning on."""
+    """Return the error of a plant under a whole stream, from the reference's beginning on."""
     voltage_v = np.concatenate([plan.once_voltage_v, *plan.chunks()])
     error_um = (plan.expected_um(0, voltage_v.size)
                 - plant.simulate(voltage_v, SAMPLE_PERIOD_S))

@@ -21,7 +21,7 @@ class Plant:
         self._generator = np.random.default_rng(1)
 
     def play(self, correction_um):
-        """Displacement over some periods."""
+        """Return the displacement over some periods."""
         followed = np.fft.irfft(self._gain * np.fft.rfft(correction_um), PERIOD)
         period_um = REFERENCE_UM + self._disturbance_um + followed
         displacement_um = np.tile(period_um, PERIODS)
@@ -45,7 +45,7 @@ DISTURBANCE_UM = disturbance((1, 1.0, 0.3), (3, 0.2, 1.0), (5, 0.05, 2.0))
 
 
 def learn(learner, plant, most=20):
-    """Errors (um) of the iterations until the learner has finished."""
+    """Return the errors (um) of the iterations until the learner has finished."""
     errors_um = []
     while not learner.finished and len(errors_um) < most:
         errors_um.append(learner.learn(plant.play(learner.correction_um)).rms_um)

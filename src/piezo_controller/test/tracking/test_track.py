@@ -50,7 +50,7 @@ def prepared_for(request, settings=None, heard=None):
 
 
 def voltages(plan):
-    """The voltages of a plan, tick by tick, by nothing but what every plan has."""
+    """Yield the voltages of a plan, tick by tick, by nothing but what every plan has."""
     more, loaded_v = plan.continuation(), plan.once_voltage_v
     assert (more is not None) == plan.streamed == (not plan.period_voltage_v.size)
     more = more or (lambda: plan.period_voltage_v)

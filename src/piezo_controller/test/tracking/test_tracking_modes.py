@@ -32,7 +32,7 @@ def harmonic(frequency_hz, amplitude_um=20.0):
 
 @pytest.fixture(scope="module")
 def other_stage(stage_model):
-    """The stage with a hysteresis that has 3 % more gain than the model's."""
+    """Return the stage with a hysteresis that has 3 % more gain than the model's."""
     hysteresis = stage_model.hysteresis
     return replace(stage_model, hysteresis=replace(
         hysteresis, density_um_per_v2=1.03 * hysteresis.density_um_per_v2))

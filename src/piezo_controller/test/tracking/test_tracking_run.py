@@ -27,7 +27,7 @@ class Witness:
 
 
 def play(run, displacement_um):
-    """Answers of a run to a displacement, block by block."""
+    """Return the answers of a run to a displacement, block by block."""
     return [run.take(block) for block in displacement_um.reshape(-1, BLOCK)]
 
 
@@ -180,7 +180,7 @@ class CountingPlan:
 
 
 def kept_bytes(instance):
-    """Bytes of an object and of all that it refers to, as pickle counts them."""
+    """Return the bytes of an object and of all that it refers to, as pickle counts them."""
     return len(pickle.dumps(instance))
 
 

@@ -60,7 +60,7 @@ class Experiment:
 
     @property
     def duration_s(self) -> float:
-        """Time that all repeats take, without the ramps from and to rest."""
+        """Return the time that all repeats take, without the ramps from and to rest."""
         return self.voltage_v.size * self.sample_period_s * self.repeats
 
     def parameters(self) -> dict[str, float]:
@@ -73,7 +73,7 @@ def creep(
     limits: StageLimits = USUAL_LIMITS, period_s: float = 400.0, sample_period_s: float = 0.01,
     periods: int = 1, swing_v: float | None = None,
 ) -> Experiment:
-    """Long square wave: shows the creep (thesis 4.5).
+    """Design a long square wave, which shows the creep (thesis 4.5).
 
     It begins at the upper level: the loop between the levels is then closed from the first sample
     on, and the hysteresis has exactly two outputs, as (4.5) asks.
@@ -105,7 +105,7 @@ def dynamics(
     limits: StageLimits = USUAL_LIMITS, period_s: float = 0.02, duration_s: float = 2.0,
     swing_v: float | None = None,
 ) -> Experiment:
-    """Short square wave at the full sample clock: shows electric and vibration dynamics.
+    """Design a short square wave at the full sample clock, which shows the fast dynamics.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def hysteresis(
     limits: StageLimits = USUAL_LIMITS, level_count: int = 70, harmonic_period_s: float = 2.0,
     sample_period_s: float = 0.001,
 ) -> Experiment:
-    """Harmonics of stair amplitude (4.6)-(4.8), from the bottom over the whole voltage range.
+    """Design harmonics of stair amplitude (4.6)-(4.8), from the bottom over the whole range.
 
     Harmonic i rises from the lowest voltage to level i and returns, so each begins and ends at
     negative saturation, where the memory is known.
@@ -166,7 +166,7 @@ def hysteresis(
 def validation(
     limits: StageLimits = USUAL_LIMITS, arc_s: float = 0.25, tones_s: float = 1.0,
 ) -> Experiment:
-    """Unseen input: slow arcs between turning points off the levels, then tones to 1 kHz.
+    """Design an unseen input: slow arcs between turning points off the levels, tones to 1 kHz.
 
     It begins at the lowest voltage, where the memory of the hysteresis is known.
 
@@ -194,7 +194,7 @@ def validation(
 def multisine(
     limits: StageLimits = USUAL_LIMITS, arc_s: float = 0.5, tones_s: float = 1.0,
 ) -> Experiment:
-    """Six tones from 100 to 600 Hz around mid-range (3.4.2): shows the modes below 1 kHz.
+    """Design six tones from 100 to 600 Hz around mid-range (3.4.2), which show the modes.
 
     It climbs from the lowest voltage, where the memory of the hysteresis is known, so that an
     identified Preisach model tells the input of the dynamics.
@@ -219,7 +219,7 @@ def multisine(
 
 
 def diagnostic(limits: StageLimits = USUAL_LIMITS, repeats: int = 4) -> Experiment:
-    """Every effect that a model may lack shows: rest, loops, rates, steps and tones.
+    """Design what shows every effect that a model may lack: rest, loops, rates, steps, tones.
 
     It begins at the lowest voltage, where the memory of the hysteresis is known. Repeats tell the
     noise from what the voltage causes, and drift from both.
@@ -246,10 +246,10 @@ def diagnostic(limits: StageLimits = USUAL_LIMITS, repeats: int = 4) -> Experime
 EXPERIMENTS = {
     "creep": creep, "dynamics": dynamics, "hysteresis": hysteresis, "validation": validation
 }
-"""Those of the identification sequence, in its order."""
+"""These make up the identification sequence, in its order."""
 
 FURTHER_EXPERIMENTS = {"multisine": multisine, "relay": relay, "diagnostic": diagnostic}
-"""Those that run when asked for; `relay` acts in feedback, the others play a waveform."""
+"""These run when asked for; `relay` acts in feedback, the others play a waveform."""
 
 
 GROUP = "piezo_identification.experiments"
@@ -288,7 +288,7 @@ def named_experiment(name: str,
 def _square_wave(
     limits: StageLimits, period_s: float, sample_period_s: float, swing_v: float | None,
 ) -> FloatArray:
-    """One period (N,) between two levels around the middle, the upper one first."""
+    """Return one period (N,) between two levels around the middle, the upper one first."""
     swing_v = SWING_FRACTION * limits.span_v if swing_v is None else swing_v
     half = round(0.5 * period_s / sample_period_s)
     levels_v = limits.middle_v + 0.5 * swing_v * np.array([1.0, -1.0])

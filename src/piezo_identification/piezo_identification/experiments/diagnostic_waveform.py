@@ -16,8 +16,8 @@ REST_S = 0.8
 LOOPS = (0.0, 1.0, 0.12, 0.78, 0.35, 0.61, 0.0, 0.93, 0.05, 0.5)
 """Turning points over the range: the major loop, loops within it, and back into the middle."""
 ARC_S, DWELL_S = 0.1, 0.25
-"""From one turning point to the next, and how long the voltage stays there: hysteresis, play, creep
-and, at the ends of the range, clipping."""
+"""An arc leads from one turning point to the next, where the voltage dwells: that shows hysteresis,
+play, creep and, at the ends of the range, clipping."""
 
 RATES_HZ, CYCLES, RATE_SWING = (4.0, 25.0, 150.0), (1, 5, 20), 0.16
 """The same loop about the middle, ever faster: what depends on the rate, and large fast motion."""
@@ -35,7 +35,7 @@ PHASES = 0
 
 
 def diagnostic_block(limits: StageLimits) -> FloatArray:
-    """One block of the waveform, from the lowest voltage back to it, at the sample clock.
+    """Return one block of the waveform, from the lowest voltage back to it, at the sample clock.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ from piezo_common.arrays import FloatArray
 
 
 def arc(start: float, end: float, samples: int) -> FloatArray:
-    """Half a cosine from start towards end, which the sample after the last would reach.
+    """Return half a cosine from start towards end, which the sample after the last would reach.
 
     Returns
     -------
@@ -17,7 +17,7 @@ def arc(start: float, end: float, samples: int) -> FloatArray:
 
 
 def stair_amplitudes(level_count: int, highest_v: float, below_the_top: float = 0.0) -> FloatArray:
-    """Amplitudes of the harmonics, (3.7), (4.7), (4.8): steps up to the highest voltage.
+    """Return the amplitudes of the harmonics, (3.7), (4.7), (4.8): steps up to the highest voltage.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def stair_amplitudes(level_count: int, highest_v: float, below_the_top: float = 
 def stair_harmonics(
     time_s: FloatArray, amplitudes_v: FloatArray, harmonic_period_s: float,
 ) -> FloatArray:
-    """Harmonics from zero to each of the amplitudes in turn and back, (2.29), (3.6), (4.6).
+    """Return harmonics from zero to each of the amplitudes in turn and back, (2.29), (3.6), (4.6).
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def stair_harmonics(
 def stair_sample_times(
     amplitudes_v: FloatArray, harmonic_period_s: float, voltages_v: FloatArray,
 ) -> FloatArray:
-    """Instants at which the harmonics pass by given voltages, (3.9)-(3.10) and (4.10).
+    """Return the instants at which the harmonics pass by given voltages, (3.9)-(3.10) and (4.10).
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ SETTLING_CYCLES = 5
 """Cycles at the start that are not counted."""
 
 HARMONICS = (1, 3, 5)
-"""Of the oscillation, which a relay excites."""
+"""A relay excites these harmonics of the oscillation."""
 
 
 @dataclass(frozen=True)
@@ -63,17 +63,17 @@ class RelayExperiment:
 
     @property
     def ticks(self) -> int:
-        """Feedback periods that the whole takes."""
+        """Return the feedback periods that the whole takes."""
         return round(self.duration_s / self.tick_s)
 
     @property
     def tick_s(self) -> float:
-        """Feedback period of the stage in s."""
+        """Return the feedback period of the stage in s."""
         return self.samples_per_tick * self.sample_period_s
 
     @property
     def delay_s(self) -> float:
-        """Declared delay of the loop: from the middle of a mean to that of its answer's hold.
+        """Return the declared delay of the loop, from the middle of a mean to that of the hold.
 
         The answer to a tick's mean acts in the tick after the next.
         """
@@ -85,7 +85,7 @@ class RelayExperiment:
 
 
 def relay(limits: StageLimits, oscillation_s: float = 0.5) -> RelayExperiment:
-    """Relay around mid-range, with what its gain is to be compared to measured before.
+    """Design a relay around mid-range, and measure before what its gain is compared to.
 
     From rest to the lowest voltage, to the highest one, and down into a slow cycle of the relay's
     amplitude. That shows the gains of the hysteresis (3.16): the secant from the lowest voltage,
@@ -152,7 +152,7 @@ class RelayRun:
 
     @property
     def fraction(self) -> float:
-        """Done of the whole, 0 to 1."""
+        """Return the part of the whole that is done, 0 to 1."""
         return min(1.0, len(self._means_um) / self._experiment.ticks)
 
     def take(self, displacement_um: FloatArray) -> float:
@@ -227,7 +227,7 @@ class RelayOscillation:
 
     @property
     def gain_margin(self) -> float:
-        """Gain margin g_m (3.18) of the dynamics without hysteresis at the oscillation.
+        """Return the gain margin g_m (3.18) of the dynamics without hysteresis at the oscillation.
 
         It is the gain of the loop times that of the hysteresis in the slow cycle.
         """
@@ -235,12 +235,12 @@ class RelayOscillation:
 
     @property
     def ultimate_gain_v_per_um(self) -> float:
-        """Ultimate gain k_u (3.19), g_m over the largest gain that the hysteresis may have."""
+        """Return the ultimate gain k_u (3.19), g_m over the largest gain of the hysteresis."""
         return self.gain_margin / self.largest_gain_um_per_v
 
     @property
     def summary(self) -> str:
-        """Lines for people, the PI controller (3.20) among them."""
+        """Return the lines for people, the PI controller (3.20) among them."""
         gain, part = 0.6 * self.ultimate_gain_v_per_um, self.tick_s * self.frequency_hz
         ticks = " to ".join(str(n) for n in sorted({self.shortest_ticks, self.longest_ticks}))
         phases_deg = np.degrees(np.unwrap(np.angle(self.response_um_per_v)))
@@ -326,7 +326,7 @@ def relay_oscillation(recording: Recording, experiment: RelayExperiment) -> Rela
 
 
 def _ends(cycle: FloatArray) -> tuple[float, float]:
-    """Signal at the top and at the bottom of the slow cycle, which begins at the bottom."""
+    """Return signal at the top and at the bottom of the slow cycle, which begins at the bottom."""
     # Around its turns, where voltage and displacement stand nearly still.
     near = max(1, cycle.size // 40)
     middle = cycle.size // 2
@@ -336,7 +336,7 @@ def _ends(cycle: FloatArray) -> tuple[float, float]:
 def _largest_secant(
     voltage_v: FloatArray, displacement_um: FloatArray, experiment: RelayExperiment,
 ) -> float:
-    """Largest gain from the lowest voltage over the way down to the cycle, (3.16)."""
+    """Return the largest gain from the lowest voltage over the way down to the cycle, (3.16)."""
     lowest = experiment.lowest_sample
     # The mean over a tick takes the noise out of the end that all secants share.
     origin_um = displacement_um[lowest - experiment.samples_per_tick : lowest].mean()
@@ -349,7 +349,7 @@ def _largest_secant(
 
 
 def _lines(signal: FloatArray, cycles_per_sample: FloatArray) -> ComplexArray:
-    """Complex amplitudes of a signal at some frequencies, beside offset, drift and even lines."""
+    """Return complex amplitudes at some frequencies, beside offset, drift and even lines."""
     samples = np.arange(signal.size)
     even = 2.0 * cycles_per_sample[0] * np.arange(1, 4)
     waves = np.exp(2j * np.pi * np.outer(samples, np.concatenate([cycles_per_sample, even])))

@@ -35,16 +35,16 @@ class StageLimits:
 
     @property
     def span_v(self) -> float:
-        """Width of the voltage range."""
+        """Return the width of the voltage range."""
         return self.voltage_max_v - self.voltage_min_v
 
     @property
     def middle_v(self) -> float:
-        """Middle of the voltage range."""
+        """Return the middle of the voltage range."""
         return 0.5 * (self.voltage_min_v + self.voltage_max_v)
 
     def clip(self, voltage_v: FloatArray) -> FloatArray:
-        """Voltage without the rounding that would put it a hair outside the range."""
+        """Return the voltage without the rounding that would put it a hair outside the range."""
         return np.clip(voltage_v, self.voltage_min_v, self.voltage_max_v)
 
 

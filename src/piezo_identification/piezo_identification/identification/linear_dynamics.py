@@ -24,7 +24,7 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 
 METHODS = ("output-error", "armax")
-"""Of estimating electric and vibration dynamics from samples."""
+"""Each estimates electric and vibration dynamics from samples."""
 
 SIGNIFICANT = 3.0
 """Standard deviations by which a delay has to differ from none."""
@@ -53,21 +53,21 @@ class LinearDynamics:
     uncertainties: dict = field(default_factory=dict)
 
     def with_creep(self, estimate: Estimate) -> "LinearDynamics":
-        """With the creep of a recording."""
+        """Estimate the model anew with the creep of a recording."""
         return replace(
             self, creep=estimate.model, estimates=self.estimates | {"creep": estimate},
             uncertainties=self.uncertainties | {"creep": estimate.standard_deviations},
         )
 
     def with_dynamics(self, estimate: Estimate) -> "LinearDynamics":
-        """With the dynamics of a recording."""
+        """Estimate the model anew with the dynamics of a recording."""
         return replace(
             self, dynamics=estimate.model, estimates=self.estimates | {"dynamics": estimate},
             uncertainties=self.uncertainties | {"dynamics": estimate.standard_deviations},
         )
 
     def with_response(self, estimate: Estimate) -> "LinearDynamics":
-        """With what a frequency response shows, whose creep is that beside the known one."""
+        """Add what a frequency response shows; its creep is that beside the known one."""
         model, deviations = estimate.model, estimate.standard_deviations
         creep, spread = {}, {}
         for name, known in asdict(self.creep).items():

@@ -159,19 +159,19 @@ class ModelRun:
 
     @property
     def measured_um(self) -> FloatArray:
-        """Measured displacement of the settled samples, shape (N,)."""
+        """Return the measured displacement of the settled samples, shape (N,)."""
         return self.part.displacement_um[self.settled]
 
     @property
     def is_reversed(self) -> bool:
-        """Whether the measured displacement moves against the model's."""
+        """Tell whether the measured displacement moves against the model's."""
         simulated_um = self._response_um(())
         return moves_against(
             self.measured_um[self.good], simulated_um[self.good], self._nuisance[self.good])
 
     @property
     def starts_saturated(self) -> bool:
-        """Whether the first samples begin at either end of the model's voltages."""
+        """Tell whether the first samples begin at either end of the model's voltages."""
         hysteresis = self.model.hysteresis
         near_v = NEAR_THE_END * (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
         return bool(np.any((self._before_v <= hysteresis.voltage_min_v + near_v)
@@ -221,7 +221,7 @@ class ModelRun:
             nuisance[good], difference_um[good], rcond=1e-12)[0]
 
     def _response_um(self, past_v: PastVoltages) -> FloatArray:
-        """Displacement after a past, without offset and initial creep."""
+        """Return the displacement after a past, without offset and initial creep."""
         model, part = self.model, self.part
         past = model.hysteresis.memory()
         model.hysteresis.simulate([*past_v, *self._before_v], past)

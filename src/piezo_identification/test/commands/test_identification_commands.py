@@ -18,7 +18,7 @@ NAMES = ("creep", "dynamics", "hysteresis", "validation")
 
 @pytest.fixture(scope="module")
 def files(play, csv_of, tmp_path_factory):
-    """CSV files of the experiments: their rows are samples at their instants."""
+    """Return the CSV files of the experiments: their rows are samples at their instants."""
     directory = tmp_path_factory.mktemp("with a space")
     makers = {
         "creep": lambda: play(experiments.creep(), 1, 100.0),
@@ -75,7 +75,7 @@ def test_identify_takes_orders_and_says_why_and_what_the_data_determine(files, t
 
 @pytest.fixture(scope="module")
 def response_file(plant, tmp_path_factory):
-    """The plant's response in another unit, with a delay and a little noise."""
+    """Return the plant's response in another unit, with a delay and a little noise."""
     frequency_hz = np.geomspace(1.0, 2000.0, 160)
     random = np.random.default_rng(5)
     noise = 1e-4 * random.normal(size=(2, 160))
@@ -253,7 +253,7 @@ def test_both_commands_name_the_row_of_damaged_data(text, named, model_file, tmp
 
 @pytest.fixture(scope="module")
 def slow_stage():
-    """A stage of another range, seen so slowly that it neither creeps nor rings."""
+    """Return a stage of another range, seen so slowly that it neither creeps nor rings."""
     density = np.tril(0.001 + 0.004 * np.exp(-np.subtract.outer(range(80), range(80)) / 15.0))
     return PreisachModel(-75.0, 75.0, density, 12.0)
 

@@ -25,7 +25,7 @@ def recording(request, play):
 
 
 def spoilt(recording, share=0.01, height_um=5.0):
-    """The recording with spikes, and where they are."""
+    """Return the recording with spikes, and where they are."""
     generator = np.random.default_rng(0)
     wrong = np.flatnonzero(generator.random(recording.voltage_v.size) < share)
     displacement_um = recording.displacement_um.copy()

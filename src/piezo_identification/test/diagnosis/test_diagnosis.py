@@ -101,7 +101,7 @@ def test_a_soft_limit_is_found_below_and_at_the_highest_voltage(
 
 @pytest.fixture(scope="module")
 def of_levels(plant, play):
-    """Few levels, held for seconds, on a stage whose amplifier bends off below the highest."""
+    """Return few levels, held for seconds, by an amplifier that bends off below the highest."""
     limit = VoltageClipping(-60.0, 74.0, 2.0)
     levels_v = np.repeat([74.0, 38.0, 30.0, 74.0, 35.0, 52.0, 62.0], 2000)
     experiment = experiments.Experiment("levels", levels_v, 1e-3, 1, "")

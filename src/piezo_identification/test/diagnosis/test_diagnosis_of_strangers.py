@@ -29,7 +29,7 @@ MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.05
 
 
 def line_model(gain_um_per_v=0.1, dynamics=None):
-    """A stage without hysteresis."""
+    """Return a stage without hysteresis."""
     return StageModel(
         PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -100.0 * gain_um_per_v,
                       np.array([gain_um_per_v])),
@@ -37,14 +37,14 @@ def line_model(gain_um_per_v=0.1, dynamics=None):
 
 
 def smooth_noise(seed, samples=12_000):
-    """Voltage without anything fast, and from rest."""
+    """Return the voltage without anything fast, and from rest."""
     white = np.random.default_rng(seed).normal(size=samples)
     voltage_v = np.convolve(white, np.hanning(60), mode="same")
     return 50.0 * voltage_v / np.abs(voltage_v).max()
 
 
 def held(w, damping_ratio, period_s):
-    """Matrices of a mode under a voltage that is held for each sample."""
+    """Return the matrices of a mode under a voltage that is held for each sample."""
     a = np.array([[0.0, 1.0], [-w * w, -2.0 * damping_ratio * w]])
     step, drive, *_ = cont2discrete(
         (a, np.array([[0.0], [w * w]]), np.eye(2), np.zeros((2, 1))), period_s)
@@ -52,7 +52,7 @@ def held(w, damping_ratio, period_s):
 
 
 def answered(voltage_v, cubic=0.0):
-    """Displacement of a mass on a spring with a cubic part, by an integrator, (N,)."""
+    """Return the displacement of a mass on a spring with a cubic part, by an integrator, (N,)."""
     w, z = MODE_RAD_PER_S, DAMPING_RATIO
     if not cubic:
         system = held(w, z, PERIOD_S)
@@ -132,7 +132,7 @@ def dropped_out(displacement_um, share=0.015, seed=3):
 
 
 def loops(samples=12_000):
-    """Voltage over the whole range, and what a few play operators make of it."""
+    """Return the voltage over the whole range, and what a few play operators make of it."""
     time = np.arange(samples)
     voltage_v = -50.0 * np.cos(2.0 * np.pi * time / 2000.0) * np.linspace(1.0, 0.4, samples)
     displacement_um = 0.05 * voltage_v + 12.0

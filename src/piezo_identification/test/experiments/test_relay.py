@@ -44,7 +44,7 @@ class Stage:
 
 
 def run(experiment, stage):
-    """Recording of an experiment; each answer acts in the tick after the next."""
+    """Return the recording of an experiment; each answer acts in the tick after the next."""
     answers, blocks, flags = [0.0, 0.0], [], []
     follower = RelayRun(experiment)
     size, once_v = experiment.samples_per_tick, experiment.feedforward_v

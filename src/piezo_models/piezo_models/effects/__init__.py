@@ -41,7 +41,7 @@ EFFECTS = (
     Backlash,
     Outliers,
 )
-"""Those of this package."""
+"""These effects come with this package."""
 
 GROUP = "piezo_models.effects"
 """Entry points that other packages offer their effects by."""

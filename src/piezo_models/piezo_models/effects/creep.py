@@ -14,7 +14,7 @@ from piezo_models.effects.filtering import filtered
 PER_DECADE = 1.0
 MOST_RELAXATIONS = 5
 FEWEST_SAMPLES = 20
-"""In the shortest relaxation."""
+"""The shortest relaxation lasts so many samples at least."""
 SHORTEST_S = 0.01
 
 

@@ -14,9 +14,9 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 PLACES = ("voltage", "modes", "linear", "displacement", "sensor")
-"""Where an effect acts: on the voltage before the hysteresis; beside the modes of vibration; as a
-linear system behind them; on the displacement; or on what the sensor makes of it. In the order of
-the signal."""
+"""An effect acts on the voltage before the hysteresis; beside the modes of vibration; as a
+linear system behind them; on the displacement; or on what the sensor makes of it. They are in the
+order of the signal."""
 
 Candidate = TypeVar("Candidate")
 AnyEffect = TypeVar("AnyEffect", bound="Effect")
@@ -82,17 +82,17 @@ class Evidence:
 
     @property
     def time_s(self) -> FloatArray:
-        """Time since the first sample in s, shape (N,)."""
+        """Return the time since the first sample in s, shape (N,)."""
         return np.arange(self.voltage_v.size, dtype=np.float64) * self.sample_period_s
 
     @property
     def duration_s(self) -> float:
-        """Duration of the whole recording in s."""
+        """Return the duration of the whole recording in s."""
         return self.voltage_v.size * self.sample_period_s
 
     @property
     def travel_um(self) -> float:
-        """Largest minus smallest displacement."""
+        """Return the largest minus smallest displacement."""
         return float(np.ptp(self.displacement_um))
 
     def best(self, candidates: Iterable[Candidate],
@@ -139,7 +139,7 @@ class Extent:
 
     @property
     def span_v(self) -> float:
-        """Highest minus lowest voltage."""
+        """Return the highest minus lowest voltage."""
         return self.highest_v - self.lowest_v
 
 

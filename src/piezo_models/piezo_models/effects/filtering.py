@@ -11,7 +11,7 @@ from scipy.signal import cont2discrete, lfilter, lfilter_zi
 from piezo_common.arrays import FloatArray
 
 FAR_APART = 0.1
-"""Of two lags T1 and T2: T1 T2 / (T1 + T2)^2 up to which partial fractions lose no digit."""
+"""Up to this T1 T2 / (T1 + T2)^2 of two lags T1 and T2 partial fractions lose no digit."""
 
 
 def filtered(numerator: Sequence[float], denominator: Sequence[float], signal: FloatArray,
@@ -69,7 +69,7 @@ def _from_rest(numerator: Sequence[float], denominator: Sequence[float], signal:
 @lru_cache(maxsize=2048)
 def _discrete(numerator: tuple[float, ...], denominator: tuple[float, ...],
               sample_period_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Coefficients, and the state in which a level of 1 has settled; a scan asks again."""
+    """Return coefficients, and the state in which a level of 1 has settled; a scan asks again."""
     lags_s = _lags(numerator, denominator)
     if lags_s is not None:
         b, a = _two_lags(*lags_s, sample_period_s)
@@ -82,7 +82,7 @@ def _discrete(numerator: tuple[float, ...], denominator: tuple[float, ...],
 
 def _lags(numerator: tuple[float, ...],
           denominator: tuple[float, ...]) -> tuple[float, float] | None:
-    """Time constants of two lags in series that are far apart, or None where it is something else.
+    """Return the time constants of two lags in series that are far apart; None if they are not.
 
     The faster one may be zero.
     """
@@ -97,7 +97,7 @@ def _lags(numerator: tuple[float, ...],
 
 def _two_lags(slow_s: float, fast_s: float,
               sample_period_s: float) -> tuple[FloatArray, FloatArray]:
-    """Discrete coefficients of two lags in series, by partial fractions.
+    """Return the discrete coefficients of two lags in series, by partial fractions.
 
     The matrix exponential of the usual way loses all digits where one lag is very short.
     """
@@ -109,7 +109,7 @@ def _two_lags(slow_s: float, fast_s: float,
 
 def _first_order_lag(time_constant_s: float,
                      sample_period_s: float) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of 1 / (1 + T s) for a signal that is straight between samples; T may be 0."""
+    """Return the coefficients of 1 / (1 + T s), T >= 0, for a signal straight between samples."""
     if time_constant_s == 0.0:
         return np.array([1.0, 0.0]), np.array([1.0, 0.0])
     periods = sample_period_s / time_constant_s

@@ -21,7 +21,7 @@ STEPS = 2.0
 """Typical steps around: a tip of a triangle is no larger than one."""
 
 ROUNDINGS = 3.0
-"""Of the steps of a converter."""
+"""So many steps of a converter count as its rounding."""
 
 ANSWER = 40
 """Samples in which a step of the voltage may be answered, by ringing too."""
@@ -149,7 +149,7 @@ def _limits(left: FloatArray, answer: FloatArray, noise: float) -> FloatArray:
 
 
 def _surprising(signal: FloatArray, wrong: Mask, noise: float) -> Mask:
-    """Those of the runs that the samples around do not foretell as they foretell all others.
+    """Keep the runs that the samples around do not foretell as they foretell all others.
 
     Each sample is predicted from some before and some behind it, with weights from least squares
     over all samples far from any run: a tone that swings within few samples is predicted, too.
@@ -184,7 +184,7 @@ def _surprising(signal: FloatArray, wrong: Mask, noise: float) -> Mask:
 
 
 def _beside(sizes: FloatArray) -> FloatArray:
-    """Median of the sizes before each sample or of those behind it, whichever is larger, (N,)."""
+    """Return the larger of the median sizes before each sample and behind it, (N,)."""
     middle = median_filter(sizes, AROUND, mode="reflect")
     # A step belongs to both samples that it joins: both windows leave out the nearest two.
     away = AROUND // 2 + 2

@@ -11,7 +11,7 @@ from piezo_models.effects.effect import Effect, Evidence, parameter
 from piezo_models.effects.isolated_samples import isolated
 
 THRESHOLD = 7.0
-"""In standard deviations of the noise."""
+"""An outlier stands out by so many standard deviations of the noise."""
 FEWEST = 3
 
 

@@ -10,7 +10,7 @@ from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 FEWEST_PERIODS = 10
-"""In a recording; slower ones are drift."""
+"""A recording must show so many; slower disturbances are drift."""
 HARMONICS = 2
 
 DRIVEN = 0.05

@@ -13,7 +13,7 @@ from piezo_models.linear.dynamics import simulate_linear, zoh
 
 SCANNED_EXPONENTS = (0.02, 0.5)
 SCANNED_ONSETS = np.geomspace(3e-3, 1.0, 5)
-"""Of the typical speed."""
+"""These parts of the typical speed are tried."""
 SCANNED_TIMES_S = (1e-4, 1e-3, 5e-3)
 
 
@@ -52,7 +52,7 @@ class RateDependentHysteresis(Effect):
             filtered([1.0, 0.0], [self.averaging_time_s, 1.0], signal, sample_period_s, rest))
 
     def _growth(self, speed: FloatArray) -> FloatArray:
-        """How far the thresholds move, in V, at an averaged speed."""
+        """Tell how far the thresholds move, in V, at an averaged speed."""
         p = self.rate_exponent
         growth = np.expm1(p * np.log1p(np.abs(speed) / self.onset_v_per_s)) / p
         return self.widening_v * np.sign(speed) * growth

@@ -11,7 +11,7 @@ from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 SCANNED_PARTS = (4.0, 2.0, 1.2, 0.98, 0.95, 0.9, 0.82, 0.7, 0.5, 0.3, 0.15, 0.05, 0.01)
-"""Of the fastest change; a limit above it delays every change within its sample."""
+"""These parts of the fastest change are tried; a limit above delays changes within their sample."""
 SCANNED_FALL_RATIOS = (1.0, 4.0, 0.25)
 
 

@@ -153,7 +153,7 @@ def _swinging(loads: FloatArray, rest: float, centre: float, half_range: float,
 @lru_cache(maxsize=256)
 def _mode_step(frequency_rad_per_s: float, damping_ratio: float, sample_period_s: float,
                ) -> tuple[int, FloatArray, FloatArray, FloatArray]:
-    """Substeps of a sample, and matrices of one of them for a force that is straight within it."""
+    """Return the substeps of a sample, and the matrices of one under a straight force."""
     substeps = max(1, int(np.ceil(frequency_rad_per_s * sample_period_s / PHASE_STEP)))
     w = frequency_rad_per_s * sample_period_s / substeps
     # In time that runs by substeps, the numbers stay well scaled.

@@ -12,7 +12,7 @@ from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 SCANNED_PARTS = (-0.03, -0.01, 0.0, 0.003, 0.01, 0.03, 0.1, 0.2)
-"""Of the voltage's span: from its ends to the limit; a soft limit acts before it is reached."""
+"""These parts of the voltage's span are tried from its ends to the limit; a soft one acts early."""
 SCANNED_KNEES = (0.003, 0.01, 0.03)
 KNEES_OF_REACH = 2.0
 WIDEST_KNEE_V = 10.0
@@ -51,7 +51,7 @@ class VoltageClipping(Effect):
         return signal - over + under
 
     def _beyond(self, distance_v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Voltage that a limit removes from one that lies so far beyond it, and its slope."""
+        """Return what a limit removes from a voltage that lies so far beyond it, and its slope."""
         x = distance_v / self.knee_v
         slope = ndtr(x)
         return self.knee_v * (x * slope + np.exp(-0.5 * x * x) / np.sqrt(2.0 * np.pi)), slope

@@ -133,18 +133,18 @@ class PreisachModel:
 
     @property
     def cell_width_v(self) -> float:
-        """Width of a cell of the grid."""
+        """Return the width of a cell of the grid."""
         return (self.voltage_max_v - self.voltage_min_v) / self.density_um_per_v2.shape[0]
 
     @property
     def levels_v(self) -> FloatArray:
-        """Edges of the cells, shape (L + 1,)."""
+        """Return the edges of the cells, shape (L + 1,)."""
         size = self.density_um_per_v2.shape[0]
         return np.linspace(self.voltage_min_v, self.voltage_max_v, size + 1)
 
     @property
     def output_range_um(self) -> tuple[float, float]:
-        """Output at negative and at positive saturation."""
+        """Return the output at negative and at positive saturation."""
         span = self.everett_um(self.voltage_max_v, self.voltage_min_v)
         return self.offset_um, self.offset_um + float(span)
 

@@ -56,7 +56,7 @@ def cell_of(position: float, size: int) -> int:
 @njit(cache=True)
 def _everett(alpha: float, beta: float, cells: FloatArray, diagonal: FloatArray,
              reversible: FloatArray) -> float:
-    """Everett function at two positions, in cells from voltage_min_v; alpha >= beta."""
+    """Return the Everett function at two positions, in cells from voltage_min_v; alpha >= beta."""
     size = diagonal.size
     i = cell_of(alpha, size)
     j = cell_of(beta, size)
@@ -181,7 +181,7 @@ def _root(quadratic: float, linear: float, value: float) -> float:
 @njit(cache=True)
 def _rise(target: float, rounding: float, beta: float, cells: FloatArray,
           diagonal: FloatArray, reversible: FloatArray) -> float:
-    """Lowest position alpha, in cells, at which the Everett function from `beta` is `target`.
+    """Return the lowest position alpha, in cells, at which Everett from `beta` is `target`.
 
     No flat stretch is crossed for a rest within `rounding`.
     """
@@ -208,7 +208,7 @@ def _rise(target: float, rounding: float, beta: float, cells: FloatArray,
 @njit(cache=True)
 def _fall(target: float, rounding: float, alpha: float, cells: FloatArray,
           diagonal: FloatArray, reversible: FloatArray) -> float:
-    """Highest position beta, in cells, at which the Everett function to `alpha` is `target`.
+    """Return highest position beta, in cells, at which the Everett function to `alpha` is `target`.
 
     No flat stretch is crossed for a rest within `rounding`.
     """

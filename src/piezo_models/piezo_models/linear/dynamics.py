@@ -123,11 +123,11 @@ class ElectricVibrationDynamics:
 
     @property
     def is_static(self) -> bool:
-        """True if there is neither a lag nor a mode."""
+        """Tell whether there is neither a lag nor a mode."""
         return self.time_constant_s == 0.0 and not self.mode_frequencies_rad_per_s
 
     def _modes(self) -> Iterator[tuple[float, float, tuple[float, float] | None]]:
-        """For each mode its w, zeta, and the pair of zeros that share its section, or None."""
+        """Yield w and zeta of each mode, and the pair of zeros that share its section, or None."""
         antiresonances: list[tuple[float, float] | None] = list(
             zip(
                 self.antiresonance_frequencies_rad_per_s,
@@ -205,7 +205,7 @@ def _set_positive(instance: object, name: str) -> None:
 
 
 def _cascade(sections: Sequence[Section]) -> control.StateSpace:
-    """Series connection, the first section first."""
+    """Return the series connection, the first section first."""
     systems = [control.ss(*matrices) for matrices in sections]
     return reduce(lambda first, second: second * first, systems, control.ss([], [], [], [[1.0]]))
 

@@ -12,7 +12,7 @@ TIME = np.arange(SAMPLES)
 
 
 def played(voltage_v, half_width_v):
-    """Output of a play operator."""
+    """Return the output of a play operator."""
     output, last = np.empty_like(voltage_v), voltage_v[0]
     for n, level in enumerate(voltage_v):
         last = min(max(last, level - half_width_v), level + half_width_v)
@@ -21,7 +21,7 @@ def played(voltage_v, half_width_v):
 
 
 def ringing(voltage_v, phase, damping_ratio, share):
-    """The voltage, of which a share swings by so many radians a sample."""
+    """Return the voltage, of which a share swings by so many radians a sample."""
     mode = [phase**2], [1.0, 2.0 * damping_ratio * phase, phase**2]
     b, a, _ = cont2discrete(mode, 1.0)
     swinging = lfilter(np.ravel(b), a, voltage_v - voltage_v[0]) + voltage_v[0]
@@ -62,7 +62,7 @@ def test_a_converters_steps_do_not_stand_out(name):
 
 
 def dropped_out(displacement_um):
-    """Runs at the zero of a converter in 1.5 % of the samples, and their mask."""
+    """Return the runs at the zero of a converter in 1.5 % of the samples, and their mask."""
     generator = np.random.default_rng(2)
     wrong = np.zeros(SAMPLES, dtype=bool)
     while wrong.mean() < 0.015:

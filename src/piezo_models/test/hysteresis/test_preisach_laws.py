@@ -13,7 +13,7 @@ laws = settings(deadline=None, max_examples=150)
 
 @st.composite
 def models(draw, smallest_density=0.0):
-    """Densities of 1 to 12 levels, up to nine cells in ten empty if zero is allowed.
+    """Return the densities of 1 to 12 levels, up to nine cells in ten empty if zero is allowed.
 
     Half of them have a reversible part.
     """

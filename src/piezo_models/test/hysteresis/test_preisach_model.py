@@ -11,7 +11,7 @@ from piezo_studies.baselines.relay_grid import (
 
 
 def area_of_cell_in_triangle(model, i, j, alpha, beta):
-    """Area of cell (i, j) within beta <= b <= a <= alpha, by elementary geometry."""
+    """Return the area of cell (i, j) within beta <= b <= a <= alpha, by elementary geometry."""
     levels = model.levels_v
     high = min(alpha, levels[i + 1])
     low = max(beta, levels[j])
@@ -21,7 +21,7 @@ def area_of_cell_in_triangle(model, i, j, alpha, beta):
 
 
 def refined(model, factor):
-    """The same density on a grid `factor` times finer."""
+    """Return the same density on a grid `factor` times finer."""
     density = np.kron(model.density_um_per_v2, np.ones((factor, factor)))
     return PreisachModel(
         model.voltage_min_v, model.voltage_max_v, np.tril(density), model.offset_um

@@ -9,7 +9,7 @@ PERIOD_S = 25e-6
 
 
 def steady_periods(stage, period, repeats):
-    """Last period of the output for a repeated input, the mean being in equilibrium already."""
+    """Return the last period of the output for a repeated input whose mean is in equilibrium."""
     system = stage.linear()
     discrete = zoh(system, PERIOD_S)
     mean = period.mean()

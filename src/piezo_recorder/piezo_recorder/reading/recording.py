@@ -56,12 +56,12 @@ class Recording:
 
     @property
     def time_s(self) -> np.ndarray:
-        """Time since the first sample, shape (N,)."""
+        """Return the time since the first sample, shape (N,)."""
         return (self.sample_index - self.sample_index[0]) / self.sample_rate_hz
 
     @property
     def sample_period_s(self) -> float:
-        """The one sample period; RecordingError where parts differ."""
+        """Return the one sample period; RecordingError where parts differ."""
         periods_s = np.unique(self.sample_periods_s)
         if len(periods_s) > 1:
             raise RecordingError(

@@ -47,22 +47,22 @@ class RecordingSession:
 
     @property
     def path(self) -> str:
-        """Of the recording."""
+        """Return the path of the recording."""
         return str(self.writer.path)
 
     @property
     def quiet(self) -> bool:
-        """Whether nothing has come for a while."""
+        """Tell whether nothing has come for a while."""
         return time.monotonic() - self._received_at > QUIET_S
 
     @property
     def samples(self) -> int:
-        """Samples received of the first topic of samples."""
+        """Return the samples received of the first topic of samples."""
         return next(iter(self._counts.values())).samples
 
     @property
     def missing(self) -> int:
-        """Samples that no block of the first topic of samples covers."""
+        """Return the samples that no block of the first topic of samples covers."""
         return next(iter(self._counts.values())).missing
 
     def receive(self, topic: str, data: bytes, time_ns: int) -> None:

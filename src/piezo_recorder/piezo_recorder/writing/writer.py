@@ -74,7 +74,7 @@ class RecordingWriter:
 
     @property
     def message_count(self) -> int:
-        """Messages written so far."""
+        """Return the messages written so far."""
         return sum(self._counts.values())
 
     def add_metadata(self, metadata: dict[str, str]) -> None:

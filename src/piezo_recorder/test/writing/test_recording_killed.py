@@ -52,7 +52,7 @@ def kill_a_recorder(directory, inputs, messages):
 
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory, sample_blocks):
-    """Twenty seconds of blocks, a millisecond each, and what they are of."""
+    """Return twenty seconds of blocks, a millisecond each, and what they are of."""
     blocks = [sample_blocks.serialise(40 * k, np.full(40, k), np.full(40, -k))
               for k in range(20_000)]
     path = tmp_path_factory.mktemp("killed") / "inputs"
@@ -139,7 +139,7 @@ def test_report_accounts_for_every_sample(tmp_path, sample_blocks, capsys):
 
 @pytest.fixture(scope="module")
 def closed_file(tmp_path_factory, sample_blocks):
-    """Bytes of a recording with three chunks."""
+    """Return the bytes of a recording with three chunks."""
     path = tmp_path_factory.mktemp("closed") / "run"
     with RecordingWriter(path) as writer:
         writer.attach("model.json", b"{}")

@@ -17,7 +17,7 @@ float64[] values
 
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
-    """Two packages with messages, installed as colcon does."""
+    """Install two packages with messages as colcon does."""
     messages = {
         "some_msgs": {"Outer": OUTER, "Inner": "other_msgs/Far[2] both\n"},
         "other_msgs": {"Far": "int8 distance\n"},

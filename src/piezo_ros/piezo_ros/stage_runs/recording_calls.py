@@ -52,7 +52,7 @@ class RunRecording:
 
     @property
     def failure(self) -> str:
-        """Why the recording ended before the run; empty if it did not."""
+        """Tell why the recording ended before the run; empty if it did not."""
         if not (self._failure or self._over) and self._recorder.gone:
             self._failure = (f"the recorder {self._recorder.name} is gone: start it again; what "
                              f"it had recorded is in {self.path}")
@@ -60,12 +60,12 @@ class RunRecording:
 
     @property
     def must_stop(self) -> bool:
-        """Whether the run must end because its recording has."""
+        """Tell whether the run must end because its recording has."""
         return bool(self.failure) and not self._unrecorded
 
     @property
     def note(self) -> str:
-        """What to tell of the recording of a run that was played to its end; may be empty."""
+        """Return what to tell of the recording of a run that was played to its end, if anything."""
         if self._failure:
             return f"the run went on unrecorded: {self._failure}"
         return self._note

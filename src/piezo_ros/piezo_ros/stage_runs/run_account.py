@@ -43,7 +43,7 @@ class RunAccount:
 
     @property
     def failure(self) -> str:
-        """Why the run does not count as done; empty if it does."""
+        """Tell why the run does not count as done; empty if it does."""
         failures = []
         if self._exceeds(self.late, self._max_late_percent):
             failures.append(f"{self._late}, more than max_late_percent, "
@@ -58,7 +58,7 @@ class RunAccount:
 
     @property
     def note(self) -> str:
-        """What to tell of a run that counts as done; may be empty."""
+        """Return what to tell of a run that counts as done; may be empty."""
         counted = ((self.late, self._late), (self.limited, self._limited))
         return "; ".join(text for count, text in counted if count)
 

@@ -37,7 +37,7 @@ class StageWatch:
 
     @property
     def gone(self) -> bool:
-        """Whether the stage's node went away since the run began."""
+        """Tell whether the stage's node went away since the run began."""
         return self._presence.gone
 
     def why_ended(self) -> str:

@@ -43,7 +43,7 @@ class Stream:
 
     @property
     def wants_more(self) -> bool:
-        """Whether less is loaded than is to be."""
+        """Tell whether less is loaded than is to be."""
         return not self._ended and self._loaded_samples - self._played_samples < AHEAD_SAMPLES
 
     def feed(self) -> None:

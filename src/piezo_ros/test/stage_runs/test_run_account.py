@@ -12,7 +12,7 @@ LATE, RANGE, SLEW, STARVED = (
 
 
 def account_of(flags, ticks=1000, **options):
-    """Of a run whose first blocks bear these flags."""
+    """Return the account of a run whose first blocks bear these flags."""
     account = RunAccount(1.0, 2.0, **options)
     for number in range(ticks):
         account.take(SampleBlock.FLAG_TRACKING | (flags[number] if number < len(flags) else 0))

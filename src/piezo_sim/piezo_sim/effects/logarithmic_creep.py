@@ -39,7 +39,7 @@ class LogarithmicCreep:
         )
 
     def state_space(self) -> StateSpace:
-        """One state for each relaxation."""
+        """Return a system with one state for each relaxation."""
         slowest = -math.log(self.memory_s)
         fastest = math.log(_FASTEST / self.onset_time_s)
         rates = np.exp(np.arange(slowest, fastest + 1.0))

@@ -40,7 +40,7 @@ class SpikesRunner:
         self._events.wait(self._mean_samples)
 
     def rest(self, level: float) -> float:
-        """Spikes leave the level as it is."""
+        """Return the level as it is: spikes leave it."""
         return level
 
     def apply(self, samples: FloatArray) -> None:

@@ -39,7 +39,7 @@ class FaultWindow(Generic[F]):
         self._at = 0
 
     def rest(self, level: float) -> float:
-        """Nothing is broken before the stage starts."""
+        """Return the level as it is: nothing is broken before the stage starts."""
         return level
 
     def apply(self, samples: FloatArray) -> None:

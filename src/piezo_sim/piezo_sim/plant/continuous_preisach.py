@@ -27,7 +27,7 @@ from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 @njit(cache=True)
 def density_um_per_v2(alpha_v: float, beta_v: float, broad: float, ridge: float, width_v: float,
                       modulation: float, centre_v: float, period_v: float) -> float:
-    """Preisach density at (alpha, beta), alpha >= beta (mu of thesis eq. (4.2))."""
+    """Return the Preisach density at (alpha, beta), alpha >= beta (mu of thesis eq. (4.2))."""
     span = alpha_v - beta_v
     middle = 0.5 * (alpha_v + beta_v)
     profile = broad + ridge * math.exp(-span / width_v)
@@ -37,7 +37,7 @@ def density_um_per_v2(alpha_v: float, beta_v: float, broad: float, ridge: float,
 @njit(cache=True)
 def everett_um(alpha_v: float, beta_v: float, broad: float, ridge: float, width_v: float,
                modulation: float, centre_v: float, period_v: float) -> float:
-    """Integral of the density over the triangle between beta and alpha, um."""
+    """Return the integral of the density over the triangle between beta and alpha, um."""
     span = alpha_v - beta_v
     middle = 0.5 * (alpha_v + beta_v)
     wavenumber = 2.0 * math.pi / period_v
@@ -125,7 +125,7 @@ class PreisachHysteresis:
 
     @property
     def shape(self) -> tuple[float, ...]:
-        """Parameters of the density, in the order of `everett_um`."""
+        """Return the parameters of the density, in the order of `everett_um`."""
         return (
             self.broad_density_um_per_v2,
             self.ridge_density_um_per_v2,

@@ -91,7 +91,7 @@ def chain(effects: Sequence[LinearEffect]) -> StateSpace:
 
 
 def zero_order_hold(system: StateSpace, sample_period_s: float) -> tuple[FloatArray, FloatArray]:
-    """Exact discrete matrices A (n, n) and B (n,) for an input held over the sample period."""
+    """Return the exact discrete matrices A (n, n) and B (n,) for an input that is held."""
     n = system.b.size
     augmented = np.zeros((n + 1, n + 1))
     augmented[:n, :n] = system.a
@@ -212,7 +212,7 @@ class VibrationMode:
         require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
 
     def state_space(self) -> StateSpace:
-        """States are position and velocity / w, which keeps the matrix balanced."""
+        """Return the mode in position and velocity / w, which keeps the matrix balanced."""
         w = self.frequency_rad_per_s
         a = np.array([[0.0, w], [-w, -2.0 * self.damping_ratio * w]])
         return StateSpace(a, np.array([0.0, w]), np.array([1.0, 0.0]), 0.0)

@@ -216,7 +216,7 @@ def _effect(where: str, content: dict[str, Any]) -> Effect:
 
 
 def _known_effects() -> Mapping[str, type[Effect]]:
-    """Effects and faults by their names, those of other packages after those of this one."""
+    """Return effects and faults by their names, those of other packages after those of this one."""
     try:
         return registered(GROUP, EFFECTS | FAULTS)
     except ValueError as error:

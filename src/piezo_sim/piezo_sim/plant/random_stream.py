@@ -10,7 +10,7 @@ _BLOCK = 4096
 
 
 def bits_for(name: str, seed: int) -> np.random.PCG64:
-    """Source of random bits of the effect called `name`, independent of those of other effects."""
+    """Return random bits of the effect called `name`, independent of those of other effects."""
     return np.random.PCG64(np.random.SeedSequence([seed, *name.encode()]))
 
 
@@ -57,7 +57,7 @@ class EventStream:
         self.next += 1 + int(self.generator.exponential(mean_samples))
 
     def within(self, count: int) -> int | None:
-        """Position of the next event among the next `count` samples, or None."""
+        """Return the position of the next event among the next `count` samples, or None."""
         position = self.next - self._first
         return position if position < count else None
 

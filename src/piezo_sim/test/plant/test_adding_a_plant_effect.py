@@ -28,7 +28,7 @@ def page_block(language):
 
 @pytest.fixture
 def gap(package_of_page, monkeypatch):
-    """Text of the default plant with the page's entry, whose package is installed."""
+    """Return the text of the default plant with the page's entry, whose package is installed."""
     monkeypatch.syspath_prepend(package_of_page(PAGE.name))
     yield DEFAULT.replace("amplifier:\n", f"amplifier:\n{page_block('yaml')}", 1)
     sys.modules.pop("crossover_gap", None)

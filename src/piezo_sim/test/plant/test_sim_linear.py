@@ -19,7 +19,7 @@ def played(runner, levels):
 
 
 def step_response(time_s):
-    """Response of the default chain to a unit step, by partial fractions of G(s) / s."""
+    """Return the response of the default chain to a unit step, by partial fractions of G(s) / s."""
     zeros, poles, gain = [], [], 1.0
     for effect in LINEAR:
         if isinstance(effect, Creep):

@@ -88,7 +88,7 @@ class Calibration(Document):
 
     @property
     def voltage_range_v(self) -> tuple[float, float]:
-        """Lowest and highest voltage at the stage that the card can ask for."""
+        """Return the lowest and highest voltage at the stage that the card can ask for."""
         ends_v = (self.voltage_v(self.output_minimum_v), self.voltage_v(self.output_maximum_v))
         return min(ends_v), max(ends_v)
 

@@ -47,7 +47,7 @@ class FeedbackHold:
 
     @property
     def cause(self) -> str:
-        """Why the answers must stop the stage; empty where they need not."""
+        """Tell why the answers must stop the stage; empty where they need not."""
         if self.limited_in_a_row <= self._limits.patience:
             return ""
         return (f"{self.limited_in_a_row} feedback answers in a row were beyond "
@@ -72,7 +72,7 @@ class FeedbackHold:
             self._answers[tick] = voltage_v
 
     def awaited(self, tick: int) -> bool:
-        """Whether ``tick`` cannot be played yet without missing an answer."""
+        """Tell whether ``tick`` cannot be played yet without missing an answer."""
         return tick - 1 > self._first_tick and tick - 1 not in self._answers
 
     def begin(self, tick: int) -> bool:

@@ -20,7 +20,7 @@ class Source(Protocol):
 
     @property
     def exhausted(self) -> bool:
-        """Whether the last voltage was held because nothing was left to take."""
+        """Tell whether the last voltage was held because nothing was left to take."""
 
 
 class StageRefusal(ValueError):
@@ -59,22 +59,22 @@ class Program:
 
     @property
     def over(self) -> bool:
-        """Whether every phase has been played."""
+        """Tell whether every phase has been played."""
         return not self._phases
 
     @property
     def phase_name(self) -> str:
-        """Of the present phase; rest where there is none."""
+        """Return the name of the present phase; rest where there is none."""
         return self._phases[0].name if self._phases else "rest"
 
     @property
     def fraction(self) -> float:
-        """Done of the whole, 0 to 1."""
+        """Return the part of the whole that is done, 0 to 1."""
         return min(1.0, self._done_samples / self._samples) if self._samples else 1.0
 
     @property
     def samples_left(self) -> float:
-        """Left of the whole; infinite until a stop."""
+        """Return the samples left of the whole; infinite until a stop."""
         return max(0.0, self._samples - self._done_samples)
 
     def phase(self, voltage_v: float) -> Phase:

@@ -23,7 +23,7 @@ class Ramps:
 
     @property
     def v_per_tick(self) -> float:
-        """How far a ramp goes in one tick (V)."""
+        """Tell how far a ramp goes in one tick (V)."""
         return self._rate_v_per_s * self._ticks.sample_period_s * self._ticks.samples_per_tick
 
     def samples(self, start_v: float, end_v: float) -> int:

@@ -71,27 +71,27 @@ class Feedforward:
 
     @property
     def periodic(self) -> bool:
-        """Whether a part is repeated."""
+        """Tell whether a part is repeated."""
         return len(self._period_v) > 0
 
     @property
     def sequence_v(self) -> np.ndarray:
-        """Every voltage of what was loaded first up to the first repetition, shape (n,), in V."""
+        """Return every voltage of what was loaded first up to its repetition, shape (n,), in V."""
         return np.r_[self._once_v, self._period_v, self._period_v[:1]]
 
     @property
     def first_v(self) -> float:
-        """The voltage that is played first (V)."""
+        """Return the voltage that is played first (V)."""
         return self._once_v[0] if len(self._once_v) else self._period_v[0]
 
     @property
     def last_v(self) -> float | None:
-        """The voltage behind which the next part is appended (V)."""
+        """Return the voltage behind which the next part is appended (V)."""
         return self._last_v
 
     @property
     def exhausted(self) -> bool:
-        """Whether nothing was left for the last samples and the last voltage was held."""
+        """Tell whether nothing was left for the last samples and the last voltage was held."""
         return self._held
 
     def append(self, once_voltage_v: np.ndarray) -> None:
@@ -101,7 +101,7 @@ class Feedforward:
 
     @property
     def forgotten(self) -> bool:
-        """Whether appended samples were played, so that it cannot begin anew."""
+        """Tell whether appended samples were played, so that it cannot begin anew."""
         return self._appended_played
 
     def rewind(self) -> None:

@@ -100,60 +100,60 @@ class StageEngine:
 
     @property
     def tick(self) -> int:
-        """The tick about to be played."""
+        """Return the tick about to be played."""
         return self.next_sample // self._ticks.samples_per_tick
 
     @property
     def last_sample(self) -> int:
-        """The last sample of what has been played, when it will have been measured."""
+        """Return the last sample of what has been played, when it will have been measured."""
         return self.next_sample + self.lead_ticks * self._ticks.samples_per_tick - 1
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is being played."""
+        """Tell whether nothing is being played."""
         return self._program.over
 
     @property
     def at_rest(self) -> bool:
-        """Whether the amplifier is at rest, what is written ahead included."""
+        """Tell whether the amplifier is at rest, what is written ahead included."""
         return self.idle and self.voltage_v == self.rest_voltage_v and all(
             (voltage_v == self.rest_voltage_v).all() for voltage_v, _ in self._ahead)
 
     @property
     def seconds_to_rest(self) -> float:
-        """What a return to rest from here would take (s)."""
+        """Tell what a return to rest from here would take (s)."""
         samples = self._ramps.samples(self.voltage_v, self.rest_voltage_v)
         return (samples + (self.lead_ticks + 1) * self._ticks.samples_per_tick
                 ) * self.sample_period_s
 
     @property
     def phase_name(self) -> str:
-        """Approach, play, track, return or rest."""
+        """Return the name of the phase: approach, play, track, return or rest."""
         return self._program.phase_name
 
     @property
     def fraction(self) -> float:
-        """Done of the present program, 0 to 1."""
+        """Return the part of the present program that is done, 0 to 1."""
         return self._program.fraction
 
     @property
     def seconds_left(self) -> float:
-        """Stage time left of the present program (s); infinite until a stop."""
+        """Return the stage time left of the present program (s); infinite until a stop."""
         return self._program.samples_left * self.sample_period_s
 
     @property
     def stop_cause(self) -> str:
-        """Why the stage is stopped; empty where it takes commands."""
+        """Tell why the stage is stopped; empty where it takes commands."""
         return self._latch.cause
 
     @property
     def missed_feedback(self) -> int:
-        """Answers missed since tracking began."""
+        """Return the answers missed since tracking began."""
         return self._feedback.missed if self._feedback else 0
 
     @property
     def awaiting_answer(self) -> bool:
-        """Whether the next tick would miss its answer if it were played now."""
+        """Tell whether the next tick would miss its answer if it were played now."""
         return (self.phase_name == "track" and self._feedback is not None
                 and not self.stop_cause and self._feedback.awaited(self.tick))
 

@@ -36,7 +36,7 @@ class AnswerGate:
 
     @property
     def cause(self) -> str:
-        """Why the stage must stop; empty where it need not."""
+        """Tell why the stage must stop; empty where it need not."""
         if self.foreign <= self._max_foreign:
             return ""
         return (f"{self.foreign} feedback answer(s) came from others than the client that the "
@@ -50,7 +50,7 @@ class AnswerGate:
         return self.run
 
     def admits(self, run: int, alone: bool) -> bool:
-        """Whether an answer may act.
+        """Tell whether an answer may act.
 
         Parameters
         ----------

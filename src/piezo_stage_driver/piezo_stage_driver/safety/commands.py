@@ -31,7 +31,7 @@ class Command:
         self._claim = threading.Lock()
 
     def claim(self) -> bool:
-        """Whether the caller, and nobody before, may now run or refuse the command."""
+        """Tell whether the caller, and nobody before, may now run or refuse the command."""
         return self._claim.acquire(blocking=False)
 
     def finish(self, value: Any = None, error: ValueError | None = None) -> None:

@@ -13,7 +13,7 @@ class OpenAnswers:
 
     @property
     def none(self) -> bool:
-        """Whether every answer that has begun was given."""
+        """Tell whether every answer that has begun was given."""
         return self._open == 0
 
     def begin(self) -> None:

@@ -22,7 +22,7 @@ class RequestMemory:
         self._late: OrderedDict[int, Late] = OrderedDict()
 
     def repeats(self, number: int, late: Late) -> bool:
-        """Whether a request has been met before; it then gets the answer of the first.
+        """Tell whether a request has been met before; it then gets the answer of the first.
 
         Parameters
         ----------

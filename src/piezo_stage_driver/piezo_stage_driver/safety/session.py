@@ -34,13 +34,13 @@ class BackendSession:
 
     @property
     def waited_s(self) -> float:
-        """How long the present call of the backend has lasted; 0 between two calls (s)."""
+        """Tell how long the present call of the backend has lasted; 0 between two calls (s)."""
         began_s = self._began_s
         return 0.0 if began_s is None else self._clock() - began_s
 
     @property
     def busy(self) -> bool:
-        """Whether the backend has not returned yet."""
+        """Tell whether the backend has not returned yet."""
         return self._began_s is not None
 
     def open(self) -> None:

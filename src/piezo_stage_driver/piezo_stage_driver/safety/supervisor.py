@@ -37,7 +37,7 @@ class Goal(Protocol):
 
     @property
     def cancelled(self) -> bool:
-        """Whether it shall end early."""
+        """Tell whether it shall end early."""
 
     def end(self, cause: str, last_sample: int) -> None:
         """Take the end, once; the cause is empty where all was played."""
@@ -98,39 +98,39 @@ class StageSupervisor:
 
     @property
     def state(self) -> State:
-        """What the stage is doing."""
+        """Tell what the stage is doing."""
         return self._state
 
     @property
     def cause(self) -> str:
-        """Why the stage is stopped; empty where it is not."""
+        """Tell why the stage is stopped; empty where it is not."""
         return self._latch.cause
 
     @property
     def active(self) -> bool:
-        """Whether the backend is open, and ticks are to go on."""
+        """Tell whether the backend is open, and ticks are to go on."""
         return self._state not in (State.INACTIVE, State.FAULTED)
 
     @property
     def has_work(self) -> bool:
-        """Whether something is to be played; stage time may stand still where not."""
+        """Tell whether something is to be played; stage time may stand still where not."""
         return self.active and (
             self._state in MOVING or bool(self._leaving) or not self.engine.idle
             or bool(self.cause) and self._state is not State.LATCHED)
 
     @property
     def hangs(self) -> bool:
-        """Whether the backend has not returned for too long."""
+        """Tell whether the backend has not returned for too long."""
         return self._session.waited_s > self._exchange_timeout_s
 
     @property
     def at_rest(self) -> bool:
-        """Whether the amplifier is known to be at rest."""
+        """Tell whether the amplifier is known to be at rest."""
         return self.engine.at_rest if self.active else self._rest_is_known
 
     @property
     def described(self) -> dict[str, object]:
-        """What diagnostics tell."""
+        """Return what diagnostics tell."""
         return {"state": str(self._state), "at_rest": self.at_rest, "hangs": self.hangs,
                 "foreign_feedback": self._gate.foreign, "stale_feedback": self._gate.stale}
 

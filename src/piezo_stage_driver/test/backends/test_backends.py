@@ -15,7 +15,7 @@ SETTINGS = BackendSettings("", 40000.0, 40, -20.0, 120.0, 0.0, 2000.0)
 
 @pytest.fixture
 def other_package(package_of_page, monkeypatch):
-    """The package of the page, as if it were installed."""
+    """Return the package of the page, as if it were installed."""
     monkeypatch.syspath_prepend(package_of_page("adding_a_backend.md"))
     yield
     sys.modules.pop("my_lab_stage", None)

@@ -26,7 +26,7 @@ class Sink:
 
 
 def held_bytes(instance):
-    """Bytes of all arrays that an object keeps."""
+    """Return the bytes of all arrays that an object keeps."""
     kept = [*vars(instance).values(), *instance._appended]
     return sum(sys.getsizeof(value) for value in kept if isinstance(value, np.ndarray))
 

@@ -22,7 +22,7 @@ LIMITS = FeedbackLimits(maximum_v=20.0, maximum_step_v=4.0, patience=2)
 
 
 def held(*answers, limits=LIMITS):
-    """Feedback of every tick whose answers are these; None: there is none."""
+    """Return the feedback of every tick whose answers are these; None stands for none."""
     hold, voltage_v = FeedbackHold(0, limits=limits), []
     for tick, answer_v in enumerate(answers, start=1):
         if answer_v is not None:

@@ -35,7 +35,7 @@ def examined(guard, voltage_v, displacement_um, stretch=TICK, tick=TICK):
 
 
 def sound_stage(voltage_v, seed=0, noise_um=0.009):
-    """A lag of 0.5 ms, a gain of 1 um/V, noise."""
+    """Return a lag of 0.5 ms, a gain of 1 um/V, noise."""
     pole = np.exp(-PERIOD_S / 5e-4)
     displacement_um = lfilter([0.0, 1.0 - pole], [1.0, -pole], voltage_v)
     return displacement_um + noise_um * np.random.default_rng(seed).standard_normal(len(voltage_v))
@@ -107,13 +107,13 @@ def test_noise_far_above_normal_is_told_within_20_ms(tick):
 
 
 def swings(growth, half_period_ticks, first_v=0.02, count=60):
-    """Feedback that swings about zero, from tick to tick."""
+    """Return the feedback that swings about zero, from tick to tick."""
     peaks_v = first_v * growth ** np.arange(count) * (-1.0) ** np.arange(count)
     return np.repeat(peaks_v, half_period_ticks)
 
 
 def told_at(guard, feedback_v):
-    """The first voltage that the guard refuses, and its largest one before that."""
+    """Return the first voltage that the guard refuses, and its largest one before that."""
     for at, voltage_v in enumerate(feedback_v):
         if guard.examine(voltage_v):
             return voltage_v, np.abs(feedback_v[:at]).max()

@@ -143,7 +143,7 @@ class Asked:
 
     @property
     def wrong(self):
-        """What must never be, at any moment."""
+        """Tell what must never be, at any moment."""
         if len(self.told) > 1 or len(self.ends) > 1:
             return f"{self.name} is answered more than once: {self.told}, {self.ends}"
         if self.ends and not (self.told and self.told[0][1] is None):
@@ -331,7 +331,7 @@ class Stage(RuleBasedStateMachine):
             assert self.supervisor.engine.voltage_v == 0.0
 
     def teardown(self):
-        """Whatever happened, the stage can be left, at rest, and everybody has an answer."""
+        """Check that the stage can be left, at rest, and that everybody has an answer."""
         self.leave()
         for _ in range(2000):
             if not self.supervisor.active:

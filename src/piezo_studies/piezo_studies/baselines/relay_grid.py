@@ -11,7 +11,7 @@ from piezo_models.hysteresis.preisach_kernels import branch_start, with_room
 
 
 def activation_matrix(voltage_v, levels_v, samples=None):
-    """Active area of every cell of the Preisach plane, starting from negative saturation.
+    """Return active area of every cell of the Preisach plane, starting from negative saturation.
 
     With `mu = density[numpy.tril_indices(L)]` the output of the hysteresis is
     `activation_matrix(...) @ mu + offset`, exactly: eq. (2.3) with true areas in place of whole
@@ -97,7 +97,7 @@ def _add_strip(areas, levels, beta_low, beta_high, alpha_high):
 
 
 def cell_centre_relays(model):
-    """Relays at the cell centres of a model, each with the weight of its cell, eq. (2.2).
+    """Return relays at the cell centres of a model, each with the weight of its cell, eq. (2.2).
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ ROWS_AT_ONCE = 2000
 
 
 def relay_rows(voltage_v, levels_v, on=None):
-    """States of the relays at the cell centres, eq. (2.3), one row per voltage.
+    """Return the states of the relays at the cell centres, eq. (2.3), one row per voltage.
 
     Parameters
     ----------

@@ -37,15 +37,15 @@ class TruncatedSvd:
 
     @property
     def rank(self):
-        """Number r of singular values kept."""
+        """Return the number r of singular values kept."""
         return self.singular_values.size
 
     def solution(self):
-        """Least squares estimate of least norm, (2.12) and (2.25)."""
+        """Return the least squares estimate of least norm, (2.12) and (2.25)."""
         return self.vectors @ ((self.vectors.T @ self.right_side) / self.singular_values)
 
     def updated(self, row, output, fixed_rank=True):
-        """SVD after one more sample, (2.13)-(2.24).
+        """Return the SVD after one more sample, (2.13)-(2.24).
 
         Parameters
         ----------

@@ -24,7 +24,7 @@ def _compared(before, after):
 
 
 def draw_model_errors(before, after, sample_period_s):
-    """Spectra of a model's error on one recording, before and after.
+    """Draw the spectra of a model's error on one recording, before and after.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def draw_model_errors(before, after, sample_period_s):
 
 
 def draw_responses(before, after, sample_period_s):
-    """Magnitude of the linear part of two models, sampled.
+    """Draw the magnitude of the linear part of two models, sampled.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def draw_responses(before, after, sample_period_s):
 
 
 def draw_tracking_errors(before, after):
-    """Errors of runs over their last periods, a row for each frequency.
+    """Draw the errors of runs over their last periods, a row for each frequency.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ RESPONSE_HZ = (10.0, 2500.0)
 
 
 def draw_loops(prediction):
-    """Hysteresis loops, measured and modelled, and their difference.
+    """Draw the hysteresis loops, measured and modelled, and their difference.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def draw_loops(prediction):
 
 
 def draw_creep(prediction):
-    """Creep after a step, measured and modelled, over the logarithm of time; their difference.
+    """Draw the creep after a step, measured and modelled, over the logarithm of time.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def draw_creep(prediction):
 
 
 def draw_frequency_response(dynamics, sample_period_s, measured):
-    """Gain and phase of the linear dynamics, and what the square wave measured of them.
+    """Draw the gain and phase of the linear dynamics, and what the square wave measured of them.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def draw_step_response(prediction, period_s):
 
 
 def draw_density(hysteresis):
-    """Density of the relays over their thresholds.
+    """Draw the density of the relays over their thresholds.
 
     Parameters
     ----------

@@ -50,12 +50,12 @@ class TrackedRun:
 
     @property
     def time_s(self):
-        """Time since the periodic part began, shape (N,)."""
+        """Return the time since the periodic part began, shape (N,)."""
         return np.arange(len(self.reference_um)) / self.sample_rate_hz
 
     @property
     def error_um(self):
-        """Reference minus measured displacement, shape (N,)."""
+        """Return the reference minus measured displacement, shape (N,)."""
         return self.reference_um - self.displacement_um
 
 

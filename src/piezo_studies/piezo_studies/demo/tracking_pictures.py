@@ -102,7 +102,7 @@ def draw_tracking(runs):
 
 
 def draw_voltages(feedforward_v, feedback_v, run):
-    """Feedforward voltage over the last periods, feedback voltage over the whole run.
+    """Draw the feedforward voltage over the last periods, feedback voltage over the whole run.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def draw_voltages(feedforward_v, feedback_v, run):
 
 
 def draw_spectra(feedforward_v, feedback_v, sample_rate_hz):
-    """Spectra of the feedforward and the feedback voltage over the whole run.
+    """Draw the spectra of the feedforward and the feedback voltage over the whole run.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def draw_spectra(feedforward_v, feedback_v, sample_rate_hz):
 
 
 def amplitude_spectrum(signal, sample_rate_hz):
-    """Amplitudes of the sines in a signal, seen through a Hann window.
+    """Return the amplitudes of the sines in a signal, seen through a Hann window.
 
     The window keeps a drift over the run from hiding everything above it.
 

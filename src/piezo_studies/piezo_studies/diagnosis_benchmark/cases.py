@@ -13,9 +13,9 @@ CASES_PER_PLANT = 10
 WEAKEST, STRONGEST = 1.2, 40.0
 """Contributions to the recording, over the noise."""
 OUTSIDE_WEAKEST = 6.0
-"""Of an effect outside the list."""
+"""An effect outside the list is no weaker."""
 LATER_SHARE = 0.7
-"""Of the cases: the effect came after the model was identified. In the others it was there."""
+"""In this share of the cases the effect came after the identification; in the others before."""
 
 FAST_ONLY, SLOW_ONLY = {"vibration_mode", "slew_limit"}, {"thermal_drift"}
 """Effects that a slow logger cannot see, and such that take longer than a fast recording."""
@@ -58,7 +58,7 @@ class Case:
 
     @property
     def outside(self):
-        """True if an effect outside the list is there."""
+        """Tell whether an effect outside the list is there."""
         return any(cause in CAUSES_OUTSIDE for cause in self.causes)
 
     def random(self, purpose):
@@ -67,7 +67,7 @@ class Case:
 
 
 def draw_cases(count, seed):
-    """Cases in the proportions of the suite, in an order that any number of them samples.
+    """Draw the cases in the proportions of the suite, in an order that any number of them samples.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def draw_cases(count, seed):
 
 
 def _in_turn(items, count, random):
-    """So many items, each as often as the others, shuffled."""
+    """Return so many items, each as often as the others, shuffled."""
     rounds = -(-count // len(items)) if items else 0
     taken = [items[i] for _ in range(rounds) for i in random.permutation(len(items))]
     return taken[:count]

@@ -47,7 +47,7 @@ def run_suite(client, count, seed, progress=None):
 
 
 def _result(case, future):
-    """Of a case that ran; one that was refused stays in the table, with the reason."""
+    """Return the result of a case; one that was refused stays in the table, with the reason."""
     if future.status == "finished":
         return future.result()
     return refused(case, future.exception())

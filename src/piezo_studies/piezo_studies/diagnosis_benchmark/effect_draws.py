@@ -85,7 +85,7 @@ class _Record:
         return float(np.abs(np.diff(self.displacement_um)).sum())
 
     def position_um(self, share: float) -> float:
-        """Displacement at a share of the travelled range."""
+        """Return the displacement at a share of the travelled range."""
         return float(self.displacement_um.min() + share * np.ptp(self.displacement_um))
 
 
@@ -248,7 +248,7 @@ CAUSES_OUTSIDE = {
 def respond(
     plant: PlantConfig, voltage_v: np.ndarray, surroundings: Surroundings, clock_samples: int
 ) -> np.ndarray:
-    """Displacement at the samples of a record, which the stage's clock is a multiple of.
+    """Return the displacement at the samples of a record, which the stage's clock is a multiple of.
 
     What is between the samples of a slow record, such as the answer to a jump, shows in them.
 
@@ -272,7 +272,7 @@ def respond(
 def response_um(
     plant: PlantConfig, voltage_v: np.ndarray, surroundings: Surroundings, clock_samples: int = 1
 ) -> np.ndarray:
-    """Displacement that the sensor would measure without noise and steps; see `respond`."""
+    """Return displacement that the sensor would measure without noise and steps; see `respond`."""
     sensor = tuple(
         dataclasses.replace(effect, noise_rms_um=0.0, converter_bits=32)
         if isinstance(effect, DisplacementSensor)

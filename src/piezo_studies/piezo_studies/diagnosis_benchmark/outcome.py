@@ -11,7 +11,7 @@ CLEAR = 3.0
 """Contribution over the noise from which an effect should be named first."""
 
 AS_STRONG = 0.5
-"""Of two effects either may come first if the weaker has at least this part of the stronger."""
+"""Either of two effects may come first if the weaker has at least this part of the stronger."""
 
 TARGETS = {
     "named_first_percent": (">=", 95.0),
@@ -23,7 +23,7 @@ ERROR_RATIO = 1.2
 
 
 def strongest(result):
-    """Causes that may come first, and the contribution of the strongest over the noise.
+    """Return the causes that may come first, and the contribution of the strongest over the noise.
 
     An effect that was there when the model was identified is in its parameters as far as they can
     explain it: what counts is the rest, and no more than what the model lacks in all.

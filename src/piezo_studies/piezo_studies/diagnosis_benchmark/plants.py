@@ -76,7 +76,7 @@ def _hysteresis(effect, random, size):
 
 
 def _creep(effect, random):
-    """Shifted in time, and more or less of it."""
+    """Return the creep shifted in time, and more or less of it."""
     poles, zeros = np.array(effect.poles_rad_per_s), np.array(effect.zeros_rad_per_s)
     time, amount = _factor(random, 1.5), _factor(random, 1.6)
     return replace(

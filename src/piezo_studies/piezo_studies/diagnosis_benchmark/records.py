@@ -17,11 +17,11 @@ RAMP_S = 0.1
 FAST_HZ, SLOW_HZ = 40_000.0, 1000.0
 """Sample clocks: of fast experiments, and of a logger for slow ones."""
 LEAST_CLOCK_HZ = 10_000.0
-"""Of the stage, however slow the logger: what happens between two of its samples shows in them."""
+"""No stage is slower, whatever the logger: what happens between its samples shows in them."""
 
 LOWEST_V, LEVELS_SPAN_V = 5.0, 90.0
 MOST_CHANGE_V = 45.0
-"""In a sample; the stage node allows 50 V."""
+"""No sample changes more; the stage node allows 50 V."""
 
 
 def designed(random, slow):
@@ -45,7 +45,7 @@ def sweep(random, slow):
 
 
 def random_levels(random, slow):
-    """Levels at random, each held for the same time; the slew limit bounds their distance."""
+    """Draw levels, each held for the same time; the slew limit bounds their distance."""
     changes_v = random.uniform(-MOST_CHANGE_V, MOST_CHANGE_V, 56 if slow else 80)
     levels_v = LOWEST_V + _folded(LEVELS_SPAN_V, np.cumsum(changes_v))
     return _held("random_levels", levels_v, 0.5 if slow else 0.01, SLOW_HZ if slow else FAST_HZ)
@@ -67,7 +67,7 @@ def tracking(random, slow):
 
 
 def _folded(span, values):
-    """Values reflected at 0 and at the span until they lie between."""
+    """Return the values reflected at 0 and at the span until they lie between."""
     return span - np.abs(values % (2.0 * span) - span)
 
 
@@ -77,7 +77,7 @@ KINDS = {
 
 
 def identification_experiments():
-    """Designed experiments, shorter than usual, from which the model is identified."""
+    """Return the designed experiments, shorter than usual, from which the model is identified."""
     limits = StageLimits(sample_rate_hz=SLOW_HZ)
     return {
         "creep": experiments.creep(replace(limits, sample_rate_hz=100.0)),
@@ -91,7 +91,7 @@ def _held(name, levels_v, hold_s, rate_hz):
 
 
 def commanded(experiment):
-    """Voltage with the ramps from and to rest, (N,), and the flags of each sample."""
+    """Return the voltage with the ramps from and to rest, (N,), and the flags of each sample."""
     waveform_v = np.tile(experiment.voltage_v, experiment.repeats)
     samples = round(RAMP_S / experiment.sample_period_s)
     ramp = np.arange(1, samples + 1) / samples
@@ -105,7 +105,7 @@ def commanded(experiment):
 
 
 def surroundings(experiment, seed):
-    """Of a plant that plays the experiment with a sample clock of its own period."""
+    """Return those of a plant that plays the experiment with a sample clock of its own period."""
     return Surroundings(experiment.sample_period_s, REST_V, seed)
 
 

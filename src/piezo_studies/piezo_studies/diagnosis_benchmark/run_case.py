@@ -26,7 +26,7 @@ STRUCTURE = ResponseOrder(creep_pairs=4, modes=2, antiresonances=0)
 """The structure that the models have, if the recordings show as much of it."""
 
 WEAKEST_MULTIPLE = 1e-2
-"""Of the noise, below which a recording does not show an effect at all."""
+"""This multiple of the noise is that below which a recording does not show an effect at all."""
 
 
 def identified_model(plant, seed):
@@ -62,7 +62,7 @@ def _identified(recordings, order):
 
 
 def clean_model(seed, plant):
-    """Model of a plant without effects, by the numbers of suite and plant."""
+    """Return the model of a plant without effects, by the numbers of suite and plant."""
     return identified_model(draw_plant((seed, plant)), 1000 * seed + plant)
 
 
@@ -129,13 +129,13 @@ def run_case(case, model):
 
 
 def _least_error_um(model, recording):
-    """Error on held-out data without any effect, the model's parameters tuned."""
+    """Return the error on held-out data without any effect, the model's parameters tuned."""
     regression = first_regression(simulate_recordings(model, [recording]))
     return regression.left_um(regression.fit(()))
 
 
 def _lacking_um(diagnosis):
-    """RMS of what the model, its parameters tuned, leaves of the recording beyond the noise."""
+    """Return the RMS of what the tuned model leaves of the recording beyond the noise."""
     regression = diagnosis.selection.regression
     rms_tolerances = np.sqrt(lack_of_fit(regression, diagnosis.selection.start))
     return float(rms_tolerances * np.sqrt(np.mean(regression.tolerance_um**2)))
@@ -154,7 +154,7 @@ def _drawn(cause, plant, voltage_v, surroundings, multiple, seed, clock_samples)
 
 
 def _beyond_model_um(part, added_um):
-    """RMS of what offset, initial creep and other parameters of the model leave of a signal."""
+    """Return the RMS of what offset, initial creep and a tuned model leave of a signal."""
     rows = np.arange(part.begin, added_um.size)
     columns = np.column_stack([
         nuisance_regressors(part, rows), parameter_sensitivities(part, rows)])

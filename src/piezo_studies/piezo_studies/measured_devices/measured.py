@@ -40,13 +40,13 @@ of them ten times larger or smaller the errors are 0.38 to 0.42 % and 0.41 to 0.
 RINGING_FITTED_S = 0.012
 RINGING_SHOWN_S = 0.032
 RINGING_MODES = 2
-"""In the band of the sensor; what a third one would explain is no vibration, but damped out."""
+"""So many are in the band of the sensor; a third is damped out, and no vibration."""
 
 FITTED_CYCLES, TESTED_CYCLES = 4, 2
 
 BAND_HZ = (1.0, 1000.0)
 RISE_HZ = (1.0, 20.0)
-"""Where the gain of the nanopositioner rises towards low frequencies."""
+"""In this band the gain of the nanopositioner rises towards low frequencies."""
 
 ORDER = ResponseOrder(creep_pairs=2, modes=4, antiresonances=3)
 """11 states, where the published model has 12. The information criterion alone would spend the
@@ -83,7 +83,7 @@ class Figure:
 
     @property
     def is_reached(self):
-        """True if ours is within its bound."""
+        """Tell whether ours is within its bound."""
         return self.ours <= self.bound
 
 
@@ -106,7 +106,7 @@ class Ringing:
 
 
 def nrmse_percent(prediction):
-    """RMS error over the measured range, offset removed."""
+    """Return the RMS error over the measured range, offset removed."""
     return e_rms_percent(prediction.measured_um, prediction.simulated_um, remove_offset=True)
 
 
@@ -238,7 +238,7 @@ def nanopositioner(directory):
 
 
 def _ringing(response):
-    """Dynamics of the first ringing, and how it goes on."""
+    """Return the dynamics of the first ringing, and how it goes on."""
     estimate = estimate_jump_dynamics(response.first(RINGING_FITTED_S), RINGING_MODES)
     dynamics = estimate.model
     basis = response.basis(dynamics)

@@ -95,7 +95,7 @@ SETS = {"scanner": _scanner, "cantilever": _cantilever, "nanopositioner": _nanop
 
 
 def table(figures):
-    """Lines of text with a row for each figure.
+    """Return the lines of text with a row for each figure.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ SECTION = "4.6.2"
 
 
 def study():
-    """Gain and mode that the frequency response shows, beside the true ones.
+    """Compute the gain and mode that the frequency response shows, beside the true ones.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def fit_response(frequency_hz, response):
 
 
 def _response(input, output):
-    """Frequencies and response by averaged spectra."""
+    """Return the frequencies and response by averaged spectra."""
     frequency_hz, cross = csd(input, output, CLOCK_HZ, nperseg=SEGMENT)
     _, power = welch(input, CLOCK_HZ, nperseg=SEGMENT)
     # Held input: half a sample of delay.
@@ -102,7 +102,7 @@ def _response(input, output):
 
 
 def _first_gain(hysteresis, span_v):
-    """Gain of the fundamental of a sine between 0 V and a span."""
+    """Return the gain of the fundamental of a sine between 0 V and a span."""
     phase = 2.0 * np.pi * np.arange(2000) / 1000
     output_um = hysteresis.simulate(0.5 * span_v * (1.0 - np.cos(phase)))[1000:]
     return float(abs(2.0 * np.mean(output_um * np.exp(-1j * phase[1000:])) / (0.5 * span_v)))

@@ -29,7 +29,7 @@ SECTION = "2.3.3"
 
 
 def study():
-    """RMS tracking errors.
+    """Compute the RMS tracking errors.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def study():
 
 
 def estimated_model():
-    """Hysteresis from the samples of one sine; least norm can leave a density below zero."""
+    """Return hysteresis from the samples of one sine; least norm can leave a density below zero."""
     data = one_sine()
     voltage_v = input_v(np.arange(SAMPLES) * SAMPLE_PERIOD_S)
     decomposition = truncated_svd(data.equations, rank=RANK)
@@ -66,7 +66,7 @@ def estimated_model():
 
 
 def track(reference_um, feedforward_v, proportional, integral_per_s):
-    """Displacement of the true hysteresis and its offset under feedforward and PI feedback."""
+    """Return the displacement of the true hysteresis under feedforward and PI feedback."""
     truth = PreisachModel(0.0, HIGHEST_V, np.tril(np.full((LEVELS, LEVELS), DENSITY)))
     memory = truth.memory()
     displacement_um = np.empty_like(reference_um)

@@ -31,7 +31,7 @@ SECTION = "3.4.1"
 
 
 def study():
-    """Rank, condition, drift and the error of the fit.
+    """Compute the rank, condition, drift and the error of the fit.
 
     Returns
     -------

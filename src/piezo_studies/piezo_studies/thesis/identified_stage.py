@@ -28,7 +28,7 @@ DYNAMICS = (
 
 @cache
 def identified_stage():
-    """Model of the simulated stage, identified over the amplifier's whole range."""
+    """Return the model of the simulated stage, identified over the amplifier's whole range."""
     slow, quick, harmonics = (
         record_experiment(experiments.named_experiment(name), seed=seed)
         for seed, name in enumerate(("creep", "dynamics", "hysteresis"), start=1)

@@ -26,7 +26,7 @@ FALLING_BANDWIDTH_HZ = 1000.0
 
 
 def study():
-    """Errors and displacement with the inverse and without.
+    """Compute the errors and displacement with the inverse and without.
 
     Returns
     -------
@@ -53,7 +53,7 @@ def study():
 
 
 def falling_triangle_um():
-    """One period of three triangles at 100 Hz, each smaller than the one before, without corners.
+    """Return one period of three triangles at 100 Hz, each smaller, and without corners.
 
     The thesis does not tell their amplitudes.
     """
@@ -77,7 +77,7 @@ def _compare(rows, name, reference_um, clock_hz, thesis):
 
 
 def last_period_um(reference_um, mode, clock_hz):
-    """Displacement in the last period of a run, about the mean of the reference."""
+    """Return the displacement in the last period of a run, about the mean of the reference."""
     periods = max(2, round(0.5 * clock_hz / reference_um.size))
     plan = plan_feedforward(
         reference_um, identified_stage(), mode, sample_period_s=1.0 / clock_hz,

@@ -24,13 +24,13 @@ LEVELS = 10
 HARMONIC_PERIOD_S = 1.0
 SAMPLE_PERIOD_S = 1e-3
 DRAWS = 9
-"""Of the noise; the median of the errors is told."""
+"""The noise is drawn so often; the median of the errors is told."""
 
 SECTION = "4.6.2"
 
 
 def study():
-    """Density errors by least squares and by the smoothed fit.
+    """Compute the density errors by least squares and by the smoothed fit.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def study():
         return lambda output_um: smoothed_density(voltage_v, output_um, levels_v, chosen)
 
     def error(method):
-        """Median over the draws of the noise, percent."""
+        """Return the median over the draws of the noise, percent."""
         return float(np.median([
             100.0 * np.linalg.norm(method(output_um).density_um_per_v2 - true)
             / np.linalg.norm(true)

@@ -21,13 +21,13 @@ SECTION = "4.6.1"
 
 
 def square_wave(period_s, sample_period_s, periods):
-    """Voltages that begin at the upper level."""
+    """Return the voltages that begin at the upper level."""
     half = round(0.5 * period_s / sample_period_s)
     return np.tile(np.repeat([HIGHEST_V, 0.0], half), periods)
 
 
 def study():
-    """Errors of the parameters, root mean squares over the draws of the noise.
+    """Compute the errors of the parameters, root mean squares over the draws of the noise.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def study():
 
 
 def errors_percent(seed):
-    """Errors with one draw of the noise, in the order of the table; of pairs the larger."""
+    """Return errors with one draw of the noise, in the order of the table; of pairs the larger."""
     plant = known_plant()
     slow = record_model("creep", plant, square_wave(CREEP_PERIOD_S, CREEP_SAMPLE_S, CREEP_PERIODS),
                         CREEP_SAMPLE_S, NOISE_UM, seed)
@@ -78,7 +78,7 @@ def errors_percent(seed):
 
 
 def least_errors_percent():
-    """Cramer-Rao bounds of time constant, frequency and damping in the part that is used.
+    """Return Cramer-Rao bounds of time constant, frequency and damping in the part that is used.
 
     Gain and offset of the hysteresis are free, the creep is known.
     """
@@ -104,7 +104,7 @@ def least_errors_percent():
 
 
 def _percent(found, true):
-    """Largest relative error."""
+    """Return the largest relative error."""
     return float(100.0 * np.max(np.abs(np.divide(found, true) - 1.0)))
 
 

@@ -14,7 +14,7 @@ CREEP_GAIN = 2.0
 
 
 def density_um_per_v2(levels_v):
-    """Density 2 (0.1 + 0.05 (alpha + beta)) at the middles of cells, shape (L, L)."""
+    """Return the density 2 (0.1 + 0.05 (alpha + beta)) at the middles of cells, shape (L, L)."""
     middles_v = 0.5 * (levels_v[:-1] + levels_v[1:])
     return np.tril(CREEP_GAIN * (0.1 + 0.05 * (middles_v[:, None] + middles_v)))
 

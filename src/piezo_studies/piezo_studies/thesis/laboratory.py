@@ -80,7 +80,7 @@ def record_model(name, model, voltage_v, sample_period_s, noise_um, seed=1):
 
 
 def recording(name, voltage_v, displacement_um, clock_hz, held=1, before=0):
-    """Uniform samples as a recording, of which the first `before` are a ramp."""
+    """Return the uniform samples as a recording, of which the first `before` are a ramp."""
     flags = np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32)
     flags[:before] = Flag.RAMPING
     return Recording(

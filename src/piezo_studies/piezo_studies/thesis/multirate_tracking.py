@@ -17,7 +17,7 @@ SINES = ((500.0, 21.0, 2.3), (1000.0, 10.25, 2.2))
 COLUMNS = (("open loop", "open_loop", 40), ("PID at 40 kHz", "pid", FAST),
            ("feedforward", "feedforward", 40), ("composite", "composite", 40))
 SINGLE_RATE_LOSS = {500.0: 1.68, 1000.0: 1.46}
-"""By how much the errors of the thesis grow with one rate and a reduced order (5.3.3)."""
+"""This is by how much the errors of the thesis grow with one rate and a reduced order (5.3.3)."""
 
 INVERSE_SINES = (40.0, 80.0), (100.0, 40.0), (500.0, 21.0)
 SLOW_SINGLE_RATE_HZ = 250.0
@@ -28,7 +28,7 @@ HIGHEST_FEEDBACK_HZ = 200.0
 
 
 def study():
-    """Errors, transients, spectra; and what one rate for both branches does.
+    """Compute the errors, transients, spectra; and what one rate for both branches does.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def study():
 
 
 def settling_s(error_um):
-    """Time from the jump until the mean over a tick stays within 5 % of the offset."""
+    """Return the time from the jump until the mean over a tick stays within 5 % of the offset."""
     mean_um = error_um[: error_um.size // TICK * TICK].reshape(-1, TICK).mean(axis=1)
     jump = round(JUMP_S * CLOCK_HZ / TICK)
     outside = np.flatnonzero(np.abs(mean_um[jump:] - mean_um[-TICK:].mean()) > SETTLED * OFFSET_UM)
@@ -76,7 +76,7 @@ def settling_s(error_um):
 
 
 def draw_transient(axes, error_um, title):
-    """Error about the jump."""
+    """Draw the error about the jump."""
     shown = slice(round((JUMP_S - 0.01) * CLOCK_HZ), round((JUMP_S + 0.04) * CLOCK_HZ))
     time_ms = 1e3 * (np.arange(error_um.size) / CLOCK_HZ - JUMP_S)
     axes.plot(time_ms[shown], error_um[shown], **MODE_STYLES["composite"])
@@ -84,7 +84,7 @@ def draw_transient(axes, error_um, title):
 
 
 def draw_spectra(axes, tracked, title):
-    """Spectra of feedforward and feedback; returns the feedback's power below 200 Hz (%)."""
+    """Draw spectra of feedforward and feedback; returns the feedback's power below 200 Hz (%)."""
     count = tracked.error_um.size
     feedback_v = tracked.played.feedback_v[-count:]
     for voltage_v, style in (

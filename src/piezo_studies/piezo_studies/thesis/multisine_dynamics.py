@@ -35,7 +35,7 @@ def multisine_v():
 
 
 def study():
-    """Parameters by output error and by ARMAX, and the error of the simulation.
+    """Compute the parameters by output error and by ARMAX, and the error of the simulation.
 
     Returns
     -------

@@ -68,7 +68,7 @@ class OneSine:
         return float(np.linalg.norm(error)), float(100.0 * np.linalg.norm(error) / norm)
 
     def output_error_um(self, weights_um):
-        """RMS error of the output under the inputs that were not used."""
+        """Return the RMS error of the output under the inputs that were not used."""
         return float(np.sqrt(np.mean((self.unseen @ (weights_um - DENSITY * self.area_v2)) ** 2)))
 
 
@@ -91,7 +91,7 @@ def one_sine():
 
 
 def study():
-    """Errors of the three estimates, and the rank.
+    """Compute the errors of the three estimates, and the rank.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def study():
 
 
 def updated_estimates(data, decomposition, fixed_rank):
-    """Estimates before and after each of the new points."""
+    """Return the estimates before and after each of the new points."""
     estimates = [decomposition.solution()]
     for row, output in zip(data.rows[SAMPLES:], data.output_um[SAMPLES:], strict=True):
         decomposition = decomposition.updated(row, output, fixed_rank)

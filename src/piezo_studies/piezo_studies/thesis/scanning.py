@@ -29,7 +29,7 @@ OPEN_LOOP = "the thesis sets the gain at each frequency; ours is that of the who
 BEST_PI = f"by the identified model, with a peak sensitivity of up to {PEAK_SENSITIVITY:g}"
 THESIS_COMPARED_PERCENT = 1.76
 FIRST_MODE_HZ = 453.5
-"""That Table 3.2 compares scanning frequencies with."""
+"""Table 3.2 compares scanning frequencies with this one."""
 
 
 def study():

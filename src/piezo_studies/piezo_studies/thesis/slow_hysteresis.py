@@ -37,7 +37,7 @@ SECTION = "2.4.1"
 
 
 def full_swing_v():
-    """One second of a sine between 0 and the highest voltage."""
+    """Return one second of a sine between 0 and the highest voltage."""
     return stair_harmonics(np.arange(round(CLOCK_HZ)) / CLOCK_HZ, [HIGHEST_V], 1.0)
 
 
@@ -48,7 +48,7 @@ def preparation_v():
 
 @cache
 def identified_hysteresis():
-    """Density by truncated SVD, and the samples it was fitted to."""
+    """Return the density by truncated SVD, and the samples it was fitted to."""
     levels_v = np.linspace(0.0, HIGHEST_V, LEVELS + 1)
     time_s = np.arange(round(LEVELS * HARMONIC_PERIOD_S * CLOCK_HZ)) / CLOCK_HZ
     voltage_v = stair_harmonics(time_s, stair_amplitudes(LEVELS, HIGHEST_V), HARMONIC_PERIOD_S)
@@ -66,7 +66,7 @@ def identified_hysteresis():
 
 
 def study():
-    """Singular values, and how the identified hysteresis does at 1 Hz.
+    """Compute the singular values, and how the identified hysteresis does at 1 Hz.
 
     Returns
     -------

@@ -26,7 +26,7 @@ THESIS_PERCENT = {"feedforward": (6.08, None), "PID (2.31) as printed": (0.15, 3
 
 
 def study():
-    """Tracking errors, and the PID.
+    """Compute the tracking errors, and the PID.
 
     Returns
     -------

@@ -23,7 +23,7 @@ CENTRE_UM, AMPLITUDE_UM = 30.0, 40.0
 
 
 def study():
-    """Errors of the hysteresis' output, and the time that both inverses take.
+    """Compute the errors of the hysteresis' output, and the time that both inverses take.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def study():
 
 
 def invert_by_steps(hysteresis, wanted_um, step_v=STEP_V, tolerance_um=0.0):
-    """Voltages found step by step, each sample from the voltage of the one before.
+    """Return the voltages found step by step, each sample from the voltage of the one before.
 
     Parameters
     ----------

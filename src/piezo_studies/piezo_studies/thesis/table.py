@@ -86,7 +86,7 @@ def as_json(rows):
 
 
 def _digits(value):
-    """Four significant digits, integers in full."""
+    """Format four significant digits, integers in full."""
     if float(value).is_integer() and abs(value) < 1e6:
         return f"{value:.0f}"
     return f"{value:.4g}"

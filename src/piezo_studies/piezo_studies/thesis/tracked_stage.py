@@ -63,12 +63,12 @@ class Tracked:
 
     @property
     def remark(self):
-        """The true position's error beside the sensor's, for a table."""
+        """Return the true position's error beside the sensor's, for a table."""
         return f"true position: {self.true_e_rms_percent:.2g} %"
 
     @property
     def feedforward_remark(self):
-        """What is left of a feedforward's error without the offset that it cannot know."""
+        """Tell what is left of a feedforward's error without the offset that it cannot know."""
         return f"{self.centred_e_rms_percent:.2g} % without the offset, which it cannot know"
 
 

@@ -18,7 +18,7 @@ SECTION = "4.7.2"
 
 
 def sine_v(frequency_hz, clock_hz, duration_s):
-    """Sine between 0 and 50 V."""
+    """Return the sine between 0 and 50 V."""
     time_s = np.arange(round(duration_s * clock_hz)) / clock_hz
     return 0.5 * HIGHEST_V * (1.0 - np.cos(2.0 * np.pi * frequency_hz * time_s))
 
@@ -32,7 +32,7 @@ def multi_frequency_v(duration_s):
 
 
 def falling_triangle_v(duration_s):
-    """Triangles of falling amplitude, over and over."""
+    """Return the triangles of falling amplitude, over and over."""
     half = round(0.5 * CLOCK_HZ / TRIANGLE_HZ)
     ramp = np.arange(half) / half
     period_v = np.concatenate([
@@ -43,7 +43,7 @@ def falling_triangle_v(duration_s):
 
 
 def inputs():
-    """Name, figure of the thesis in percent, voltages and clock of each input."""
+    """Return the name, figure of the thesis in percent, voltages and clock of each input."""
     return (
         ("0.05 Hz", 0.51, sine_v(0.05, SLOW_CLOCK_HZ, 40.0), SLOW_CLOCK_HZ),
         ("4 Hz", 1.08, sine_v(4.0, CLOCK_HZ, 1.0), CLOCK_HZ),
@@ -55,7 +55,7 @@ def inputs():
 
 
 def study():
-    """Relative errors e_y of Table 4.1, by the sensor.
+    """Compute the relative errors e_y of Table 4.1, by the sensor.
 
     Returns
     -------

@@ -12,7 +12,7 @@ CELLS = 50
 
 
 def wrong_model(part, seed):
-    """Model of the default plant with a random sign of the error of every parameter.
+    """Return the model of the default plant with a random sign of the error of every parameter.
 
     Parameters
     ----------

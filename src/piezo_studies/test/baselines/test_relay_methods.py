@@ -20,7 +20,7 @@ from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
 
 
 def designed(level_count, highest_v, harmonic_period_s=1.0):
-    """Voltages of the input (4.6) at the instants of the rule (4.10), and the levels."""
+    """Return the voltages of the input (4.6) at the instants of the rule (4.10), and the levels."""
     amplitudes_v = stair_amplitudes(level_count, highest_v)
     times_s = stair_sample_times(amplitudes_v, harmonic_period_s, amplitudes_v)
     voltage_v = stair_harmonics(times_s, amplitudes_v, harmonic_period_s)
@@ -28,7 +28,7 @@ def designed(level_count, highest_v, harmonic_period_s=1.0):
 
 
 def loop_v(count=4000):
-    """The sine of the thesis' 2.2.4, on 0 to 10 V."""
+    """Return the sine of the thesis' 2.2.4, on 0 to 10 V."""
     return 5.0 * (1.0 - np.cos(5.0 * np.arange(count) * 1e-3))
 
 

@@ -38,7 +38,7 @@ def model():
 
 
 def measured(model, voltage_v, sample_period_s, noise_um=0.0):
-    """Recording of what the model itself would have measured."""
+    """Return the recording of what the model itself would have measured."""
     displacement_um = model.simulate(voltage_v, sample_period_s)
     displacement_um += noise_um * np.random.default_rng(1).standard_normal(voltage_v.size)
     stride = round(sample_period_s * RATE_HZ)
@@ -64,7 +64,7 @@ def recordings(model):
 
 @pytest.fixture(scope="module")
 def drawn(model, recordings, tracking_recordings, tmp_path_factory, picture_faults):
-    """The report, and what is wrong with its pictures."""
+    """Return the report, and what is wrong with its pictures."""
     directory = tmp_path_factory.mktemp("runs")
     runs = [read_tracked_run(tracking_recordings.write(
         directory / f"{mode}_{frequency_hz:g}", mode, frequency_hz, error_um=0.1))

@@ -17,7 +17,7 @@ SAMPLES = 4000  # 0.1 s
 
 
 def sine_error(size_um, offset_um=0.0):
-    """An error of this RMS around an offset, orthogonal to the reference."""
+    """Return an error of this RMS around an offset, orthogonal to the reference."""
     phase = 2 * np.pi * 300.0 * np.arange(SAMPLES) / 40_000
     return offset_um + size_um * np.sqrt(2.0) * np.sin(phase)
 

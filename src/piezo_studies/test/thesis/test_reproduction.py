@@ -27,7 +27,7 @@ def by_quantity(study):
 
 
 def page_rows():
-    """Cells of the table on the page."""
+    """Return the cells of the table on the page."""
     lines = (DOCS / "reproduction.md").read_text(encoding="utf-8").splitlines()
     cells = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines
              if line.startswith("| ")]
@@ -39,7 +39,7 @@ def test_the_designed_input_tells_ten_densities_apart_and_the_usual_ones_seven()
 
 
 def fault_free(study, picture_faults):
-    """A study, whose pictures can be read in grey and have units."""
+    """Return a study, whose pictures can be read in grey and have units."""
     assert picture_faults(lambda: list(map(small_png, study.pictures.values()))) == []
     return study
 

@@ -146,12 +146,12 @@ class _Iteration:
 
 
 def tick_frequencies(tick_s: float, count: int = FREQUENCIES) -> FloatArray:
-    """Zero and frequencies up to half the rate, evenly spaced on a logarithmic axis (Hz)."""
+    """Space frequencies evenly on a logarithmic axis up to half the rate, behind zero (Hz)."""
     return np.r_[0.0, np.geomspace(LOWEST_HZ, 0.5 / tick_s, count)]
 
 
 def constant_scaling(responses: ComplexArray, scalars: int) -> FloatArray:
-    """Positive numbers d that make the peak of the largest singular value of D M D^-1 smallest.
+    """Find positive numbers d for the lowest peak of the largest singular value of D M D^-1.
 
     Parameters
     ----------
@@ -236,7 +236,7 @@ def scale(plant: control.StateSpace,
 
 
 def _inverse(system: control.StateSpace) -> control.StateSpace:
-    """Inverse of a system with direct feedthrough."""
+    """Return the inverse of a system with direct feedthrough."""
     d = np.linalg.inv(system.D)
     return control.ss(system.A - system.B @ d @ system.C, system.B @ d, -d @ system.C, d,
                       system.dt)

@@ -46,7 +46,7 @@ def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
 
 
 def hysteresis_gain_range(model: StageModel) -> tuple[float, float]:
-    """Smallest and largest secant gain (3.16) of a model's hysteresis at mid-travel (um/V)."""
+    """Return the secant gains (3.16) of the hysteresis at mid-travel, from least to most (um/V)."""
     hysteresis = model.hysteresis
     middle_v = (hysteresis.voltage_min_v + hysteresis.voltage_max_v) / 2
     return hysteresis.gain_um_per_v([middle_v])

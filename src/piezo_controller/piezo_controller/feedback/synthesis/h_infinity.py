@@ -84,7 +84,7 @@ def close(plant: control.StateSpace, controller: control.StateSpace) -> control.
 
 
 def is_stable(system: control.StateSpace) -> bool:
-    """Whether all poles of a discrete system lie inside the unit circle."""
+    """Tell whether all poles of a discrete system lie inside the unit circle."""
     return bool(np.abs(system.poles()).max(initial=0.0) < 1.0)
 
 

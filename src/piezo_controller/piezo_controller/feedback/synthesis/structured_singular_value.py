@@ -12,7 +12,7 @@ COMPLEX = 2
 
 def structured_singular_values(responses: ComplexArray,
                                scalars: int) -> tuple[FloatArray, FloatArray]:
-    """Upper bound of the structured singular value, frequency by frequency.
+    """Return the upper bound of the structured singular value, frequency by frequency.
 
     The structure is `scalars` complex numbers of their own, then one full complex block, the
     performance, from all further inputs to all further outputs; zeros make it square.
@@ -43,5 +43,5 @@ def structured_singular_values(responses: ComplexArray,
 
 
 def sampled_response(system: control.StateSpace, points: ComplexArray) -> ComplexArray:
-    """Response of a discrete system at points of the z plane, shape (points, outputs, inputs)."""
+    """Return the response of a discrete system on the z plane, shape (points, outputs, inputs)."""
     return np.moveaxis(system(points, squeeze=False), -1, 0)

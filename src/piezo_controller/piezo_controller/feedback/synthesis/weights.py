@@ -102,7 +102,7 @@ class DesignWeights:
         return replace(self, **{name: getattr(self, name).stretched(factor) for name in names})
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers and lists, in the layout of the weights file."""
+        """Return plain numbers and lists, in the layout of the weights file."""
         return {name: {key: list(item) if isinstance(item, tuple) else item
                        for key, item in value.items()} if isinstance(value, dict) else value
                 for name, value in asdict(self).items()}

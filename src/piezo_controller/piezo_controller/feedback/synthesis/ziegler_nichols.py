@@ -96,7 +96,7 @@ def ultimate_point_by_relay(model: StageModel, samples_per_tick: int, clock_peri
 
 def ultimate_point_by_response(plant: control.StateSpace,
                                largest_gain_um_per_v: float) -> UltimatePoint:
-    """From the linear dynamics, with the ultimate gain corrected for the hysteresis.
+    """Take the ultimate point from the linear dynamics, the gain corrected for the hysteresis.
 
     (3.18), (3.19): the period is that at which the phase crosses -180 degrees; the gain
     margin there is divided by the largest gain of the hysteresis.

@@ -93,7 +93,7 @@ def test_scaling_leaves_the_structured_singular_value(two_block_problem):
 
 @pytest.fixture(scope="module")
 def two_block_problem():
-    """A lag with an uncertain gain, whose error and control are weighted, in units that differ."""
+    """Return a lag with an uncertain gain, whose error and control are weighted in other units."""
     plant = control.ss([[0.9]], [[0.1]], [[1.0]], [[0.0]], TICK_S)
     d_scale = 10.0
     a = plant.A

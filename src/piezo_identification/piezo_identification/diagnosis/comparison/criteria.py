@@ -154,5 +154,5 @@ def simplest_first(regression: Regression, fits: list[Fit]) -> list[Fit]:
 
 
 def _left(regression: Regression, fit: Fit) -> float:
-    """RMS of what is left beyond the noise on held-out data, in tolerances."""
+    """Return the RMS of what is left beyond the noise on held-out data, in tolerances."""
     return np.sqrt(max(CRITERIA.noticeable**2, lack_of_fit(regression, fit)))

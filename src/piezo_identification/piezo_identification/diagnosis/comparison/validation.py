@@ -48,7 +48,7 @@ class Validation:
 
     @property
     def source(self) -> str:
-        """Where the samples are from."""
+        """Tell where the samples are from."""
         if self.holdout is None:
             return "stretches of the recordings that were not fitted"
         return str(self.holdout.path)
@@ -138,7 +138,7 @@ class Validation:
 
     @cached_property
     def _given(self) -> "_Samples":
-        """Samples of the model as given."""
+        """Return the samples of the model as given."""
         regression = self.regression
         if self.holdout is not None:
             return _predicted(regression.dataset.model, self.holdout)

@@ -64,7 +64,7 @@ class CorrelationTest:
 
     @property
     def passed(self) -> bool:
-        """Whether as few lags lie outside as chance has it, and none of them far."""
+        """Tell whether as few lags lie outside as chance has it, and none of them far."""
         lags = self.lags.size
         if np.abs(self.correlation).max() > 2.0 * self.band:
             return False
@@ -284,7 +284,7 @@ def dependences(residual_um: FloatArray, displacement_um: FloatArray, voltage_v:
 
 
 def _branches(voltage_v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """For each sample the span of its branch, and the voltage at which the branch began."""
+    """Return the span of the branch of each sample, and the voltage at which it began."""
     points = turning_points(voltage_v, 1e-3 * np.ptp(voltage_v))
     span, start_v = np.zeros(voltage_v.size), np.full(voltage_v.size, voltage_v[0])
     for start, end in zip(points[:-1], points[1:], strict=True):
@@ -294,7 +294,7 @@ def _branches(voltage_v: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _correlated_samples(residual_um: FloatArray) -> float:
-    """Neighbours for which one independent sample stands."""
+    """Return the number of neighbours for which one independent sample stands."""
     residual = residual_um - residual_um.mean()
     energy = residual @ residual
     if energy == 0.0:

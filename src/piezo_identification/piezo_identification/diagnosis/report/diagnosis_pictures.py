@@ -28,7 +28,7 @@ DOTS_PER_INCH = 110
 MOST_POINTS = 20_000
 CLOSE_SAMPLES = 800
 LOWEST_SHOWN = 0.1
-"""Of the noise, in spectra."""
+"""Spectra show no less than this part of the noise."""
 
 
 def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> bytes:

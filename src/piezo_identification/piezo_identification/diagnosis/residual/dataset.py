@@ -142,7 +142,7 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
 
 
 def _extent(simulated: Sequence[SimulatedRecording]) -> Extent:
-    """How far the recordings go."""
+    """Tell how far the recordings go."""
     return Extent(
         max(float(np.ptp(part.measured_um[part.begin :])) for part in simulated),
         min(float(part.voltage_v.min()) for part in simulated),
@@ -154,7 +154,7 @@ def _extent(simulated: Sequence[SimulatedRecording]) -> Extent:
 
 def _split(simulated: Sequence[SimulatedRecording],
            ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.intp], BoolArray]:
-    """Rows of each recording, the stretch of each row, and whether it may be fitted."""
+    """Return the rows of each recording, the stretch of each row, and whether it may be fitted."""
     budget = SPLIT.most_rows // len(simulated)
     rows, numbers = [], []
     for index, part in enumerate(simulated):

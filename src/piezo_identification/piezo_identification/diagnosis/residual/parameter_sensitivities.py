@@ -131,7 +131,7 @@ def perturbed(model: StageModel, changes: FloatArray) -> StageModel:
 
 
 def _width_map(model: StageModel) -> FloatArray:
-    """Logarithms of the factors of the parameters, for a change of each by one width."""
+    """Return the logarithms of the factors of the parameters, for a change of each by one width."""
     pairs = len(model.creep.poles_rad_per_s)
     dynamics = model.dynamics
     others = (

@@ -68,7 +68,7 @@ class Fit:
 
     @property
     def parameter_count(self) -> int:
-        """How many numbers were fitted."""
+        """Return how many numbers were fitted."""
         return sum(fitted_values(effect)[0].size for effect in self.effects
                    if type(effect) is not Outliers)
 

@@ -151,19 +151,19 @@ class SimulatedRecording:
 
     @cached_property
     def repeated_period(self) -> int | None:
-        """Samples after which the voltage repeats, once the start has settled; or None."""
+        """Return samples after which the voltage repeats, once the start has settled; or None."""
         return repeated_period(self.voltage_v[self.begin :])
 
     @cached_property
     def drive_um(self) -> FloatArray:
-        """Displacement if the modes of vibration followed at once: what drives them, (N,)."""
+        """Return what drives the modes: the displacement if they followed at once, (N,)."""
         lag = type(self.model.dynamics)(self.model.dynamics.time_constant_s)
         without_modes = replace(self.model, dynamics=lag, effects=self.model.effects_at("linear"))
         return self.respond(without_modes.linear(), self.input_um)
 
     def _hysteresis(self, hysteresis: PreisachModel,
                     amplified_v: FloatArray) -> tuple[FloatArray, float]:
-        """Output while the waveform plays, and at the first sample of the recording."""
+        """Return the output while the waveform plays, and at the first sample of the recording."""
         memory = hysteresis.memory()
         hysteresis.simulate(self.past_v, memory)
         output_um = hysteresis.simulate(amplified_v, memory)
@@ -183,7 +183,7 @@ class SimulatedRecording:
 
     def _output(self, on_voltage: tuple[Effect, ...], in_series: tuple[Effect, ...],
                 lags: tuple[Effect, ...]) -> FloatArray:
-        """Output of the linear part and the lags behind it, kept for the next time."""
+        """Return the output of the linear part and the lags behind it, kept for the next time."""
         key = on_voltage, in_series, lags
         if key not in self._outputs:
             input_um = self.input_um

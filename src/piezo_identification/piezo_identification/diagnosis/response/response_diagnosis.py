@@ -32,7 +32,7 @@ SLOWEST = 10
 """One in so many frequencies tells the sign of the sensor: the slowest, which nothing delays."""
 
 FEWEST_FREQUENCIES = 4 * SETTINGS.block * SETTINGS.held_out
-"""Of a response: four blocks are then held out."""
+"""A response needs so many, of which four blocks are then held out."""
 
 
 @dataclass(frozen=True, eq=False)

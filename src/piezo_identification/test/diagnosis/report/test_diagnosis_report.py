@@ -30,7 +30,7 @@ def page(diagnosis):
 
 
 def rows(page):
-    """Texts of all table rows."""
+    """Return the texts of all table rows."""
     return [[unescape(text) for text in re.findall(r"<t[dh].*?>(.*?)</t[dh]>", row)]
             for row in re.findall(r"<tr>(.*?)</tr>", page)]
 

@@ -27,7 +27,7 @@ FREQUENCY_HZ = np.geomspace(1.0, 1000.0, 90)
 
 
 def measured(extra, noise=2e-4):
-    """The model's response in another unit times what it does not know."""
+    """Return the model's response in another unit times what it does not know."""
     random = np.random.default_rng(7)
     gain = 0.6 * full_response(MODEL, FREQUENCY_HZ) * extra
     return FrequencyResponse("made up", FREQUENCY_HZ, gain + noise * (
