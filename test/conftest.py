@@ -31,8 +31,8 @@ from piezo_ros.quality import FEEDBACK, SAMPLES
 TIMEOUT_S = 180.0
 OF_THE_SUITE = {
     "test_client_library", "test_diagnose_action", "test_examples", "test_experiments_recorded",
-    "test_general_references", "test_identify_and_track", "test_node_parameters",
-    "test_stage_tracking", "test_stage_waveforms", "test_two_stages",
+    "test_general_references", "test_identify_and_track", "test_impossible_transitions",
+    "test_node_parameters", "test_stage_tracking", "test_stage_waveforms", "test_two_stages",
 }
 """Files whose tests mostly use the fixture ``suite``; elsewhere it is started once more."""
 DOMAINS = range(1, 100)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Start a node, spin it, and close it in order, whatever ends it."""
 
+import gc
 import signal
 import sys
 import time
@@ -20,6 +21,7 @@ from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.parameters import declare
 from piezo_ros.responses import answer_patiently
+from piezo_ros.transitions import answer_impossible_transitions
 
 RCLError = rclpy_implementation.RCLError
 SPIN_TIMEOUT_S = 0.2
@@ -131,16 +133,31 @@ def _start(create_node: Callable[[], Node], args: list[str] | None) -> Node:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         _refuse(str(error).split(", at /")[0])
+    reason = ""
     try:
-        return create_node()
+        node = create_node()
     except ValueError as error:
-        _refuse(str(error))
+        reason = str(error)
     except RCLError as error:  # as where security is asked for that the middleware has not
-        _refuse(" ".join(str(error).split(", at /")[0].split()))
+        reason = " ".join(str(error).split(", at /")[0].split())
+    except SystemExit:  # of `autostart`, whose node has logged why
+        pass
+    else:
+        answer_impossible_transitions(node)
+        return node
+    _leave_ros()
+    _refuse(reason)
+
+
+def _leave_ros() -> None:
+    """Destroy the node that was begun, before Python takes down what its threads stand on."""
+    gc.collect()  # nobody has the node, but its parts refer to each other
+    rclpy.try_shutdown()
 
 
 def _refuse(reason: str) -> NoReturn:
-    print(f"{Path(sys.argv[0]).name}: {reason}", file=sys.stderr)
+    if reason:
+        print(f"{Path(sys.argv[0]).name}: {reason}", file=sys.stderr)
     sys.exit(BAD_INPUT_STATUS)
 
 

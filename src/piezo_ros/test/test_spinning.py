@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A node that cannot start has left ROS before Python ends."""
+
+import subprocess
+import sys
+
+import pytest
+
+REFUSED = """
+import atexit, os, sys
+from pathlib import Path
+from rclpy.lifecycle import LifecycleNode
+from piezo_ros.parameters import declare
+from piezo_ros.spinning import autostart, run_node
+
+class Refused(LifecycleNode):
+    def __init__(self):
+        super().__init__("refused")
+        {failure}
+
+    def on_configure(self, state):
+        raise RuntimeError("of the transition")
+
+def tell():
+    threads = [Path("/proc/self/task", task, "comm").read_text().strip()
+               for task in os.listdir("/proc/self/task")]
+    # It listens to the network in threads of these names as long as a participant lives.
+    print([name for name in threads if name.startswith(("dds.udp", "dds.ev"))])
+
+atexit.register(tell)
+run_node(Refused, ["--ros-args", "-p", "rate_hz:=text"])
+"""
+
+
+@pytest.mark.parametrize(("failure", "line"), [
+    ('declare(self, "rate_hz", 1.0, "Rate (Hz).")', "parameter rate_hz is no float"),
+    ("autostart(self)", ""),
+])
+def test_refused_node_leaves_no_thread_of_the_middleware_behind(failure, line):
+    ended = subprocess.run([sys.executable, "-c", REFUSED.format(failure=failure)],
+                           capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 2
+    assert line in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert ended.stdout.splitlines() == ["[]"]
