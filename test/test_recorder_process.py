@@ -10,7 +10,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
+from piezo_interfaces.msg import FeedbackVoltage, SampleBlock, StageDescription
 from piezo_interfaces.srv import StartRecording, StopRecording
 from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
@@ -21,10 +21,11 @@ from piezo_bringup.processes import Processes
 from piezo_client.client import Client
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.writing.writer import FLUSH_PERIOD_S
-from piezo_ros.quality import SAMPLES
+from piezo_ros.quality import DESCRIPTION, SAMPLES
 
 TIMEOUT_S = 60.0
 NAMESPACE = "/recorded"
+SAMPLE_RATE_HZ = 40_000.0
 
 
 class FedRecorder(Client):
@@ -38,6 +39,9 @@ class FedRecorder(Client):
             self.node.create_publisher(SampleBlock, topic, SAMPLES)
             for topic in ("samples", "ground_truth"))
         self._feedback = self.node.create_publisher(FeedbackVoltage, "feedback", SAMPLES)
+        self._description = self.node.create_publisher(
+            StageDescription, "stage/description", DESCRIPTION)
+        self._description.publish(StageDescription(sample_rate_hz=SAMPLE_RATE_HZ))
         self._start = self.node.create_client(StartRecording, "recorder/start_recording")
         self.diagnostics = []
         self.node.create_subscription(
@@ -101,8 +105,9 @@ def test_every_message_is_recorded_and_numbers_are_told(recorder, tmp_path):
     assert truth.displacement_um[-40:].tolist() == list(range(-499, -459))
     with AnyReader([tmp_path / "run"]) as reader:
         counts = {topic: info.msgcount for topic, info in reader.topics.items()}
-    assert counts == {f"{NAMESPACE}/{topic}": 500
-                      for topic in ("samples", "ground_truth", "feedback")}
+    assert counts == {
+        **{f"{NAMESPACE}/{topic}": 500 for topic in ("samples", "ground_truth", "feedback")},
+        f"{NAMESPACE}/stage/description": 1}
 
     refused = recorder.start(tmp_path, "run")
     assert not refused.success

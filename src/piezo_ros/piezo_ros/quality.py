@@ -20,3 +20,9 @@ FEEDBACK = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=2000,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE)
+
+# Told once, and still there for who comes later; only the newest counts.
+DESCRIPTION = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST, depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -45,6 +45,8 @@ class SimulatedStage:
         If seed or sample rate cannot be used.
     """
 
+    name = "simulated"
+
     def __init__(self, plant: str | Path | PlantConfig | None = None, seed: int = 0,
                  sample_rate_hz: float = 40000.0, rest_voltage_v: float = 0.0) -> None:
         if seed < 0:

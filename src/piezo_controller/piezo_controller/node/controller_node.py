@@ -20,6 +20,7 @@ from piezo_ros.calls import CallFailed
 from piezo_ros.goals import GoalServers
 from piezo_ros.parameters import declare, declare_data_root
 from piezo_ros.spinning import autostart, run_node
+from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderCaller
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import REPORT_PERIOD_S, StageTracker
@@ -28,36 +29,12 @@ from piezo_ros.stage_runs.stage_tracking import REPORT_PERIOD_S, StageTracker
 class ControllerNode(LifecycleNode):
     """Plan the feedforward, let the stage play it, and answer its blocks."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__("controller")
-        self._declare_parameters()
-        self._feedbacks = Feedbacks(self._feedback_settings, self._stage)
-        self._tracker = StageTracker(self)
-        self._recorder = RecorderCaller(self)
-        self._goals = GoalServers(self)
-        self._goals.serve(Track, "controller/track", self._track)
-        autostart(self)
-
-    def _declare_parameters(self):
-        self._stage = StageClock(
-            voltage_range_v=(
-                declare(self, "minimum_voltage_v", -20.0,
-                        "Lowest voltage of the feedforward (V).", -1000.0, 1000.0),
-                declare(self, "maximum_voltage_v", 120.0,
-                        "Highest voltage of the feedforward (V).", -1000.0, 1000.0)),
-            slew_limit_v_per_s=declare(
-                self, "slew_limit_v_per_s", 2.0e6, "Slew limit of the stage (V/s).", 1.0, 1.0e9),
-            rest_voltage_v=declare(
-                self, "rest_voltage_v", 0.0, "Voltage of the stage at rest (V).",
-                -1000.0, 1000.0),
-            sample_rate_hz=declare(
-                self, "sample_rate_hz", 40000.0,
-                "Rate of the stage's sample clock (Hz).", 1000.0, 200000.0),
-            samples_per_tick=declare(
-                self, "samples_per_tick", 40, "Samples of one feedback period.", 1, 4000))
         self._feedback_settings = FeedbackSettings(
             max_feedback_v=declare(
-                self, "max_feedback_v", 20.0, "Largest feedback voltage (V).", 0.001, 1000.0),
+                self, "max_feedback_v", 20.0,
+                "Largest feedback voltage beside a feedforward (V).", 0.001, 1000.0),
             weights=declare(
                 self, "weights", "",
                 "Weights of the feedback design: a file (YAML), thesis, or empty for the default."),
@@ -73,6 +50,13 @@ class ControllerNode(LifecycleNode):
         self._directory = declare(
             self, "directory", "runs", "Where recordings go if a goal names no place.")
         self._run_limits = declare_run_limits(self)
+        self._stage = DescribedStage(self)
+        self._designed: tuple[StageClock, Feedbacks] | None = None
+        self._tracker = StageTracker(self)
+        self._recorder = RecorderCaller(self)
+        self._goals = GoalServers(self)
+        self._goals.serve(Track, "controller/track", self._track)
+        autostart(self)
 
     def wind_down(self):
         """Cancel what runs; return whether it has ended."""
@@ -82,10 +66,13 @@ class ControllerNode(LifecycleNode):
         directory = self._data_root.writable(goal.directory or self._directory)
         self._locate_files(goal)
         model_text = _read_text(goal.model)
+        described = self._stage.wait(progress.check)
+        clock = _clock(described)
         prepared = prepare(
-            _request(goal, model_text, directory), self._stage, self._feedbacks,
+            _request(goal, model_text, directory), clock, self._feedbacks(clock),
             _Preparing(progress, goal.tolerance_um), self._data_root.writable, REPORT_PERIOD_S)
         progress.check()
+        self._stage.check_unchanged(described)
         run, plan = prepared.run, prepared.plan
         account = RunAccount(**self._run_limits, answered=prepared.feedback is not None,
                              streamed=plan.streamed)
@@ -94,7 +81,7 @@ class ControllerNode(LifecycleNode):
                 goal.unrecorded) as recording:
             result.recording = recording.path
             try:
-                self._play(prepared, account, progress, recording)
+                self._play(prepared, clock, account, progress, recording)
             finally:
                 recording.last_sample = self._tracker.last_sample
                 result.missed_feedback = self._tracker.missed_feedback
@@ -102,7 +89,7 @@ class ControllerNode(LifecycleNode):
                     result.e_rms_percent = run.e_rms_percent()
                     result.largest_error_um = run.largest_error_um
                     result.settled_after_s = (
-                        run.settled_after_sample * self._stage.sample_period_s)
+                        run.settled_after_sample * clock.sample_period_s)
             if not (run.complete or progress.cancelled or recording.must_stop):
                 raise CallFailed(
                     f"the stage stopped before the end: {self._tracker.why_ended()}")
@@ -115,13 +102,19 @@ class ControllerNode(LifecycleNode):
             raise CallFailed("; ".join(filter(None, (account.failure, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))
 
+    def _feedbacks(self, clock):
+        """Return what makes the feedbacks for a stage; designs are kept for as long as it stays."""
+        if self._designed is None or self._designed[0] != clock:
+            self._designed = clock, Feedbacks(self._feedback_settings, clock)
+        return self._designed[1]
+
     def _locate_files(self, goal):
         """Take the relative paths of files to read from the data root."""
         goal.model = self._data_root.readable(goal.model)
         for reference in (goal.reference, *goal.then):
             reference.file = self._data_root.readable(reference.file)
 
-    def _play(self, prepared, account, progress, recording):
+    def _play(self, prepared, clock, account, progress, recording):
         plan, run = prepared.plan, prepared.run
 
         def take(block):
@@ -139,8 +132,17 @@ class ControllerNode(LifecycleNode):
 
         self._tracker.run(
             plan.once_voltage_v, plan.period_voltage_v,
-            prepared.ticks(self._stage.samples_per_tick), take, prepared.feedback is not None,
+            prepared.ticks(clock.samples_per_tick), take, prepared.feedback is not None,
             shall_end, report, plan.continuation())
+
+
+def _clock(described):
+    """Return what plans are made for, as the stage describes it."""
+    return StageClock(
+        voltage_range_v=(described.minimum_voltage_v, described.maximum_voltage_v),
+        slew_limit_v_per_s=described.slew_limit_v_per_s,
+        rest_voltage_v=described.rest_voltage_v, sample_rate_hz=described.sample_rate_hz,
+        samples_per_tick=described.samples_per_tick, max_feedback_v=described.max_feedback_v)
 
 
 def _keep_learned(learning, result):

@@ -33,7 +33,8 @@ class FeedbackSettings:
     Attributes
     ----------
     max_feedback_v : float
-        Largest voltage of a feedback beside a feedforward, of either sign (V).
+        Largest voltage of a feedback beside a feedforward, of either sign (V); the stage's own
+        limit holds where that is less.
     weights : str
         Weights of the design: a file, a name of those that come with the package, or empty.
     controller_file : str
@@ -59,6 +60,7 @@ class Feedbacks:
 
     def __init__(self, settings: FeedbackSettings, stage: StageClock) -> None:
         self._settings, self._stage = settings, stage
+        self._max_feedback_v = min(settings.max_feedback_v, stage.max_feedback_v)
         self._designs: dict[tuple[str, str], FeedbackController] = {}
 
     def of_mode(self, mode: str, model: StageModel, model_sha256: str,
@@ -89,19 +91,20 @@ class Feedbacks:
             controller = self._design(FEEDBACK_METHODS[mode], model, model_sha256)
         if not composite:
             # All of the travel is the feedback's work.
-            return MultirateFeedback(controller, feedback_room_v(plan, stage.voltage_range_v))
+            return MultirateFeedback(controller, min(
+                feedback_room_v(plan, stage.voltage_range_v), stage.max_feedback_v))
         if settings.place == "behind_inverse":
             return self.limited(controller)
         if not isinstance(plan, FeedforwardPlan):
             raise ValueError("a streamed reference takes its feedback behind the inverse: set "
                              "feedback_place to behind_inverse")
         return FeedbackBeforeInverse(
-            controller, model, plan, stage.samples_per_tick, settings.max_feedback_v,
+            controller, model, plan, stage.samples_per_tick, self._max_feedback_v,
             stage.rest_voltage_v)
 
     def limited(self, controller: FeedbackController) -> Feedback:
         """Run a controller behind the inverse, within the largest voltage of a feedback."""
-        return MultirateFeedback(controller, self._settings.max_feedback_v)
+        return MultirateFeedback(controller, self._max_feedback_v)
 
     def _design(self, method: str, model: StageModel, model_sha256: str) -> FeedbackController:
         key = model_sha256, method

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What each mode of tracking plays ahead, and which feedback it adds."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,8 @@ class StageClock:
     rest_voltage_v : float
     sample_rate_hz : float
     samples_per_tick : int
+    max_feedback_v : float
+        Largest answer that the stage takes, of either sign (V).
     """
 
     voltage_range_v: tuple[float, float] = (-20.0, 120.0)
@@ -39,6 +42,7 @@ class StageClock:
     rest_voltage_v: float = 0.0
     sample_rate_hz: float = 40000.0
     samples_per_tick: int = 40
+    max_feedback_v: float = math.inf
 
     @property
     def sample_period_s(self) -> float:

@@ -23,6 +23,7 @@ from piezo_ros.calls import ActionCaller, CallFailed, Cancelled, GoalAborted
 from piezo_ros.goals import GoalServers
 from piezo_ros.parameters import declare, declare_data_root
 from piezo_ros.spinning import autostart, run_node
+from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderCaller
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import StageTracker
@@ -37,18 +38,7 @@ class IdentificationNode(LifecycleNode):
 
     def __init__(self):
         super().__init__("identification")
-        self._limits = StageLimits(
-            declare(self, "minimum_voltage_v", -20.0,
-                    "Lowest voltage of the experiments (V).", -1000.0, 1000.0),
-            declare(self, "maximum_voltage_v", 120.0,
-                    "Highest voltage of the experiments (V).", -1000.0, 1000.0),
-            declare(self, "slew_limit_v_per_s", 2.0e6,
-                    "Slew limit of the stage (V/s).", 1.0, 1.0e9),
-            declare(self, "sample_rate_hz", 40000.0,
-                    "Rate of the stage's sample clock (Hz).", 1000.0, 200000.0),
-            declare(self, "rest_voltage_v", 0.0,
-                    "Voltage of the stage at rest (V).", -1000.0, 1000.0),
-            declare(self, "samples_per_tick", 40, "Samples of one feedback period.", 1, 4000))
+        self._stage = DescribedStage(self)
         self._data_root = declare_data_root(self)
         self._directory = declare(
             self, "directory", "runs", "Where recordings and models go if a goal names no place.")
@@ -70,24 +60,26 @@ class IdentificationNode(LifecycleNode):
 
     def _run_experiment(self, goal, result, progress):
         directory = self._writable(goal)
-        experiment = named_experiment(goal.experiment, self._limits)
+        stage = self._stage.wait(progress.check)
+        experiment = named_experiment(goal.experiment, _limits(stage))
         result.summary = f"{experiment.description}, {experiment.duration_s:g} s"
         note, recording = self._record(
-            experiment, directory, result, lambda stage, fraction: progress.report(
-                fraction, stage=f"{experiment.name}: {stage}"), progress, goal.unrecorded)
+            experiment, stage, directory, result, lambda step, fraction: progress.report(
+                fraction, stage=f"{experiment.name}: {step}"), progress, goal.unrecorded)
         result.message = "; ".join(filter(None, (note, recording.note)))
         if isinstance(experiment, RelayExperiment) and not recording.failure:
             oscillation = relay_oscillation(read_recording(result.recording), experiment)
             result.summary += f"\n{oscillation.summary}"
 
-    def _record(self, experiment, directory, result, report, progress, unrecorded):
+    def _record(self, experiment, stage, directory, result, report, progress, unrecorded):
         """Run and record an experiment; its recording is in the result whatever happens.
 
         Returns what there is to tell of the run, and the recording.
         """
+        self._stage.check_unchanged(stage)
         run = self._relay if isinstance(experiment, RelayExperiment) else self._play
         with self._recorder.record(directory, experiment.name, {
-                "parameters.json": self._described(experiment)}, unrecorded) as recording:
+                "parameters.json": _described(experiment, stage)}, unrecorded) as recording:
             if hasattr(result, "recording"):
                 result.recording = recording.path
             else:
@@ -134,13 +126,6 @@ class IdentificationNode(LifecycleNode):
             raise CallFailed(account.failure)
         return account.note
 
-    def _described(self, experiment):
-        return json.dumps({
-            "experiment": experiment.name, "description": experiment.description,
-            "duration_s": experiment.duration_s, **experiment.parameters(),
-            "minimum_voltage_v": self._limits.voltage_min_v,
-            "maximum_voltage_v": self._limits.voltage_max_v}, indent=1)
-
     def _identify(self, goal, result, progress):
         directory = self._writable(goal)
         _make(directory)
@@ -172,16 +157,18 @@ class IdentificationNode(LifecycleNode):
     def _run_all(self, directory, result, progress, unrecorded):
         """Run every experiment; raise CallFailed at the end if one could not be recorded."""
         unread = []
-        durations_s = [named_experiment(name, self._limits).duration_s for name in EXPERIMENTS]
-        for index, name in enumerate(EXPERIMENTS):
+        stage = self._stage.wait(progress.check)
+        experiments = [named_experiment(name, _limits(stage)) for name in EXPERIMENTS]
+        durations_s = [experiment.duration_s for experiment in experiments]
+        for index, experiment in enumerate(experiments):
             begin = sum(durations_s[:index]) / sum(durations_s)
             share = durations_s[index] / sum(durations_s)
 
-            def report(stage, fraction, name=name, begin=begin, share=share):
+            def report(step, fraction, name=experiment.name, begin=begin, share=share):
                 progress.report(EXPERIMENTS_FRACTION * (begin + share * fraction),
-                                stage=f"{name}: {stage}")
-            _, recording = self._record(named_experiment(name, self._limits), directory, result,
-                                        report, progress, unrecorded)
+                                stage=f"{name}: {step}")
+            _, recording = self._record(
+                experiment, stage, directory, result, report, progress, unrecorded)
             unread += [recording.note] if recording.failure else []
         if unread:
             raise CallFailed(f"{'; '.join(unread)}: run those experiments again, and give all "
@@ -212,6 +199,21 @@ class IdentificationNode(LifecycleNode):
     def _writable(self, goal):
         """Return the directory in which a goal's files are made."""
         return self._data_root.writable(goal.directory or self._directory)
+
+
+def _limits(stage):
+    """Return what experiments are made for, as the stage describes it."""
+    return StageLimits(
+        stage.minimum_voltage_v, stage.maximum_voltage_v, stage.slew_limit_v_per_s,
+        stage.sample_rate_hz, stage.rest_voltage_v, stage.samples_per_tick)
+
+
+def _described(experiment, stage):
+    return json.dumps({
+        "experiment": experiment.name, "description": experiment.description,
+        "duration_s": experiment.duration_s, **experiment.parameters(),
+        "minimum_voltage_v": stage.minimum_voltage_v,
+        "maximum_voltage_v": stage.maximum_voltage_v}, indent=1)
 
 
 def _make(directory):

@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from piezo_interfaces.srv import StartRecording, StopRecording
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.serialization import serialize_message
 from rclpy.task import Future
 
 from piezo_common.data_root import DataRootError, check_file_name
@@ -25,6 +26,7 @@ from piezo_ros.parameters import declare, declare_data_root
 from piezo_ros.presence import Presence
 from piezo_ros.quality import SAMPLES
 from piezo_ros.spinning import autostart, run_node
+from piezo_ros.stage_runs.described_stage import DescribedStage
 
 DISCOVERY_TIMEOUT_S = 5.0
 ARRIVAL_TIMEOUT_S = 5.0
@@ -34,6 +36,7 @@ DIAGNOSTICS_PERIOD_S = 1.0
 # What the stage may take to come to rest after the client of a recording is gone.
 AFTERMATH_S = 2.0
 MEGABYTE = 1e6
+DESCRIPTION_TYPE = "piezo_interfaces/msg/StageDescription"
 
 
 class Recorder(LifecycleNode):
@@ -46,12 +49,11 @@ class Recorder(LifecycleNode):
         declare(self, "types", [sample_block.TYPE_NAME, "piezo_interfaces/msg/FeedbackVoltage",
                                 sample_block.TYPE_NAME],
                 "Message types of the topics, in the same order.")
-        declare(self, "sample_rate_hz", sample_block.DEFAULT_SAMPLE_RATE_HZ,
-                "Rate of the stage's sample clock (Hz).", 1.0, 1e9)
         declare(self, "minimum_free_mb", 200,
                 "Free disk space (megabyte) below which a recording is refused or closed.",
                 0, 1_000_000_000, read_only=False)
         self._data_root = declare_data_root(self)
+        self._stage = DescribedStage(self, self._record_description)
         self._session = None
         self._client_gone_at = None
         self._definitions = {}
@@ -85,6 +87,7 @@ class Recorder(LifecycleNode):
             self._definitions = {
                 self.resolve_topic_name(topic): installed_definition(type_name)
                 for topic, type_name in zip(topics, types, strict=True)}
+            self._definitions[self._stage.topic] = installed_definition(DESCRIPTION_TYPE)
         except ValueError as error:
             self.get_logger().error(str(error))
             return TransitionCallbackReturn.FAILURE
@@ -95,6 +98,8 @@ class Recorder(LifecycleNode):
         # Connected from here on: a subscription made only when a recording starts could miss
         # the first samples.
         for topic, definition in self._definitions.items():
+            if topic == self._stage.topic:  # was told long ago, and is kept
+                continue
             self._subscriptions_by_topic[topic] = self.create_subscription(
                 _message_class(definition.type_name), topic,
                 functools.partial(self._receive, topic), SAMPLES, raw=True)
@@ -145,6 +150,7 @@ class Recorder(LifecycleNode):
         if not refusal and not await self._stage_is_there():
             refusal = (f"Nobody publishes {self._samples_topic}: "
                        "start the stage, or set the parameter topics.")
+        refusal = refusal or await self._why_undescribed()
         # Asked again: another request may have come while this one waited.
         refusal = refusal or self._refusal(request)
         if not refusal:
@@ -195,8 +201,19 @@ class Recorder(LifecycleNode):
         return await self._until(
             lambda: samples.get_publisher_count() > 0, DISCOVERY_TIMEOUT_S)
 
+    async def _why_undescribed(self):
+        """Say why the clock of the samples is not known; empty if it is."""
+        if not await self._until(
+                lambda: self._stage.description is not None, DISCOVERY_TIMEOUT_S):
+            return f"Nobody describes the stage on {self._stage.topic}: configure the stage."
+        return self._stage.contradiction
+
     def _new_session(self, request):
-        sample_rate_hz = self.get_parameter("sample_rate_hz").value
+        described = self._stage.description
+        if described is None:  # ended since it was asked for
+            raise OSError(f"Nobody describes the stage on {self._stage.topic} any more: "
+                          "start the stage.")
+        sample_rate_hz = described.sample_rate_hz
         writer = RecordingWriter(self._path(request), sample_rate_hz)
         session = RecordingSession(
             writer, self._definitions, sample_rate_hz, Presence(self, request.client),
@@ -207,6 +224,8 @@ class Recorder(LifecycleNode):
         for name, content in zip(
                 request.attachment_names, request.attachment_contents, strict=True):
             writer.attach(name, content.encode())
+        session.receive(self._stage.topic, serialize_message(described),
+                        self.get_clock().now().nanoseconds)
         return session
 
     async def _stop_recording(self, request, response):
@@ -279,6 +298,11 @@ class Recorder(LifecycleNode):
             self._session.receive(topic, data, self.get_clock().now().nanoseconds)
         except OSError as error:
             self._end(_sentence(error))
+
+    def _record_description(self, description):
+        """Keep what a stage says that is configured, or started anew, while it is recorded."""
+        if self._recording:
+            self._receive(self._stage.topic, serialize_message(description))
 
     def _start_housekeeping(self):
         self._housekeeping = [

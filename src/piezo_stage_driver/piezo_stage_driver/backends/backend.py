@@ -39,6 +39,9 @@ class StageBackend(Protocol):
     rest, and raises BackendFault where it cannot get there. Whatever it does, the exchange that
     hangs may return meanwhile or later; ``close`` follows it.
 
+    An attribute ``name : str`` tells other nodes what drives the stage; the name of the class does
+    where it is missing.
+
     Attributes
     ----------
     sample_rate_hz : float

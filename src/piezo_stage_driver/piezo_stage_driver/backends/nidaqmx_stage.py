@@ -78,6 +78,8 @@ class NidaqmxStage:
         If the driver is missing, or the card cannot reach the voltages.
     """
 
+    name = "nidaqmx"
+
     def __init__(self, calibration: Calibration, settings: BackendSettings,
                  driver: SimpleNamespace | None = None):
         self._calibration, self._settings = calibration, settings

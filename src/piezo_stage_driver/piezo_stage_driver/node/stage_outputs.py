@@ -6,13 +6,17 @@ import time
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from piezo_interfaces.msg import SampleBlock
+from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from piezo_ros.diagnostics import diagnostic
-from piezo_ros.quality import PACED_SAMPLES, SAMPLES
+from piezo_ros.quality import DESCRIPTION, PACED_SAMPLES, SAMPLES
+from piezo_stage_driver.engine.blocks import Block
+from piezo_stage_driver.node.stage_settings import StageSettings
 
 NANOSECONDS = 1_000_000_000
 # The middleware asks for acknowledgements every 3 s.
@@ -22,7 +26,7 @@ LONGEST_HOLD_BACK_S = 30.0
 
 
 class StageOutputs:
-    """Publishers of the samples, the joint state, the clock and the diagnostics.
+    """Publishers of the samples, the description, the joint state, the clock and the diagnostics.
 
     Parameters
     ----------
@@ -35,7 +39,7 @@ class StageOutputs:
         ROS time of sample 0.
     """
 
-    def __init__(self, node, settings):
+    def __init__(self, node: Node, settings: StageSettings) -> None:
         self._node, self._settings = node, settings
         self.epoch_ns = 0
         self.quality = SAMPLES if settings.lockstep else PACED_SAMPLES
@@ -43,15 +47,28 @@ class StageOutputs:
         self._joint_states = node.create_publisher(JointState, "joint_states", 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._clock = node.create_publisher(Clock, "/clock", 10) if settings.lockstep else None
+        self._description: Publisher | None = None
         self._losing_samples = False
         self._samples_since_joint_state = self._samples_since_clock = 0
 
-    def stamp(self, sample):
+    def describe(self, description: StageDescription) -> None:
+        """Tell what the stage is and allows, also to who asks later, until it is withdrawn."""
+        self._description = self._node.create_publisher(
+            StageDescription, "stage/description", DESCRIPTION)
+        self._description.publish(description)
+
+    def withdraw_description(self) -> None:
+        """Tell nothing more of a stage that is not configured any more."""
+        if self._description is not None:
+            self._node.destroy_publisher(self._description)
+            self._description = None
+
+    def stamp(self, sample: int) -> Time:
         """Return the time of a sample of the clock."""
         nanoseconds = self.epoch_ns + round(sample / self._settings.sample_rate_hz * NANOSECONDS)
         return Time(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
 
-    def publish_block(self, block, next_sample, idle):
+    def publish_block(self, block: Block, next_sample: int, idle: bool) -> None:
         """Publish a block, and what general tools want of it.
 
         Parameters
@@ -70,9 +87,9 @@ class StageOutputs:
         samples = next_sample - block.first_sample
         self._publish_joint_state(block, samples, next_sample)
         if self._clock is not None:
-            self._publish_clock(samples, next_sample, idle)
+            self._publish_clock(self._clock, samples, next_sample, idle)
 
-    def publish_samples(self, publisher, message):
+    def publish_samples(self, publisher: Publisher, message: SampleBlock) -> None:
         """Publish; in lockstep wait for a subscriber that holds back, but not for ever."""
         message.header.stamp = self.stamp(message.first_sample)
         message.header.frame_id = self._settings.joint_name
@@ -92,7 +109,7 @@ class StageOutputs:
             self._losing_samples = True
             return
 
-    def _publish_joint_state(self, block, samples, next_sample):
+    def _publish_joint_state(self, block: Block, samples: int, next_sample: int) -> None:
         self._samples_since_joint_state += samples
         if (self._samples_since_joint_state * self._settings.joint_state_rate_hz
                 < self._settings.sample_rate_hz):
@@ -103,14 +120,15 @@ class StageOutputs:
         message.header.stamp = self.stamp(next_sample)
         self._joint_states.publish(message)
 
-    def _publish_clock(self, samples, next_sample, idle):
+    def _publish_clock(self, clock: Publisher, samples: int, next_sample: int,
+                       idle: bool) -> None:
         self._samples_since_clock += samples
         if self._samples_since_clock < self._settings.sample_rate_hz / 100 and not idle:
             return
         self._samples_since_clock = 0
-        self._clock.publish(Clock(clock=self.stamp(next_sample)))
+        clock.publish(Clock(clock=self.stamp(next_sample)))
 
-    def publish_diagnostics(self, level, message, values):
+    def publish_diagnostics(self, level: bytes, message: str, values: dict[str, object]) -> None:
         """Publish how the stage is.
 
         Parameters
@@ -124,6 +142,6 @@ class StageOutputs:
         self._diagnostics.publish(diagnostic(
             self._node, "stage", level, message, values, self._settings.joint_name))
 
-    def wait_for_delivery(self):
+    def wait_for_delivery(self) -> None:
         """Let subscribers have the last samples before the process ends."""
         self._samples.wait_for_all_acked(Duration(seconds=DELIVERY_TIMEOUT_S))

@@ -3,11 +3,15 @@
 
 import threading
 import time
+from collections.abc import Callable
+from typing import Any
 
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
+from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from piezo_ros.late_responses import create_late_service
+from piezo_ros.late_responses import LateResponse, create_late_service
+from piezo_stage_driver.node.command_router import CommandRouter
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.request_memory import RequestMemory
 from piezo_stage_driver.safety.supervisor import UNSAFE
@@ -18,17 +22,21 @@ class StageServices:
 
     Parameters
     ----------
-    node : StageNode
-        Has ``submit`` for commands, ``stop`` for stops, and its supervisor.
+    node : rclpy.node.Node
+        That serves.
+    router : CommandRouter
+        Takes the commands and the stops.
     emergency_stop_timeout_s : float
         What a stop may take beyond the ramp to rest (s).
     """
 
-    def __init__(self, node, emergency_stop_timeout_s):
-        self._node = node
+    def __init__(self, node: Node, router: CommandRouter,
+                 emergency_stop_timeout_s: float) -> None:
+        self._node, self._router = node, router
         self._stop_timeout_s = emergency_stop_timeout_s
         self._loads, self._starts = RequestMemory(), RequestMemory()
-        self._stops = []
+        # Each with when it counts as failed, and how long that is after it was asked for (s).
+        self._stops: list[tuple[LateResponse, float, float]] = []
         self._lock = threading.Lock()
         for service_type, name, callback in (
                 (LoadFeedforward, "load_feedforward", self._on_load_feedforward),
@@ -38,11 +46,11 @@ class StageServices:
                 (Trigger, "reset", self._on_reset)):
             create_late_service(node, service_type, name, callback)
 
-    def settle(self):
+    def settle(self) -> None:
         """Answer the emergency stops that have ended, or have taken too long; from any thread."""
         if not self._stops:
             return
-        rest, possible = self._node.at_rest, self._node.can_come_to_rest
+        rest, possible = self._router.at_rest, self._router.can_come_to_rest
         now_s = time.monotonic()
         with self._lock:
             over = [stop for stop in self._stops
@@ -60,11 +68,12 @@ class StageServices:
                 self._node.get_logger().error(f"emergency stop: {late.response.message}")
             late.give()
 
-    def _ask(self, late, name, *arguments, fill=None):
+    def _ask(self, late: LateResponse, name: str, *arguments: Any,
+             fill: Callable[[Any, Any], None] | None = None) -> None:
         """Submit a command; answer when it has acted or is refused."""
         public_name = "load_feedforward" if name == "append_feedforward" else name
 
-        def done(value, error):
+        def done(value: Any, error: ValueError | None) -> None:
             response = late.response
             response.success = error is None
             if error is not None:
@@ -74,30 +83,30 @@ class StageServices:
                 fill(response, value)
             late.give()
 
-        self._node.submit(Command(name, *arguments, on_done=done))
+        self._router.submit(Command(name, *arguments, on_done=done))
 
-    def _on_load_feedforward(self, request, late):
+    def _on_load_feedforward(self, request: LoadFeedforward.Request, late: LateResponse) -> None:
         if not self._loads.repeats(request.request_id, late):
             name = "append_feedforward" if request.append else "load_feedforward"
             self._ask(late, name, request.once_voltage_v, request.period_voltage_v, request.append)
 
-    def _on_start_tracking(self, request, late):
-        def fill(response, value):
+    def _on_start_tracking(self, request: StartTracking.Request, late: LateResponse) -> None:
+        def fill(response: StartTracking.Response, value: tuple[int, int]) -> None:
             response.run, response.first_tick = value
 
         if not self._starts.repeats(request.request_id, late):
             self._ask(late, "start_tracking", request.feedback, request.ticks, request.client,
                       fill=fill)
 
-    def _on_stop_tracking(self, request, late):
+    def _on_stop_tracking(self, request: Trigger.Request, late: LateResponse) -> None:
         self._ask(late, "stop_tracking")
 
-    def _on_reset(self, request, late):
+    def _on_reset(self, request: Trigger.Request, late: LateResponse) -> None:
         self._ask(late, "reset")
 
-    def _on_emergency_stop(self, request, late):
-        wait_s = self._stop_timeout_s + self._node.seconds_to_rest
-        self._node.stop("emergency stop")
+    def _on_emergency_stop(self, request: Trigger.Request, late: LateResponse) -> None:
+        wait_s = self._stop_timeout_s + self._router.seconds_to_rest
+        self._router.stop("emergency stop")
         with self._lock:
             self._stops.append((late, time.monotonic() + wait_s, wait_s))
         self.settle()

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The parameters of the stage node, and what is made of them."""
 
+from piezo_interfaces.msg import StageDescription
+
 from piezo_ros.parameters import declare
+from piezo_stage_driver.backends.backend import StageBackend
 from piezo_stage_driver.backends.registry import BackendSettings
 from piezo_stage_driver.engine.stage_engine import LONGEST_STRETCH_SAMPLES, StageEngine
 from piezo_stage_driver.safety.guards import (
@@ -9,9 +12,16 @@ from piezo_stage_driver.safety.guards import (
     SensorNoise,
     SensorRange,
     SensorResponse,
+    StopLatch,
 )
 from piezo_stage_driver.safety.limits import FeedbackLimits, VoltageLimits
 from piezo_stage_driver.safety.supervisor import StageSupervisor
+
+# Of the parameters: what `StageDescription` tells under the same names.
+DESCRIBED = (
+    "timing", "sample_rate_hz", "samples_per_tick", "minimum_voltage_v", "maximum_voltage_v",
+    "rest_voltage_v", "slew_limit_v_per_s", "ramp_rate_v_per_s", "max_feedback_v",
+    "max_feedback_step_v", "minimum_displacement_um", "maximum_displacement_um")
 
 
 class StageSettings:
@@ -73,18 +83,18 @@ class StageSettings:
         take("joint_state_rate_hz", 50.0, "Rate of joint_states (Hz).", 0.1, 1000.0)
 
     @property
-    def lockstep(self):
+    def lockstep(self) -> bool:
         """Whether stage time waits for the answers."""
         return self.timing == "lockstep"
 
-    def for_backend(self, file):
+    def for_backend(self, file: str) -> BackendSettings:
         """Return what a backend is told; ``file`` holds its own settings."""
         return BackendSettings(
             file=file, sample_rate_hz=self.sample_rate_hz, samples_per_tick=self.samples_per_tick,
             minimum_voltage_v=self.minimum_voltage_v, maximum_voltage_v=self.maximum_voltage_v,
             rest_voltage_v=self.rest_voltage_v, ramp_rate_v_per_s=self.ramp_rate_v_per_s)
 
-    def create_supervisor(self, backend, latch):
+    def create_supervisor(self, backend: StageBackend, latch: StopLatch) -> StageSupervisor:
         """Return the supervisor of a backend.
 
         Raises
@@ -93,12 +103,21 @@ class StageSettings:
             If the limits contradict each other.
         """
         # In lockstep time stands still after the last block, which tells that all is over.
-        lead_ticks = getattr(backend, "lead_samples", 0) // self.samples_per_tick
+        closing_ticks = self._lead_ticks(backend) + 1 if self.lockstep else 0
         return StageSupervisor(backend, self.create_engine, latch, self.max_foreign_feedback,
-                               self.exchange_timeout_s,
-                               closing_ticks=lead_ticks + 1 if self.lockstep else 0)
+                               self.exchange_timeout_s, closing_ticks=closing_ticks)
 
-    def create_engine(self, backend, latch):
+    def description(self, backend: StageBackend) -> StageDescription:
+        """Return what other nodes are told of the stage over a backend."""
+        return StageDescription(
+            backend=getattr(backend, "name", type(backend).__name__),
+            lead_ticks=self._lead_ticks(backend),
+            **{name: getattr(self, name) for name in DESCRIBED})
+
+    def _lead_ticks(self, backend: StageBackend) -> int:
+        return getattr(backend, "lead_samples", 0) // self.samples_per_tick
+
+    def create_engine(self, backend: StageBackend, latch: StopLatch) -> StageEngine:
         """Return an engine that drives the backend within the limits, under every guard.
 
         Raises

@@ -4,10 +4,14 @@
 import functools
 import threading
 import time
+from collections.abc import Callable
 
 from piezo_interfaces.action import PlayWaveform
 from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.node import Node
 
+from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.open_answers import OpenAnswers
 
@@ -24,7 +28,8 @@ class WaveformGoal:
         ``answer(goal, result)``, from any thread.
     """
 
-    def __init__(self, handle, answer):
+    def __init__(self, handle: ServerGoalHandle,
+                 answer: Callable[["WaveformGoal", PlayWaveform.Result], None]) -> None:
         self.handle = handle
         self._answer = answer
         self._result = PlayWaveform.Result()
@@ -32,18 +37,18 @@ class WaveformGoal:
         self._last_progress_s = 0.0
 
     @property
-    def cancelled(self):
+    def cancelled(self) -> bool:
         """Whether the client has asked for its end."""
         return self.handle.is_cancel_requested
 
-    def begin(self, value, error):
+    def begin(self, value: tuple[int, int], error: ValueError | None) -> None:
         """Take the answer to the command."""
         if error is not None:
             self._finish(f"waveform refused: {error}")
         else:
             self._result.first_sample, self._result.samples = value
 
-    def attend(self, engine):
+    def attend(self, engine: StageEngine) -> None:
         """Tell how far it is."""
         now_s = time.monotonic()
         if now_s - self._last_progress_s < PROGRESS_PERIOD_S:
@@ -53,12 +58,12 @@ class WaveformGoal:
             stage=engine.phase_name, fraction=float(engine.fraction),
             seconds_left=float(engine.seconds_left)))
 
-    def end(self, cause, last_sample):
+    def end(self, cause: str, last_sample: int) -> None:
         """Take the end; the cause is empty where the waveform was played to its end."""
         self._result.last_sample = last_sample
         self._finish(cause)
 
-    def _finish(self, message):
+    def _finish(self, message: str) -> None:
         # rclpy ends the process where a goal is answered twice.
         if self._answered.acquire(blocking=False):
             self._result.message, self._result.success = message, not message
@@ -75,7 +80,7 @@ class WaveformGoals:
         Takes a ``safety.commands.Command``.
     """
 
-    def __init__(self, node, submit):
+    def __init__(self, node: Node, submit: Callable[[Command], None]) -> None:
         self._node, self._submit = node, submit
         self._open_answers = OpenAnswers()
         self._server = ActionServer(
@@ -84,17 +89,17 @@ class WaveformGoals:
             cancel_callback=lambda handle: CancelResponse.ACCEPT)
 
     @property
-    def answered(self):
+    def answered(self) -> bool:
         """Whether the client of every goal that ended knows."""
         return self._open_answers.none
 
-    def _accept(self, handle):
+    def _accept(self, handle: ServerGoalHandle) -> None:
         wanted, goal = handle.request, WaveformGoal(handle, self._answer)
         self._submit(Command(
             "play", wanted.voltage_v, wanted.sample_period_s, wanted.repeats,
             wanted.hold_at_end, wanted.client, on_done=goal.begin, goal=goal))
 
-    def _answer(self, goal, result):
+    def _answer(self, goal: WaveformGoal, result: PlayWaveform.Result) -> None:
         """Execute a goal now that it is over: the executor polls, busily, a goal that waits."""
         if result.message.startswith("waveform refused"):
             self._node.get_logger().warning(result.message)
@@ -102,7 +107,7 @@ class WaveformGoals:
         self._node.executor.create_task(
             goal.handle.execute, functools.partial(self._end, result=result))
 
-    def _end(self, handle, result):
+    def _end(self, handle: ServerGoalHandle, result: PlayWaveform.Result) -> PlayWaveform.Result:
         self._open_answers.end()
         if handle.is_cancel_requested:
             result.success, result.message = False, "the waveform was cancelled"

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What advances a configured stage, and brings it to rest when it is left."""
+
+import threading
+import time
+from collections.abc import Callable
+
+from piezo_stage_driver.backends.backend import StageBackend
+from piezo_stage_driver.engine.blocks import Block
+from piezo_stage_driver.engine.stage_engine import StageEngine
+from piezo_stage_driver.node.stage_settings import StageSettings
+from piezo_stage_driver.safety.supervisor import StageSupervisor
+
+IDLE_WAIT_S = 0.05
+
+
+class StageLoop:
+    """The ticks of one configured stage.
+
+    A paced stage ticks in a thread of its own while it is active. One in lockstep ticks in `step`,
+    and only while something plays; each tick that needs an answer waits for it.
+
+    Parameters
+    ----------
+    supervisor : StageSupervisor
+    backend : StageBackend
+        That the supervisor drives.
+    settings : StageSettings
+    publish : callable
+        Takes each `Block`.
+    tell_stop, settle : callable
+        Called after the ticks, from the thread that ticks: to tell of a stop that there was
+        since, and to answer who waits for rest.
+
+    Attributes
+    ----------
+    supervisor : StageSupervisor
+    """
+
+    def __init__(self, supervisor: StageSupervisor, backend: StageBackend,
+                 settings: StageSettings, publish: Callable[[Block], None],
+                 tell_stop: Callable[[], None], settle: Callable[[], None]) -> None:
+        self.supervisor = supervisor
+        self._backend, self._settings = backend, settings
+        self._publish, self._tell_stop, self._settle = publish, tell_stop, settle
+        self._thread: threading.Thread | None = None
+        self._own_rest: threading.Thread | None = None
+        self._failure: Exception | None = None
+        self._answer_deadline_s: float | None = None
+        self._leaving = False
+
+    @property
+    def engine(self) -> StageEngine:
+        """Of the present or last activation."""
+        return self.supervisor.engine
+
+    @property
+    def active(self) -> bool:
+        """Whether the stage takes commands: it is active, and not being left."""
+        return self.supervisor.active and not self._leaving
+
+    def begin(self) -> None:
+        """Begin to tick, once the supervisor is active."""
+        self._failure = self._own_rest = None
+        self._leaving = False
+        if not self._settings.lockstep:
+            # A daemon: a backend that never returns must not keep the process from its end.
+            self._thread = threading.Thread(target=self._run, name="stage loop", daemon=True)
+            self._thread.start()
+
+    def step(self) -> float:
+        """Advance a stage in lockstep; return how long to wait for the next callback (s).
+
+        Raises
+        ------
+        Exception
+            Whatever ended the thread of a paced stage.
+        """
+        if self._failure is not None:
+            raise self._failure
+        if not self._settings.lockstep or not self.supervisor.has_work:
+            return IDLE_WAIT_S
+        if self.engine.awaiting_answer:
+            now_s = time.monotonic()
+            if self._answer_deadline_s is None:
+                self._answer_deadline_s = now_s + self._settings.lockstep_timeout_s
+            if now_s < self._answer_deadline_s:
+                return min(IDLE_WAIT_S, self._answer_deadline_s - now_s)
+        self._answer_deadline_s = None
+        self._advance()
+        return 0.0
+
+    def watch(self) -> None:
+        """Look, from another thread than the one that ticks, whether the backend hangs."""
+        self.supervisor.watch()
+        if self.supervisor.hangs:
+            self._begin_own_rest()
+
+    def leave(self, cause: str) -> None:
+        """Return to rest, and stop the sample clock; return once that is done or given up."""
+        supervisor = self.supervisor
+        self._leaving = True
+        supervisor.leave(cause)
+        while supervisor.active:
+            if self._thread is None or not self._thread.is_alive():
+                self._advance()
+                continue
+            self._thread.join(IDLE_WAIT_S)
+            if supervisor.hangs:
+                self._rest_without_thread(cause)
+        if not supervisor.hangs and self._thread is not None:
+            self._thread.join()
+        self._thread = None
+        supervisor.leave(cause)
+        self._settle()
+
+    def _run(self) -> None:
+        try:
+            while self.supervisor.active:
+                self._advance()
+        except Exception as error:  # whatever it is: the main thread sees to it
+            self._failure = error
+
+    def _advance(self) -> None:
+        supervisor = self.supervisor
+        was_idle = supervisor.engine.idle
+        self._tick()
+        self._tell_stop()
+        if self._settings.lockstep and supervisor.engine.idle and not was_idle:
+            # Time stands still from here on: the last block, at rest, tells that all is over.
+            for _ in range(supervisor.engine.lead_ticks + 1):
+                self._tick()
+        self._settle()
+
+    def _tick(self) -> None:
+        block = self.supervisor.tick()
+        if block is not None:
+            self._publish(block)
+
+    def _rest_without_thread(self, cause: str) -> None:
+        """Give up a backend that hangs while the stage is left."""
+        self._begin_own_rest()
+        if self._own_rest is not None:
+            self._own_rest.join(self._settings.exchange_timeout_s)
+        self.supervisor.give_up(f"{cause} while its backend hung: cut the amplifier's supply")
+
+    def _begin_own_rest(self) -> None:
+        """Ask a backend that hangs for its own way to rest, if it has one, and once."""
+        emergency_rest = getattr(self._backend, "emergency_rest", None)
+        if self._own_rest is None and emergency_rest is not None:
+            self._own_rest = threading.Thread(
+                target=self._rest_by_backend, args=(emergency_rest,), name="own rest", daemon=True)
+            self._own_rest.start()
+
+    def _rest_by_backend(self, emergency_rest: Callable[[], None]) -> None:
+        try:
+            emergency_rest()
+        except Exception as error:  # of a vendor's library
+            self.supervisor.give_up(f"the backend hangs, and cannot come to rest: {error}")
+        else:
+            self.supervisor.give_up("the backend hung, and came to rest in its own way",
+                                    at_rest=True)

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tell people and diagnostics how the stage is."""
+
+from collections.abc import Callable
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
+
+from piezo_stage_driver.engine.answer_latency import AnswerLatency
+from piezo_stage_driver.node.stage_loop import StageLoop
+from piezo_stage_driver.node.stage_outputs import StageOutputs
+from piezo_stage_driver.safety.guards import StopLatch
+from piezo_stage_driver.safety.supervisor import UNSAFE
+
+
+class StageReports:
+    """The log of stops, and the stage's status on ``/diagnostics``.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    outputs : StageOutputs
+    latch : StopLatch
+    loop : callable
+        Returns the `StageLoop` of the stage that is configured, or None.
+
+    Attributes
+    ----------
+    latency : AnswerLatency
+        Of the answers since the stage was activated.
+    """
+
+    def __init__(self, node: Node, outputs: StageOutputs, latch: StopLatch,
+                 loop: Callable[[], StageLoop | None]) -> None:
+        self._node, self._outputs, self._latch, self._loop = node, outputs, latch, loop
+        self._told_cause = ""
+        self.latency = AnswerLatency()
+
+    def tell_stop(self) -> None:
+        """Say it where the stage has been stopped since; called from both threads."""
+        cause, told = self._latch.cause, self._told_cause
+        self._told_cause = cause
+        if cause and cause != told:
+            self._node.get_logger().error(f"stopped: {cause}")
+            self.publish()
+
+    def publish(self) -> None:
+        """Publish the stage's status."""
+        loop = self._loop()
+        level, message = self._state(loop)
+        if loop is not None and (loop.supervisor.hangs or not (
+                loop.supervisor.active or loop.supervisor.at_rest)):
+            level, message = DiagnosticStatus.ERROR, f"{message}; {UNSAFE}"
+        self._outputs.publish_diagnostics(level, message, {} if loop is None else {
+            "phase": loop.engine.phase_name if loop.active else "not active",
+            "client": loop.engine.client,
+            "voltage_v": f"{loop.engine.voltage_v:.4f}", "next_sample": loop.engine.next_sample,
+            "missed_feedback": loop.engine.missed_feedback, **loop.supervisor.described,
+            **self.latency.described()})
+
+    def _state(self, loop: StageLoop | None) -> tuple[bytes, str]:
+        if self._latch.cause:
+            return DiagnosticStatus.ERROR, self._latch.cause
+        if loop is None or not loop.active:
+            return DiagnosticStatus.OK, "not active"
+        if loop.engine.missed_feedback:
+            return DiagnosticStatus.WARN, "feedback answers were missed"
+        return DiagnosticStatus.OK, loop.engine.phase_name
