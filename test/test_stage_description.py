@@ -4,6 +4,7 @@
 import json
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition
 from piezo_interfaces.msg import Reference, StageDescription
@@ -11,6 +12,7 @@ from piezo_interfaces.srv import StartRecording
 from rosbags.highlevel import AnyReader
 
 from piezo_client.client import Client, GoalFailed
+from piezo_client.stage import Stage
 from piezo_identification import StageLimits
 from piezo_identification.experiments.catalogue import named_experiment
 from piezo_models.model_file import IdentifiedModel, save_model
@@ -24,7 +26,8 @@ LIMITS = {"sample_rate_hz": 20_000.0, "samples_per_tick": 20, "minimum_voltage_v
           "ramp_rate_v_per_s": 1800.0, "max_feedback_v": 33.0, "max_feedback_step_v": 11.0,
           "minimum_displacement_um": -44.0, "maximum_displacement_um": 99.0}
 
-NARROW = {"maximum_voltage_v": 60.0, "sample_rate_hz": 20_000.0, "samples_per_tick": 20}
+NARROW = {"minimum_voltage_v": -5.0, "maximum_voltage_v": 60.0, "rest_voltage_v": 1.0,
+          "sample_rate_hz": 20_000.0, "samples_per_tick": 20}
 
 
 class Listener:
@@ -124,9 +127,11 @@ def test_goals_are_made_for_the_limits_and_the_clock_of_the_new_stage(
     recording = read_recording(experiment.recording)
     assert recording.sample_rate_hz == 20_000.0
     assert json.loads(recording.attachments["parameters.json"])["maximum_voltage_v"] == 60.0
-    expected = named_experiment("dynamics", StageLimits(-20.0, 60.0, sample_rate_hz=20_000.0))
+    expected = named_experiment("dynamics", StageLimits(
+        -5.0, 60.0, sample_rate_hz=20_000.0, rest_voltage_v=1.0))
     assert recording.voltage_v.max() == expected.voltage_v.max()
-    assert "the stage reaches about" in refusal(stage, "track", **track(model_file, tmp_path / "wide", 45.0))
+    told_reach = refusal(stage, "track", **track(model_file, tmp_path / "wide", 45.0))
+    assert "the stage reaches about" in told_reach
     assert stage.goal("track", **track(model_file, tmp_path / "narrow")).success
 
     with AnyReader([tmp_path / "dynamics"]) as reader:
@@ -157,6 +162,17 @@ def test_parameter_that_contradicts_the_stage_is_refused_with_both_values(
         "set it at the stage alone")
     assert "is 48000.0" in stage.processes.log("recorder").read_text()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_python_client_plays_at_the_clock_of_the_stage_and_settles_within_its_limits(
+        stage, tmp_path):
+    with Stage("/replaced") as driver:
+        played = stage.beside(driver.play, [1.0, 1.1, 1.0], directory=tmp_path)
+        assert np.isin(1.1, read_recording(played.path).voltage_v)
+        stage.forget()
+        stage.beside(driver.settle, rest_s=1)
+        stage.until(lambda: min(min(block.voltage_v) for block in stage.blocks) == -5.0)
+        assert stage.blocks[-1].voltage_v[-1] == 1.0
 
 
 def test_goal_keeps_the_stage_it_was_planned_for_and_is_not_played_on_another(domain):

@@ -15,13 +15,13 @@ from piezo_interfaces.action import PlayWaveform
 from piezo_interfaces.srv import StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
-from piezo_client.client import Client, GoalFailed
+from piezo_client.client import SERVER_TIMEOUT_S, Client, GoalFailed, ServiceFailed
 from piezo_client.paths import AnyPath
 from piezo_client.results import Diagnosis, Experiment, Identification, Played, Tracking
 from piezo_ros.messages import Message, MessageType
+from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
 
-SAMPLE_PERIOD_S = 25e-6
 _numbers = itertools.count(1)
 
 
@@ -46,6 +46,7 @@ class Stage:
         self._client = Client(namespace, f"client_{os.getpid()}_{next(_numbers)}")
         self._name = self._client.node.get_fully_qualified_name()
         self._news = RecorderNews(self._client.node)
+        self._stage = DescribedStage(self._client.node)
         self._progress = progress
 
     def __enter__(self) -> Self:
@@ -58,15 +59,24 @@ class Stage:
         """Leave ROS; the nodes stay."""
         self._client.close()
 
-    def play(self, voltage_v: ArrayLike, sample_period_s: float = SAMPLE_PERIOD_S, repeats: int = 1,
+    @property
+    def description(self) -> Message:
+        """Limits, clock and rates, as the stage tells them: a ``StageDescription``."""
+        if not self._client.spin_until(
+                lambda: self._stage.description is not None, SERVER_TIMEOUT_S):
+            raise ServiceFailed(f"nobody serves the stage on {self._stage.topic}: start its node, "
+                                "and configure it")
+        return self._stage.description
+
+    def play(self, voltage_v: ArrayLike, sample_period_s: float | None = None, repeats: int = 1,
              directory: AnyPath = "runs", name: str = "waveform") -> Played:
         """Play a voltage and record it; what can no longer be recorded is stopped.
 
         Parameters
         ----------
         voltage_v : array_like, shape (N,)
-        sample_period_s : float
-            A whole multiple of the sample clock's, at most 1 s.
+        sample_period_s : float, optional
+            A whole multiple of the sample clock's, at most 1 s; by default that of the clock.
         repeats : int
         directory : path-like
             Where the recording is made.
@@ -77,6 +87,8 @@ class Stage:
         -------
         Played
         """
+        if sample_period_s is None:
+            sample_period_s = 1.0 / self.description.sample_rate_hz
         path = self._call("recorder/start_recording", StartRecording,
                           directory=directory, name=free_name(directory, name),
                           client=self._name).path
@@ -90,16 +102,19 @@ class Stage:
                            client=self._name)
         return Played(Path(path))
 
-    def settle(self, lowest_voltage_v: float = -20.0, rest_s: int = 60) -> None:
-        """Wipe out the past: go to the lowest voltage, then rest at 0 V while the creep dies out.
+    def settle(self, lowest_voltage_v: float | None = None, rest_s: int = 60) -> None:
+        """Wipe out the past: go to the lowest voltage, then rest while the creep dies out.
 
         Parameters
         ----------
-        lowest_voltage_v : float
+        lowest_voltage_v : float, optional
+            The lowest that the stage allows by default.
         rest_s : int
             Seconds of the stage's time.
         """
-        self._play("settle, ", [lowest_voltage_v] + [0.0] * rest_s, 1.0)
+        stage = self.description
+        lowest_v = stage.minimum_voltage_v if lowest_voltage_v is None else lowest_voltage_v
+        self._play("settle, ", [lowest_v] + [stage.rest_voltage_v] * rest_s, 1.0)
 
     def run_experiment(self, name: str, directory: AnyPath = "") -> Experiment:
         """Run and record one experiment.

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Answer requests for transitions that a lifecycle node cannot make in its present state."""
 
+from collections.abc import Callable
+
 from lifecycle_msgs.srv import ChangeState
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 RCLError = rclpy_implementation.RCLError
+ChangeStateCallback = Callable[[ChangeState.Request, ChangeState.Response], ChangeState.Response]
 
 
 def answer_impossible_transitions(node: Node) -> None:
@@ -23,8 +26,9 @@ def answer_impossible_transitions(node: Node) -> None:
             service.callback = _answering(node, service.callback)
 
 
-def _answering(node, change_state):
-    def answer(request, response):
+def _answering(node: Node, change_state: ChangeStateCallback) -> ChangeStateCallback:
+    def answer(
+            request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
         try:
             return change_state(request, response)
         except RCLError:

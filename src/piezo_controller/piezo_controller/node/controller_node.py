@@ -9,19 +9,21 @@ import time
 from pathlib import Path
 
 import numpy as np
+import piezo_interfaces.msg as messages
 from piezo_interfaces.action import Track
+from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.feedbacks import PLACES, Feedbacks, FeedbackSettings
-from piezo_controller.tracking.track import TrackRequest, prepare
+from piezo_controller.tracking.track import Learning, PreparedRun, TrackRequest, prepare
 from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_ros.calls import CallFailed
-from piezo_ros.goals import GoalServers
+from piezo_ros.goals import GoalServers, Progress
 from piezo_ros.parameters import declare, declare_data_root
 from piezo_ros.spinning import autostart, run_node
 from piezo_ros.stage_runs.described_stage import DescribedStage
-from piezo_ros.stage_runs.recording_calls import RecorderCaller
+from piezo_ros.stage_runs.recording_calls import RecorderCaller, RunRecording
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import REPORT_PERIOD_S, StageTracker
 
@@ -58,11 +60,11 @@ class ControllerNode(LifecycleNode):
         self._goals.serve(Track, "controller/track", self._track)
         autostart(self)
 
-    def wind_down(self):
+    def wind_down(self) -> bool:
         """Cancel what runs; return whether it has ended."""
         return self._goals.end()
 
-    def _track(self, goal, result, progress):
+    def _track(self, goal: Track.Goal, result: Track.Result, progress: Progress) -> None:
         directory = self._data_root.writable(goal.directory or self._directory)
         self._locate_files(goal)
         model_text = _read_text(goal.model)
@@ -95,37 +97,39 @@ class ControllerNode(LifecycleNode):
                     f"the stage stopped before the end: {self._tracker.why_ended()}")
         progress.check()
         learned = "" if account.failure else _keep_learned(prepared.learning, result)
-        uncompensated = plan.uncompensated and (
-            f'the feedforward does not compensate: {", ".join(plan.uncompensated)}')
+        uncompensated = (
+            f'the feedforward does not compensate: {", ".join(plan.uncompensated)}'
+            if plan.uncompensated else "")
         notes = learned, uncompensated, run.lateness, recording.note
         if account.failure:
             raise CallFailed("; ".join(filter(None, (account.failure, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))
 
-    def _feedbacks(self, clock):
+    def _feedbacks(self, clock: StageClock) -> Feedbacks:
         """Return what makes the feedbacks for a stage; designs are kept for as long as it stays."""
         if self._designed is None or self._designed[0] != clock:
             self._designed = clock, Feedbacks(self._feedback_settings, clock)
         return self._designed[1]
 
-    def _locate_files(self, goal):
+    def _locate_files(self, goal: Track.Goal) -> None:
         """Take the relative paths of files to read from the data root."""
         goal.model = self._data_root.readable(goal.model)
         for reference in (goal.reference, *goal.then):
             reference.file = self._data_root.readable(reference.file)
 
-    def _play(self, prepared, clock, account, progress, recording):
+    def _play(self, prepared: PreparedRun, clock: StageClock, account: RunAccount,
+              progress: Progress, recording: RunRecording) -> None:
         plan, run = prepared.plan, prepared.run
 
-        def take(block):
+        def take(block: SampleBlock) -> float:
             if not run.complete:
                 account.take(block.flags)
             return prepared.take(np.frombuffer(block.displacement_um))
 
-        def shall_end():
+        def shall_end() -> bool:
             return progress.cancelled or recording.must_stop or prepared.over
 
-        def report():
+        def report() -> None:
             progress.report(
                 run.fraction, stage="play", e_rms_percent=run.e_rms_percent(running=True),
                 on_target=run.on_target, tolerance_um=run.tolerance_um, iteration=plan.iteration)
@@ -136,7 +140,7 @@ class ControllerNode(LifecycleNode):
             shall_end, report, plan.continuation())
 
 
-def _clock(described):
+def _clock(described: StageDescription) -> StageClock:
     """Return what plans are made for, as the stage describes it."""
     return StageClock(
         voltage_range_v=(described.minimum_voltage_v, described.maximum_voltage_v),
@@ -145,7 +149,7 @@ def _clock(described):
         samples_per_tick=described.samples_per_tick, max_feedback_v=described.max_feedback_v)
 
 
-def _keep_learned(learning, result):
+def _keep_learned(learning: Learning | None, result: Track.Result) -> str:
     """Write what was learned, if anything was to be; return what to tell of it."""
     if learning is None:
         return ""
@@ -157,16 +161,16 @@ def _keep_learned(learning, result):
 class _Preparing:
     """Tells what is done before the run, and lets it be cancelled."""
 
-    def __init__(self, progress, tolerance_um):
+    def __init__(self, progress: Progress, tolerance_um: float) -> None:
         self._progress, self._tolerance_um = progress, tolerance_um
         self._step, self._told_s = "", -math.inf
 
-    def begin(self, step):
+    def begin(self, step: str) -> None:
         """Tell that another step begins."""
         self._step, self._told_s = step, -math.inf
         self.watch(0.0)
 
-    def watch(self, fraction):
+    def watch(self, fraction: float) -> None:
         """Tell how much of the present step is done; raise ``Cancelled`` if it shall end."""
         self._progress.check()
         now_s = time.monotonic()
@@ -176,24 +180,24 @@ class _Preparing:
                                   tolerance_um=self._tolerance_um)
 
 
-def _request(goal, model_text, directory):
+def _request(goal: Track.Goal, model_text: str, directory: Path) -> TrackRequest:
     return TrackRequest(
         mode=goal.mode, model=goal.model,
         model_sha256=hashlib.sha256(model_text.encode()).hexdigest(),
         references=[_reference(message) for message in (goal.reference, *goal.then)],
         durations_s=[goal.duration_s, *goal.then_duration_s], tolerance_um=goal.tolerance_um,
         inversion=goal.inversion, learned=goal.learned, iterations=goal.iterations,
-        directory=directory)
+        directory=str(directory))
 
 
-def _reference(message):
+def _reference(message: messages.Reference) -> Reference:
     return Reference(
         message.kind, tuple(message.frequency_hz), tuple(message.amplitude_um),
         tuple(message.phase_rad), message.centre_um, message.file, message.once, message.axis,
         message.lines, message.seed)
 
 
-def _read_text(path):
+def _read_text(path: str) -> str:
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -202,7 +206,7 @@ def _read_text(path):
                          "identify the stage first, or give the path of its model") from None
 
 
-def _parameters(goal):
+def _parameters(goal: Track.Goal) -> str:
     references = [dataclasses.asdict(_reference(message))
                   for message in (goal.reference, *goal.then)]
     return json.dumps({
@@ -211,6 +215,6 @@ def _parameters(goal):
         "inversion": goal.inversion}, indent=1)
 
 
-def main(args=None):
+def main(args: list[str] | None = None) -> None:
     """Run the node ``controller``."""
     run_node(ControllerNode, args)

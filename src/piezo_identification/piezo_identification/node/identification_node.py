@@ -2,15 +2,23 @@
 """Run the identification on a stage: experiments and the whole sequence as actions."""
 
 import json
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment
+from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
 from piezo_identification.diagnosis.report.results import diagnose_files
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
-from piezo_identification.experiments.catalogue import EXPERIMENTS, StageLimits, named_experiment
+from piezo_identification.experiments.catalogue import (
+    EXPERIMENTS,
+    Experiment,
+    StageLimits,
+    named_experiment,
+)
 from piezo_identification.experiments.relay_feedback import (
     RelayExperiment,
     RelayRun,
@@ -20,23 +28,25 @@ from piezo_identification.identification.identify import IdentificationCancelled
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
 from piezo_ros.calls import ActionCaller, CallFailed, Cancelled, GoalAborted
-from piezo_ros.goals import GoalServers
+from piezo_ros.goals import GoalServers, Progress
 from piezo_ros.parameters import declare, declare_data_root
 from piezo_ros.spinning import autostart, run_node
 from piezo_ros.stage_runs.described_stage import DescribedStage
-from piezo_ros.stage_runs.recording_calls import RecorderCaller
+from piezo_ros.stage_runs.recording_calls import RecorderCaller, RunRecording
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import StageTracker
 
 # Of the identify action: what the experiments take of it, the rest are the estimators.
 EXPERIMENTS_FRACTION = 0.5
+# Takes the step of an experiment, and which fraction of it is done.
+Report = Callable[[str, float], None]
 DIAGNOSIS_FILES = ("verdict.json", "extended_model.json", "report.html")
 
 
 class IdentificationNode(LifecycleNode):
     """Serve the actions ``run_experiment``, ``identify`` and ``diagnose``."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__("identification")
         self._stage = DescribedStage(self)
         self._data_root = declare_data_root(self)
@@ -54,11 +64,12 @@ class IdentificationNode(LifecycleNode):
         self._goals.serve(Diagnose, "identification/diagnose", self._diagnose)
         autostart(self)
 
-    def wind_down(self):
+    def wind_down(self) -> bool:
         """Cancel what runs; return whether it has ended."""
         return self._goals.end()
 
-    def _run_experiment(self, goal, result, progress):
+    def _run_experiment(self, goal: RunExperiment.Goal, result: RunExperiment.Result,
+                        progress: Progress) -> None:
         directory = self._writable(goal)
         stage = self._stage.wait(progress.check)
         experiment = named_experiment(goal.experiment, _limits(stage))
@@ -71,24 +82,29 @@ class IdentificationNode(LifecycleNode):
             oscillation = relay_oscillation(read_recording(result.recording), experiment)
             result.summary += f"\n{oscillation.summary}"
 
-    def _record(self, experiment, stage, directory, result, report, progress, unrecorded):
+    def _record(self, experiment: Experiment | RelayExperiment, stage: StageDescription,
+                directory: Path, result: RunExperiment.Result | Identify.Result, report: Report,
+                progress: Progress, unrecorded: bool) -> tuple[str, RunRecording]:
         """Run and record an experiment; its recording is in the result whatever happens.
 
         Returns what there is to tell of the run, and the recording.
         """
         self._stage.check_unchanged(stage)
-        run = self._relay if isinstance(experiment, RelayExperiment) else self._play
         with self._recorder.record(directory, experiment.name, {
                 "parameters.json": _described(experiment, stage)}, unrecorded) as recording:
             if hasattr(result, "recording"):
                 result.recording = recording.path
             else:
                 result.recordings.append(recording.path)
-            note = run(experiment, report, progress, recording)
+            if isinstance(experiment, RelayExperiment):
+                note = self._relay(experiment, report, progress, recording)
+            else:
+                note = self._play(experiment, report, progress, recording)
         progress.check()
         return note, recording
 
-    def _play(self, experiment, report, progress, recording):
+    def _play(self, experiment: Experiment, report: Report, progress: Progress,
+              recording: RunRecording) -> str:
         """Play a waveform on the stage and wait for its end."""
         try:
             played = self._player.run(
@@ -104,11 +120,13 @@ class IdentificationNode(LifecycleNode):
         recording.last_sample = played.last_sample
         return ""
 
-    def _relay(self, experiment, report, progress, recording):
+    def _relay(self, experiment: RelayExperiment, report: Report, progress: Progress,
+               recording: RunRecording) -> str:
         """Answer the stage's blocks as a relay; return what there is to tell of it."""
-        run, account = RelayRun(experiment), RunAccount(**self._run_limits)
+        run, account = RelayRun(experiment), RunAccount(
+            **self._run_limits, answered=True, streamed=False)
 
-        def take(block):
+        def take(block: SampleBlock) -> float:
             if run.fraction < 1.0:
                 account.take(block.flags)
             return run.take(np.frombuffer(block.displacement_um))
@@ -126,7 +144,8 @@ class IdentificationNode(LifecycleNode):
             raise CallFailed(account.failure)
         return account.note
 
-    def _identify(self, goal, result, progress):
+    def _identify(self, goal: Identify.Goal, result: Identify.Result,
+                  progress: Progress) -> None:
         directory = self._writable(goal)
         _make(directory)
         given = [*map(self._data_root.readable, goal.recordings)]
@@ -140,7 +159,9 @@ class IdentificationNode(LifecycleNode):
         recordings = dict(zip(EXPERIMENTS, map(read_recording, result.recordings), strict=True))
         try:
             identified = identify(
-                **recordings, refine=self._refine,
+                creep=recordings["creep"], dynamics=recordings["dynamics"],
+                hysteresis=recordings["hysteresis"], validation=recordings["validation"],
+                refine=self._refine,
                 order=ResponseOrder(goal.creep_pairs or None, goal.modes or None, None),
                 progress=lambda stage, fraction: progress.report(
                     EXPERIMENTS_FRACTION + (1.0 - EXPERIMENTS_FRACTION) * fraction,
@@ -154,7 +175,8 @@ class IdentificationNode(LifecycleNode):
         result.error_names = list(identified.errors)
         result.error_values = [float(value) for value in identified.errors.values()]
 
-    def _run_all(self, directory, result, progress, unrecorded):
+    def _run_all(self, directory: Path, result: Identify.Result, progress: Progress,
+                 unrecorded: bool) -> list[str]:
         """Run every experiment; raise CallFailed at the end if one could not be recorded."""
         unread = []
         stage = self._stage.wait(progress.check)
@@ -164,7 +186,8 @@ class IdentificationNode(LifecycleNode):
             begin = sum(durations_s[:index]) / sum(durations_s)
             share = durations_s[index] / sum(durations_s)
 
-            def report(step, fraction, name=experiment.name, begin=begin, share=share):
+            def report(step: str, fraction: float, name: str = experiment.name,
+                       begin: float = begin, share: float = share) -> None:
                 progress.report(EXPERIMENTS_FRACTION * (begin + share * fraction),
                                 stage=f"{name}: {step}")
             _, recording = self._record(
@@ -175,8 +198,9 @@ class IdentificationNode(LifecycleNode):
                              "recordings to identify")
         return result.recordings
 
-    def _diagnose(self, goal, result, progress):
-        def report(stage, fraction):
+    def _diagnose(self, goal: Diagnose.Goal, result: Diagnose.Result,
+                  progress: Progress) -> None:
+        def report(stage: str, fraction: float) -> None:
             progress.check()
             progress.report(fraction, stage=stage)
 
@@ -196,19 +220,19 @@ class IdentificationNode(LifecycleNode):
             setattr(result, f"before_{name}", float(diagnosis.before[name]))
             setattr(result, f"after_{name}", float(diagnosis.after[name]))
 
-    def _writable(self, goal):
+    def _writable(self, goal: RunExperiment.Goal | Identify.Goal | Diagnose.Goal) -> Path:
         """Return the directory in which a goal's files are made."""
         return self._data_root.writable(goal.directory or self._directory)
 
 
-def _limits(stage):
+def _limits(stage: StageDescription) -> StageLimits:
     """Return what experiments are made for, as the stage describes it."""
     return StageLimits(
         stage.minimum_voltage_v, stage.maximum_voltage_v, stage.slew_limit_v_per_s,
         stage.sample_rate_hz, stage.rest_voltage_v, stage.samples_per_tick)
 
 
-def _described(experiment, stage):
+def _described(experiment: Experiment | RelayExperiment, stage: StageDescription) -> str:
     return json.dumps({
         "experiment": experiment.name, "description": experiment.description,
         "duration_s": experiment.duration_s, **experiment.parameters(),
@@ -216,13 +240,13 @@ def _described(experiment, stage):
         "maximum_voltage_v": stage.maximum_voltage_v}, indent=1)
 
 
-def _make(directory):
+def _make(directory: Path) -> None:
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"{directory}: {error.strerror}; choose another directory") from None
 
 
-def main(args=None):
+def main(args: list[str] | None = None) -> None:
     """Run the node ``identification``."""
     run_node(IdentificationNode, args)

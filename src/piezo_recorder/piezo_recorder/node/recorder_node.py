@@ -6,17 +6,24 @@ import importlib
 import inspect
 import shutil
 import time
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from piezo_interfaces.msg import StageDescription
 from piezo_interfaces.srv import StartRecording, StopRecording
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.lifecycle.node import LifecycleState
 from rclpy.serialization import serialize_message
+from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.timer import Timer
 
 from piezo_common.data_root import DataRootError, check_file_name
 from piezo_recorder import sample_block
-from piezo_recorder.writing.message_definition import installed_definition
+from piezo_recorder.writing.message_definition import MessageDefinition, installed_definition
 from piezo_recorder.writing.quality_profiles import offered_profile
 from piezo_recorder.writing.session import RecordingSession
 from piezo_recorder.writing.writer import FLUSH_PERIOD_S, RecordingWriter
@@ -42,7 +49,7 @@ DESCRIPTION_TYPE = "piezo_interfaces/msg/StageDescription"
 class Recorder(LifecycleNode):
     """Record topics as they arrive, undecoded, into rosbag2 directories."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__("recorder")
         declare(self, "topics", ["samples", "feedback", "ground_truth"],
                 "Topics to record; the first of samples is the one that is counted.")
@@ -54,12 +61,12 @@ class Recorder(LifecycleNode):
                 0, 1_000_000_000, read_only=False)
         self._data_root = declare_data_root(self)
         self._stage = DescribedStage(self, self._record_description)
-        self._session = None
-        self._client_gone_at = None
-        self._definitions = {}
-        self._subscriptions_by_topic = {}
+        self._session: RecordingSession | None = None
+        self._client_gone_at: float | None = None
+        self._definitions: dict[str, MessageDefinition] = {}
+        self._subscriptions_by_topic: dict[str, Subscription] = {}
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._housekeeping = []
+        self._housekeeping: list[Timer] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._create_waiting_service(
             StartRecording, "recorder/start_recording", self._start_recording)
@@ -70,7 +77,7 @@ class Recorder(LifecycleNode):
 
     # Lifecycle
 
-    def on_configure(self, state):
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Look up the definitions of the types."""
         topics = self.get_parameter("topics").value
         types = self.get_parameter("types").value
@@ -93,7 +100,7 @@ class Recorder(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
-    def on_activate(self, state):
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Subscribe to the topics."""
         # Connected from here on: a subscription made only when a recording starts could miss
         # the first samples.
@@ -105,7 +112,7 @@ class Recorder(LifecycleNode):
                 functools.partial(self._receive, topic), SAMPLES, raw=True)
         return super().on_activate(state)
 
-    def on_deactivate(self, state):
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Close the recording that runs, and unsubscribe."""
         self.close()
         for subscription in self._subscriptions_by_topic.values():
@@ -113,19 +120,21 @@ class Recorder(LifecycleNode):
         self._subscriptions_by_topic = {}
         return super().on_deactivate(state)
 
-    def on_shutdown(self, state):
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Close the recording that runs, from any state."""
         self.close()
         return TransitionCallbackReturn.SUCCESS
 
-    def close(self):
+    def close(self) -> None:
         """Close the recording that runs, if any."""
         if self._recording:
             self._end("the recorder was stopped")
 
     # Services
 
-    def _create_waiting_service(self, service_type, name, callback):
+    def _create_waiting_service(
+            self, service_type: type, name: str,
+            callback: Callable[[Any, Any], Coroutine[None, None, Any]]) -> None:
         """Create a service whose callback is a coroutine.
 
         The events executor does not await it but passes it on as if it were the response.
@@ -133,19 +142,22 @@ class Recorder(LifecycleNode):
         service = self.create_service(service_type, name, callback)
         send_response = service.send_response
 
-        def answer(response, header):
+        def answer(response: Any, header: Any) -> None:
             if not inspect.iscoroutine(response):
                 send_response(response, header)
                 return
 
-            async def answer_later():
+            async def answer_later() -> None:
                 send_response(await response, header)
 
-            self.executor.create_task(answer_later)
+            executor = self.executor
+            if executor is not None:  # else the node has ended without waiting any longer
+                executor.create_task(answer_later)
 
-        service.send_response = answer
+        service.send_response = answer  # type: ignore[method-assign]
 
-    async def _start_recording(self, request, response):
+    async def _start_recording(self, request: StartRecording.Request,
+                               response: StartRecording.Response) -> StartRecording.Response:
         refusal = self._refusal(request)
         if not refusal and not await self._stage_is_there():
             refusal = (f"Nobody publishes {self._samples_topic}: "
@@ -155,7 +167,7 @@ class Recorder(LifecycleNode):
         refusal = refusal or self._refusal(request)
         if not refusal:
             try:
-                self._session = self._new_session(request)
+                session = self._session = self._new_session(request)
             except OSError as error:
                 refusal = _sentence(error)
             except DataRootError as error:
@@ -165,17 +177,17 @@ class Recorder(LifecycleNode):
             response.message = refusal
             return response
         self._start_housekeeping()
-        self.get_logger().info(f"Recording into {self._session.path}")
+        self.get_logger().info(f"Recording into {session.path}")
         response.success = True
-        response.path = self._session.path
+        response.path = session.path
         return response
 
-    def _refusal(self, request):
+    def _refusal(self, request: StartRecording.Request) -> str:
         """Say why a recording cannot start now; empty if it can."""
         if not self._subscriptions_by_topic:
             return "The recorder is not active: activate it first."
         if self._recording:
-            return f"{self._session.path} is being recorded: stop it first."
+            return f"{self._recording.path} is being recorded: stop it first."
         if len(request.attachment_names) != len(request.attachment_contents):
             return (f"{len(request.attachment_names)} attachment names came with "
                     f"{len(request.attachment_contents)} contents: give one for each.")
@@ -189,26 +201,26 @@ class Recorder(LifecycleNode):
                     f"make room for {self._minimum_free_mb} MB.")
         return ""
 
-    def _path(self, request):
+    def _path(self, request: StartRecording.Request) -> Path:
         """Where the recording goes; DataRootError if it, or an attachment, is not to be there."""
         check_file_name(request.name, "a recording")
         for name in request.attachment_names:
             check_file_name(name, "an attachment")
         return self._data_root.writable(request.directory) / request.name
 
-    async def _stage_is_there(self):
+    async def _stage_is_there(self) -> bool:
         samples = self._subscriptions_by_topic[self._samples_topic]
         return await self._until(
             lambda: samples.get_publisher_count() > 0, DISCOVERY_TIMEOUT_S)
 
-    async def _why_undescribed(self):
+    async def _why_undescribed(self) -> str:
         """Say why the clock of the samples is not known; empty if it is."""
         if not await self._until(
                 lambda: self._stage.description is not None, DISCOVERY_TIMEOUT_S):
             return f"Nobody describes the stage on {self._stage.topic}: configure the stage."
         return self._stage.contradiction
 
-    def _new_session(self, request):
+    def _new_session(self, request: StartRecording.Request) -> RecordingSession:
         described = self._stage.description
         if described is None:  # ended since it was asked for
             raise OSError(f"Nobody describes the stage on {self._stage.topic} any more: "
@@ -228,7 +240,8 @@ class Recorder(LifecycleNode):
                         self.get_clock().now().nanoseconds)
         return session
 
-    async def _stop_recording(self, request, response):
+    async def _stop_recording(self, request: StopRecording.Request,
+                              response: StopRecording.Response) -> StopRecording.Response:
         session = self._session
         if session is None:
             response.message = "Nothing is being recorded: start a recording first."
@@ -261,12 +274,12 @@ class Recorder(LifecycleNode):
         response.missing_samples = session.missing + late
         return response
 
-    async def _until(self, condition, timeout_s):
+    async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until a condition holds; return whether it does."""
         future = Future()
         deadline = time.monotonic() + timeout_s
 
-        def check():
+        def check() -> None:
             if condition() or time.monotonic() > deadline:
                 future.set_result(None)
 
@@ -279,61 +292,66 @@ class Recorder(LifecycleNode):
     # Recording
 
     @property
-    def _recording(self):
-        return self._session is not None and not self._session.closed
+    def _recording(self) -> RecordingSession | None:
+        """What is being recorded; None if nothing is."""
+        session = self._session
+        return session if session is not None and not session.closed else None
 
     @property
-    def _samples_topic(self):
+    def _samples_topic(self) -> str:
         return next(topic for topic, definition in self._definitions.items()
                     if definition.type_name == sample_block.TYPE_NAME)
 
     @property
-    def _minimum_free_mb(self):
+    def _minimum_free_mb(self) -> int:
         return self.get_parameter("minimum_free_mb").value
 
-    def _receive(self, topic, data):
-        if not self._recording:
+    def _receive(self, topic: str, data: bytes) -> None:
+        session = self._recording
+        if session is None:
             return
         try:
-            self._session.receive(topic, data, self.get_clock().now().nanoseconds)
+            session.receive(topic, data, self.get_clock().now().nanoseconds)
         except OSError as error:
             self._end(_sentence(error))
 
-    def _record_description(self, description):
+    def _record_description(self, description: StageDescription) -> None:
         """Keep what a stage says that is configured, or started anew, while it is recorded."""
         if self._recording:
             self._receive(self._stage.topic, serialize_message(description))
 
-    def _start_housekeeping(self):
+    def _start_housekeeping(self) -> None:
         self._housekeeping = [
             self.create_timer(FLUSH_PERIOD_S, self._flush, clock=self._steady_clock),
             self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics,
                               clock=self._steady_clock)]
 
-    def _client_is_gone(self):
+    def _client_is_gone(self, session: RecordingSession) -> bool:
         """Whether the recording's client went away as long ago as the stage moves on."""
-        if self._client_gone_at is None and self._session.client.gone:
+        if self._client_gone_at is None and session.client.gone:
             self._client_gone_at = time.monotonic()
         gone_at = self._client_gone_at
         return gone_at is not None and time.monotonic() - gone_at > AFTERMATH_S
 
-    def _flush(self):
-        if not self._recording:  # ended after this callback was due
+    def _flush(self) -> None:
+        session = self._recording
+        if session is None:  # ended after this callback was due
             return
-        if self._client_is_gone():
-            self._end(f"its client {self._session.client.name} is gone")
+        if self._client_is_gone(session):
+            self._end(f"its client {session.client.name} is gone")
             return
-        free_mb = _free_mb(self._session.writer.path)
+        free_mb = _free_mb(session.writer.path)
         if free_mb < self._minimum_free_mb:
             self._end(f"only {free_mb:.0f} MB were free on the disk")
             return
         try:
-            self._session.writer.flush()
+            session.writer.flush()
         except OSError as error:
             self._end(_sentence(error))
 
-    def _end(self, ended_early=""):
+    def _end(self, ended_early: str = "") -> None:
         session = self._session
+        assert session is not None  # what has begun can end
         session.ended_early = ended_early
         for timer in self._housekeeping:
             self.destroy_timer(timer)
@@ -347,7 +365,7 @@ class Recorder(LifecycleNode):
             self.get_logger().info(f"Recorded {session.samples} samples into {session.path}")
         self._publish_diagnostics()
 
-    def _publish_diagnostics(self):
+    def _publish_diagnostics(self) -> None:
         session = self._session
         if session is None:  # as above
             return
@@ -366,25 +384,25 @@ class Recorder(LifecycleNode):
         }))
 
 
-def _message_class(type_name):
+def _message_class(type_name: str) -> type:
     package, _, name = type_name.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), name)
 
 
-def _free_mb(path):
+def _free_mb(path: Path) -> float:
     path = path.absolute()
     existing = next(folder for folder in (path, *path.parents) if folder.exists())
     return shutil.disk_usage(existing).free / MEGABYTE
 
 
-def _sentence(error):
+def _sentence(error: OSError) -> str:
     """Text of an OSError without its number."""
     if error.strerror is None:
         return str(error)
     return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
 
 
-def main(args=None):
+def main(args: list[str] | None = None) -> None:
     """Run the node ``recorder``."""
     run_node(Recorder, args)
 

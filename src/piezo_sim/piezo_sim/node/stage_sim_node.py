@@ -2,14 +2,21 @@
 """The stage node over the simulated stage, which also publishes the true displacement."""
 
 import array
+from typing import cast
 
 import numpy as np
 from piezo_interfaces.msg import SampleBlock
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.lifecycle.node import LifecycleState
+from rclpy.publisher import Publisher
 
+from piezo_common.arrays import FloatArray
 from piezo_ros.parameters import declare
 from piezo_ros.spinning import run_node
 from piezo_sim.paced import PacedStage
 from piezo_sim.simulated_stage import SimulatedStage
+from piezo_stage_driver.backends.backend import StageBackend
+from piezo_stage_driver.engine.blocks import Block
 from piezo_stage_driver.node.stage_node import StageNode
 
 GROUND_TRUTH_SAMPLES = 4000
@@ -18,18 +25,21 @@ GROUND_TRUTH_SAMPLES = 4000
 class SimulatedStageNode(StageNode):
     """Publish ``ground_truth`` beside ``samples``, except where a slow waveform plays."""
 
-    def __init__(self):
-        self._ground_truth = None
+    def __init__(self) -> None:
+        self._ground_truth: Publisher | None = None
+        # Voltages and true displacements since the last message.
+        self._truth: list[tuple[FloatArray, FloatArray]] = []
+        self._truth_first_sample = 0
         super().__init__(create_simulated_stage)
 
-    def on_activate(self, state):
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the sample clock at sample 0, and the truth with it."""
         self._ground_truth = self._ground_truth or self.create_publisher(
             SampleBlock, "ground_truth", self._outputs.quality)
         self._truth, self._truth_first_sample = [], 0
         return super().on_activate(state)
 
-    def on_block(self, block):
+    def on_block(self, block: Block) -> None:
         """Collect the true displacement and publish it in large messages."""
         if block.sample_period_s > self._engine.sample_period_s:
             if self._truth:
@@ -37,13 +47,14 @@ class SimulatedStageNode(StageNode):
             return
         if not self._truth:
             self._truth_first_sample = block.first_sample
-        self._truth.append((block.voltage_v, self._backend.true_displacement_um))
+        stage = cast(SimulatedStage, self._backend)  # a paced one passes its attributes on
+        self._truth.append((block.voltage_v, stage.true_displacement_um))
         samples = self._engine.next_sample - self._truth_first_sample
         is_last = self._engine.idle and (self.settings.lockstep or not self._active)
         if samples >= GROUND_TRUTH_SAMPLES or is_last:
             self._publish_truth(block)
 
-    def _publish_truth(self, block):
+    def _publish_truth(self, block: Block) -> None:
         voltage_v, displacement_um = (
             np.concatenate(part) for part in zip(*self._truth, strict=True))
         self._truth = []
@@ -53,19 +64,19 @@ class SimulatedStageNode(StageNode):
             tick=block.tick, flags=block.flags,
             voltage_v=array.array("d", voltage_v.tobytes()),
             displacement_um=array.array("d", displacement_um.tobytes()))
+        assert self._ground_truth is not None  # made when the stage was activated
         self._outputs.publish_samples(self._ground_truth, message)
 
 
-def create_simulated_stage(node):
+def create_simulated_stage(node: StageNode) -> StageBackend:
     """Make the backend that the node's parameters describe."""
     seed = declare(node, "seed", 1, "Seed of the sensor noise.", 0, 2**31 - 1)
     plant = declare(node, "plant", "", "Plant file (YAML); empty for the default plant.")
     stage = SimulatedStage(
-        plant or None, seed, node.get_parameter("sample_rate_hz").value,
-        node.get_parameter("rest_voltage_v").value)
-    return stage if node.get_parameter("timing").value == "lockstep" else PacedStage(stage)
+        plant or None, seed, node.settings.sample_rate_hz, node.settings.rest_voltage_v)
+    return stage if node.settings.lockstep else cast(StageBackend, PacedStage(stage))
 
 
-def main(args=None):
+def main(args: list[str] | None = None) -> None:
     """Run the node ``stage`` over the simulated stage."""
     run_node(SimulatedStageNode, args)

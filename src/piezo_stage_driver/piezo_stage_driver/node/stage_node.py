@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The stage as a lifecycle node: one interface over every backend."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from piezo_interfaces.msg import FeedbackVoltage
@@ -199,7 +199,7 @@ class StageNode(LifecycleNode):
         return self.count_publishers(self._feedback_topic) <= 1
 
 
-def main(args: Sequence[str] | None = None) -> None:
+def main(args: list[str] | None = None) -> None:
     """Run the node ``stage`` over the backend that its parameters name."""
     run_node(lambda: StageNode(_chosen_backend), args)
 

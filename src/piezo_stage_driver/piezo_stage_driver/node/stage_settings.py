@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The parameters of the stage node, and what is made of them."""
 
+from typing import Any
+
 from piezo_interfaces.msg import StageDescription
+from rclpy.node import Node
 
 from piezo_ros.parameters import declare
 from piezo_stage_driver.backends.backend import StageBackend
@@ -32,8 +35,34 @@ class StageSettings:
     node : rclpy.node.Node
     """
 
-    def __init__(self, node):
-        def take(name, default, description, *bounds, **options):
+    sample_rate_hz: float
+    minimum_voltage_v: float
+    maximum_voltage_v: float
+    rest_voltage_v: float
+    slew_limit_v_per_s: float
+    ramp_rate_v_per_s: float
+    max_feedback_v: float
+    max_feedback_step_v: float
+    exchange_timeout_s: float
+    emergency_stop_timeout_s: float
+    minimum_displacement_um: float
+    maximum_displacement_um: float
+    max_sensor_noise_um: float
+    stuck_voltage_v: float
+    stuck_displacement_um: float
+    max_feedback_oscillation_v: float
+    lockstep_timeout_s: float
+    joint_state_rate_hz: float
+    samples_per_tick: int
+    max_missed_feedback: int
+    max_limited_feedback: int
+    max_foreign_feedback: int
+    timing: str
+    joint_name: str
+
+    def __init__(self, node: Node) -> None:
+        def take(name: str, default: float | str, description: str, *bounds: float,
+                 **options: Any) -> None:
             setattr(self, name, declare(node, name, default, description, *bounds, **options))
 
         take("sample_rate_hz", 40000.0, "Rate of the sample clock (Hz).", 1000.0, 200000.0)

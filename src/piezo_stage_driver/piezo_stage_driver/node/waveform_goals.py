@@ -103,9 +103,11 @@ class WaveformGoals:
         """Execute a goal now that it is over: the executor polls, busily, a goal that waits."""
         if result.message.startswith("waveform refused"):
             self._node.get_logger().warning(result.message)
+        executor = self._node.executor
+        if executor is None:  # the node has ended without waiting any longer
+            return
         self._open_answers.begin()
-        self._node.executor.create_task(
-            goal.handle.execute, functools.partial(self._end, result=result))
+        executor.create_task(goal.handle.execute, functools.partial(self._end, result=result))
 
     def _end(self, handle: ServerGoalHandle, result: PlayWaveform.Result) -> PlayWaveform.Result:
         self._open_answers.end()
