@@ -3,12 +3,10 @@
 
 import functools
 import importlib
-import inspect
 import shutil
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from piezo_interfaces.msg import StageDescription
@@ -23,6 +21,7 @@ from rclpy.timer import Timer
 
 from piezo_common.data_root import DataRootError, check_file_name
 from piezo_recorder import sample_block
+from piezo_recorder.node.waiting_services import create_waiting_service
 from piezo_recorder.writing.message_definition import MessageDefinition, installed_definition
 from piezo_recorder.writing.quality_profiles import offered_profile
 from piezo_recorder.writing.session import RecordingSession
@@ -68,10 +67,10 @@ class Recorder(LifecycleNode):
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._housekeeping: list[Timer] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._create_waiting_service(
-            StartRecording, "recorder/start_recording", self._start_recording)
-        self._create_waiting_service(
-            StopRecording, "recorder/stop_recording", self._stop_recording)
+        create_waiting_service(
+            self, StartRecording, "recorder/start_recording", self._start_recording)
+        create_waiting_service(
+            self, StopRecording, "recorder/stop_recording", self._stop_recording)
         keep_clock(self, lambda: "a recording runs" if self._recording else "")
         autostart(self)
 
@@ -131,30 +130,6 @@ class Recorder(LifecycleNode):
             self._end("the recorder was stopped")
 
     # Services
-
-    def _create_waiting_service(
-            self, service_type: type, name: str,
-            callback: Callable[[Any, Any], Coroutine[None, None, Any]]) -> None:
-        """Create a service whose callback is a coroutine.
-
-        The events executor does not await it but passes it on as if it were the response.
-        """
-        service = self.create_service(service_type, name, callback)
-        send_response = service.send_response
-
-        def answer(response: Any, header: Any) -> None:
-            if not inspect.iscoroutine(response):
-                send_response(response, header)
-                return
-
-            async def answer_later() -> None:
-                send_response(await response, header)
-
-            executor = self.executor
-            if executor is not None:  # else the node has ended without waiting any longer
-                executor.create_task(answer_later)
-
-        service.send_response = answer  # type: ignore[method-assign]
 
     async def _start_recording(self, request: StartRecording.Request,
                                response: StartRecording.Response) -> StartRecording.Response:
