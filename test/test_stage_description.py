@@ -26,8 +26,7 @@ LIMITS = {"sample_rate_hz": 20_000.0, "samples_per_tick": 20, "minimum_voltage_v
           "ramp_rate_v_per_s": 1800.0, "max_feedback_v": 33.0, "max_feedback_step_v": 11.0,
           "minimum_displacement_um": -44.0, "maximum_displacement_um": 99.0}
 
-NARROW = {"minimum_voltage_v": -5.0, "maximum_voltage_v": 60.0, "rest_voltage_v": 1.0,
-          "sample_rate_hz": 20_000.0, "samples_per_tick": 20}
+NARROW = {"maximum_voltage_v": 60.0, "sample_rate_hz": 20_000.0, "samples_per_tick": 20}
 
 
 class Listener:
@@ -81,6 +80,13 @@ def test_description_is_told_from_configure_to_cleanup_to_whoever_asks_whenever(
     assert {name: getattr(told, name) for name in LIMITS} == LIMITS
     assert (told.backend, told.timing, told.lead_ticks) == ("simulated", "lockstep", 0)
 
+    assert stage.change_state(Transition.TRANSITION_CONFIGURE)
+    assert stage.change_state(Transition.TRANSITION_ACTIVATE)
+    with Stage("/described") as driver:
+        stage.beside(driver.settle, rest_s=1)
+    stage.until(lambda: min(min(block.voltage_v) for block in stage.blocks) == -5.0)
+    stage.until(lambda: stage.blocks[-1].voltage_v[-1] == LIMITS["rest_voltage_v"])
+
 
 @pytest.fixture(scope="module")
 def stage(nodes):
@@ -127,8 +133,7 @@ def test_goals_are_made_for_the_limits_and_the_clock_of_the_new_stage(
     recording = read_recording(experiment.recording)
     assert recording.sample_rate_hz == 20_000.0
     assert json.loads(recording.attachments["parameters.json"])["maximum_voltage_v"] == 60.0
-    expected = named_experiment("dynamics", StageLimits(
-        -5.0, 60.0, sample_rate_hz=20_000.0, rest_voltage_v=1.0))
+    expected = named_experiment("dynamics", StageLimits(-20.0, 60.0, sample_rate_hz=20_000.0))
     assert recording.voltage_v.max() == expected.voltage_v.max()
     told_reach = refusal(stage, "track", **track(model_file, tmp_path / "wide", 45.0))
     assert "the stage reaches about" in told_reach
@@ -164,15 +169,10 @@ def test_parameter_that_contradicts_the_stage_is_refused_with_both_values(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_python_client_plays_at_the_clock_of_the_stage_and_settles_within_its_limits(
-        stage, tmp_path):
+def test_python_client_plays_at_the_clock_of_the_stage(stage, tmp_path):
     with Stage("/replaced") as driver:
-        played = stage.beside(driver.play, [1.0, 1.1, 1.0], directory=tmp_path)
-        assert np.isin(1.1, read_recording(played.path).voltage_v)
-        stage.forget()
-        stage.beside(driver.settle, rest_s=1)
-        stage.until(lambda: min(min(block.voltage_v) for block in stage.blocks) == -5.0)
-        assert stage.blocks[-1].voltage_v[-1] == 1.0
+        played = stage.beside(driver.play, [0.0, 0.05, 0.0], directory=tmp_path)
+    assert np.isin(0.05, read_recording(played.path).voltage_v)
 
 
 def test_goal_keeps_the_stage_it_was_planned_for_and_is_not_played_on_another(domain):
