@@ -74,7 +74,8 @@ def create_simulated_stage(node: StageNode) -> StageBackend:
     plant = declare(node, "plant", "", "Plant file (YAML); empty for the default plant.")
     stage = SimulatedStage(
         plant or None, seed, node.settings.sample_rate_hz, node.settings.rest_voltage_v)
-    return stage if node.settings.lockstep else cast(StageBackend, PacedStage(stage))
+    # Both lack `lead_samples`, which a backend may.
+    return cast(StageBackend, stage if node.settings.lockstep else PacedStage(stage))
 
 
 def main(args: list[str] | None = None) -> None:

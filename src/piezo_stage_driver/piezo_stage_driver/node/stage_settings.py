@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The parameters of the stage node, and what is made of them."""
 
-from typing import Any
+from collections.abc import Sequence
 
 from piezo_interfaces.msg import StageDescription
 from rclpy.node import Node
@@ -61,9 +61,11 @@ class StageSettings:
     joint_name: str
 
     def __init__(self, node: Node) -> None:
-        def take(name: str, default: float | str, description: str, *bounds: float,
-                 **options: Any) -> None:
-            setattr(self, name, declare(node, name, default, description, *bounds, **options))
+        def take(name: str, default: float | str, description: str,
+                 minimum: float | None = None, maximum: float | None = None,
+                 choices: Sequence[str] = ()) -> None:
+            setattr(self, name, declare(
+                node, name, default, description, minimum, maximum, choices=choices))
 
         take("sample_rate_hz", 40000.0, "Rate of the sample clock (Hz).", 1000.0, 200000.0)
         take("samples_per_tick", 40, "Samples of one feedback period.", 1, 4000)
