@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 from piezo_interfaces.action import PlayWaveform
+from piezo_interfaces.msg import StageDescription
 from piezo_interfaces.srv import StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
@@ -60,13 +61,14 @@ class Stage:
         self._client.close()
 
     @property
-    def description(self) -> Message:
-        """Limits, clock and rates, as the stage tells them: a ``StageDescription``."""
-        if not self._client.spin_until(
-                lambda: self._stage.description is not None, SERVER_TIMEOUT_S):
+    def description(self) -> StageDescription:
+        """Limits, clock and rates, as the stage tells them."""
+        self._client.spin_until(lambda: self._stage.description is not None, SERVER_TIMEOUT_S)
+        description = self._stage.description
+        if description is None:
             raise ServiceFailed(f"nobody serves the stage on {self._stage.topic}: start its node, "
                                 "and configure it")
-        return self._stage.description
+        return description
 
     def play(self, voltage_v: ArrayLike, sample_period_s: float | None = None, repeats: int = 1,
              directory: AnyPath = "runs", name: str = "waveform") -> Played:
