@@ -224,6 +224,17 @@ def test_what_makes_held_out_data_worse_is_not_added(save, swinging):
     assert "falls" not in verdict_sentence(diagnosis)
 
 
+def test_what_comes_before_the_model_has_settled_is_not_told_as_outliers(save, swinging):
+    """A recording that begins in motion: its first samples do not count, but the sensor is right."""
+    voltage_v = smooth_noise(1, 6000)
+    displacement_um = with_noise(answered(voltage_v))
+    whole = read_recording(save("whole", voltage_v, displacement_um))
+    moving = read_recording(save("moving", voltage_v[3000:], displacement_um[3000:]))
+    diagnosis = diagnose(swinging, [whole], moving)
+    assert diagnosis.holdout["samples"] < moving.voltage_v.size
+    assert diagnosis.left_out == []
+
+
 def test_no_drift_goes_farther_than_the_sensor_saw(save, swinging):
     voltage_v = smooth_noise(1, 6000)
     slow_um = 0.4 * (np.arange(voltage_v.size) / voltage_v.size) ** 2

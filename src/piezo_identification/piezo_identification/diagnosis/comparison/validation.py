@@ -107,7 +107,7 @@ class Validation:
         """Return sentences on the samples of the other recording that were left out as outliers."""
         if self.holdout is None:
             return []
-        text = outlier_text(self.source, ~self._given.good, self._given.time_s)
+        text = outlier_text(self.source, self._given.outlier, self._given.time_s)
         return [text] if text else []
 
     def _possible(self, fit: Fit) -> tuple[Fit, dict[str, str]]:
@@ -158,17 +158,21 @@ class Validation:
         measured_um = dataset.at_rows([part.measured_um for part in dataset.simulated])
         time_s = dataset.at_rows([part.time_s for part in dataset.simulated])
         return _Samples(time_s, measured_um, left * self.regression.tolerance_um,
-                        self.regression.validation)
+                        self.regression.validation, np.zeros(time_s.size, dtype=bool))
 
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """Measured displacement, what is left of it, and which of it counts."""
+    """Measured displacement, what is left of it, which of it counts, and which is an outlier.
+
+    What comes before a model has settled is no outlier, though it does not count.
+    """
 
     time_s: FloatArray
     measured_um: FloatArray
     left_um: FloatArray
     good: BoolArray
+    outlier: BoolArray
 
     def errors(self, good: BoolArray) -> dict[str, float]:
         """Return the errors of some samples."""
@@ -181,10 +185,11 @@ def _predicted(model: StageModel, recording: Recording) -> _Samples:
     """Predict all samples of a recording."""
     prediction = predict(model, recording)
     measured_um = np.zeros(recording.time_s.size)
-    left_um, good = measured_um.copy(), np.zeros(measured_um.size, dtype=bool)
+    left_um = measured_um.copy()
+    good, outlier = np.zeros((2, measured_um.size), dtype=bool)
     # A model that settles later counts from then on.
     at = np.searchsorted(recording.sample_index, prediction.sample_index)
     measured_um[at] = prediction.measured_um
     left_um[at] = prediction.measured_um - prediction.simulated_um
-    good[at] = prediction.good
-    return _Samples(recording.time_s, measured_um, left_um, good)
+    good[at], outlier[at] = prediction.good, ~prediction.good
+    return _Samples(recording.time_s, measured_um, left_um, good, outlier)
