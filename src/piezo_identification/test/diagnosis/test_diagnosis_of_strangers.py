@@ -225,7 +225,7 @@ def test_what_makes_held_out_data_worse_is_not_added(save, swinging):
 
 
 def test_what_comes_before_the_model_has_settled_is_not_told_as_outliers(save, swinging):
-    """A recording that begins in motion: its first samples do not count, but the sensor is right."""
+    """The first samples of a recording that begins in motion do not count, but are no outliers."""
     voltage_v = smooth_noise(1, 6000)
     displacement_um = with_noise(answered(voltage_v))
     whole = read_recording(save("whole", voltage_v, displacement_um))
