@@ -64,9 +64,10 @@ class LineRunner:
         exponents = products * (sample_period_s / charging_s)
         weights = 2.0 / products
         self._levels_v = np.zeros(count)
-        self._constants = (
-            weights, np.exp(-exponents), -np.expm1(-exponents) / exponents, 1.0 - weights.sum()
-        )
+        self._decays = np.exp(-exponents)
+        self._mean_decays = -np.expm1(-exponents) / exponents
+        self._weights = weights
+        self._instant = 1.0 - float(weights.sum())
 
     def rest(self, level: float) -> float:
         """Settle at the voltage `level`."""
@@ -75,4 +76,6 @@ class LineRunner:
 
     def apply(self, samples: FloatArray) -> None:
         """Replace the voltage at the entrance by the mean over layers and sample."""
-        _charge(samples, self._levels_v, *self._constants)
+        _charge(
+            samples, self._levels_v, self._weights, self._decays, self._mean_decays, self._instant
+        )

@@ -4,7 +4,6 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-
 from piezo_common.arrays import FloatArray
 from piezo_sim.plant.converter import Converter
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
