@@ -81,6 +81,8 @@ def built_model(document: ModelDocument) -> IdentifiedModel:
             name: {parameter: _infinite_where_untold(value) for parameter, value in part}
             for name, part in document.uncertainties if part},
         visited=_visited(document.visited),
+        adequacy={component: part.model_dump(exclude_none=True)
+                  for component, part in document.adequacy.items()},
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verdict on each component of a model: is what it leaves of its own recording noise?"""
+"""The verdict on each component of a model: what it leaves of its recording, beside the noise."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -47,11 +47,6 @@ class ComponentAdequacy:
     noise_from: str
     left: str = ""
     advice: str = ""
-
-    def line(self, component: str) -> str:
-        """Return a row of the table of `adequacy_table`."""
-        return (f"{component:12}{self.residual_rms_um:12.3g}{self.noise_rms_um:12.3g}"
-                f"{self.ratio:10.3g}{self.error_percent:12.3g}  {self.verdict}")
 
 
 def adequacy_of(
@@ -133,22 +128,39 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
     return ", or ".join(steps)
 
 
-def overall_verdict(adequacy: Mapping[str, ComponentAdequacy]) -> str:
-    """Return `ADEQUATE` if every component is, else `INADEQUATE`."""
-    return ADEQUATE if all(
-        part.verdict == ADEQUATE for part in adequacy.values()) else INADEQUATE
-
-
 def adequacy_document(adequacy: Mapping[str, ComponentAdequacy]) -> dict[str, dict[str, Any]]:
     """Return the adequacy as plain numbers and texts, as the model file keeps it."""
     return {component: {name: value for name, value in asdict(part).items() if value != ""}
             for component, part in adequacy.items()}
 
 
-def adequacy_table(adequacy: Mapping[str, ComponentAdequacy]) -> str:
-    """Return the adequacy as a table for people, with what is left and what to do below it."""
-    lines = [f"{'':12}{'left (um)':>12}{'noise (um)':>12}{'ratio':>10}{'e_y (%)':>12}  fitted data"]
-    lines += [part.line(component) for component, part in adequacy.items()]
-    lines += [f"{component} is inadequate: {part.left}: {part.advice}"
-              for component, part in adequacy.items() if part.verdict == INADEQUATE]
+def overall_verdict(document: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return `ADEQUATE` if every component is, else `INADEQUATE`; empty if none was judged.
+
+    Parameters
+    ----------
+    document : dict of str to dict
+        Of `adequacy_document`, or from a model file.
+    """
+    verdicts = {part["verdict"] for part in document.values()}
+    if not verdicts:
+        return ""
+    return ADEQUATE if verdicts == {ADEQUATE} else INADEQUATE
+
+
+def adequacy_table(document: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the adequacy as a table for people, with what is left and what to do below it.
+
+    Parameters
+    ----------
+    document : dict of str to dict
+        Of `adequacy_document`.
+    """
+    lines = [f"{'on the data that were fitted':30}{'left (um)':>12}{'noise (um)':>12}{'ratio':>10}"
+             f"{'e_y (%)':>10}"]
+    lines += [f"{component:30}{part['residual_rms_um']:12.3g}{part['noise_rms_um']:12.3g}"
+              f"{part['ratio']:10.3g}{part['error_percent']:10.3g}  {part['verdict']}"
+              for component, part in document.items()]
+    lines += [f"{component} is inadequate: {part['left']}; {part['advice']}"
+              for component, part in document.items() if part["verdict"] == INADEQUATE]
     return "\n".join(lines)

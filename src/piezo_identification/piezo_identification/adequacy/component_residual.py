@@ -68,8 +68,9 @@ class ComponentResidual:
     def error_percent(self) -> float:
         """Relative error e_y (4.20) on these samples, which were fitted."""
         measured_um = self.measured_um[self.good]
+        norm_um = np.linalg.norm(measured_um - measured_um.mean())
         return float(100.0 * np.linalg.norm(self.residual_um[self.good])
-                     / np.linalg.norm(measured_um - measured_um.mean()))
+                     / max(norm_um, np.finfo(float).tiny))
 
 
 def component_residual(

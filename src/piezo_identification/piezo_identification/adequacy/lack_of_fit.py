@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The lack-of-fit test: is a residual larger than noise, in single samples or in means of them?"""
+"""The lack-of-fit test: a residual beside noise, in single samples and in means of them."""
 
 from dataclasses import dataclass
 

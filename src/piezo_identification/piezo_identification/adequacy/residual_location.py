@@ -64,7 +64,7 @@ def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLo
     if residual.frequency_hz is None:
         words.append(_time_words(residual, values_um))
         if not residual.steps.size:
-            words.append(_voltage_words(residual, values_um))
+            words[-1] += f" and {_voltage_words(residual, values_um)}"
     return ResidualLocation(band_hz, narrow, ", ".join(words))
 
 
@@ -94,11 +94,11 @@ def _time_words(residual: ComponentResidual, values_um: FloatArray) -> str:
         seconds = np.maximum(since, 1) * residual.sample_period_s
         edges = np.geomspace(seconds.min(), seconds.max() * (1.0 + 1e-9), BINS + 1)
         low_s, high_s = _largest_bin(seconds, values_um, good, edges)
-        return f"{_time(low_s)} to {_time(high_s)} after the steps"
+        return f"most of it {_time(low_s)} to {_time(high_s)} after the steps"
     seconds = samples * residual.sample_period_s + residual.time_s[0]
     low_s, high_s = _largest_bin(
         seconds, values_um, good, np.linspace(seconds[0], seconds[-1], BINS + 1))
-    return f"most at {low_s:.4g} to {high_s:.4g} s"
+    return f"most of it at {low_s:.4g} to {high_s:.4g} s"
 
 
 def _voltage_words(residual: ComponentResidual, values_um: FloatArray) -> str:
@@ -106,7 +106,7 @@ def _voltage_words(residual: ComponentResidual, values_um: FloatArray) -> str:
     voltage_v = residual.voltage_v[: values_um.size]
     low_v, high_v = _largest_bin(
         voltage_v, values_um, good, np.linspace(voltage_v.min(), voltage_v.max(), BINS + 1))
-    words = f"most at {low_v:.4g} to {high_v:.4g} V"
+    words = f"{low_v:.4g} to {high_v:.4g} V"
     slope = np.gradient(voltage_v)
     squares = [float(np.mean(values_um[part] ** 2)) if part.any() else 0.0
                for part in (good & (slope > 0.0), good & (slope < 0.0))]

@@ -67,6 +67,8 @@ def _diagnose(options: argparse.Namespace) -> None:
     results = diagnose_files(
         options.model, options.data, options.holdout, options.output, print_progress)
     _print_table(results.diagnosis, verdict_sentence(results.diagnosis))
+    for sentence in results.outside:
+        print(sentence)
     print(f"written to {options.output}")
 
 

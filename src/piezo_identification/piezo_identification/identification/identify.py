@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Identify a stage model from recordings: the sequence of estimators from top to bottom.
 
-recordings -> conditioned -> linear dynamics -> hysteresis -> model -> refined -> errors -> result
+recordings -> conditioned -> linear dynamics -> hysteresis -> model -> refined -> errors
+-> adequacy -> result
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,6 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.cancellation import checking
+from piezo_identification.adequacy.component_adequacy import adequacy_document, adequacy_of
+from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
+from piezo_identification.adequacy.plausibility import implausible_data, implausible_model
 from piezo_identification.estimators.estimate import untold_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
@@ -130,10 +134,13 @@ def identify(
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
     with checking(stages.check):
         recordings = rising_with_voltage(with_marked_outliers(given, tell))
+        tell_implausible(implausible_data(recordings), tell)
         linear = estimate_linear_dynamics(
             recordings.get("creep"), recordings.get("dynamics"), recordings["hysteresis"], method,
             order, stages.part(0.0, 0.6))
         stages.begin("hysteresis", 0.6)
+        refuse_impossible_loops(
+            recordings["hysteresis"], linear.creep, linear.dynamics, linear.delay_s)
         density = estimate_density(
             recordings["hysteresis"], linear.creep, linear.dynamics, delay_s=linear.delay_s)
         tell_estimates(linear, density, tell)
@@ -141,9 +148,11 @@ def identify(
         if refine:
             fitted = refined(fitted, recordings, stages)
         tell_uncertain_parameters(fitted, tell)
+        tell_implausible(implausible_model(fitted.model, recordings), tell)
         stages.begin("validation", 0.95)
         errors = validation_errors(fitted.model, recordings) | fitted.errors
-        identified = identified_model(fitted, errors, given)
+        adequacy = adequacy_document(adequacy_of(fitted.model, recordings))
+        identified = replace(identified_model(fitted, errors, given), adequacy=adequacy)
         stages.begin("done", 1.0)
     return identified
 
@@ -198,6 +207,12 @@ def refined(fitted: FittedModel, recordings: Mapping[str, Any], stages: Stages) 
         return replace(fitted, errors=errors)
     return replace(
         fitted, model=result.model, uncertainties=result.standard_deviations, errors=errors)
+
+
+def tell_implausible(found: Sequence[str], tell: Callable[[str], object]) -> None:
+    """Tell what is implausible, as what it makes of the model is not to be relied on."""
+    for text in found:
+        tell(f"implausible: {text}")
 
 
 def tell_uncertain_parameters(fitted: FittedModel, tell: Callable[[str], object]) -> None:

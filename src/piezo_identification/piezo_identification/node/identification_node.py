@@ -10,6 +10,7 @@ from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperim
 from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
+from piezo_identification.adequacy.component_adequacy import overall_verdict
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
 from piezo_identification.diagnosis.report.results import diagnose_files
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
@@ -172,6 +173,8 @@ class IdentificationNode(LifecycleNode):
         model = directory / "model.json"
         save_model(model, identified)
         result.model = str(model)
+        result.adequacy = overall_verdict(identified.adequacy)
+        result.adequacy_json = json.dumps(identified.adequacy)
         result.error_names = list(identified.errors)
         result.error_values = [float(value) for value in identified.errors.values()]
 
