@@ -60,6 +60,15 @@ class HystereticCreepPart(Part):
     weights_um_per_v: Numbers = entry("Weight of each.", unit="um/V")
 
 
+class FirstRisePart(Part):
+    """First-cycle remanence of a stage that was never cycled."""
+
+    voltages_v: Numbers = entry("Increasing voltages.", unit="V", shortest=2)
+    remanence_um: list[NotNegative] = entry(
+        "Displacement that remains after a first rise to each of them, from 0 on.", unit="um",
+        shortest=2)
+
+
 class HysteresisPart(Part):
     """Preisach hysteresis on a triangle of cells (3.6)."""
 
@@ -175,6 +184,8 @@ class ModelDocument(Document):
         "Standard deviations of parameters.", default=UncertaintiesPart())
     hysteretic_creep: HystereticCreepPart | None = entry(
         "Creep that depends on the branch of the hysteresis.", default=None)
+    first_rise: FirstRisePart | None = entry(
+        "What a stage lacks until it has risen to its highest voltage once.", default=None)
     adequacy: dict[str, AdequacyPart] = entry(
         "By component (creep, dynamics, hysteresis): what it leaves of its own recording.",
         default={})
@@ -234,6 +245,10 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
             "weights_um_per_v": list(hysteretic.weights_um_per_v),
         }
     }
+    first_rise = {} if model.first_rise is None else {"first_rise": {
+        "voltages_v": list(model.first_rise.voltages_v),
+        "remanence_um": list(model.first_rise.remanence_um),
+    }}
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -258,6 +273,7 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
         **({"effects": effects} if effects else {}),
         **uncertainties,
         **hysteretic_creep,
+        **first_rise,
         **({"adequacy": _plain(identified.adequacy)} if identified.adequacy else {}),
         **visited,
         "hysteresis": {

@@ -17,6 +17,9 @@ ADEQUATE, INADEQUATE = "adequate", "inadequate"
 COMPONENTS = ("creep", "dynamics", "hysteresis")
 """By the names of the recordings that they are estimated from."""
 
+SLOW_HZ = 5.0
+"""Frequency below which what is left of loops may be creep, above it fast dynamics."""
+
 
 @dataclass(frozen=True)
 class ComponentAdequacy:
@@ -117,8 +120,10 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
     """
     steps = []
     if component == "hysteresis":
-        steps += [f"give a recording for --{name}" for name in ("creep", "dynamics")
-                  if name not in recordings]
+        slow = location.band_hz[1] < SLOW_HZ
+        missing = "creep" if slow else "dynamics"
+        if missing not in recordings:
+            steps.append(f"give a recording for --{missing}")
     elif component == "creep":
         steps.append("record the creep longer")
         steps.append(f"ask for --creep-pairs {len(model.creep.poles_rad_per_s) + 1}")

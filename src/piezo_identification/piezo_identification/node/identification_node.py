@@ -167,7 +167,7 @@ class IdentificationNode(LifecycleNode):
                 progress=lambda stage, fraction: progress.report(
                     EXPERIMENTS_FRACTION + (1.0 - EXPERIMENTS_FRACTION) * fraction,
                     stage=f"estimate: {stage}"),
-                cancelled=lambda: progress.cancelled)
+                cancelled=lambda: progress.cancelled, note=self.get_logger().info)
         except IdentificationCancelled:
             raise Cancelled from None
         model = directory / "model.json"

@@ -135,3 +135,12 @@ def test_a_frequency_response_is_judged_too(plant):
 def test_without_noise_only_what_matters_is_inadequate(plant, play):
     quiet = play(experiments.hysteresis(level_count=20), 3, 1000.0, noise_um=0.0)
     assert adequacy_of(plant, {"hysteresis": quiet})["hysteresis"].verdict == "adequate"
+
+
+def test_the_recording_that_is_missing_is_asked_for(plant, recordings):
+    static = replace(plant, creep=CreepDynamics(), dynamics=ElectricVibrationDynamics())
+    loops = {"hysteresis": recordings["hysteresis"]}
+    advice = adequacy_of(static, loops)["hysteresis"].advice
+    assert "give a recording for --creep" in advice
+    advice = adequacy_of(static, recordings)["hysteresis"].advice
+    assert "give a recording" not in advice
