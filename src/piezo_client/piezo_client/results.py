@@ -87,7 +87,7 @@ class Identification:
         Of the experiments.
     adequacy : str
         "adequate" if every component leaves no more than noise of its own recording, else
-        "inadequate"; empty if that was not judged.
+        "inadequate"; empty if that was not tested.
     components : dict of str to dict
         The same of each component, as the model file holds it.
     """

@@ -36,7 +36,8 @@ def _rows(kind: type[Part], prefix: str) -> Iterator[str]:
         yield "| " + " | ".join(str(cell) for cell in cells) + " |\n"
         part = _part(field.annotation)
         if part:
-            within = {list: "[]", dict: ".NAME"}.get(get_origin(field.annotation), "")
+            origin = get_origin(field.annotation)
+            within = "[]" if origin is list else ".NAME" if origin is dict else ""
             yield from _rows(part, f"{prefix}{name}{within}.")
 
 

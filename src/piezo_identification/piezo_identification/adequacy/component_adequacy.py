@@ -140,7 +140,7 @@ def adequacy_document(adequacy: Mapping[str, ComponentAdequacy]) -> dict[str, di
 
 
 def overall_verdict(document: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return `ADEQUATE` if every component is, else `INADEQUATE`; empty if none was judged.
+    """Return `ADEQUATE` if every component is, else `INADEQUATE`; empty if none was tested.
 
     Parameters
     ----------

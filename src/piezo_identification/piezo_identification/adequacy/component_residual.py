@@ -76,7 +76,7 @@ class ComponentResidual:
 def component_residual(
     component: str, model: StageModel, data: Recording | FrequencyResponse, delay_s: float = 0.0,
 ) -> ComponentResidual:
-    """Simulate a model under the data of one component, and take off what is not the component's.
+    """Simulate a model under the data of one component, and remove what is not of the component.
 
     That is the offset, the state in which the recording begins, and for creep and dynamics the gain
     of the hysteresis. Under a square wave the hysteresis is an offset and a gain (4.5), so that it

@@ -116,9 +116,10 @@ def lack_of_fit(residual: ComponentResidual) -> LackOfFit:
     LackOfFit
     """
     values_um = np.where(residual.good, residual.residual_um, 0.0)
-    repeats = values_um.size // residual.period if residual.period else 1
+    period = residual.period or values_um.size
+    repeats = values_um.size // period
     if repeats >= 2:
-        folded_um = values_um[: repeats * residual.period].reshape(repeats, -1)
+        folded_um = values_um[: repeats * period].reshape(repeats, -1)
         sequence_um = folded_um.mean(axis=0)
         noise = _of_repeats(folded_um)
     else:
@@ -133,15 +134,10 @@ def lack_of_fit(residual: ComponentResidual) -> LackOfFit:
             significant = True
             systematic = max(systematic, square - noise_square)
     return LackOfFit(
-        float(np.sqrt(np.mean(sequence_um[_counted(residual, sequence_um.size)] ** 2))),
+        float(np.sqrt(np.mean(sequence_um[residual.good[: sequence_um.size]] ** 2))),
         float(np.sqrt(noise.mean_squares[1])), float(np.sqrt(systematic)),
         SETTINGS.tolerance * float(np.ptp(residual.measured_um[residual.good])), significant,
         noise.source, sequence_um)
-
-
-def _counted(residual: ComponentResidual, size: int) -> FloatArray:
-    """Return the mask of the first samples that count, (size,)."""
-    return residual.good[:size]
 
 
 def _lengths(samples: int) -> list[int]:
@@ -201,13 +197,13 @@ def _of_rests(residual: ComponentResidual, values_um: FloatArray) -> _Noise | No
 def _of_band(residual: ComponentResidual, values_um: FloatArray) -> _Noise:
     size = values_um.size
     if size >= SETTINGS.fewest_for_a_spectrum:
-        noise_um, freedom = noise_floor_um(values_um, residual.sample_period_s), size / 8
+        noise_um, freedom = noise_floor_um(values_um, residual.sample_period_s), size / 8.0
     else:
         # Of white noise, the mean square of the second differences is six times its own.
         noise_um, freedom = np.sqrt(np.mean(np.diff(values_um, 2) ** 2) / 6.0), size / 3
     squares = {length: noise_um**2 / length for length in _lengths(size)}
     return _Noise("the sensor's band", _above_rounding(squares, values_um),
-                  dict.fromkeys(squares, freedom))
+                  dict.fromkeys(squares, float(freedom)))
 
 
 def _above_rounding(squares: dict[int, float], values_um: FloatArray) -> dict[int, float]:

@@ -95,7 +95,7 @@ def refuse_impossible_loops(
     creep : CreepDynamics
     dynamics : ElectricVibrationDynamics
     delay_s : float
-        Of the measurement; all three are taken off before.
+        Of the measurement; all three are removed before.
 
     Raises
     ------

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import detrend, periodogram
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.adequacy.component_residual import ComponentResidual
 from piezo_identification.adequacy.lack_of_fit import LackOfFit
 
@@ -56,8 +56,9 @@ def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLo
     ResidualLocation
     """
     values_um = fit.sequence_um
-    band_hz = _band_of_response(residual) if residual.frequency_hz is not None else (
-        _band(detrend(values_um, type="constant"), residual.sample_period_s))
+    band_hz = _band(detrend(values_um, type="constant"), residual.sample_period_s)
+    if residual.frequency_hz is not None:
+        band_hz = _band_of_response(residual.frequency_hz, residual.residual_um)
     narrow = band_hz[1] < NARROW * band_hz[0]
     words = [f"near {np.sqrt(band_hz[0] * band_hz[1]):.3g} Hz" if narrow
              else f"from {band_hz[0]:.3g} to {band_hz[1]:.3g} Hz"]
@@ -75,10 +76,10 @@ def _band(values_um: FloatArray, sample_period_s: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _band_of_response(residual: ComponentResidual) -> tuple[float, float]:
-    order = np.argsort(residual.frequency_hz, kind="stable")
-    share = np.cumsum(residual.residual_um[order] ** 2)
-    low, high = np.interp(MIDDLE_HALF, share / share[-1], residual.frequency_hz[order])
+def _band_of_response(frequency_hz: FloatArray, values_um: FloatArray) -> tuple[float, float]:
+    order = np.argsort(frequency_hz, kind="stable")
+    share = np.cumsum(values_um[order] ** 2)
+    low, high = np.interp(MIDDLE_HALF, share / share[-1], frequency_hz[order])
     return float(low), float(high)
 
 
@@ -116,7 +117,7 @@ def _voltage_words(residual: ComponentResidual, values_um: FloatArray) -> str:
 
 
 def _largest_bin(
-    place: FloatArray, values_um: FloatArray, good: FloatArray, edges: FloatArray,
+    place: FloatArray, values_um: FloatArray, good: BoolArray, edges: FloatArray,
 ) -> tuple[float, float]:
     """Edges of the bin of the largest mean square."""
     number = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, edges.size - 2)[good]

@@ -65,8 +65,9 @@ def _simulate(options: argparse.Namespace) -> None:
     if directory is None:
         return
     directory.mkdir(parents=True, exist_ok=True)
-    for name, draw in (("displacement.png", draw_displacement), ("loops.png", draw_loops)):
-        draw(directory / name, prediction)
+    draw_displacement(directory / "displacement.png", prediction, found.deviation_um)
+    draw_loops(directory / "loops.png", prediction)
+    for name in ("displacement.png", "loops.png"):
         print(f"drawn {directory / name}")
 
 

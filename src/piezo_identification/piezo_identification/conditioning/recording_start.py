@@ -17,7 +17,7 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class StartSettings:
-    """Numbers that steer how the start of a recording is judged.
+    """Numbers that steer how the start of a recording is read.
 
     Attributes
     ----------

@@ -218,7 +218,17 @@ def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
 
 def tell_starts(recordings: Mapping[str, Data], linear: LinearDynamics,
                 first_rise: FirstRise | None, tell: Callable[[str], object]) -> None:
-    """Tell in which state each recording begins, and what is made of it."""
+    """Tell in which state each recording begins, and what is made of it.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+    linear : LinearDynamics
+    first_rise : FirstRise or None
+        That the recording of the hysteresis showed.
+    tell : callable
+        Called with a sentence for each recording.
+    """
     for name, data in recordings.items():
         if isinstance(data, FrequencyResponse):
             continue

@@ -90,16 +90,22 @@ def test_voltages_beyond_those_of_the_model_are_told(one_loop):
     assert "beyond the model's voltages, 0 to 100 V" in found.sentences()[0]
 
 
-def test_both_commands_say_it(one_loop, save_csv, tmp_path, capsys):
+def test_both_commands_say_it(one_loop, save_csv, tmp_path, capsys, picture_faults):
     model, path = tmp_path / "model.json", tmp_path / "beyond.csv"
     save_model(model, one_loop)
     voltage_v = ways(0, 130, 0, 100, 0, samples=300)
     wider = PreisachModel(0.0, 130.0, np.pad(TRUE_DENSITY, ((0, 15), (0, 15))), 0.0,
-                          np.full(CELLS + 15, 0.1))
+                          np.repeat([0.0, 0.1], [CELLS, 15]))
     noise = 0.01 * np.random.default_rng(2).normal(size=voltage_v.size)
     save_csv(path, np.arange(voltage_v.size) * 1e-2, voltage_v, wider.simulate(voltage_v) + noise)
-    assert simulate_main(["--model", str(model), "--data", str(path)]) == 0
-    assert "of the samples lie beyond the model's voltages" in capsys.readouterr().out
+    pictures = tmp_path / "pictures"
+    assert picture_faults(simulate_main, [
+        "--model", str(model), "--data", str(path), "--output", str(pictures)]) == []
+    out = capsys.readouterr().out
+    assert "of the samples lie beyond the model's voltages" in out
+    whole, inside = (float(line.split()[1]) for line in out.splitlines()
+                     if line.startswith("e_y_percent"))
+    assert inside < 0.2 * whole
     assert diagnose_main(["--model", str(model), "--data", str(path),
                           "--output", str(tmp_path / "out")]) == 0
     assert "of the samples lie beyond the model's voltages" in capsys.readouterr().out

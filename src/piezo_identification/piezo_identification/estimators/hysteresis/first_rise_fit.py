@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.waveforms import (
     played,
     samples_per_mean,
@@ -100,7 +100,9 @@ def estimate_first_rise(
     return FirstRise((start_v, *points_v[known].tolist()), (0.0, *rising_um.tolist()))
 
 
-def _rises(voltage_v, output_um, at_low, highest_v):
+def _rises(
+    voltage_v: FloatArray, output_um: FloatArray, at_low: BoolArray, highest_v: float,
+) -> list[tuple[FloatArray, FloatArray, float, float]]:
     """Voltages and outputs of each rise from the lowest voltage, its start, and the highest before.
 
     Of each, the samples at which the voltage is where it has not been since the lowest one.
@@ -119,13 +121,14 @@ def _rises(voltage_v, output_um, at_low, highest_v):
     return rises
 
 
-def _cell_means(points, edges_v):
+def _cell_means(points: FloatArray, edges_v: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean voltage and value of the points in each cell that has any."""
     number = np.clip(np.searchsorted(edges_v, points[:, 0]) - 1, 0, edges_v.size - 2)
     counts = np.bincount(number, minlength=edges_v.size - 1)
     some = counts > 0
-    return tuple(np.bincount(number, column, minlength=edges_v.size - 1)[some] / counts[some]
-                 for column in points.T)
+    voltage_v, values = (np.bincount(number, column, minlength=edges_v.size - 1)[some]
+                         / counts[some] for column in points.T)
+    return voltage_v, values
 
 
 def highest_before(recording: Recording) -> float:
