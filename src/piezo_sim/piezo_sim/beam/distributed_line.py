@@ -60,7 +60,7 @@ class LineRunner:
     def __init__(self, effect: DistributedLine, sample_period_s: float) -> None:
         charging_s = effect.resistance_ohm * effect.capacitance_f
         count = math.ceil(math.sqrt(_FASTEST * charging_s / sample_period_s) / math.pi + 0.5)
-        products = ((np.arange(count) + 0.5) * math.pi) ** 2
+        products = ((np.arange(count, dtype=np.float64) + 0.5) * math.pi) ** 2
         exponents = products * (sample_period_s / charging_s)
         weights = 2.0 / products
         self._levels_v = np.zeros(count)
