@@ -22,6 +22,7 @@ DOCUMENTS = {
     "weights": "piezo_controller.feedback.synthesis.weights_document:WeightsDocument",
     "learned": "piezo_controller.learning.learned_file:LearnedDocument",
     "calibration": "piezo_stage_driver.backends.calibration:Calibration",
+    "columns": "piezo_recorder.reading.columns:ColumnsDocument",
     "plant": "piezo_sim.plant.plant_file:PlantDocument",
 }
 SECTION = re.compile(r"(<!-- fields of (\w+) -->\n).*?(<!-- end -->)", re.S)

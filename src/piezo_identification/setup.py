@@ -24,6 +24,7 @@ setup(
         "console_scripts": [
             "identification = piezo_identification.node.start:main",
             "measured = piezo_identification.node.moved:measured",
+            "check = piezo_identification.commands.check_command:main",
             "diagnose = piezo_identification.commands.diagnose_command:main",
             "identify = piezo_identification.commands.identify_command:main",
             "simulate = piezo_identification.commands.simulate_command:main",

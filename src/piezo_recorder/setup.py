@@ -23,6 +23,7 @@ setup(
     entry_points={
         "console_scripts": [
             "recorder = piezo_recorder.node.start:main",
+            "convert = piezo_recorder.writing.convert:main",
             "repair = piezo_recorder.writing.repair:main",
             "report = piezo_recorder.reading.sample_account:main",
         ],

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
+    from piezo_recorder.reading.columns import ColumnsDocument, parse_columns
     from piezo_recorder.reading.frames import read_frame, to_frame
-    from piezo_recorder.reading.reader import read_recording, sha256_of
+    from piezo_recorder.reading.reader import read_recording, read_recordings, sha256_of
     from piezo_recorder.reading.recording import Recording, RecordingError
     from piezo_recorder.sample_block import Flag
     from piezo_recorder.writing.message_definition import MessageDefinition
@@ -15,9 +16,12 @@ if TYPE_CHECKING:
     from piezo_recorder.writing.writer import RecordingWriter
 
 _HOMES = {
+    "ColumnsDocument": "reading.columns",
+    "parse_columns": "reading.columns",
     "read_frame": "reading.frames",
     "to_frame": "reading.frames",
     "read_recording": "reading.reader",
+    "read_recordings": "reading.reader",
     "sha256_of": "reading.reader",
     "Recording": "reading.recording",
     "RecordingError": "reading.recording",
@@ -29,6 +33,7 @@ _HOMES = {
 __getattr__, __dir__ = lazy_exports(__name__, _HOMES)
 
 __all__ = [
-    "Flag", "MessageDefinition", "Recording", "RecordingError", "RecordingWriter", "read_frame",
-    "read_recording", "repair", "sha256_of", "to_frame",
+    "ColumnsDocument", "Flag", "MessageDefinition", "Recording", "RecordingError",
+    "RecordingWriter", "parse_columns", "read_frame", "read_recording", "read_recordings", "repair",
+    "sha256_of", "to_frame",
 ]

@@ -20,6 +20,7 @@ from piezo_identification.diagnosis.response.response_results import (
     response_sentence,
 )
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
+from piezo_recorder.reading.data_options import add_columns_option, read_all_given
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -42,12 +43,14 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
     parser.add_argument("--data", metavar="FILE", type=Path, required=True, nargs="+",
-                        help="recordings or CSV files (time_s,voltage_v,displacement_um), or one "
-                        "measured frequency response (frequency_hz,gain_re,gain_im)")
+                        help="recordings or tables of samples (CSV, .mat, .h5, .npz, .tdms, "
+                        ".parquet and others), or one measured frequency response "
+                        "(frequency_hz,gain_re,gain_im)")
     parser.add_argument("--holdout", metavar="FILE", type=Path,
                         help="another recording, on which the errors are measured")
     parser.add_argument("--output", metavar="DIR", type=Path, required=True,
                         help="directory for the results; made if it is missing")
+    add_columns_option(parser)
     add_response_options(parser)
     return run_command(parser, _diagnose, arguments)
 
@@ -65,7 +68,8 @@ def _diagnose(options: argparse.Namespace) -> None:
         raise ValueError(f"{option} has nothing to act on: leave it out, or give a frequency "
                          "response as --data")
     results = diagnose_files(
-        options.model, options.data, options.holdout, options.output, print_progress)
+        options.model, options.data, options.holdout, options.output, print_progress,
+        lambda path: read_all_given(path, options))
     _print_table(results.diagnosis, verdict_sentence(results.diagnosis))
     print(f"written to {options.output}")
 

@@ -24,7 +24,7 @@ from piezo_identification.identification.identify import identify
 from piezo_identification.identification.linear_dynamics import METHODS
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
-from piezo_recorder.reading.reader import read_recording
+from piezo_recorder.reading.data_options import add_columns_option, read_given
 from piezo_recorder.reading.recording import Recording
 
 EXPERIMENTS = {
@@ -51,8 +51,8 @@ def main(arguments: list[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(
         prog="identify", description="Identify a stage model from recordings.",
-        epilog="FILE is a recording (a rosbag2 directory or an .mcap), or a CSV with the header "
-        "time_s,voltage_v,displacement_um whose rows are samples at their instants. Without "
+        epilog="FILE is a recording (a rosbag2 directory or an .mcap), or a table whose rows are "
+        "samples at their instants: text, .mat, .h5, .npz, .tdms, .parquet and others. Without "
         "--creep the model does not creep; without --dynamics it answers at once.",
     )
     for name, help_text in EXPERIMENTS.items():
@@ -72,6 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
                             help=f"number of {what}; by default chosen from the data")
     parser.add_argument("--band", metavar=("LOW_HZ", "HIGH_HZ"), type=float, nargs=2,
                         help="part of a frequency response to fit; by default all of it")
+    add_columns_option(parser)
     add_response_options(parser)
     return run_command(parser, _identify, arguments)
 
@@ -87,7 +88,8 @@ def _identify(options: argparse.Namespace) -> None:
         if path is not None:
             print(f"reading {path}", flush=True)
             of_response = name == "dynamics" and is_frequency_response(path)
-            data[name] = (read_frequency_response if of_response else read_recording)(path)
+            data[name] = (read_frequency_response(path) if of_response
+                          else read_given(path, options))
     _check_options(data.get("dynamics"), options)
     if options.band is not None:
         data["dynamics"] = data["dynamics"].between(*options.band)

@@ -11,7 +11,7 @@ from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction import predict
 from piezo_identification.prediction.prediction_pictures import draw_displacement, draw_loops
 from piezo_models.model_file import load_model
-from piezo_recorder.reading.reader import read_recording
+from piezo_recorder.reading.data_options import FILE_HELP, add_columns_option, read_given
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -34,16 +34,17 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
     parser.add_argument("--data", metavar="FILE", type=Path, required=True,
-                        help="recording or CSV (time_s,voltage_v,displacement_um)")
+                        help=FILE_HELP)
     parser.add_argument("--output", metavar="DIR", type=Path,
                         help="directory for the pictures; none are drawn without it")
+    add_columns_option(parser)
     return run_command(parser, _simulate, arguments)
 
 
 def _simulate(options: argparse.Namespace) -> None:
     model_path, data_path, directory = options.model, options.data, options.output
     model = load_model(model_path).model
-    recording = read_recording(data_path)
+    recording = read_given(data_path, options)
     prediction = predict(model, recording)
     if prediction.reversed:
         print(sign_text(data_path))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Reader of recordings: rosbag2 directories, MCAP files and CSV files."""
+"""Reader of recordings: rosbag2 directories, MCAP files and the files of other programs."""
 
 import hashlib
 from os import PathLike
@@ -13,8 +13,10 @@ from mcap.stream_reader import StreamReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from piezo_recorder import sample_block
-from piezo_recorder.reading.csv_reader import read_csv
+from piezo_recorder.reading.columns import GUESSED, ColumnsDocument
 from piezo_recorder.reading.recording import Recording, RecordingError
+from piezo_recorder.reading.table_reader import read_table_recordings
+from piezo_recorder.reading.tables.table import Progress, no_progress
 from piezo_recorder.writing.writer import STAGE_METADATA
 
 GROUND_TRUTH = "ground_truth"
@@ -24,32 +26,66 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 def read_recording(path: str | PathLike[str], topic: str | None = None,
-                   sample_rate_hz: float | None = None) -> Recording:
-    """Read a rosbag2 directory, an MCAP file or a CSV file.
+                   sample_rate_hz: float | None = None, columns: ColumnsDocument = GUESSED,
+                   progress: Progress = no_progress) -> Recording:
+    """Read a recording: a rosbag2 directory, an MCAP file, or a file of another program.
 
     Parameters
     ----------
     path : str or Path
-        The kind is told by being a directory, or by the ending ``.mcap`` or ``.csv``.
+        The kind is told by being a directory, by the ending ``.mcap``, or by its first bytes:
+        text of any delimiter, .mat, HDF5, .npz, .npy, TDMS, Parquet, Arrow.
     topic : str, optional
         Topic of the sample blocks, or its last part such as ``ground_truth``. By default the
         only one that is not the ground truth.
     sample_rate_hz : float, optional
-        Rate of the sample clock, for files that do not tell it; 40 kHz by default.
+        Rate of the sample clock, for recordings of ours that do not tell it; 40 kHz by default.
+    columns : ColumnsDocument
+        What is known of the columns of another program's file, such as by `parse_columns`; a YAML
+        file beside the data may tell it as well, and the rest is guessed.
+    progress : callable
+        Called with what is done and which part of it (0 to 1).
 
     Returns
     -------
     Recording
+        Its ``notes`` say what was assumed, mended or found implausible.
 
     Raises
     ------
     RecordingError
-        If the file is missing, damaged, ambiguous or holds no samples.
+        If the file is missing, damaged, ambiguous, holds no samples, or several recordings.
+    """
+    return only_recording(path, read_recordings(path, topic, sample_rate_hz, columns, progress))
+
+
+def only_recording(path: str | PathLike[str], found: list[Recording]) -> Recording:
+    """Return the one recording of a file; RecordingError where it has several."""
+    if len(found) > 1:
+        titles = ", ".join(each.title for each in found[:12])
+        raise RecordingError(
+            f"{path} holds {len(found)} recordings ({titles}): choose one, as in --columns "
+            f"recording=[{found[0].title}]")
+    return found[0]
+
+
+def read_recordings(path: str | PathLike[str], topic: str | None = None,
+                    sample_rate_hz: float | None = None, columns: ColumnsDocument = GUESSED,
+                    progress: Progress = no_progress) -> list[Recording]:
+    """Read all recordings of a file, of which those of other programs may have several.
+
+    They are told apart by a column that numbers them, by groups of the file, by a header that is
+    repeated, or by a time that begins anew. See `read_recording`.
     """
     path = Path(path)
-    if path.suffix.lower() == ".csv":
-        return read_csv(*data_files(path))
-    return _read_mcap(path, topic, sample_rate_hz)
+    if path.is_dir() or path.suffix.lower() == ".mcap" or _is_mcap(*data_files(path)):
+        return [_read_mcap(path, topic, sample_rate_hz)]
+    return read_table_recordings(*data_files(path), columns, progress)
+
+
+def _is_mcap(path: Path) -> bool:
+    with open(path, "rb") as stream:
+        return stream.read(len(MCAP_MAGIC)) == MCAP_MAGIC
 
 
 def sha256_of(path: str | PathLike[str]) -> str:
@@ -65,7 +101,8 @@ def sha256_of(path: str | PathLike[str]) -> str:
 def data_files(path: Path) -> list[Path]:
     """Return the files that hold a recording's data; RecordingError where there are none."""
     if not path.exists():
-        raise RecordingError(f"{path} does not exist: give a recording's directory, MCAP or CSV.")
+        raise RecordingError(f"{path} does not exist: give a recording's directory, an MCAP file, "
+                             "or a table of samples.")
     if not path.is_dir():
         return [_bounded(path)]
     try:

@@ -37,9 +37,15 @@ class Recording:
     attachments : dict of str to bytes
         Files kept in the recording.
     columns : dict of str to ndarray, shape (N,)
-        Further columns of a CSV file.
+        Further columns of a table.
     complete : bool
         False where the recorder was killed before it closed the file.
+    notes : list of str
+        What was assumed, mended or found implausible when it was read, for people.
+    jitter_s : float
+        Standard deviation of the times of the rows from an even clock; 0 on the sample clock.
+    title : str
+        Which of several recordings of one file; empty where there is one.
     """
 
     path: str
@@ -53,6 +59,9 @@ class Recording:
     attachments: dict[str, bytes] = field(default_factory=dict)
     columns: dict[str, np.ndarray] = field(default_factory=dict)
     complete: bool = True
+    notes: list[str] = field(default_factory=list)
+    jitter_s: float = 0.0
+    title: str = ""
 
     @property
     def time_s(self) -> np.ndarray:
@@ -78,6 +87,15 @@ class Recording:
     def tracking(self) -> np.ndarray:
         """Mask of the samples while the feedforward plays, shape (N,)."""
         return self.has(Flag.TRACKING) & ~self.has(Flag.RAMPING)
+
+    @property
+    def segments(self) -> list["Recording"]:
+        """The parts between gaps, in order; the recording itself where it has none."""
+        edges = [first for first, _ in self.gaps]
+        bounds = [0, *np.searchsorted(self.sample_index, edges).tolist(), len(self.sample_index)]
+        row = np.arange(len(self.sample_index))
+        return [self.select((row >= start) & (row < end))
+                for start, end in zip(bounds[:-1], bounds[1:], strict=True)] if edges else [self]
 
     def has(self, flag: int) -> np.ndarray:
         """Return the mask of the samples that have all bits of ``flag``, shape (N,)."""

@@ -37,6 +37,7 @@ def report(recording: Recording) -> list[str]:
         lines.append(f"attachments {', '.join(sorted(recording.attachments))}")
     if not recording.complete:
         lines.append("the recorder was killed: make it whole with the command repair")
+    lines += recording.notes
     lines += [f"error: {count} samples are missing from sample {first} on"
               for first, count in recording.gaps]
     return lines
@@ -47,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="report", description="Account for the samples of a recording.",
         epilog="The status is 1 where samples are missing, 2 where it cannot be read.")
-    parser.add_argument("recording", type=Path, help="directory, MCAP or CSV file")
+    parser.add_argument("recording", type=Path, help="directory, MCAP file or table")
     options = parser.parse_args(arguments)
     try:
         recording = read_recording(options.recording)

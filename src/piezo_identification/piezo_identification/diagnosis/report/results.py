@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A diagnosis that reads files and writes verdict, extended model and report."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from os import PathLike
@@ -11,7 +11,8 @@ from piezo_identification.diagnosis.diagnose import Diagnosis, Progress, diagnos
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_models.model_file import load_model
-from piezo_recorder.reading.reader import read_recording, sha256_of
+from piezo_recorder.reading.reader import only_recording, read_recordings, sha256_of
+from piezo_recorder.reading.recording import Recording
 
 READ_FRACTION, REPORT_FRACTION = 0.05, 0.9
 """Parts of the work that are done before the diagnosis and before the report."""
@@ -36,6 +37,7 @@ class DiagnosisResults:
 def diagnose_files(
     model: str | PathLike[str], recordings: Sequence[str | PathLike[str]],
     holdout: str | PathLike[str] | None, directory: str | PathLike[str], progress: Progress,
+    read_file: Callable[[str | PathLike[str]], list[Recording]] = read_recordings,
 ) -> DiagnosisResults:
     """Diagnose recordings and write verdict, extended model and report.
 
@@ -49,6 +51,8 @@ def diagnose_files(
         Made if it is missing.
     progress : callable
         Called with (what is done, fraction); what it raises ends the work.
+    read_file : callable
+        Returns the recordings of a file.
 
     Returns
     -------
@@ -61,8 +65,8 @@ def diagnose_files(
     """
     progress("read the recordings", 0.0)
     identified = load_model(model)
-    read = [read_recording(path) for path in recordings]
-    held_out = read_recording(holdout) if holdout else None
+    read = [recording for path in recordings for recording in read_file(path)]
+    held_out = only_recording(holdout, read_file(holdout)) if holdout else None
     directory = Path(directory).absolute()
     try:
         # Before the work, not after it.

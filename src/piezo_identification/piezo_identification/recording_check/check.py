@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Measure what a recording is good for: its samples, noise, drift, waveform and start."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.conditioning.outlier_samples import good_samples, with_outliers_marked
+from piezo_identification.diagnosis.residual.sensor_noise import (
+    noise_floor_um,
+    noise_from_repeats_um,
+    noise_from_rest_um,
+)
+from piezo_identification.estimators.hysteresis.everett_regression import visited_cells
+from piezo_identification.recording_check.waveform_kind import Waveform, waveform_of
+from piezo_recorder.reading.plausibility import implausible
+from piezo_recorder.reading.recording import Recording
+
+PLANE_CELLS = 40
+"""Cells along a side of the Preisach plane whose visited part is told."""
+
+FEWEST_ROWS = 20
+"""With fewer rows nothing but their number and range is told."""
+
+SETTLED_NOISES = 5.0
+"""A trend at rest that is larger than so many standard deviations of its noise counts."""
+
+SETTLED_PART = 2e-3
+"""Part of the range below which a difference between periods, or a trend at rest, is none."""
+
+
+@dataclass(frozen=True)
+class RecordingCheck:
+    """What was measured.
+
+    Attributes
+    ----------
+    recording : Recording
+        The part that was looked at: the longest segment where there are gaps.
+    samples, gaps : int
+        Of the whole.
+    waveform : Waveform
+    noise_um : float
+        Standard deviation; nan where it cannot be told.
+    drift_um : float
+        Over the recording, beside what the voltage explains.
+    start : str
+        State at the start, for people: at rest, settling, periodic, in motion.
+    starts_settled : bool
+    visited : ndarray of bool, shape (n, n)
+        Cells of the Preisach plane over the range of the voltage; see `visited_cells`.
+    outliers : int
+    warnings : list of str
+        What is implausible.
+    """
+
+    recording: Recording
+    samples: int
+    gaps: int
+    waveform: Waveform
+    noise_um: float
+    drift_um: float
+    start: str
+    starts_settled: bool
+    visited: BoolArray
+    outliers: int = 0
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def swing_v(self) -> float:
+        """Range of the voltage."""
+        return float(np.ptp(self.recording.voltage_v))
+
+    @property
+    def range_um(self) -> float:
+        """Range of the displacement without outliers."""
+        return float(np.ptp(self.recording.displacement_um))
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the part that was looked at."""
+        return float(self.recording.time_s[-1])
+
+    @property
+    def visited_fraction(self) -> float:
+        """Part of the area of the Preisach plane that was visited."""
+        size = len(self.visited)
+        area = np.tril(np.ones((size, size))) - 0.5 * np.eye(size)
+        return float(area[self.visited].sum() / area.sum())
+
+
+def check_recording(recording: Recording) -> RecordingCheck:
+    """Measure what a recording is good for.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of any origin; ramps before and after a waveform are left out.
+
+    Returns
+    -------
+    RecordingCheck
+    """
+    playing = recording.playing | recording.tracking
+    whole = recording.select(playing) if playing.any() else recording
+    part = max(whole.segments, key=lambda each: len(each.voltage_v))
+    part = with_outliers_marked(part)
+    voltage_v = np.asarray(part.voltage_v, dtype=float)
+    displacement_um = np.asarray(part.displacement_um, dtype=float)
+    period_s = float(np.median(part.sample_periods_s))
+    wrong = int(np.count_nonzero(~good_samples(part)))
+    noise_um = drift_um = np.nan
+    start, settled = "too few rows to tell", False
+    visited = np.zeros((PLANE_CELLS, PLANE_CELLS), dtype=bool)
+    few = len(voltage_v) < FEWEST_ROWS
+    waveform = (Waveform("constant", "too few rows", np.empty(0, dtype=np.intp)) if few
+                else waveform_of(voltage_v, period_s))
+    if not few:
+        noise_um = noise_of(displacement_um, voltage_v, period_s, waveform)
+        drift_um = drift_of(displacement_um, voltage_v)
+        start, settled = _start(displacement_um, voltage_v, waveform, noise_um, period_s)
+        if np.ptp(voltage_v) > 0.0:
+            visited = visited_cells(
+                voltage_v, np.linspace(voltage_v.min(), voltage_v.max(), PLANE_CELLS + 1))
+    return RecordingCheck(part, len(whole.voltage_v), len(whole.gaps), waveform, noise_um, drift_um,
+                          start, settled, visited, wrong, implausible(whole))
+
+
+def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, period_s: float,
+             waveform: Waveform) -> float:
+    """Return the least standard deviation that rests, repeats and the highest frequencies tell."""
+    found = [noise_floor_um(displacement_um, period_s),
+             noise_from_rest_um(displacement_um, voltage_v, fewest=50)]
+    if waveform.period:
+        found.append(noise_from_repeats_um(displacement_um, waveform.period))
+    known = [noise for noise in found if noise is not None and np.isfinite(noise)]
+    return min(known) if known else np.nan
+
+
+def drift_of(displacement_um: FloatArray, voltage_v: FloatArray) -> float:
+    """Return by how much the displacement drifts at one voltage, over the whole recording.
+
+    A cubic of the voltage, apart for its rise and its fall, and a straight line of time are fitted.
+    """
+    swing_v = float(np.ptp(voltage_v)) or 1.0
+    x = (voltage_v - voltage_v.min()) / swing_v
+    rising = (np.gradient(voltage_v) > 0.0).astype(float)
+    regressors = np.column_stack([
+        np.linspace(0.0, 1.0, x.size), np.ones(x.size), x, x**2, x**3, rising, rising * x])
+    return float(np.linalg.lstsq(regressors, displacement_um, rcond=1e-10)[0][0])
+
+
+def _start(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Waveform,
+           noise_um: float, period_s: float) -> tuple[str, bool]:
+    """Return the state at the start, and whether it is settled."""
+    swing_v, range_um = float(np.ptp(voltage_v)), float(np.ptp(displacement_um))
+    moved = np.abs(voltage_v - voltage_v[0]) > 1e-3 * swing_v
+    held = int(np.argmax(moved)) if moved.any() else len(voltage_v)
+    if held >= FEWEST_ROWS // 2:
+        at = np.arange(held) - 0.5 * (held - 1)
+        slope = float(at @ displacement_um[:held] / (at @ at))
+        trend_um = slope * held
+        deviation_um = noise_um / np.sqrt(at @ at) * held if np.isfinite(noise_um) else 0.0
+        where = f"the first {held * period_s:.4g} s at {voltage_v[0]:.5g} V"
+        if abs(trend_um) > max(SETTLED_NOISES * deviation_um, SETTLED_PART * range_um):
+            return f"still settling: it moves by {trend_um:.3g} um in {where}", False
+        return f"at rest: {where}", True
+    period = waveform.period
+    if period and 2 * period <= len(voltage_v):
+        repeats = len(voltage_v) // period
+        first = displacement_um[:period]
+        last = displacement_um[(repeats - 1) * period : repeats * period]
+        change_um = float(np.std(first - last))
+        if change_um <= max(2.0 * np.sqrt(2.0) * noise_um, SETTLED_PART * range_um):
+            return "periodic: its first period is like its last", True
+        return (f"in motion: its first period differs from its last by {change_um:.3g} um RMS",
+                False)
+    return "in motion: the voltage moves from the first row on", False

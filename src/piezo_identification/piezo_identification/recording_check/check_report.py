@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The table of a check, for people."""
+
+import numpy as np
+
+from piezo_identification.recording_check.check import RecordingCheck
+from piezo_identification.recording_check.suitability import Suitability
+
+WIDTH = 22
+
+
+def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[str]:
+    """Return the lines of the table: what was measured, then what it is good for.
+
+    Parameters
+    ----------
+    check : RecordingCheck
+    fit_for : dict of str to Suitability
+        By experiment.
+
+    Returns
+    -------
+    list of str
+    """
+    recording = check.recording
+    period_s = float(np.median(recording.sample_periods_s))
+    of_segment = "" if not check.gaps else (
+        f" in {check.gaps + 1} segments, of which the longest, {len(recording.voltage_v)} samples, "
+        "is looked at")
+    rows = [
+        ("samples", f"{check.samples}{of_segment}"),
+        ("duration", f"{check.duration_s:.5g} s"),
+        ("sample period", f"{period_s:.6g} s ({1.0 / period_s:.6g} Hz)"),
+        ("jitter", f"{recording.jitter_s:.2g} s RMS ({100.0 * recording.jitter_s / period_s:.2g} % "
+         "of the period)"),
+        ("voltage", _range(recording.voltage_v, "V")),
+        ("displacement", _range(recording.displacement_um, "um")),
+        ("gain", f"{check.range_um / check.swing_v:.4g} um/V, range over swing"
+         if check.swing_v else "none: the voltage never changes"),
+        ("noise", f"{check.noise_um:.3g} um RMS" if np.isfinite(check.noise_um) else "unknown"),
+        ("drift", f"{check.drift_um:.3g} um over the recording" if np.isfinite(check.drift_um)
+         else "unknown"),
+        ("outliers", f"{check.outliers}"),
+        ("waveform", f"{check.waveform.kind}: {check.waveform.text}"),
+        ("state at the start", check.start),
+        ("Preisach plane", f"{100.0 * check.visited_fraction:.1f} % visited, of the plane over "
+         "this range"),
+    ]
+    lines = [f"{name:{WIDTH}}{value}" for name, value in rows]
+    lines.append("")
+    lines += [f"{'can stand for ' + name:{WIDTH + 4}}{each.verdict:8}{each.reason}"
+              for name, each in fit_for.items()]
+    return lines
+
+
+def _range(values: np.ndarray, unit: str) -> str:
+    return f"{values.min():.5g} to {values.max():.5g} {unit}"

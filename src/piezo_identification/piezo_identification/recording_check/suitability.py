@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which experiment a recording can stand for, and why not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning import waveforms
+from piezo_identification.recording_check.check import FEWEST_ROWS, RecordingCheck
+from piezo_identification.recording_check.waveform_kind import BROADBAND, LEVELS
+
+EXPERIMENTS = ("hysteresis", "creep", "dynamics", "validation")
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What the experiments need of a recording.
+
+    Attributes
+    ----------
+    hold_s : float
+        The shortest hold of a level that shows creep: the fast creep of stages takes seconds.
+    rows_per_hold : int
+        Rows in a hold from which creep can be told.
+    followed : float
+        Part of a jump that the displacement has done in the first row behind it, from which on
+        the rows are too slow to show the dynamics.
+    taps : int
+        Rows of the past that a linear filter may use to show dynamics under a broadband voltage.
+    explained : float
+        By which part this filter must leave less than a curve of the voltage alone.
+    well_visited : float
+        Part of the Preisach plane from which on a density is well known.
+    range_over_noise : float
+        Range of the displacement over its noise below which nothing is told.
+    """
+
+    hold_s: float = 2.0
+    rows_per_hold: int = 20
+    followed: float = 0.9
+    taps: int = 30
+    explained: float = 0.5
+    well_visited: float = 0.5
+    range_over_noise: float = 30.0
+
+
+NEEDS = Needs()
+
+
+@dataclass(frozen=True)
+class Suitability:
+    """Whether a recording can stand for an experiment.
+
+    Attributes
+    ----------
+    verdict : str
+        ``yes``, ``partly`` or ``no``.
+    reason : str
+        Why not, or what is missing; for ``yes`` what speaks for it.
+    """
+
+    verdict: str
+    reason: str
+
+
+def suitability(check: RecordingCheck) -> dict[str, Suitability]:
+    """Say for each experiment whether a recording can stand for it.
+
+    Parameters
+    ----------
+    check : RecordingCheck
+
+    Returns
+    -------
+    dict of str to Suitability
+        By `EXPERIMENTS`.
+    """
+    hindrance = _for_nothing(check)
+    if hindrance:
+        return dict.fromkeys(EXPERIMENTS, Suitability("no", hindrance))
+    judged = {"hysteresis": _hysteresis(check), "creep": _creep(check),
+              "dynamics": _dynamics(check),
+              "validation": Suitability("yes", "any motion that the others did not have")}
+    if not check.gaps:
+        return judged
+    return {name: Suitability("partly", f"only a segment without one of the {check.gaps} gaps; "
+                              f"{each.reason}") if each.verdict == "yes" else each
+            for name, each in judged.items()}
+
+
+def _for_nothing(check: RecordingCheck) -> str:
+    """Return why a recording is of no use at all; empty where it is."""
+    if len(check.recording.voltage_v) < FEWEST_ROWS:
+        return f"{len(check.recording.voltage_v)} rows are too few"
+    if check.swing_v == 0.0:
+        return "the voltage never changes; it shows noise and drift only"
+    if check.range_um == 0.0:
+        return "the displacement never changes"
+    if check.range_um < NEEDS.range_over_noise * check.noise_um:
+        return (f"the displacement moves by {check.range_um:.3g} um in a noise of "
+                f"{check.noise_um:.2g} um: drive it further")
+    clipped = next((text for text in check.warnings if "clipped" in text), "")
+    return "the sensor is clipped" if clipped else ""
+
+
+def _hysteresis(check: RecordingCheck) -> Suitability:
+    waveform = check.waveform
+    if waveform.kind == "square":
+        return Suitability("no", "the voltage takes two levels only: give slow cycles")
+    if waveform.kind in BROADBAND and waveform.branch_s <= waveforms.SETTINGS.slow_branch_s \
+            or waveform.branch_s <= waveforms.SETTINGS.slow_branch_s:
+        return Suitability("no", f"{waveform.branch_s:.3g} s between reversals are too fast: "
+                           "vibrations and lags would count as hysteresis; take more than "
+                           f"{waveforms.SETTINGS.slow_branch_s:g} s")
+    if not np.any(np.diff(check.recording.voltage_v) < 0.0) or not np.any(
+            np.diff(check.recording.voltage_v) > 0.0):
+        return Suitability("no", "the voltage goes one way only: give cycles")
+    share = check.visited_fraction
+    if share < NEEDS.well_visited:
+        return Suitability("partly", f"{100.0 * share:.0f} % of the Preisach plane visited, the "
+                           "rest would be guessed: let amplitudes rise in small steps")
+    return Suitability("yes", f"slow, {100.0 * share:.0f} % of the Preisach plane visited")
+
+
+def _creep(check: RecordingCheck) -> Suitability:
+    waveform = check.waveform
+    if waveform.kind not in LEVELS:
+        return Suitability("no", "no level is held: give a square wave or steps of minutes")
+    if waveform.branch_s < NEEDS.hold_s:
+        return Suitability("no", f"levels are held for {waveform.branch_s:.3g} s only: hold them "
+                           f"for {NEEDS.hold_s:g} s at least, better for minutes")
+    rows = waveform.branch_s / float(np.median(check.recording.sample_periods_s))
+    if rows < NEEDS.rows_per_hold:
+        return Suitability("no", f"a hold has {rows:.0f} rows only: record faster")
+    slowest = 1.0 / waveform.branch_s
+    if not check.starts_settled:
+        return Suitability("partly", "it does not begin at rest: what its first level shows is of "
+                           "what came before")
+    return Suitability("yes", f"levels held for {waveform.branch_s:.4g} s, for poles from about "
+                       f"{slowest:.2g} rad/s up")
+
+
+def _dynamics(check: RecordingCheck) -> Suitability:
+    waveform = check.waveform
+    period_s = float(np.median(check.recording.sample_periods_s))
+    rate = f"at {1.0 / period_s:.4g} rows a second"
+    voltage_v = np.asarray(check.recording.voltage_v, dtype=float)
+    displacement_um = np.asarray(check.recording.displacement_um, dtype=float)
+    if waveform.kind in LEVELS:
+        response = jump_response(voltage_v, displacement_um, waveform.jumps)
+        if response.size < 4:
+            return Suitability("no", f"too few rows behind each step {rate}: record faster")
+        # The row of the jump itself may be measured before or after it acts.
+        after = response[1:3]
+        if after.min() > NEEDS.followed and abs(response[1:].max() - 1.0) < 1.0 - NEEDS.followed:
+            return Suitability("no", f"too slow to hold dynamics: {rate} the displacement has "
+                               f"followed each step by {100.0 * after.min():.0f} % in one row; "
+                               "record at least ten times faster than the highest mode")
+        return Suitability("yes", f"steps that ring or lag over several rows, {rate}")
+    if waveform.kind not in BROADBAND:
+        return Suitability("no", f"a slow {waveform.kind} excites no vibration: give steps, a "
+                           "chirp, a multisine or noise")
+    if _explained(voltage_v, displacement_um) > NEEDS.explained:
+        return Suitability("no", f"too slow to hold dynamics: {rate} the displacement follows the "
+                           "voltage at once")
+    return Suitability("yes", f"{waveform.kind} that the displacement follows with dynamics, {rate}")
+
+
+def jump_response(voltage_v: FloatArray, displacement_um: FloatArray,
+                  jumps: np.ndarray) -> FloatArray:
+    """Return the mean response to steps, 0 before and 1 at the end of the hold.
+
+    Parameters
+    ----------
+    voltage_v, displacement_um : ndarray, shape (N,)
+    jumps : ndarray of int
+        Samples at which the voltage takes another level.
+
+    Returns
+    -------
+    ndarray, shape (M,)
+        From the sample of the jump on, up to 200 samples or the shortest usual hold.
+    """
+    edges = np.append(jumps, len(voltage_v))
+    holds = np.diff(edges)
+    length = int(min(np.median(holds), 200)) if holds.size else 0
+    weighted, weight = np.zeros(length), 0.0
+    for jump, hold in zip(jumps.tolist(), holds.tolist(), strict=True):
+        if hold < length or length < 4 or jump < 2:
+            continue
+        before_um = displacement_um[max(jump - 3, 0) : jump].mean()
+        end_um = np.median(displacement_um[jump + length // 2 : jump + length])
+        step_v = voltage_v[jump] - voltage_v[jump - 1]
+        # Weighted by the step, so that small ones, mostly noise, count little.
+        weighted += step_v * (displacement_um[jump : jump + length] - before_um)
+        weight += step_v * (end_um - before_um)
+    return weighted / weight if weight else np.zeros(0)
+
+
+def _explained(voltage_v: FloatArray, displacement_um: FloatArray) -> float:
+    """Return what a linear filter leaves, over what a curve of the voltage alone leaves."""
+    size = min(len(voltage_v), 20_000)
+    x, y = voltage_v[:size] / np.abs(voltage_v).max(), displacement_um[:size]
+    past = np.column_stack([x[NEEDS.taps - lag : size - lag] for lag in range(NEEDS.taps + 1)])
+    y = y[NEEDS.taps :]
+    now = past[:, 0]
+    curve = np.column_stack([np.ones(now.size), now, now**2, now**3])
+    left = [float(np.std(y - regressors @ np.linalg.lstsq(regressors, y, rcond=1e-10)[0]))
+            for regressors in (curve, np.column_stack([curve, past]))]
+    return left[1] / left[0] if left[0] else 1.0

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which kind of waveform a voltage is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import correlate
+from scipy.stats import spearmanr
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.waveforms import turning_points
+
+LEVELS = ("square", "steps")
+"""Kinds that jump between levels."""
+
+BROADBAND = ("multisine", "noise", "chirp")
+"""Kinds that excite many frequencies."""
+
+
+@dataclass(frozen=True)
+class KindSettings:
+    """Numbers that tell the kinds of waveform apart.
+
+    Attributes
+    ----------
+    level_width : float
+        Part of the swing within which voltages are of one level.
+    held : float
+        Part of the samples that stay where they were, from which on a voltage has levels.
+    most_levels : int
+    reversal : float
+        Part of the swing below which a way back is noise.
+    even_slope : float
+        Spread of the slopes, over their median, up to which a voltage is made of ramps.
+    one_tone : float
+        Part of the energy in one line of the spectrum, from which on it is a sine.
+    even_branches : float
+        Spread of the times between reversals, over their median, up to which cycles are even.
+    chirp_order, chirp_ratio : float
+        Rank correlation of the times between reversals with their order, and the ratio of the
+        longest to the shortest, from which on a voltage is a chirp.
+    repeated : float
+        Autocorrelation from which on a voltage repeats itself.
+    sparse : float
+        Part of the lines of the band that hold nearly all energy, up to which it is a multisine.
+    most_samples : int
+        Samples that are looked at for spectra; a longer recording is cut.
+    """
+
+    level_width: float = 0.02
+    held: float = 0.8
+    most_levels: int = 100
+    reversal: float = 0.02
+    even_slope: float = 0.2
+    one_tone: float = 0.9
+    even_branches: float = 0.15
+    chirp_order: float = 0.9
+    chirp_ratio: float = 3.0
+    repeated: float = 0.97
+    sparse: float = 0.3
+    most_samples: int = 1 << 20
+
+
+SETTINGS = KindSettings()
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """The kind of a voltage.
+
+    Attributes
+    ----------
+    kind : str
+        ``constant``, ``square``, ``steps``, ``triangle``, ``sine``, ``cycles`` (of changing
+        amplitude or rest between), ``multisine``, ``noise``, ``chirp``.
+    text : str
+        One sentence part for people.
+    jumps : ndarray of int
+        Samples at which the voltage takes another level; empty for kinds without levels.
+    branch_s : float
+        Median time between reversals, or between jumps; infinite where there is none.
+    period : int
+        Samples after which it repeats; 0 where it does not.
+    """
+
+    kind: str
+    text: str
+    jumps: np.ndarray
+    branch_s: float = np.inf
+    period: int = 0
+
+
+def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
+    """Find the kind of a voltage.
+
+    Parameters
+    ----------
+    voltage_v : ndarray, shape (N,)
+    period_s : float
+        Of the samples.
+
+    Returns
+    -------
+    Waveform
+    """
+    none = np.empty(0, dtype=np.intp)
+    swing_v = float(np.ptp(voltage_v))
+    if swing_v == 0.0:
+        return Waveform("constant", f"{voltage_v[0]:g} V throughout", none)
+    with_levels = _levels(voltage_v, swing_v, period_s)
+    if with_levels:
+        return with_levels
+    part_v = voltage_v[: SETTINGS.most_samples]
+    turns = turning_points(part_v, SETTINGS.reversal * swing_v)
+    branches_s = np.diff(turns) * period_s
+    branch_s = float(np.median(branches_s[1:-1] if branches_s.size > 2 else branches_s))
+    period = _repeat(part_v)
+    kind, text = _kind_of_moving(part_v, period_s, branches_s[1:-1], branch_s, period)
+    return Waveform(kind, text, none, branch_s, period)
+
+
+def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform | None:
+    """Return the waveform of a voltage that is held at levels, None for another."""
+    change_v = np.abs(np.diff(voltage_v))
+    if np.mean(change_v <= SETTINGS.level_width * swing_v) < SETTINGS.held:
+        return None
+    level = np.round((voltage_v - voltage_v.min()) / (SETTINGS.level_width * swing_v))
+    held = np.concatenate([[True], np.diff(level) == 0.0])
+    # Noise on the edge between two bins makes two levels of one.
+    bins = np.unique(level[held])
+    groups = 1 + int(np.count_nonzero(np.diff(bins) > 1.5))
+    jumps = np.flatnonzero(change_v > 1.5 * SETTINGS.level_width * swing_v) + 1
+    if jumps.size == 0 or groups > SETTINGS.most_levels or groups < 2:
+        return None
+    inside = np.ones(change_v.size, dtype=bool)
+    inside[jumps - 1] = False
+    # Between jumps a level does not move; a ramp or a sine does.
+    drifts = [np.ptp(part) for part in np.split(voltage_v, jumps) if part.size > 4]
+    if not drifts or np.mean(np.array(drifts) < 3.0 * SETTINGS.level_width * swing_v) < 0.9:
+        return None
+    if sum(part.size for part in np.split(voltage_v, jumps)
+           if part.size > 4) < 0.5 * voltage_v.size:
+        return None
+    holds_s = np.diff(np.concatenate([[0], jumps, [voltage_v.size]])) * period_s
+    branch_s = float(np.median(holds_s))
+    if groups == 2:
+        count = "one step" if jumps.size == 1 else f"{jumps.size} steps"
+        return Waveform("square", f"{count} between {voltage_v.min():.5g} and "
+                        f"{voltage_v.max():.5g} V, held for {branch_s:.4g} s", jumps, branch_s)
+    return Waveform("steps", f"{jumps.size} steps over {groups} levels, held for {branch_s:.4g} s",
+                    jumps, branch_s)
+
+
+def _repeat(voltage_v: FloatArray) -> int:
+    """Return the samples after which a voltage repeats but for noise; 0 where it does not."""
+    varying_v = voltage_v - voltage_v.mean()
+    size = varying_v.size
+    products = correlate(varying_v, varying_v, method="fft")[size - 1 :]
+    energy = np.concatenate([[0.0], np.cumsum(varying_v**2)])
+    lags = np.arange(size // 2 + 1)
+    scale = np.sqrt(energy[size - lags] * (energy[-1] - energy[lags]))
+    alike = products[: lags.size] / np.maximum(scale, 1e-300)
+    low = np.flatnonzero(alike < 0.5)
+    if not low.size:
+        return 0
+    rest = alike[low[0] :]
+    found = np.flatnonzero(rest > SETTINGS.repeated)
+    if not found.size:
+        return 0
+    # The top of the first peak.
+    first = int(found[0])
+    end = first + int(np.argmax(rest[first:] < SETTINGS.repeated)) or rest.size
+    return int(low[0]) + first + int(np.argmax(rest[first : max(end, first + 1)]))
+
+
+def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArray,
+                    branch_s: float, period: int) -> tuple[str, str]:
+    frequency_hz, share, sparse, band_hz = _spectrum(voltage_v, period_s)
+    again = f", repeated every {period * period_s:.4g} s" if period else ""
+    slopes = np.abs(np.diff(voltage_v))
+    low, middle, high = np.quantile(slopes, [0.1, 0.5, 0.9])
+    if middle > 0.0 and high - low < SETTINGS.even_slope * middle:
+        return "triangle", (f"ramps of {middle / period_s:.4g} V/s, {branch_s:.4g} s between "
+                            f"reversals{again}")
+    if branches_s.size >= 6 and branches_s.min() > 0.0:
+        order = abs(float(spearmanr(np.arange(branches_s.size), branches_s).statistic))
+        first, last = np.median(branches_s[:3]), np.median(branches_s[-3:])
+        ratio = max(first, last) / min(first, last)
+        if order > SETTINGS.chirp_order and ratio > SETTINGS.chirp_ratio:
+            return "chirp", f"{0.5 / first:.4g} to {0.5 / last:.4g} Hz"
+    if share > SETTINGS.one_tone:
+        return "sine", f"{frequency_hz:.4g} Hz"
+    spread = np.ptp(np.quantile(branches_s, [0.1, 0.9])) if branches_s.size else 0.0
+    if spread <= SETTINGS.even_branches * branch_s:
+        return "cycles", f"{branch_s:.4g} s between reversals, of changing amplitude{again}"
+    if period or sparse < SETTINGS.sparse:
+        return "multisine", f"up to {band_hz:.4g} Hz{again}"
+    return "noise", f"up to {band_hz:.4g} Hz"
+
+
+def _spectrum(voltage_v: FloatArray, period_s: float) -> tuple[float, float, float, float]:
+    """Return the strongest line in Hz, its part of the energy, how sparse the lines are, the band.
+
+    The band holds 99 % of the energy; sparse is the part of its lines that hold 95 %.
+    """
+    window = np.hanning(voltage_v.size)
+    energy = np.abs(np.fft.rfft((voltage_v - voltage_v.mean()) * window)) ** 2
+    total = energy.sum()
+    top = int(np.argmax(energy))
+    share = energy[max(top - 2, 0) : top + 3].sum() / total
+    edge = int(np.searchsorted(np.cumsum(energy), 0.99 * total)) + 1
+    ordered = np.cumsum(np.sort(energy[:edge])[::-1])
+    sparse = (int(np.searchsorted(ordered, 0.95 * total)) + 1) / edge
+    step_hz = 1.0 / (voltage_v.size * period_s)
+    return top * step_hz, float(share), sparse, edge * step_hz

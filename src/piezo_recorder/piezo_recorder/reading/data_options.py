@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How the commands read the data that they are given: the option ``--columns``, notes, progress."""
+
+import argparse
+from os import PathLike
+from pathlib import Path
+
+from piezo_common.progress_line import ProgressLine
+from piezo_recorder.reading.columns import parse_columns
+from piezo_recorder.reading.reader import only_recording, read_recordings
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.reading.tables.table import no_progress
+
+WORTH_A_LINE_BYTES = 30_000_000
+"""Smaller files are read in about a second."""
+
+FILE_HELP = "recording or table of samples (CSV, .mat, .h5, .npz, .tdms, .parquet and others)"
+
+
+def add_columns_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--columns``."""
+    parser.add_argument(
+        "--columns", metavar="WORD", nargs="+",
+        help="columns and units of tables of samples, where their labels do not tell them: "
+        "time=t[ms] voltage=Vpiezo[V] displacement=pos[nm], with a factor as in voltage=CH1[20V]; "
+        "rate=10[kHz] without a time; recording=run[2] for one of several; or a YAML file of the "
+        "same, which may also lie beside the data as NAME.columns.yaml")
+
+
+def read_all_given(path: str | PathLike[str], options: argparse.Namespace) -> list[Recording]:
+    """Read all recordings of a file, and print what there is to say of them.
+
+    Parameters
+    ----------
+    path : path-like
+    options : argparse.Namespace
+        Of a parser with `add_columns_option`.
+
+    Returns
+    -------
+    list of Recording
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read.
+    """
+    line = ProgressLine()
+    found = read_recordings(
+        path, columns=parse_columns(options.columns),
+        progress=line.show if _size(Path(path)) > WORTH_A_LINE_BYTES else no_progress)
+    line.clear()
+    for note in dict.fromkeys(note for recording in found for note in recording.notes):
+        print(note)
+    return found
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else 0
+
+
+def read_given(path: str | PathLike[str], options: argparse.Namespace) -> Recording:
+    """Read the one recording of a file; see `read_all_given`."""
+    return only_recording(path, read_all_given(path, options))

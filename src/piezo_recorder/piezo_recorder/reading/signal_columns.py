@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which columns of a table are time, voltage and displacement: as said, or by their labels."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from piezo_recorder.reading.columns import ColumnsDocument, SignalColumn
+from piezo_recorder.reading.recording import RecordingError
+from piezo_recorder.reading.tables.table import Table, listing
+from piezo_recorder.reading.units import (
+    SIGNALS,
+    name_and_unit,
+    scale_of,
+    signal_of_unit,
+)
+
+OWN_LABELS = {"time": "time_s", "voltage": "voltage_v", "displacement": "displacement_um"}
+"""Of the suite's own CSV files."""
+
+WORDS = {
+    "time": {"time", "times", "timestamp", "timestamps", "datetime", "date", "elapsed", "zeit",
+             "temps", "tiempo", "tempo", "seconds", "second", "clock",
+             "xvalue"},
+    "voltage": {"voltage", "voltages", "volt", "volts", "spannung", "tension", "vpiezo", "upiezo",
+                "piezovoltage", "drive", "command", "amplifier", "input", "hv", "stellspannung",
+                "vin", "uin", "excitation", "actuation"},
+    "displacement": {"displacement", "position", "pos", "weg", "auslenkung", "verschiebung",
+                     "deplacement", "déplacement", "distance", "deflection", "stroke", "output",
+                     "elongation", "extension", "travel", "desplazamiento", "sensor"},
+}
+LETTERS = {"time": {"t"}, "voltage": {"u", "v"}, "displacement": {"x", "y", "z", "d"}}
+RATES = {"fs": 1.0, "rate": 1.0, "samplerate": 1.0, "samplingrate": 1.0, "sampleratehz": 1.0,
+         "samplingfrequency": 1.0, "fshz": 1.0}
+PERIODS = {"dt": 1.0, "ts": 1.0, "sampleperiod": 1.0, "sampleperiods": 1.0, "sampletime": 1.0,
+           "samplingtime": 1.0, "samplinginterval": 1.0}
+"""Single numbers of a file that tell the rate in Hz, or the period in s."""
+
+OF_UNIT, OF_WORD, OF_LETTER = 4, 2, 1
+"""How much speaks for a column: its unit, a word of its name, a usual letter."""
+
+EXAMPLE = "--columns time=NAME[s] voltage=NAME[V] displacement=NAME[um]"
+
+
+@dataclass(frozen=True)
+class SignalSource:
+    """Where a signal comes from.
+
+    Attributes
+    ----------
+    label : str
+        Of the column.
+    scale : float
+        What one of its numbers is in s, V or um.
+    note : str
+        What was assumed, for people; empty where nothing was.
+    """
+
+    label: str
+    scale: float
+    note: str = ""
+
+
+def needed_columns(table: Table, said: ColumnsDocument) -> dict[str, SignalSource]:
+    """Choose the columns of the signals.
+
+    Parameters
+    ----------
+    table : Table
+        Its rows are not looked at.
+    said : ColumnsDocument
+        What the user said; the rest is guessed.
+
+    Returns
+    -------
+    dict of str to SignalSource
+        By ``time``, ``voltage`` and ``displacement``; no time where the rate is known.
+
+    Raises
+    ------
+    RecordingError
+        If a signal has no column, or several that may be it, or one without a unit.
+    """
+    labels = list(table.columns)
+    own_time = said.time is not None or OWN_LABELS["time"] in labels
+    found: dict[str, SignalSource] = {}
+    for signal in SIGNALS:
+        wish: SignalColumn | None = getattr(said, signal)
+        if wish is not None:
+            label = said_label(table, signal, wish.column)
+        elif OWN_LABELS[signal] in labels:
+            label = OWN_LABELS[signal]
+        else:
+            taken = {each.label for each in found.values()} | {
+                said_label(table, other, getattr(said, other).column)
+                for other in SIGNALS if getattr(said, other) is not None}
+            best = guessed_labels(table, signal, [name for name in labels if name not in taken])
+            if signal == "time" and not own_time and not best and rate_hz_of(table, said):
+                continue
+            label = _only(table, signal, best)
+        found[signal] = _source(table, signal, label, wish)
+    _refuse_shared(table, found)
+    return found
+
+
+def said_label(table: Table, signal: str, name: str) -> str:
+    """Return the label of the column that a user named, by label, name or number."""
+    labels = list(table.columns)
+    small = name.strip().lower()
+    for matches in (
+        [label for label in labels if label == name],
+        [label for label in labels if label.strip().lower() == small],
+        [label for label in labels if name_and_unit(label)[0].lower() == small],
+        [label for label in labels if label.rpartition(".")[2].lower() == small],
+        labels[int(small) - 1:int(small)] if small.isdecimal() and int(small) else [],
+    ):
+        if len(matches) == 1:
+            return matches[0]
+    raise RecordingError(f"{table.header_place}: no column '{name}' for the {signal} (there are "
+                         f"{listing(labels)}): name one of them, or its number")
+
+
+def guessed_labels(table: Table, signal: str, labels: Iterable[str]) -> list[str]:
+    """Return the columns for which most speaks, by unit and name; none where nothing does."""
+    scores = {label: _score(table, signal, label) for label in labels}
+    best = max(scores.values(), default=0)
+    return [label for label, score in scores.items() if score == best] if best > 0 else []
+
+
+def _score(table: Table, signal: str, label: str) -> int:
+    name, unit = name_and_unit(label)
+    unit = table.units.get(label) or unit
+    of = signal_of_unit(unit) if unit else None
+    if unit and of != signal:
+        return 0
+    words = set(re.findall(r"[^\W\d_]+", name.lower()))
+    compact = re.sub(r"[\W\d_]+", "", name.lower())
+    score = OF_UNIT if of else 0
+    if words & WORDS[signal] or compact in WORDS[signal]:
+        return score + OF_WORD
+    last = name.rpartition(".")[2].strip().lower()
+    return score + OF_LETTER if last in LETTERS[signal] else score
+
+
+def _only(table: Table, signal: str, best: list[str]) -> str:
+    if len(best) == 1:
+        return best[0]
+    own = OWN_LABELS[signal]
+    labels = listing(list(table.columns))
+    if best:
+        raise RecordingError(
+            f"{table.header_place}: {listing(best)} may each be the {signal}: say which, as in "
+            f"--columns {signal}=NAME[{own.rpartition('_')[2].replace('v', 'V')}]")
+    raise RecordingError(
+        f"{table.header_place}: the column {own} is missing, and none of {labels} is plainly the "
+        f"{signal}: say which they are, as in {EXAMPLE}"
+        + (", or give the rate, as in rate=10[kHz]" if signal == "time" else ""))
+
+
+def _source(table: Table, signal: str, label: str, wish: SignalColumn | None) -> SignalSource:
+    unit = (wish.unit if wish else "") or table.units.get(label) or name_and_unit(label)[1]
+    factor = wish.factor if wish else 1.0
+    if unit and (wish and wish.unit or signal_of_unit(unit) == signal):
+        return SignalSource(label, factor * scale_of(signal, unit))
+    own_unit = {"time": "s", "voltage": "V"}.get(signal)
+    if unit or own_unit is None:
+        what = f"is in '{unit}'" if unit else "has no unit"
+        raise RecordingError(
+            f"{table.header_place}: the {signal} '{label}' {what}: say which unit it has, as in "
+            f"--columns {signal}={label if len(label) < 20 else 'NAME'}"
+            f"[{own_unit or 'um'}]")
+    note = f"{table.path}: '{label}' has no unit; it is taken for the {signal} in {own_unit}"
+    return SignalSource(label, factor, note)
+
+
+def _refuse_shared(table: Table, found: dict[str, SignalSource]) -> None:
+    labels = [each.label for each in found.values()]
+    for signal, each in found.items():
+        if labels.count(each.label) > 1:
+            raise RecordingError(f"{table.header_place}: the column '{each.label}' cannot be the "
+                                 f"{signal} and another signal: say which is which, as in "
+                                 f"{EXAMPLE}")
+
+
+def rate_hz_of(table: Table, said: ColumnsDocument) -> float | None:
+    """Return the rate of the rows that the user said, or a single number of the file tells."""
+    if said.sample_rate_hz is not None:
+        return said.sample_rate_hz
+    for name, value in table.scalars.items():
+        last = re.sub(r"[\W_]+", "", name.rpartition(".")[2].lower())
+        if last in RATES and value > 0.0:
+            return value
+        if last in PERIODS and value > 0.0:
+            return 1.0 / value
+    return None

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recordings in the files of other programs: one reader for all kinds of table."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from piezo_recorder.reading.columns import GUESSED, ColumnsDocument, columns_for
+from piezo_recorder.reading.plausibility import implausible
+from piezo_recorder.reading.recording import Recording, RecordingError
+from piezo_recorder.reading.signal_columns import (
+    SignalSource,
+    needed_columns,
+    rate_hz_of,
+    said_label,
+)
+from piezo_recorder.reading.tables.file_kinds import read_tables
+from piezo_recorder.reading.tables.table import Progress, Table, no_progress
+from piezo_recorder.reading.time_axis import TimeAxis, restarts, time_axis
+from piezo_recorder.sample_block import Flag
+
+HOLDING = 0.5
+"""Part of the voltages that equal the one before, from which on a voltage is held between rows."""
+
+MOST_RECORDINGS = 1000
+
+
+def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
+                          progress: Progress = no_progress) -> list[Recording]:
+    """Read all recordings of a file of another program.
+
+    Parameters
+    ----------
+    path : Path
+        Text of any delimiter, .mat, HDF5, .npz, .npy, TDMS, Parquet or Arrow.
+    columns : ColumnsDocument
+        What is known of the columns; `columns_for` adds what a YAML file beside the data says.
+    progress : callable
+
+    Returns
+    -------
+    list of Recording
+        One or more, in the order of the file.
+
+    Raises
+    ------
+    RecordingError
+        If the file, a column, a row or the sample period is not as it should be; one line.
+    """
+    said = columns_for(path, columns)
+    tables = read_tables(path, lambda table: _needed_labels(table, said), progress)
+    if not tables:
+        raise RecordingError(f"{path} holds no columns of numbers: save time, voltage and "
+                             "displacement as arrays of one length")
+    *groups, whole = tables
+    usable = [group for group in groups if _sources(group, said)]
+    parts = [part for table in usable or [whole] for part in _parts(table, said)]
+    only = said.recording.only if said.recording else ""
+    chosen = [part for part in parts if only in ("", part.title)]
+    if not chosen:
+        names = ", ".join(part.title or "1" for part in parts[:12])
+        raise RecordingError(f"{path} has no recording '{only}': give one of {names}")
+    return [_recording(part, said, several=len(parts) > 1) for part in chosen]
+
+
+def _needed_labels(table: Table, said: ColumnsDocument) -> list[str]:
+    labels = [source.label for source in needed_columns(table, said).values()]
+    if said.recording and said.recording.column:
+        labels.append(said_label(table, "recording", said.recording.column))
+    return labels
+
+
+def _sources(table: Table, said: ColumnsDocument) -> dict[str, SignalSource]:
+    """Return the columns of the signals of a group; empty where it has not all of them."""
+    try:
+        return needed_columns(table, said)
+    except RecordingError:
+        return {}
+
+
+def _parts(table: Table, said: ColumnsDocument) -> list[Table]:
+    """Split a table where another recording begins."""
+    sources = needed_columns(table, said)
+    if table.rows < 2:
+        return [table]
+    titles: list[str] = []
+    if said.recording and said.recording.column:
+        number = table.columns[said_label(table, "recording", said.recording.column)]
+        begins = (np.flatnonzero(np.diff(number) != 0.0) + 1).tolist()
+        titles = [f"{number[row]:g}" for row in [0, *begins]]
+    else:
+        time = sources.get("time")
+        begins = table.parts or (restarts(table.columns[time.label] * time.scale) if time else [])
+    begins = [row for row in begins if 0 < row < table.rows]
+    if not begins:
+        return [table]
+    if len(begins) >= MOST_RECORDINGS:
+        raise RecordingError(f"{table.place(begins[0])}: {len(begins) + 1} recordings begin there "
+                             "and below: give fewer than 1000 in one file")
+    titles = titles or [str(number) for number in range(1, len(begins) + 2)]
+    prefix = f"{table.title}." if table.title else ""
+    return [table.cut(slice(start, end), prefix + title) for start, end, title in zip(
+        [0, *begins], [*begins, table.rows], titles, strict=True)]
+
+
+def _recording(table: Table, said: ColumnsDocument, several: bool) -> Recording:
+    """Return the samples of one table."""
+    if table.rows < 2:
+        of_part = f" of recording {table.title}" if table.title else ""
+        raise RecordingError(
+            f"{table.path} has fewer than two rows of samples{of_part}: give more of them")
+    sources = needed_columns(table, said)
+    axis = _axis(table, sources, said)
+    signals = {signal: _finite(table, source) for signal, source in sources.items()
+               if signal != "time"}
+    used = {source.label for source in sources.values()}
+    further = {label: values for label, values in table.columns.items() if label not in used}
+    voltage_v, displacement_um = signals["voltage"], signals["displacement"]
+    if axis.at_rows is not None:
+        displacement_um = _at_rows(displacement_um, axis.at_rows)
+        holds = np.mean(np.diff(voltage_v) == 0.0) > HOLDING
+        voltage_v = voltage_v[axis.at_rows.astype(int)] if holds else _at_rows(
+            voltage_v, axis.at_rows)
+        further = {label: _at_rows(values, axis.at_rows) for label, values in further.items()}
+    samples = len(voltage_v)
+    recording = Recording(
+        path=str(table.path), sample_rate_hz=1.0 / axis.period_s, sample_index=axis.sample_index,
+        sample_periods_s=np.full(samples, axis.period_s), voltage_v=voltage_v,
+        displacement_um=displacement_um, flags=np.full(samples, Flag.PLAYING, dtype=np.uint32),
+        gaps=_gaps(axis.sample_index), columns=further, jitter_s=axis.jitter_s,
+        title=table.title if several else "")
+    where = f"{table.path}: " + (f"recording {table.title}: " if several else "")
+    notes = [*table.notes, *(source.note for source in sources.values() if source.note),
+             *(where + note for note in (*axis.notes, *implausible(recording)))]
+    return replace(recording, notes=notes)
+
+
+def _axis(table: Table, sources: dict[str, SignalSource], said: ColumnsDocument) -> TimeAxis:
+    if "time" in sources:
+        source = sources["time"]
+        return time_axis(_finite(table, source), table.place, source.label)
+    rate_hz = rate_hz_of(table, said)
+    assert rate_hz is not None  # or the time would be needed
+    return TimeAxis(1.0 / rate_hz, np.arange(table.rows), notes=[
+        f"there is no time; {rate_hz:g} rows a second are assumed as told"])
+
+
+def _finite(table: Table, source: SignalSource) -> np.ndarray:
+    """Return a signal in s, V or um."""
+    values = table.columns[source.label]
+    wrong = np.flatnonzero(~np.isfinite(values))
+    if wrong.size:
+        raise RecordingError(f"{table.place(int(wrong[0]))}: {source.label} is "
+                             f"'{values[wrong[0]]:g}', no finite number: mend the value or cut the "
+                             "file there")
+    return values if source.scale == 1.0 else values * source.scale
+
+
+def _at_rows(values: np.ndarray, at_rows: np.ndarray) -> np.ndarray:
+    """Return values between rows, by straight lines."""
+    return np.interp(at_rows, np.arange(len(values)), values)
+
+
+def _gaps(sample_index: np.ndarray) -> list[tuple[int, int]]:
+    missing = np.diff(sample_index) - 1
+    return [(int(sample_index[row]) + 1, int(missing[row])) for row in np.flatnonzero(missing)]

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Columns of measuring programs and data frames: TDMS, Parquet and Arrow."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from piezo_recorder.reading.tables.array_files import Group, damage_told, tables_of
+from piezo_recorder.reading.tables.libraries import library
+from piezo_recorder.reading.tables.table import Progress, Table
+
+WAVEFORM_TIME = "time [s]"
+"""Label of the time that the increment of a TDMS waveform tells."""
+
+
+def read_tdms(path: Path, progress: Progress) -> list[Table]:
+    """Read the channels of a TDMS file; each of its groups is a table."""
+    nptdms = library("nptdms", path)
+    groups = []
+    with damage_told(path, "TDMS file"), nptdms.TdmsFile.open(path) as file:
+        channels = sum(len(group.channels()) for group in file.groups())
+        for found in file.groups():
+            group = Group(found.name)
+            groups.append(group)
+            for channel in found.channels():
+                _take_channel(group, channel)
+                progress(f"read {path.name}", len(group.columns) / max(channels, 1))
+        return [table for table in tables_of(path, groups) if table.rows]
+
+
+def _take_channel(group: Group, channel: Any) -> None:
+    values = channel[:]
+    if values.dtype.kind not in "iufbM" or not len(values):
+        return
+    group.take(channel.name, values, str(channel.properties.get("unit_string", "")))
+    increment_s = channel.properties.get("wf_increment")
+    if increment_s and WAVEFORM_TIME not in group.columns:
+        start_s = float(channel.properties.get("wf_start_offset", 0.0))
+        group.take(WAVEFORM_TIME, start_s + float(increment_s) * np.arange(len(values)))
+
+
+def read_parquet(path: Path, progress: Progress) -> list[Table]:
+    """Read the columns of a Parquet file, batch by batch."""
+    parquet = library("pyarrow.parquet", path)
+    with damage_told(path, "Parquet file"), parquet.ParquetFile(path) as file:
+        return _tables(path, file.schema_arrow, file.iter_batches(), file.metadata.num_rows,
+                       progress)
+
+
+def read_arrow(path: Path, progress: Progress) -> list[Table]:
+    """Read the columns of an Arrow (Feather) file, batch by batch."""
+    ipc = library("pyarrow.ipc", path)
+    with damage_told(path, "Arrow file"), ipc.open_file(str(path)) as file:
+        count = file.num_record_batches
+        batches = (file.get_batch(number) for number in range(count))
+        return _tables(path, file.schema, batches, 0, progress)
+
+
+def _tables(path: Path, schema: Any, batches: Iterable[Any], rows: int,
+            progress: Progress) -> list[Table]:
+    chunks: dict[str, list[np.ndarray]] = {}
+    read = 0
+    for batch in batches:
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            values = column.to_numpy(zero_copy_only=False)
+            if values.dtype.kind in "iufbmM":
+                chunks.setdefault(name, []).append(
+                    values if values.dtype.kind in "mM" else values.astype(float))
+        read += batch.num_rows
+        progress(f"read {path.name}", min(read / rows, 1.0) if rows else 0.0)
+    group = Group("")
+    for name, parts in chunks.items():
+        metadata = schema.field(name).metadata or {}
+        group.take(name, np.concatenate(parts), metadata.get(b"unit", b"").decode())
+    return tables_of(path, [group])

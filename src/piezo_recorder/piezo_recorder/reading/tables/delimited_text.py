@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tables in text files of any delimiter and decimal mark, read in parts of bounded memory."""
+
+import io
+import math
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from piezo_recorder.reading.recording import RecordingError
+from piezo_recorder.reading.tables.dialect import (
+    Dialect,
+    clock_seconds,
+    dialect_of,
+    is_comment,
+)
+from piezo_recorder.reading.tables.table import Progress, Table
+
+HEAD_BYTES = 1 << 18
+HEAD_LINES = 400
+CHUNK_LINES = 100_000
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+
+Needed = Callable[[Table], Sequence[str]]
+"""Tells by its labels alone which columns of a table must be there in every row."""
+
+
+def read_text_table(path: Path, needed: Needed, progress: Progress) -> Table:
+    """Read the table of a text file; a preamble, comments and empty lines are passed over.
+
+    Parameters
+    ----------
+    path : Path
+    needed : callable
+        Called with the table without rows.
+    progress : callable
+
+    Returns
+    -------
+    Table
+        A column that is not needed and has text somewhere is left out, with a note.
+
+    Raises
+    ------
+    RecordingError
+        If there is no table, or a needed cell is no finite number; names the line.
+    """
+    with open(path, "rb") as file:
+        head = file.read(HEAD_BYTES)
+    encoding = _encoding(path, head)
+    lines = head.decode(encoding, errors="replace").lstrip("\ufeff").splitlines()[:HEAD_LINES]
+    dialect = dialect_of(lines)
+    if dialect is None:
+        return _without_rows(path, lines, needed)
+    labels = _labels(path, dialect, lines)
+    clocks = {label: "s" for label, kind in zip(labels, dialect.kinds, strict=True)
+              if kind == "clock"}
+    empty = Table(path, {label: np.empty(0) for label in labels if label},
+                  dict(zip(labels, dialect.units, strict=False)) | clocks,
+                  header_line=dialect.header_line)
+    wanted = set(needed(empty))
+    reading = _Reading(path, dialect, labels, wanted, encoding, progress)
+    return reading.table(empty.units)
+
+
+def _encoding(path: Path, head: bytes) -> str:
+    if head.startswith(UTF_16):
+        return "utf-16"
+    if b"\0" in head:
+        raise RecordingError(
+            f"{path} is not plain text, nor another kind of file that is known: save it as "
+            "comma-separated text, or as .mat, .h5, .npz, .tdms or .parquet")
+    try:
+        # The last character may be cut.
+        head[:-4].decode("utf-8") if len(head) == HEAD_BYTES else head.decode("utf-8")
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"
+
+
+def _without_rows(path: Path, lines: Sequence[str], needed: Needed) -> Table:
+    """Return a table of a header alone, or say that there is none."""
+    for number, line in enumerate(lines):
+        for delimiter in "\t;,":
+            labels = [label.strip(' "#%') for label in line.split(delimiter)]
+            if len(labels) < 3 or len(set(labels)) < len(labels):
+                continue
+            table = Table(path, {label: np.empty(0) for label in labels}, header_line=number)
+            try:
+                needed(table)
+            except RecordingError:
+                continue
+            return table
+    raise RecordingError(
+        f"{path}, row 1: no table of numbers begins there or below: give rows of time, voltage and "
+        "displacement, such as after the header time_s,voltage_v,displacement_um")
+
+
+def _labels(path: Path, dialect: Dialect, lines: Sequence[str]) -> list[str]:
+    """Return the labels of the columns; their numbers from 1 where there is no header."""
+    if not dialect.header:
+        above = dialect.first_line - 1
+        names = dialect.split(lines[above]) if above >= 0 else []
+        if above == 0 and len(names) > 2 and all(
+                dialect.kind(name) == "text" for name in names):
+            raise RecordingError(
+                f"{path}, row {dialect.first_line + 1}: {dialect.cells} values where the header "
+                f"names {len(names)} columns: complete the header or the rows"
+                + (", or separate the cells by semicolons if commas are decimal marks"
+                   if dialect.delimiter == "," else ""))
+        return [str(number) if kind != "empty" or number < dialect.cells else ""
+                for number, kind in enumerate(dialect.kinds, start=1)]
+    for label in dialect.header:
+        if label and dialect.header.count(label) > 1:
+            raise RecordingError(f"{path}, row {dialect.header_line + 1}: the column '{label}' is "
+                                 "there twice: rename one of them")
+    return list(dialect.header)
+
+
+class _Reading:
+    """One passage through a file."""
+
+    def __init__(self, path: Path, dialect: Dialect, labels: list[str], needed: set[str],
+                 encoding: str, progress: Progress):
+        self._path, self._dialect, self._encoding = path, dialect, encoding
+        self._progress, self._labels, self._needed = progress, labels, needed
+        self._used = [column for column, label in enumerate(labels) if label in needed
+                      or label and dialect.kinds[column] in ("number", "clock")]
+        self._dropped: dict[str, str] = {}
+
+    def table(self, units: dict[str, str]) -> Table:
+        while True:
+            self._skipped = [(0, self._dialect.first_line)]
+            self._parts: list[int] = []
+            try:
+                chunks = list(self._chunks())
+            except _UnusableColumn as found:
+                self._used.remove(found.column)
+                self._dropped[self._labels[found.column]] = found.what
+                continue
+            break
+        columns = {self._labels[column]: np.concatenate([chunk[:, place] for chunk in chunks])
+                   for place, column in enumerate(self._used)}
+        notes = [f"{self._path}: the column '{label}' is left out: {what}"
+                 for label, what in self._dropped.items()]
+        return Table(self._path, columns, units, parts=self._parts, skipped=self._skipped,
+                     header_line=self._dialect.header_line, notes=notes)
+
+    def _chunks(self) -> Iterator[np.ndarray]:
+        with self._lines() as (stream, share):
+            for _ in range(self._dialect.first_line):
+                next(stream)
+            rows = 0
+            while lines := list(islice(stream, CHUNK_LINES)):
+                values = self._values(lines, rows)
+                rows += len(values)
+                yield values
+                self._progress(f"read {self._path.name}", share())
+
+    @contextmanager
+    def _lines(self) -> Iterator[tuple[io.TextIOWrapper, Callable[[], float]]]:
+        size = max(self._path.stat().st_size, 1)
+        with open(self._path, "rb") as raw:
+            stream = io.TextIOWrapper(raw, encoding=self._encoding, errors="replace")
+            yield stream, lambda: min(raw.tell() / size, 1.0)
+
+    def _values(self, lines: list[str], rows: int) -> np.ndarray:
+        """Return the rows in some lines, shape (n, used columns)."""
+        kept = [line for line in lines if not is_comment(line)]
+        if len(kept) == len(lines):
+            values = self._parsed(kept)
+            if values is not None:
+                return values
+        return self._slowly(lines, rows)
+
+    def _parsed(self, lines: list[str]) -> np.ndarray | None:
+        """Return what NumPy makes of the lines; None unless all needed cells are finite."""
+        if not lines or "clock" in self._dialect.kinds:
+            return None
+        if self._dialect.decimal == ",":
+            lines = [line.replace(",", ".") for line in lines]
+        every = len(self._used) == len(self._labels)
+        try:
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "loadtxt: input contained no data")
+                values = np.loadtxt(lines, delimiter=self._dialect.delimiter, ndmin=2,
+                                    comments=None, quotechar='"',
+                                    usecols=None if every else self._used)
+        except ValueError:
+            return None
+        if values.shape != (len(lines), len(self._used)) or not self._finite(values).all():
+            return None
+        # Rows of another length pass where only some columns are read.
+        return values if every or self._even(lines) else None
+
+    def _even(self, lines: list[str]) -> bool:
+        delimiter = self._dialect.delimiter
+        if delimiter is None or any('"' in line for line in lines[:1]):
+            return all(len(self._dialect.split(line)) == self._dialect.cells for line in lines)
+        return all(line.count(delimiter) == self._dialect.cells - 1 for line in lines)
+
+    def _finite(self, values: np.ndarray) -> np.ndarray:
+        needed = [self._labels[column] in self._needed for column in self._used]
+        return np.isfinite(values[:, needed])
+
+    def _slowly(self, lines: list[str], rows: int) -> np.ndarray:
+        """Return the rows in lines that have comments or another header between them."""
+        dialect, values = self._dialect, []
+        for line in lines:
+            row = rows + len(values)
+            cells = [] if is_comment(line) else dialect.split(line)
+            if not cells or self._is_header(cells):
+                if cells and row:
+                    self._parts.append(row)
+                self._skipped.append((row, self._skipped[-1][1] + 1))
+                continue
+            place = f"{self._path}, row {row + self._skipped[-1][1] + 1}"
+            if len(cells) != dialect.cells:
+                raise RecordingError(
+                    f"{place}: {len(cells)} values where the header names {dialect.cells} columns: "
+                    "complete the row or remove it")
+            values.append([self._number(cells[column], column, place) for column in self._used])
+        return np.array(values, dtype=float).reshape(-1, len(self._used))
+
+    def _is_header(self, cells: list[str]) -> bool:
+        """Tell whether a line repeats the header, or the units below it."""
+        labels = self._dialect.header
+        return bool(labels) and (cells == list(labels) or cells == list(self._dialect.units))
+
+    def _number(self, cell: str, column: int, place: str) -> float:
+        dialect, label = self._dialect, self._labels[column]
+        kind = dialect.kind(cell)
+        if kind == "clock":
+            value = clock_seconds(cell)
+        elif kind == "number":
+            value = float(cell.replace(",", ".") if dialect.decimal == "," else cell)
+        else:
+            value = math.nan
+        if math.isfinite(value):
+            return value
+        if label in self._needed:
+            raise RecordingError(f"{place}: {label} is '{cell[:40]}', no finite number: mend the "
+                                 "value or cut the file there")
+        if kind == "text":
+            raise _UnusableColumn(column, f"it is '{cell[:40]}' in {place.rsplit(', ', 1)[1]}")
+        return value
+
+
+class _UnusableColumn(Exception):
+    """A column that nobody needs has text somewhere."""
+
+    def __init__(self, column: int, what: str):
+        super().__init__(what)
+        self.column, self.what = column, what

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How a text file writes its table: delimiter, decimal mark, header, and where the rows begin."""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezo_recorder.reading.units import signal_of_unit
+
+DELIMITERS = ("\t", ";", ",", "|", None)
+"""In the order in which they are tried; None is any white space."""
+
+COMMENTS = ("#", "%", "//", "!")
+"""What begins a line that is no row; a header may stand behind it."""
+
+HEADER_WITHIN = 3
+"""Lines above the first row in which its header is looked for: names, units, an empty one."""
+
+_GLUED = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
+_CLOCK = re.compile(r"(?:(\d{4}-\d\d-\d\d)[ T])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)Z?")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a text file writes its table.
+
+    Attributes
+    ----------
+    delimiter : str or None
+        None for any white space.
+    decimal : str
+        ``.`` or ``,``.
+    cells : int
+        In a row.
+    kinds : tuple of str
+        Of each cell of a row: ``number``, ``clock``, ``text`` or ``empty``.
+    header : tuple of str
+        Labels of the columns; empty where the file has none.
+    units : tuple of str
+        Of a line of units below the header; empty where there is none.
+    header_line : int
+        Line of the header, from 0; -1 where there is none.
+    first_line : int
+        Line of the first row, from 0.
+    """
+
+    delimiter: str | None
+    decimal: str
+    cells: int
+    kinds: tuple[str, ...]
+    header: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    header_line: int = -1
+    first_line: int = 0
+
+    def split(self, line: str) -> list[str]:
+        """Return the cells of a line, without quotes and white space around them."""
+        return split_cells(line, self.delimiter)
+
+    def kind(self, cell: str) -> str:
+        """Return what a cell holds: ``number``, ``clock``, ``text`` or ``empty``."""
+        return kind_of(cell, self.decimal)
+
+
+def split_cells(line: str, delimiter: str | None) -> list[str]:
+    """Return the cells of a line; a delimiter between quotes separates none."""
+    line = line.strip("\r\n") if delimiter == "\t" else line.strip()
+    if delimiter and '"' in line:
+        cells = re.split(re.escape(delimiter) + r'(?=(?:[^"]*"[^"]*")*[^"]*$)', line)
+    else:
+        cells = line.split(delimiter)
+    return [cell.strip().strip('"').strip() for cell in cells]
+
+
+def kind_of(cell: str, decimal: str) -> str:
+    """Return what a cell holds: ``number``, ``clock``, ``text`` or ``empty``."""
+    if not cell:
+        return "empty"
+    if _CLOCK.fullmatch(cell):
+        return "clock"
+    text = cell if decimal == "." else cell.replace(",", ".")
+    try:
+        float(text)
+    except ValueError:
+        return "text"
+    return "text" if "_" in text else "number"
+
+
+def clock_seconds(cell: str) -> float:
+    """Return a date with time, or a time of the day, in seconds; nan where it is neither."""
+    found = _CLOCK.fullmatch(cell)
+    if not found:
+        return math.nan
+    day = found[1]
+    try:
+        midnight_s = float(np.datetime64(day, "s").astype(int)) if day else 0.0
+    except ValueError:
+        return math.nan
+    return (midnight_s + 3600.0 * int(found[2]) + 60.0 * int(found[3])
+            + float(found[4].replace(",", ".")))
+
+
+def is_comment(line: str) -> bool:
+    """Tell whether a line is empty or a comment, so that it holds no row."""
+    text = line.lstrip("\ufeff \t\r\n")
+    return not text or text.startswith(COMMENTS)
+
+
+def dialect_of(lines: Sequence[str]) -> Dialect | None:
+    """Find how the first lines of a file write a table.
+
+    Rows are lines of as many cells, of which at least one is a number and none is text; where a
+    table has a column of text, of which at least two are numbers.
+
+    Parameters
+    ----------
+    lines : sequence of str
+
+    Returns
+    -------
+    Dialect or None
+        None where no line is a row.
+    """
+    found = _best(lines, text_allowed=False) or _best(lines, text_allowed=True)
+    return _with_header(found, lines) if found else None
+
+
+def _best(lines: Sequence[str], text_allowed: bool) -> Dialect | None:
+    best, best_score = None, 0.0
+    for decimal in ".,":
+        for delimiter in DELIMITERS:
+            if delimiter == decimal:
+                continue
+            rows = _rows(lines, delimiter, decimal, text_allowed)
+            if not rows:
+                continue
+            counts = Counter(len(kinds) for kinds in rows.values())
+            cells = max(counts, key=lambda count: (counts[count], count))
+            of_count = {line: kinds for line, kinds in rows.items() if len(kinds) == cells}
+            share = np.mean([kinds.count("number") / cells for kinds in of_count.values()])
+            score = len(of_count) * float(share)
+            if score > best_score:
+                first = min(of_count)
+                best, best_score = Dialect(
+                    delimiter, decimal, cells, of_count[first], first_line=first), score
+    return best
+
+
+def _rows(lines: Sequence[str], delimiter: str | None, decimal: str,
+          text_allowed: bool) -> dict[int, tuple[str, ...]]:
+    """Return the kinds of the cells of every line that looks like a row."""
+    found = {}
+    for number, line in enumerate(lines):
+        if is_comment(line):
+            continue
+        cells = split_cells(line, delimiter)
+        kinds = tuple(kind_of(cell, decimal) for cell in cells)
+        numbers = kinds.count("number")
+        fits = (numbers >= 2 if text_allowed else numbers >= 1 and "text" not in kinds)
+        if len(cells) >= 2 and fits:
+            found[number] = kinds
+    return found
+
+
+def _with_header(found: Dialect, lines: Sequence[str]) -> Dialect:
+    """Complete a dialect by the labels and units above its first row."""
+    above = range(found.first_line - 1, max(found.first_line - 2 - HEADER_WITHIN, -1), -1)
+    units: tuple[str, ...] = ()
+    for number in above:
+        if not lines[number].strip():
+            continue
+        labels = _labels(lines[number], found)
+        texts = [found.kind(label) == "text" for label in labels or () if label]
+        # A line of units below vouches for a header that has mostly numbers for names.
+        if labels is None or not any(texts) or not units and sum(texts) < 0.5 * len(texts):
+            continue
+        if not units and _are_units(labels):
+            units = labels
+            continue
+        return replace(found, header=labels, units=units, header_line=number)
+    return found
+
+
+def _labels(line: str, found: Dialect) -> tuple[str, ...] | None:
+    """Return the labels of a header of as many cells as a row, or None."""
+    text = line.strip().lstrip("\ufeff")
+    while text.startswith(COMMENTS):
+        text = text[1:].lstrip()
+    splits = [split_cells(text, found.delimiter)]
+    if found.delimiter is None:
+        splits += [re.split(r"\t+|\s{2,}", text), _GLUED.findall(text),
+                   split_cells(text, ","), split_cells(text, ";")]
+    for cells in splits:
+        # A delimiter at the end of each row, but not of the header.
+        if len(cells) == found.cells - 1 and found.kinds[-1] == "empty":
+            cells = [*cells, ""]
+        # LabVIEW heads a last column that its rows leave out.
+        if len(cells) == found.cells + 1 and cells[-1].lower() in ("", "comment"):
+            cells = cells[:-1]
+        if len(cells) == found.cells:
+            return tuple(cells)
+    return None
+
+
+def _are_units(labels: Sequence[str]) -> bool:
+    given = [label for label in labels if label]
+    return bool(given) and all(signal_of_unit(label) or label[0] in "[(" for label in given)

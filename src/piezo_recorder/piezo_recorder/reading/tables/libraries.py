@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Libraries that are asked for only where a file of their kind is read."""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from piezo_recorder.reading.recording import RecordingError
+
+PACKAGES = {"h5py": "h5py", "nptdms": "nptdms", "pyarrow": "pyarrow",
+            "pyarrow.parquet": "pyarrow", "pyarrow.ipc": "pyarrow"}
+"""Package to install for each module."""
+
+
+def library(module: str, path: Path) -> Any:
+    """Import a library that reads a kind of file.
+
+    Parameters
+    ----------
+    module : str
+    path : Path
+        The file, for the message.
+
+    Returns
+    -------
+    module
+
+    Raises
+    ------
+    RecordingError
+        If it is not installed; names the package.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        package = PACKAGES[module]
+        raise RecordingError(f"{path} needs the package {package}, which is not installed: install "
+                             f"it (`pip install {package}`), or save the data as CSV") from None

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A table of samples as some program wrote it: columns with their labels, not yet understood."""
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Progress = Callable[[str, float], object]
+"""Called with what is done, and which part of it (0 to 1)."""
+
+
+def no_progress(what: str, fraction: float) -> None:
+    """Tell nobody how far the reading is."""
+
+
+@dataclass
+class Table:
+    """Columns of equal length under the labels that the file gives them.
+
+    Attributes
+    ----------
+    path : Path
+        Where it was read.
+    columns : dict of str to ndarray, shape (N,)
+        By label, such as ``Time [s]``, in the order of the file. Times of the day and dates are
+        seconds.
+    units : dict of str to str
+        Of the columns whose unit the file keeps apart from the label.
+    scalars : dict of str to float
+        Single numbers beside the columns, such as a sample rate.
+    title : str
+        Name of the group that holds the table; empty where there is none.
+    parts : list of int
+        Rows, beside the first, at which the file itself begins another recording.
+    skipped : list of (int, int)
+        Row of the table, and how many lines of the file that hold no row come before it.
+    header_line : int
+        Line of the file with the labels, from 0; -1 where no line has them.
+    notes : list of str
+        What was left out, for people.
+    """
+
+    path: Path
+    columns: dict[str, np.ndarray]
+    units: dict[str, str] = field(default_factory=dict)
+    scalars: dict[str, float] = field(default_factory=dict)
+    title: str = ""
+    parts: list[int] = field(default_factory=list)
+    skipped: list[tuple[int, int]] = field(default_factory=lambda: [(0, 0)])
+    header_line: int = -1
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def header_place(self) -> str:
+        """Where the labels of the columns stand, for a message."""
+        if self.header_line >= 0:
+            return f"{self.path}, row {self.header_line + 1}"
+        return f"{self.path}, {self.title}" if self.title else str(self.path)
+
+    @property
+    def rows(self) -> int:
+        """How many rows there are."""
+        return len(next(iter(self.columns.values()), ()))
+
+    def place(self, row: int) -> str:
+        """Return where a row stands, for a message: its line in the file, counted from 1."""
+        found = self.skipped[bisect_right(self.skipped, (row, 1 << 62)) - 1]
+        of_group = f" of {self.title}" if self.title else ""
+        return f"{self.path}, row {row + found[1] + 1}{of_group}"
+
+    def cut(self, rows: slice, title: str) -> "Table":
+        """Return some rows in a row as a table of their own."""
+        first = rows.start or 0
+        skipped = [(max(row - first, 0), lines + first) for row, lines in self.skipped]
+        return Table(self.path, {name: values[rows] for name, values in self.columns.items()},
+                     self.units, self.scalars, title, [], skipped, self.header_line, self.notes)
+
+
+def array_columns(name: str, values: Any) -> dict[str, np.ndarray]:
+    """Return the columns that a numeric array holds, none where it is no such array.
+
+    Parameters
+    ----------
+    name : str
+        A two-dimensional array has columns NAME.1, NAME.2, ...; a structured one NAME.FIELD.
+    values : array-like
+
+    Returns
+    -------
+    dict of str to ndarray, shape (N,)
+    """
+    array = np.asarray(values)
+    if array.dtype.names:
+        flat = np.squeeze(array)
+        return {label: column for part in array.dtype.names
+                for label, column in array_columns(joined(name, part), flat[part]).items()}
+    if array.dtype.kind in "mM":
+        array = seconds(array)
+    if array.dtype.kind not in "iufb" or array.size < 2:
+        return {}
+    array = np.squeeze(array)
+    if array.ndim == 1:
+        return {name: array.astype(float)}
+    if array.ndim != 2:
+        return {}
+    if array.shape[0] < array.shape[1]:
+        array = array.T
+    return {joined(name, str(number)): np.array(column, dtype=float)
+            for number, column in enumerate(array.T, start=1)}
+
+
+def joined(group: str, name: str) -> str:
+    """Return the name of a member of a group."""
+    return f"{group}.{name}" if group else name
+
+
+def seconds(times: np.ndarray) -> np.ndarray:
+    """Return dates or spans of NumPy as seconds since the first one."""
+    spans = times - times.flat[0] if times.dtype.kind == "M" else times
+    return spans / np.timedelta64(1, "s")
+
+
+def equal_length(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Keep the columns of the most common length; of lengths that are as common, the larger."""
+    lengths = [len(values) for values in columns.values()]
+    if not lengths:
+        return {}
+    rows = max(set(lengths), key=lambda length: (lengths.count(length), length))
+    return {name: values for name, values in columns.items() if len(values) == rows}
+
+
+def listing(names: Sequence[str], most: int = 12) -> str:
+    """Return names for a message, the first of them where there are many."""
+    shown = ", ".join(f"'{name}'" for name in names[:most])
+    return f"{shown} and {len(names) - most} more" if len(names) > most else shown or "none"

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""From the times of rows to samples of one period: jitter, rounding, lost rows and gaps."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_recorder.reading.recording import RecordingError
+
+
+@dataclass(frozen=True)
+class TimeSettings:
+    """Numbers that decide what the times of rows mean.
+
+    Attributes
+    ----------
+    uniform : float
+        Of a period: rows that lie no farther off count as samples at their instants. A ramp that
+        is sampled so is wrong by this part of its step from sample to sample.
+    gap_periods : float
+        A longer distance between rows is a gap; a shorter one is bridged by a straight line.
+    longest_gap : float
+        Periods beyond which a time is no gap, but wrong.
+    even : float
+        Of a period: the spread of the distances below which a distance of two periods is a row
+        that was lost; at this spread 1.5 periods are five standard deviations away.
+    most_gaps : float
+        Part of the rows that may end at a gap; more of them mean that there is no period.
+    most_ticks : int
+        Different distances, in ticks of a clock that rounds, up to which it is seen as one.
+    """
+
+    uniform: float = 0.1
+    gap_periods: float = 3.0
+    longest_gap: float = 1e10
+    even: float = 0.1
+    most_gaps: float = 0.05
+    most_ticks: int = 12
+
+
+SETTINGS = TimeSettings()
+
+
+@dataclass(frozen=True)
+class TimeAxis:
+    """The samples that rows become.
+
+    Attributes
+    ----------
+    period_s : float
+    sample_index : ndarray, shape (N,), int64
+        Index of each sample on a clock of this period.
+    at_rows : ndarray, shape (N,), or None
+        Place of each sample among the rows, 2.5 being half-way between rows 2 and 3; None where
+        the rows are the samples.
+    jitter_s : float
+        Standard deviation of the times of the rows from a clock of this period.
+    notes : list of str
+        What was done, for people, without the name of the file.
+    """
+
+    period_s: float
+    sample_index: np.ndarray
+    at_rows: FloatArray | None = None
+    jitter_s: float = 0.0
+    notes: list[str] = field(default_factory=list)
+
+
+def first_decrease(time_s: FloatArray) -> int | None:
+    """Return the first row whose time is before that of the row above, or None."""
+    falls = np.flatnonzero(np.diff(time_s) < 0.0)
+    return int(falls[0]) + 1 if falls.size else None
+
+
+def restarts(time_s: FloatArray) -> list[int]:
+    """Return the rows at which the time begins anew where it began before, if that is all.
+
+    Returns
+    -------
+    list of int
+        Empty where the time decreases in another way, too.
+    """
+    steps_s = np.diff(time_s)
+    rows = np.flatnonzero(steps_s < 0.0) + 1
+    usual_s = np.median(steps_s[steps_s > 0.0]) if (steps_s > 0.0).any() else 0.0
+    anew = np.abs(time_s[rows] - time_s[0]) <= 0.5 * usual_s
+    return rows.tolist() if anew.all() else []
+
+
+def time_axis(time_s: FloatArray, place: Callable[[int], str], label: str) -> TimeAxis:
+    """Find the period of rows that do not go back in time.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (N,)
+        At least two rows.
+    place : callable
+        Tells where a row stands, for messages.
+    label : str
+        Of the column of time.
+
+    Returns
+    -------
+    TimeAxis
+
+    Raises
+    ------
+    RecordingError
+        If the time does not advance, decreases, or has no period.
+    """
+    count = time_s.size
+    steps_s = np.diff(time_s)
+    row = first_decrease(time_s)
+    if row is not None:
+        usual_s = float(np.median(steps_s))
+        raise RecordingError(
+            f"{place(row)}: {label} steps by {steps_s[row - 1]:g} s where {usual_s:g} s is usual: "
+            "sort the rows, or tell recordings in one file apart by a column that numbers them "
+            "(--columns recording=NAME)")
+    if time_s[-1] <= time_s[0]:
+        raise RecordingError(f"{place(1)}: {label} steps by 0 s in every row: give the time of "
+                             "each row, or --columns rate=NUMBER[Hz] without a time")
+    period_s = float(time_s[-1] - time_s[0]) / (count - 1)
+    off_s = time_s - time_s[0] - period_s * np.arange(count)
+    if np.abs(off_s).max() <= SETTINGS.uniform * period_s:
+        return TimeAxis(period_s, np.arange(count), jitter_s=float(np.std(off_s)))
+    return _uneven(time_s, steps_s, place, label)
+
+
+def _uneven(time_s: FloatArray, steps_s: FloatArray, place: Callable[[int], str],
+            label: str) -> TimeAxis:
+    """Find the period of rows that are not at equal distances throughout."""
+    typical_s = float(np.median(steps_s[steps_s > 0.0]))
+    limit_s = SETTINGS.gap_periods * typical_s
+    inside = steps_s <= limit_s
+    gaps = np.flatnonzero(~inside)
+    if steps_s.max() > SETTINGS.longest_gap * typical_s:
+        worst = int(np.argmax(steps_s))
+        raise RecordingError(f"{place(worst + 1)}: {label} steps by {steps_s[worst]:g} s where "
+                             f"{typical_s:g} s is usual: mend the time there")
+    if gaps.size > max(SETTINGS.most_gaps * time_s.size, 10):
+        raise RecordingError(
+            f"{place(int(gaps[0]) + 1)}: {label} has no sample period, its steps go from "
+            f"{steps_s.min():g} to {steps_s.max():g} s: record at one rate")
+    core_s = steps_s[inside]
+    period_s, lost = _period(core_s, typical_s)
+    counts = np.ones(steps_s.size, dtype=np.int64)
+    counts[inside] += lost
+    ticks = _row_ticks(time_s, counts, gaps, period_s)
+    period_s = _fitted_period_s(time_s, ticks, gaps) or period_s
+    ticks = _row_ticks(time_s, counts, gaps, period_s)
+    off_s = _off_s(time_s - time_s[0] - period_s * ticks, gaps)
+    tick_s = _rounding_s(core_s, typical_s)
+    notes = _gap_notes(gaps, steps_s, place)
+    largest_s = float(np.abs(off_s).max())
+    jitter_s = float(np.std(off_s))
+    if largest_s <= SETTINGS.uniform * period_s and not lost.any():
+        return TimeAxis(period_s, ticks, None, jitter_s, notes)
+    if tick_s and not lost.any() and largest_s <= tick_s:
+        notes.append(f"the time is rounded to {tick_s:g} s: the rows are taken as even, "
+                     f"{period_s:g} s apart")
+        return TimeAxis(period_s, ticks, None, jitter_s, notes)
+    if lost.any():
+        notes.append(f"{int(lost.sum())} rows are missing one by one and were put in by straight "
+                     "lines")
+    if largest_s > SETTINGS.uniform * period_s:
+        notes.append(f"the rows lie up to {largest_s:.3g} s off an even clock of {period_s:.6g} s "
+                     f"({100.0 * largest_s / period_s:.3g} % of the period; "
+                     f"{100.0 * SETTINGS.uniform:g} % are taken as they are): they were resampled "
+                     "by straight lines")
+    index, at_rows = _grid(time_s, gaps, period_s)
+    return TimeAxis(period_s, index, at_rows, jitter_s, notes)
+
+
+def _period(core_s: FloatArray, typical_s: float) -> tuple[float, np.ndarray]:
+    """Return the period of rows without gaps, and how many rows are lost in each step."""
+    lost = np.maximum(np.round(core_s / typical_s).astype(np.int64) - 1, 0)
+    even = np.std(core_s - typical_s * (1 + lost)) < SETTINGS.even * typical_s
+    if not even or np.mean(lost > 0) > SETTINGS.even:
+        lost[:] = 0
+    return float(core_s.sum() / (core_s.size + lost.sum())), lost
+
+
+def _row_ticks(time_s: FloatArray, counts: np.ndarray, gaps: np.ndarray,
+               period_s: float) -> np.ndarray:
+    """Return the place of each row on the clock; what a gap takes is rounded to whole periods."""
+    steps = counts.copy()
+    for gap in gaps.tolist():
+        steps[gap] = max(round((time_s[gap + 1] - time_s[gap]) / period_s), 1)
+    return np.concatenate([[0], np.cumsum(steps)])
+
+
+def _fitted_period_s(time_s: FloatArray, ticks: np.ndarray, gaps: np.ndarray) -> float:
+    """Return the period by least squares over all segments; 0 where each is a single row."""
+    product = square = 0.0
+    for time, tick in zip(np.split(time_s, gaps + 1), np.split(ticks, gaps + 1), strict=True):
+        from_mean = tick - tick.mean()
+        product += float(from_mean @ (time - time[0]))
+        square += float(from_mean @ from_mean)
+    return product / square if square > 0.0 else 0.0
+
+
+def _off_s(off_s: FloatArray, gaps: np.ndarray) -> FloatArray:
+    """Return how far rows lie off the clock; each segment may begin between two of its ticks."""
+    parts = np.split(off_s, gaps + 1)
+    return np.concatenate([part - np.median(part) if len(parts) > 1 else part for part in parts])
+
+
+def _rounding_s(core_s: FloatArray, typical_s: float) -> float:
+    """Return the tick of a clock that rounds the times; 0 where they are not rounded."""
+    distances = np.unique(np.round(core_s / typical_s, 4))
+    if not 1 < distances.size <= SETTINGS.most_ticks:
+        return 0.0
+    tick = float(np.diff(distances).min())
+    whole = distances / tick
+    return tick * typical_s if np.abs(whole - np.round(whole)).max() < 0.02 else 0.0
+
+
+def _gap_notes(gaps: np.ndarray, steps_s: FloatArray, place: Callable[[int], str]) -> list[str]:
+    if not gaps.size:
+        return []
+    first = int(gaps[0])
+    where = place(first + 1).rpartition(", ")[2]
+    return [f"the time has {gaps.size} gap{'s' if gaps.size > 1 else ''}, the first of "
+            f"{steps_s[first]:.4g} s before {where}: there are {gaps.size + 1} segments"]
+
+
+def _grid(time_s: FloatArray, gaps: np.ndarray, period_s: float) -> tuple[np.ndarray, FloatArray]:
+    """Return the samples of an even clock inside each segment, and their places among the rows."""
+    edges = [0, *(gaps + 1).tolist(), time_s.size]
+    indices, places = [], []
+    for start, end in zip(edges[:-1], edges[1:], strict=True):
+        tick = (time_s[start:end] - time_s[0]) / period_s
+        index = np.arange(np.ceil(tick[0] - 1e-9), np.floor(tick[-1] + 1e-9) + 1, dtype=np.int64)
+        indices.append(index)
+        places.append(np.interp(index, tick, np.arange(start, end, dtype=float)))
+    return np.concatenate(indices), np.concatenate(places)

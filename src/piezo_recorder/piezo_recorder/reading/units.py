@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Units of time, voltage and displacement, and the labels of columns that bear them."""
+
+import re
+
+from piezo_recorder.reading.recording import RecordingError
+
+SIGNALS = ("time", "voltage", "displacement")
+
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "sek": 1.0, "sekunden": 1.0,
+             "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "voltage": {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "uv": 1e-6, "kv": 1e3},
+    "displacement": {"um": 1.0, "micron": 1.0, "microns": 1.0, "micrometer": 1.0,
+                     "micrometers": 1.0, "nm": 1e-3, "pm": 1e-6, "mm": 1e3, "m": 1e6,
+                     "angstrom": 1e-4},
+}
+"""What one of the unit is in s, V and um; all in small letters."""
+
+SHOWN = {"time": "s, ms, us, ns, min or h", "voltage": "V, mV, uV or kV",
+         "displacement": "um, nm, pm, mm or m"}
+SUFFIXES = {"s", "ms", "us", "ns", "v", "mv", "kv", "um", "nm", "pm", "mm", "m"}
+"""Units that may end a name behind an underscore or a space: ``v_min`` is no time."""
+
+_BRACKETED = re.compile(r"(.*?)[\s,_]*[\[(]\s*([^\])]*?)\s*[\])]\s*", re.S)
+_SLASHED = re.compile(r"(.*\S)\s*/\s*(\S+)\s*")
+_SUFFIXED = re.compile(r"(.*\S)(?:_|\s+in\s+|\s+)(\S+?)\s*")
+_FACTORED = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)?\s*\*?\s*(\S*?)(/V)?\s*")
+
+
+def plain(unit: str) -> str:
+    """Write a unit as the tables of this module do: both signs for micro as u, no capitals."""
+    text = unit.strip().replace("µ", "u").replace("μ", "u").replace("Å", "angstrom")
+    return text.strip("[]() .").lower()
+
+
+def signal_of_unit(unit: str) -> str | None:
+    """Return the signal that is measured in a unit, or None."""
+    return next((signal for signal in SIGNALS if plain(unit) in UNITS[signal]), None)
+
+
+def name_and_unit(label: str) -> tuple[str, str]:
+    """Split the label of a column, such as ``Time [s]``, ``t/ms``, ``U (V)`` or ``pos_nm``.
+
+    Parameters
+    ----------
+    label : str
+
+    Returns
+    -------
+    name, unit : str
+        The unit is empty where the label has none that is known.
+    """
+    found = _BRACKETED.fullmatch(label)
+    if found:
+        return found[1].strip(), found[2]
+    found = _SLASHED.fullmatch(label)
+    if found and signal_of_unit(found[2]):
+        return found[1].strip(), found[2]
+    found = _SUFFIXED.fullmatch(label)
+    if found and plain(found[2]) in SUFFIXES:
+        return found[1].strip(), found[2]
+    return label.strip(), ""
+
+
+def factor_and_unit(text: str) -> tuple[float, str]:
+    """Split what a user wrote in brackets: ``nm``, ``20V``, or ``2.5um/V`` for a sensor in volts.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    factor : float
+        1 where there is none.
+    unit : str
+    """
+    found = _FACTORED.fullmatch(text)
+    if not found:
+        return 1.0, text.strip()
+    return float(found[1]) if found[1] else 1.0, found[2]
+
+
+def scale_of(signal: str, unit: str) -> float:
+    """Return what one of a unit is in s, V or um.
+
+    Raises
+    ------
+    RecordingError
+        If it is no unit of that signal.
+    """
+    scale = UNITS[signal].get(plain(unit))
+    if scale is None:
+        raise RecordingError(
+            f"'{unit}' is no unit of the {signal}: give {SHOWN[signal]}, such as "
+            f"{signal}=NAME[{SHOWN[signal].split(',')[0]}]")
+    return scale

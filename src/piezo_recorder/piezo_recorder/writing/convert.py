@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Write a recording of any origin as ours or as CSV: ``convert FILE NEW``."""
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from piezo_common.command_line import run_command
+from piezo_recorder.reading.data_options import FILE_HELP, add_columns_option, read_all_given
+from piezo_recorder.reading.reader import sha256_of
+from piezo_recorder.reading.recording import Recording, RecordingError
+from piezo_recorder.sample_block import TYPE_NAME
+from piezo_recorder.writing.message_definition import installed_definition
+from piezo_recorder.writing.writer import RecordingWriter
+
+BLOCK_SAMPLES = 4000
+ROWS_AT_ONCE = 50_000
+TOPIC = "/stage/samples"
+
+
+def write_csv(recording: Recording, path: Path) -> None:
+    """Write a recording as a CSV file with our columns and its further ones.
+
+    Numbers are written so that they are read back to the last bit; times to 12 digits.
+
+    Parameters
+    ----------
+    recording : Recording
+    path : Path
+
+    Raises
+    ------
+    FileExistsError
+        If it is there already.
+    """
+    columns = [recording.voltage_v, recording.displacement_um, *recording.columns.values()]
+    labels = ["time_s", "voltage_v", "displacement_um",
+              *(f'"{name}"' if "," in name else name for name in recording.columns)]
+    time_s = recording.time_s
+    with open(path, "x", encoding="utf-8") as file:
+        file.write(",".join(labels) + "\n")
+        for start in range(0, len(time_s), ROWS_AT_ONCE):
+            rows = slice(start, start + ROWS_AT_ONCE)
+            values = np.column_stack([np.asarray(column[rows], float) for column in columns])
+            file.writelines(f"{time:.12g},{','.join(map(repr, row))}\n" for time, row in zip(
+                time_s[rows].tolist(), values.tolist(), strict=True))
+
+
+def write_recording(recording: Recording, path: Path) -> None:
+    """Write a recording as a rosbag2 directory of sample blocks.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its further columns are not written; gaps are.
+    path : Path
+        Directory to make.
+
+    Raises
+    ------
+    FileExistsError
+        If it is there already.
+    """
+    definition = installed_definition(TYPE_NAME)
+    typestore = get_typestore(Stores.EMPTY)
+    typestore.register(get_types_from_msg(definition.text, TYPE_NAME))
+    types = typestore.types
+    stamp, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    with RecordingWriter(path, recording.sample_rate_hz) as writer:
+        writer.attach("conversion.json", json.dumps({
+            "source": recording.path, "sha256": sha256_of(recording.path),
+            "recording": recording.title, "notes": recording.notes}, indent=1).encode())
+        channel = writer.add_topic(TOPIC, definition)
+        for tick, rows in enumerate(_blocks(recording), start=1):
+            first = int(recording.sample_index[rows][0])
+            time_ns = round(1e9 * first / recording.sample_rate_hz)
+            block = types[TYPE_NAME](
+                header=header(stamp(*divmod(time_ns, 1_000_000_000)), "stage"),
+                first_sample=first, sample_period_s=float(recording.sample_periods_s[rows][0]),
+                tick=tick, voltage_v=np.asarray(recording.voltage_v[rows], float),
+                displacement_um=np.asarray(recording.displacement_um[rows], float),
+                flags=int(recording.flags[rows][0]), missed_feedback=0)
+            writer.write(channel, bytes(typestore.serialize_cdr(block, TYPE_NAME)), time_ns)
+
+
+def _blocks(recording: Recording) -> Iterator[slice]:
+    """Yield the rows of each block: no gap, change of period or of flags lies inside one."""
+    strides = np.round(recording.sample_periods_s * recording.sample_rate_hz).astype(np.int64)
+    breaks = ((np.diff(recording.sample_index) != strides[:-1]) | (np.diff(strides) != 0)
+              | (np.diff(recording.flags.astype(np.int64)) != 0))
+    edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(strides)]
+    for start, end in zip(edges[:-1], edges[1:], strict=True):
+        for first in range(start, end, BLOCK_SAMPLES):
+            yield slice(first, min(first + BLOCK_SAMPLES, end))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; return the exit status, 2 for input that cannot be used."""
+    parser = argparse.ArgumentParser(
+        prog="convert", description="Write a table of samples or a recording in our formats.",
+        epilog="Several recordings of one file become NEW_1, NEW_2 and so on, by their titles.")
+    parser.add_argument("recording", metavar="FILE", type=Path, help=FILE_HELP)
+    parser.add_argument("output", metavar="NEW", type=Path,
+                        help="file to make if it ends in .csv, else the directory of a recording")
+    add_columns_option(parser)
+    return run_command(parser, _convert, arguments)
+
+
+def _convert(options: argparse.Namespace) -> None:
+    output: Path = options.output
+    if output.exists():
+        raise RecordingError(f"{output} exists already and is not overwritten: choose another name")
+    if not output.absolute().parent.is_dir():
+        raise RecordingError(f"{output} is in no existing directory: make it first")
+    found = read_all_given(options.recording, options)
+    for recording in found:
+        # Titles come from the file: they may hold anything.
+        title = re.sub(r"[^\w-]+", "_", recording.title)
+        name = f"{output.stem}_{title}" if len(found) > 1 else output.stem
+        path = output.with_name(name + output.suffix)
+        is_csv = path.suffix.lower() == ".csv"
+        (write_csv if is_csv else write_recording)(recording, path)
+        print(f"{len(recording.voltage_v)} samples written to {path}")
+        if recording.columns and not is_csv:
+            print(f"not written: {', '.join(recording.columns)}, for which only a CSV has room")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What no stage does is said when a recording is read; what stages do is not."""
+
+import re
+
+import numpy as np
+import pytest
+
+from piezo_recorder.reading.reader import read_recording
+
+INDEX = np.arange(4000)
+SINE = 0.5 - 0.5 * np.cos(INDEX / 300.0)
+SQUARE = (INDEX // 500 % 2).astype(float)
+
+
+def notes(tmp_path, voltage_v, displacement_um, rows=None):
+    path = tmp_path / "data.csv"
+    np.savetxt(path, np.column_stack([1e-3 * INDEX, voltage_v, displacement_um])[:rows],
+               delimiter=",", header="time_s,voltage_v,displacement_um", comments="")
+    return " ".join(read_recording(path).notes)
+
+
+@pytest.fixture
+def noise_um():
+    return np.random.default_rng(4).normal(scale=0.005, size=INDEX.size)
+
+
+@pytest.mark.parametrize("shape", [SINE, SQUARE])
+@pytest.mark.parametrize("swing_v, gain, quantum_um", [
+    (150.0, 0.2, 0.0), (1000.0, 0.01, 0.0), (60.0, 10.0, 0.0), (100.0, 0.6, 0.05)])
+def test_usual_stage_is_not_objected_to(tmp_path, noise_um, shape, swing_v, gain, quantum_um):
+    displacement_um = gain * swing_v * shape + noise_um
+    if quantum_um:
+        displacement_um = quantum_um * np.round(displacement_um / quantum_um)
+    assert notes(tmp_path, swing_v * shape - 20.0, displacement_um) == ""
+
+
+def test_noiseless_simulation_is_not_taken_for_clipped(tmp_path):
+    assert notes(tmp_path, 100.0 * SQUARE, 20.0 * SQUARE) == ""
+    assert notes(tmp_path, 100.0 * SINE, 20.0 * SINE) == ""
+
+
+@pytest.mark.parametrize("voltage_v, displacement_um, said", [
+    (100.0 * SINE, 0.1 * SINE, "changes by 0.1 um only"),
+    (1e5 * SINE, 30.0 * SINE, "reaches 1e\\+05 V"),
+    (0.1 * SINE, 30.0 * SINE, "in kV, or before the amplifier"),
+    (100.0 * SINE, 30_000.0 * SINE, "is it in nm"),
+    (900.0 * SINE, 0.9 * SINE, "unit wrong by 1000"),
+    (100.0 + 0.0 * SINE, 30.0 * SINE, "the voltage is 100 V throughout"),
+    (100.0 * SINE, 30.0 + 0.0 * SINE, "is the sensor on"),
+])
+def test_implausible_numbers_are_said(tmp_path, voltage_v, displacement_um, said):
+    assert re.search(said, notes(tmp_path, voltage_v, displacement_um))
+
+
+def test_few_rows_are_said(tmp_path):
+    assert "only 3 rows" in notes(tmp_path, 100.0 * SINE, 10.0 * SINE, rows=3)
+
+
+@pytest.mark.parametrize("shape", [SINE, SQUARE])
+def test_clipped_sensor_is_said_with_its_end(tmp_path, noise_um, shape):
+    displacement_um = 20.0 * shape + noise_um
+    said = notes(tmp_path, 100.0 * shape, np.minimum(displacement_um, 19.99))
+    assert "stays at its highest value, 19.99 um" in said
+    said = notes(tmp_path, 100.0 * shape, np.maximum(displacement_um, 0.01))
+    assert "stays at its lowest value, 0.01 um" in said
