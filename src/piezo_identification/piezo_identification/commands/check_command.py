@@ -72,7 +72,8 @@ def _print_response(path: Path) -> None:
     peak = int(np.argmax(gain))
     print(f"{path}: a frequency response of {gain.size} points, "
           f"{response.frequency_hz[0]:.5g} to {response.frequency_hz[-1]:.5g} Hz, largest gain "
-          f"{gain[peak]:.4g} at {response.frequency_hz[peak]:.5g} Hz; it can stand for the dynamics")
+          f"{gain[peak]:.4g} at {response.frequency_hz[peak]:.5g} Hz; it can stand for the "
+          "dynamics")
 
 
 if __name__ == "__main__":

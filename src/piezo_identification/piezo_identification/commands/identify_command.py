@@ -22,6 +22,8 @@ from piezo_identification.estimators.frequency_response.response_file import (
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.identification.identify import identify
 from piezo_identification.identification.linear_dynamics import METHODS
+from piezo_identification.recording_check.check import check_recording
+from piezo_identification.recording_check.suitability import suitability
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.data_options import add_columns_option, read_given
@@ -90,6 +92,7 @@ def _identify(options: argparse.Namespace) -> None:
             of_response = name == "dynamics" and is_frequency_response(path)
             data[name] = (read_frequency_response(path) if of_response
                           else read_given(path, options))
+    _tell_unfit(data)
     _check_options(data.get("dynamics"), options)
     if options.band is not None:
         data["dynamics"] = data["dynamics"].between(*options.band)
@@ -104,6 +107,15 @@ def _identify(options: argparse.Namespace) -> None:
     save_model(output, identified)
     _print_summary(identified)
     print(f"model written to {output}")
+
+
+def _tell_unfit(data: Mapping[str, Any]) -> None:
+    """Print which recordings can hardly stand for the experiment that they were given as."""
+    for name, given in data.items():
+        if not isinstance(given, FrequencyResponse):
+            fit = suitability(check_recording(given))[name]
+            if fit.verdict == "no":
+                print(f"{given.path} can hardly stand for the {name}: {fit.reason}")
 
 
 def _check_options(

@@ -23,6 +23,8 @@ class Needs:
         The shortest hold of a level that shows creep: the fast creep of stages takes seconds.
     rows_per_hold : int
         Rows in a hold from which creep can be told.
+    slowest_rows_s : float
+        Sample period beyond which nothing that is called dynamics shows.
     followed : float
         Part of a jump that the displacement has done in the first row behind it, from which on
         the rows are too slow to show the dynamics.
@@ -38,6 +40,7 @@ class Needs:
 
     hold_s: float = 2.0
     rows_per_hold: int = 20
+    slowest_rows_s: float = 0.02
     followed: float = 0.9
     taps: int = 30
     explained: float = 0.5
@@ -108,8 +111,7 @@ def _hysteresis(check: RecordingCheck) -> Suitability:
     waveform = check.waveform
     if waveform.kind == "square":
         return Suitability("no", "the voltage takes two levels only: give slow cycles")
-    if waveform.kind in BROADBAND and waveform.branch_s <= waveforms.SETTINGS.slow_branch_s \
-            or waveform.branch_s <= waveforms.SETTINGS.slow_branch_s:
+    if waveform.branch_s <= waveforms.SETTINGS.slow_branch_s:
         return Suitability("no", f"{waveform.branch_s:.3g} s between reversals are too fast: "
                            "vibrations and lags would count as hysteresis; take more than "
                            f"{waveforms.SETTINGS.slow_branch_s:g} s")
@@ -147,6 +149,9 @@ def _dynamics(check: RecordingCheck) -> Suitability:
     rate = f"at {1.0 / period_s:.4g} rows a second"
     voltage_v = np.asarray(check.recording.voltage_v, dtype=float)
     displacement_um = np.asarray(check.recording.displacement_um, dtype=float)
+    if period_s > NEEDS.slowest_rows_s:
+        return Suitability("no", f"too slow to hold dynamics: {rate}, while stages answer within "
+                           "milliseconds")
     if waveform.kind in LEVELS:
         response = jump_response(voltage_v, displacement_um, waveform.jumps)
         if response.size < 4:
@@ -159,12 +164,17 @@ def _dynamics(check: RecordingCheck) -> Suitability:
                                "record at least ten times faster than the highest mode")
         return Suitability("yes", f"steps that ring or lag over several rows, {rate}")
     if waveform.kind not in BROADBAND:
-        return Suitability("no", f"a slow {waveform.kind} excites no vibration: give steps, a "
-                           "chirp, a multisine or noise")
+        jumps = waveform.jumps.size
+        if jumps:
+            return Suitability("partly", f"{jumps} jump{'s' if jumps > 1 else ''} among slow "
+                               "motion: cut the file around them")
+        return Suitability("no", f"the voltage ({waveform.kind}) is too slow to excite vibrations: "
+                           "give steps, a chirp, a multisine or noise")
     if _explained(voltage_v, displacement_um) > NEEDS.explained:
         return Suitability("no", f"too slow to hold dynamics: {rate} the displacement follows the "
                            "voltage at once")
-    return Suitability("yes", f"{waveform.kind} that the displacement follows with dynamics, {rate}")
+    return Suitability("yes", f"{waveform.kind} that the displacement follows with dynamics, "
+                       f"{rate}")
 
 
 def jump_response(voltage_v: FloatArray, displacement_um: FloatArray,

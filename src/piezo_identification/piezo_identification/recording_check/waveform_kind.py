@@ -36,6 +36,12 @@ class KindSettings:
         Part of the energy in one line of the spectrum, from which on it is a sine.
     even_branches : float
         Spread of the times between reversals, over their median, up to which cycles are even.
+    full_cycle : float
+        Part of the swing that most ways between reversals take, from which on they are cycles: in
+        noise they are far shorter.
+    jump, jump_over_usual : float
+        Part of the swing, and multiple of the change that 99 % of the samples do not exceed, from
+        which on a change between two samples is a jump.
     chirp_order, chirp_ratio : float
         Rank correlation of the times between reversals with their order, and the ratio of the
         longest to the shortest, from which on a voltage is a chirp.
@@ -54,6 +60,9 @@ class KindSettings:
     even_slope: float = 0.2
     one_tone: float = 0.9
     even_branches: float = 0.15
+    full_cycle: float = 0.6
+    jump: float = 0.05
+    jump_over_usual: float = 5.0
     chirp_order: float = 0.9
     chirp_ratio: float = 3.0
     repeated: float = 0.97
@@ -76,7 +85,7 @@ class Waveform:
     text : str
         One sentence part for people.
     jumps : ndarray of int
-        Samples at which the voltage takes another level; empty for kinds without levels.
+        Samples at which the voltage takes another level, or jumps while it moves slowly.
     branch_s : float
         Median time between reversals, or between jumps; infinite where there is none.
     period : int
@@ -115,8 +124,20 @@ def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
     branches_s = np.diff(turns) * period_s
     branch_s = float(np.median(branches_s[1:-1] if branches_s.size > 2 else branches_s))
     period = _repeat(part_v)
-    kind, text = _kind_of_moving(part_v, period_s, branches_s[1:-1], branch_s, period)
-    return Waveform(kind, text, none, branch_s, period)
+    heights = np.abs(np.diff(voltage_v[turns]))[1:-1] / swing_v
+    kind, text = _kind_of_moving(part_v, period_s, branches_s[1:-1], branch_s, period, heights)
+    jumps = none if kind in BROADBAND else _lone_jumps(voltage_v, swing_v)
+    if jumps.size:
+        text += f", with {jumps.size} jump{'s' if jumps.size > 1 else ''}"
+    return Waveform(kind, text, jumps, branch_s, period)
+
+
+def _lone_jumps(voltage_v: FloatArray, swing_v: float) -> np.ndarray:
+    """Return the samples at which a voltage that moves slowly jumps."""
+    change_v = np.abs(np.diff(voltage_v))
+    usual_v = float(np.quantile(change_v, 0.99))
+    least_v = max(SETTINGS.jump * swing_v, SETTINGS.jump_over_usual * usual_v)
+    return np.flatnonzero(change_v > least_v) + 1
 
 
 def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform | None:
@@ -174,7 +195,7 @@ def _repeat(voltage_v: FloatArray) -> int:
 
 
 def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArray,
-                    branch_s: float, period: int) -> tuple[str, str]:
+                    branch_s: float, period: int, heights: FloatArray) -> tuple[str, str]:
     frequency_hz, share, sparse, band_hz = _spectrum(voltage_v, period_s)
     again = f", repeated every {period * period_s:.4g} s" if period else ""
     slopes = np.abs(np.diff(voltage_v))
@@ -187,12 +208,15 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
         first, last = np.median(branches_s[:3]), np.median(branches_s[-3:])
         ratio = max(first, last) / min(first, last)
         if order > SETTINGS.chirp_order and ratio > SETTINGS.chirp_ratio:
+            some = max(3, branches_s.size // 50)
+            first, last = branches_s[:some].mean(), branches_s[-some:].mean()
             return "chirp", f"{0.5 / first:.4g} to {0.5 / last:.4g} Hz"
     if share > SETTINGS.one_tone:
         return "sine", f"{frequency_hz:.4g} Hz"
     spread = np.ptp(np.quantile(branches_s, [0.1, 0.9])) if branches_s.size else 0.0
-    if spread <= SETTINGS.even_branches * branch_s:
-        return "cycles", f"{branch_s:.4g} s between reversals, of changing amplitude{again}"
+    full = heights.size > 0 and float(np.median(heights)) > SETTINGS.full_cycle
+    if full or spread <= SETTINGS.even_branches * branch_s:
+        return "cycles", f"{branch_s:.4g} s between reversals, of no single sine{again}"
     if period or sparse < SETTINGS.sparse:
         return "multisine", f"up to {band_hz:.4g} Hz{again}"
     return "noise", f"up to {band_hz:.4g} Hz"

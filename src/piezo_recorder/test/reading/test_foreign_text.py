@@ -171,7 +171,8 @@ def test_several_recordings_of_one_table_are_told_apart(tmp_path, text, options)
     ("nothing but words\nand words\n", "row 1: no table of numbers"),
     ("\0\1\2 binary", "not plain text"),
     ("SQLite format 3\0", "ros2 bag convert"),
-    ("time_s,voltage_v,displacement_um\n0,1,2\n1,1,2\n2,1,2\n3,1,2\n1e300,1,2\n", "steps by 1e\\+300 s"),
+    ("time_s,voltage_v,displacement_um\n0,1,2\n1,1,2\n2,1,2\n3,1,2\n1e300,1,2\n",
+     "steps by 1e\\+300 s"),
 ])
 def test_what_cannot_be_read_is_refused_in_one_line_that_names_the_cure(tmp_path, text, said):
     path = write(tmp_path, text)

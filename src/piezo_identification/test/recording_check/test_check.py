@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A recording's noise, drift, start and use are those with which it was made."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, dlsim
+
+from piezo_identification.commands.check_command import main
+from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.recording_check.check import check_recording
+from piezo_identification.recording_check.suitability import suitability
+from piezo_recorder.reading.reader import read_recording
+
+
+@pytest.fixture
+def read(tmp_path, save_csv):
+    def save(voltage_v, displacement_um, period_s, name="data.csv"):
+        return read_recording(save_csv(
+            tmp_path / name, period_s * np.arange(len(voltage_v)), voltage_v, displacement_um))
+    return save
+
+
+def vibrating(voltage_v, period_s, frequency_hz=300.0, damping=0.05):
+    """Displacement of one mode, by SciPy."""
+    w = 2.0 * np.pi * frequency_hz
+    system = cont2discrete(([0.2 * w**2], [1.0, 2.0 * damping * w, w**2]), period_s)
+    return dlsim(system, voltage_v)[1].ravel()
+
+
+@pytest.mark.parametrize("name, maker, clock_hz", [
+    ("creep", experiments.creep, 100.0),
+    ("dynamics", experiments.dynamics, 40_000.0),
+    ("dynamics", lambda: experiments.multisine(tones_s=0.4), 40_000.0),
+    ("hysteresis", lambda: experiments.hysteresis(level_count=35), 1000.0),
+])
+def test_designed_experiment_can_stand_for_itself(play, name, maker, clock_hz):
+    check = check_recording(play(maker(), 1, clock_hz))
+    fit = suitability(check)
+    assert fit[name].verdict in ("yes", "partly"), fit[name].reason
+    assert fit["validation"].verdict == "yes"
+    for other in {"creep", "dynamics", "hysteresis"} - {name}:
+        assert fit[other].verdict == "no", (other, fit[other].reason)
+
+
+def test_noise_and_drift_are_measured(read):
+    random = np.random.default_rng(2)
+    voltage_v = np.tile(50.0 - 50.0 * np.cos(2 * np.pi * np.arange(1000) / 1000), 8)
+    drift_um = np.linspace(0.0, 0.7, voltage_v.size)
+    displacement_um = 0.2 * voltage_v + drift_um + 0.02 * random.normal(size=voltage_v.size)
+    check = check_recording(read(voltage_v, displacement_um, 1e-3))
+    assert check.noise_um == pytest.approx(0.02, rel=0.15)
+    assert check.drift_um == pytest.approx(0.7, rel=0.05)
+    assert check.waveform.kind == "sine"
+    assert check.start.startswith("in motion: its first period differs")
+
+
+def test_states_at_the_start_are_told_apart(read):
+    random = np.random.default_rng(3)
+    noise_um = 0.005 * random.normal(size=20_000)
+    time_s = 1e-2 * np.arange(20_000)
+    level_v = np.where((time_s // 20.0) % 2 == 0, 10.0, 90.0)
+    settled = check_recording(read(level_v, 0.2 * level_v + noise_um, 1e-2))
+    assert settled.starts_settled and settled.start.startswith("at rest")
+    creeping = 0.2 * level_v - 3.0 * np.exp(-time_s / 15.0) + noise_um
+    check = check_recording(read(level_v, creeping, 1e-2))
+    assert not check.starts_settled and check.start.startswith("still settling")
+    assert suitability(check)["creep"].verdict == "partly"
+    sine_v = 50.0 + 40.0 * np.sin(2 * np.pi * time_s / 4.0)
+    check = check_recording(read(sine_v, 0.2 * sine_v + noise_um, 1e-2))
+    assert check.starts_settled and check.start.startswith("periodic")
+    random_v = np.cumsum(random.normal(size=20_000))
+    check = check_recording(read(random_v, 0.2 * random_v + noise_um, 1e-2))
+    assert not check.starts_settled and check.start.startswith("in motion")
+
+
+def test_steps_that_ring_hold_dynamics_and_those_sampled_too_slowly_do_not(read):
+    period_s = 1e-4
+    voltage_v = np.where((np.arange(20_000) // 1000) % 2 == 0, 20.0, 80.0)
+    displacement_um = vibrating(voltage_v, period_s)
+    fast = suitability(check_recording(read(voltage_v, displacement_um, period_s)))
+    assert fast["dynamics"].verdict == "yes"
+    # The same stage, long steps, one row in a hundred.
+    voltage_v = np.repeat(voltage_v[::1000], 20_000)
+    displacement_um = vibrating(voltage_v, period_s)
+    slow = suitability(check_recording(
+        read(voltage_v[99::100], displacement_um[99::100], 100 * period_s)))
+    assert slow["dynamics"].verdict == "no"
+    assert "too slow to hold dynamics" in slow["dynamics"].reason
+
+
+@pytest.mark.parametrize("voltage_v, displacement_um, said", [
+    (np.full(500, 30.0), np.zeros(500), "never changes"),
+    (np.sin(np.arange(10) / 2.0) * 50.0, np.arange(10.0), "10 rows are too few"),
+    (50.0 * np.sin(np.arange(4000) / 99.0),
+     np.minimum(10.0 * np.sin(np.arange(4000) / 99.0), 6.0)
+     + np.where(np.sin(np.arange(4000) / 99.0) < 0.6,
+                0.01 * np.random.default_rng(1).normal(size=4000), 0.0), "clipped"),
+])
+def test_recording_of_no_use_says_why(read, voltage_v, displacement_um, said):
+    fit = suitability(check_recording(read(voltage_v, displacement_um, 1e-2)))
+    for name, each in fit.items():
+        assert each.verdict == "no", name
+        assert said in each.reason
+
+
+def test_command_prints_the_table_and_draws_a_picture_for_each_kind(tmp_path, save_csv, capsys):
+    index = np.arange(4000)
+    random = np.random.default_rng(1)
+    kinds = {"constant": np.full(4000, 5.0), "sine": 50.0 * np.sin(index / 99.0),
+             "square": np.where(index // 400 % 2, 50.0, 0.0), "noise": 10.0 * random.normal(
+                 size=4000)}
+    files = [save_csv(tmp_path / f"{name}.csv", 0.01 * index, voltage_v,
+                      0.2 * voltage_v + 0.01 * random.normal(size=4000))
+             for name, voltage_v in kinds.items()]
+    arguments = ["--data", *map(str, files), "--output", str(tmp_path / "pictures")]
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    for name in kinds:
+        assert re.search(rf"waveform +{name}: ", printed)
+        picture = tmp_path / "pictures" / f"{name}_check.png"
+        assert picture.read_bytes().startswith(b"\x89PNG")
+    for row in ("sample period", "jitter", "noise", "drift", "state at the start", "Preisach plane",
+                "can stand for hysteresis"):
+        assert printed.count(row) == len(kinds)
+
+
+def test_command_tells_what_it_cannot_read_in_one_line(tmp_path, capsys):
+    (tmp_path / "data.csv").write_text("a;b\n1;2\n")
+    assert main(["--data", str(tmp_path / "data.csv")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("check: ") and error.count("\n") == 1

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Each kind of waveform is told by its voltage alone, measured or ideal, from any start."""
+
+import numpy as np
+import pytest
+from scipy.signal import chirp, lfilter, sawtooth
+
+from piezo_identification.recording_check.waveform_kind import waveform_of
+
+PERIOD_S = 1e-3
+TIME_S = PERIOD_S * np.arange(20_000)
+
+
+def multisine(random):
+    lines = np.arange(1, 200)
+    phase = random.uniform(0, 2 * np.pi, lines.size)
+    once = np.cos(2 * np.pi * np.outer(np.arange(4000), lines) / 4000 + phase).sum(axis=1)
+    return np.tile(once, 5)
+
+
+MAKERS = {
+    "constant": lambda random: np.full(TIME_S.size, 20.0),
+    "square": lambda random: np.sign(np.sin(2 * np.pi * (TIME_S + random.uniform(0.0, 2.0)) / 1.9)),
+    "steps": lambda random: np.repeat(random.choice(np.linspace(0, 1, 8), 40), 500),
+    "triangle": lambda random: sawtooth(2 * np.pi * TIME_S / 2.3 + random.uniform(0, 6), 0.5),
+    "sine": lambda random: np.sin(2 * np.pi * 0.7 * TIME_S + random.uniform(0, 6)),
+    "cycles": lambda random: (1 + np.floor(TIME_S / 2.0)) * (1 - np.cos(np.pi * TIME_S)),
+    "multisine": multisine,
+    "noise": lambda random: lfilter([1.0], [1.0, -0.9], random.normal(size=TIME_S.size)),
+    "chirp": lambda random: chirp(TIME_S, 0.5, TIME_S[-1], 60.0, phi=random.uniform(0, 360)),
+}
+
+
+@pytest.mark.parametrize("kind", MAKERS)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_kind_is_told(kind, seed, noise):
+    random = np.random.default_rng(seed)
+    voltage_v = 50.0 + 40.0 * np.asarray(MAKERS[kind](random), dtype=float)
+    if kind == "constant" and noise:
+        pytest.skip("noise alone is noise")
+    voltage_v = voltage_v + noise * np.ptp(voltage_v) * random.normal(size=voltage_v.size)
+    if kind == "triangle" and noise:
+        pytest.skip("a slow ramp in noise has no slope from row to row")
+    assert waveform_of(voltage_v, PERIOD_S).kind == kind
+
+
+def test_jumps_period_and_time_between_reversals_are_measured():
+    square = waveform_of(np.where(TIME_S % 4.0 < 2.0, 80.0, 20.0), PERIOD_S)
+    assert square.branch_s == pytest.approx(2.0)
+    assert square.jumps.tolist() == list(range(2000, 20_000, 2000))
+    sine = waveform_of(np.sin(2 * np.pi * TIME_S / 0.8), PERIOD_S)
+    assert sine.branch_s == pytest.approx(0.4, rel=0.01)
+    assert sine.period == 800
+    swept = waveform_of(chirp(TIME_S, 2.0, TIME_S[-1], 40.0), PERIOD_S)
+    low, high = (float(word) for word in swept.text.removesuffix(" Hz").split(" to "))
+    assert low == pytest.approx(2.0, rel=0.2) and high == pytest.approx(40.0, rel=0.1)

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Files that other libraries wrote are read to the numbers that they were given."""
+
+import sys
+
+import numpy as np
+import pandas
+import pytest
+import scipy.io
+
+from piezo_recorder.reading.columns import parse_columns
+from piezo_recorder.reading.reader import read_recording, read_recordings
+from piezo_recorder.reading.recording import RecordingError
+
+ROWS = 500
+TIME_S = 7.0 + 1e-3 * np.arange(ROWS)
+VOLTAGE_V = 50.0 - 50.0 * np.cos(np.arange(ROWS) / 40.0)
+DISPLACEMENT_UM = 0.3 * VOLTAGE_V + 0.1 * np.sin(np.arange(ROWS))
+
+
+def write_npz(path):
+    np.savez(path, t_ms=1e3 * TIME_S, voltage_v=VOLTAGE_V, displacement_nm=1e3 * DISPLACEMENT_UM,
+             remark=np.array("a text"))
+
+
+def write_structured_npy(path):
+    np.save(path, np.rec.fromarrays([TIME_S, VOLTAGE_V, DISPLACEMENT_UM],
+                                    names="time_s,voltage_v,displacement_um"))
+
+
+def write_mat(path):
+    scipy.io.savemat(path, {"t": TIME_S, "u_V": VOLTAGE_V, "pos_nm": 1e3 * DISPLACEMENT_UM})
+
+
+def write_struct_mat(path):
+    scipy.io.savemat(path, {"remark": "made by hand", "data": {
+        "time_s": TIME_S, "Vpiezo": VOLTAGE_V, "y_um": DISPLACEMENT_UM}})
+
+
+def write_mat_with_rate(path):
+    scipy.io.savemat(path, {"Fs": 1000.0, "voltage_V": VOLTAGE_V, "y_um": DISPLACEMENT_UM})
+
+
+def write_hdf5(path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name, values, unit in (("t", 1e3 * TIME_S, "ms"), ("voltage", VOLTAGE_V, "V"),
+                                   ("position", 1e3 * DISPLACEMENT_UM, "nm")):
+            file[f"run/{name}"] = values
+            file[f"run/{name}"].attrs["unit"] = unit
+
+
+def write_mat_v73(path):
+    """A file as MATLAB writes it: HDF5 behind a block of text, vectors as 1 x N."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in (("t", TIME_S), ("u", VOLTAGE_V), ("pos_um", DISPLACEMENT_UM)):
+            file[name] = values.reshape(1, -1)
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+        file["remark"] = np.array([[65, 66, 67]], dtype=np.uint16)
+        file["remark"].attrs["MATLAB_class"] = np.bytes_("char")
+    with open(path, "r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+def write_tdms(path):
+    nptdms = pytest.importorskip("nptdms")
+    waveform = {"wf_increment": 1e-3, "wf_start_offset": 7.0}
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment([
+            nptdms.ChannelObject("Measurement", "Piezo voltage", VOLTAGE_V,
+                                 {**waveform, "unit_string": "V"}),
+            nptdms.ChannelObject("Measurement", "Position", 1e3 * DISPLACEMENT_UM,
+                                 {**waveform, "unit_string": "nm"})])
+
+
+def write_parquet(path):
+    pytest.importorskip("pyarrow")
+    pandas.DataFrame({
+        "when": pandas.Timestamp("2026-03-01") + pandas.to_timedelta(TIME_S, unit="s"),
+        "Voltage [V]": VOLTAGE_V, "Position [um]": DISPLACEMENT_UM, "by": "me"}).rename(
+            columns={"when": "timestamp"}).to_parquet(path)
+
+
+def write_feather(path):
+    pytest.importorskip("pyarrow")
+    pandas.DataFrame({"time_s": TIME_S, "voltage_v": VOLTAGE_V,
+                      "displacement_um": DISPLACEMENT_UM}).to_feather(path)
+
+
+WRITERS = {"a.npz": write_npz, "b.npy": write_structured_npy, "c.mat": write_mat,
+           "d.mat": write_struct_mat, "e.mat": write_mat_with_rate, "f.h5": write_hdf5,
+           "g.mat": write_mat_v73, "h.tdms": write_tdms, "i.parquet": write_parquet,
+           "j.feather": write_feather}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_file_of_another_library_is_read_to_the_numbers_that_it_was_given(tmp_path, name):
+    path = tmp_path / name
+    WRITERS[name](path)
+    recording = read_recording(path)
+    np.testing.assert_allclose(recording.voltage_v, VOLTAGE_V, atol=1e-9)
+    np.testing.assert_allclose(recording.displacement_um, DISPLACEMENT_UM, atol=1e-9)
+    assert recording.sample_period_s == pytest.approx(1e-3, rel=1e-6)
+    assert recording.time_s[0] == 0.0
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("kept", [0.02, 0.5, 0.9])
+def test_file_that_was_cut_short_is_read_or_refused_in_one_line(tmp_path, name, kept):
+    path = tmp_path / name
+    WRITERS[name](path)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(kept * len(content))])
+    try:
+        recording = read_recording(path)
+    except RecordingError as refusal:
+        assert str(refusal).startswith(str(path))
+        assert "\n" not in str(refusal)
+    else:
+        # NumPy and TDMS tell their rows as they come.
+        assert name in ("h.tdms",)
+        assert len(recording.voltage_v) < ROWS
+
+
+def test_plain_array_has_columns_by_number(tmp_path):
+    np.save(tmp_path / "plain.npy", np.column_stack([TIME_S, VOLTAGE_V, DISPLACEMENT_UM]))
+    with pytest.raises(RecordingError, match="none of '1', '2', '3'"):
+        read_recording(tmp_path / "plain.npy")
+    recording = read_recording(tmp_path / "plain.npy", columns=parse_columns(
+        ["time=1[s]", "voltage=2[V]", "displacement=3[um]"]))
+    np.testing.assert_array_equal(recording.voltage_v, VOLTAGE_V)
+
+
+def test_groups_of_a_file_are_recordings(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "runs.h5"
+    with h5py.File(path, "w") as file:
+        file["fs"] = 1000.0
+        for run in (1, 2):
+            file[f"run{run}/voltage_v"] = run * VOLTAGE_V
+            file[f"run{run}/displacement_um"] = run * DISPLACEMENT_UM
+    first, second = read_recordings(path)
+    assert (first.title, second.title) == ("run1", "run2")
+    np.testing.assert_allclose(second.voltage_v, 2.0 * VOLTAGE_V)
+    one = read_recording(path, columns=parse_columns(["recording=[run2]"]))
+    np.testing.assert_array_equal(one.voltage_v, second.voltage_v)
+
+
+@pytest.mark.parametrize("module, content, package", [
+    ("h5py", b"\x89HDF\r\n\x1a\n" + bytes(600), "h5py"),
+    ("nptdms", b"TDSm" + bytes(60), "nptdms"),
+    ("pyarrow.parquet", b"PAR1" + bytes(60), "pyarrow"),
+    ("pyarrow.ipc", b"ARROW1" + bytes(60), "pyarrow"),
+])
+def test_library_that_is_missing_is_named_in_one_line(
+        tmp_path, monkeypatch, module, content, package):
+    monkeypatch.setitem(sys.modules, module, None)
+    path = tmp_path / "data.bin"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=f"needs the package {package}.*pip install"):
+        read_recording(path)
+
+
+def test_workbook_and_archive_of_objects_are_refused_with_what_to_do(tmp_path):
+    import zipfile
+    workbook = tmp_path / "book.xlsx"
+    with zipfile.ZipFile(workbook, "w") as archive:
+        archive.writestr("[Content_Types].xml", "<xml/>")
+    with pytest.raises(RecordingError, match="save the sheet as CSV"):
+        read_recording(workbook)
+    np.savez(tmp_path / "objects.npz", a=np.array([{}, {}], dtype=object))
+    with pytest.raises(RecordingError, match="holds no columns of numbers"):
+        read_recording(tmp_path / "objects.npz")

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What `convert` writes is read back as it was."""
+
+import numpy as np
+import pytest
+
+from piezo_recorder.reading.reader import read_recording
+from piezo_recorder.writing import convert
+from piezo_recorder.writing.message_definition import MessageDefinition
+
+
+@pytest.fixture(autouse=True)
+def definition(monkeypatch, sample_blocks):
+    """Types of the messages without an installation of them."""
+    def found(type_name) -> MessageDefinition:
+        return sample_blocks.definition
+
+    monkeypatch.setattr(convert, "installed_definition", found)
+
+
+@pytest.fixture
+def table(tmp_path):
+    """A table of another program with a gap and a further column."""
+    kept = np.r_[0:5000, 6000:9000]
+    path = tmp_path / "table.txt"
+    random = np.random.default_rng(5)
+    np.savetxt(path, np.column_stack([
+        4.0 + 0.25 * kept, random.uniform(-20, 120, kept.size), random.normal(size=kept.size),
+        kept % 3]), delimiter=";", header="t [ms];U [V];x [nm];temperature", comments="")
+    return path
+
+
+@pytest.mark.parametrize("name", ["new.csv", "new"])
+def test_converted_recording_is_read_back_as_it_was(tmp_path, table, name, capsys):
+    assert convert.main([str(table), str(tmp_path / name)]) == 0
+    said = capsys.readouterr().out
+    assert "1 gap" in said
+    assert f"8000 samples written to {tmp_path / name}" in said
+    before, after = read_recording(table), read_recording(tmp_path / name)
+    np.testing.assert_array_equal(after.voltage_v, before.voltage_v)
+    np.testing.assert_array_equal(after.displacement_um, before.displacement_um)
+    np.testing.assert_array_equal(after.sample_index, before.sample_index)
+    assert after.gaps == before.gaps == [(5000, 1000)]
+    assert after.sample_period_s == pytest.approx(250e-6)
+    if name.endswith(".csv"):
+        np.testing.assert_array_equal(after.columns["temperature"], before.columns["temperature"])
+    else:
+        assert "not written: temperature" in said
+        assert b"sha256" in after.attachments["conversion.json"]
+
+
+def test_each_of_several_recordings_is_written_under_its_title(tmp_path, capsys):
+    path = tmp_path / "runs.csv"
+    rows = "".join(f"{run};{t};{t * run};{t}\n" for run in (1, 7) for t in range(30))
+    path.write_text("run;t [s];U [V];x [um]\n" + rows)
+    assert convert.main([str(path), str(tmp_path / "one.csv"), "--columns", "recording=run"]) == 0
+    assert read_recording(tmp_path / "one_7.csv").voltage_v[-1] == 7 * 29
+    assert not (tmp_path / "one.csv").exists()
+
+
+@pytest.mark.parametrize("output, said", [
+    ("table.txt", "exists already"), ("nowhere/new.csv", "in no existing directory")])
+def test_output_that_cannot_be_made_is_refused_in_one_line(tmp_path, table, output, said, capsys):
+    assert convert.main([str(table), str(tmp_path / output)]) == 2
+    error = capsys.readouterr().err
+    assert said in error and error.count("\n") == 1
