@@ -23,6 +23,9 @@ PLANE_CELLS = 40
 FEWEST_ROWS = 20
 """With fewer rows nothing but their number and range is told."""
 
+DRIFT_ROWS = 200_000
+"""Rows from which the drift is estimated; of longer recordings every second one or fewer."""
+
 SETTLED_NOISES = 5.0
 """A trend at rest that is larger than so many standard deviations of its noise counts."""
 
@@ -144,11 +147,12 @@ def drift_of(displacement_um: FloatArray, voltage_v: FloatArray) -> float:
     A cubic of the voltage, apart for its rise and its fall, and a straight line of time are fitted.
     """
     swing_v = float(np.ptp(voltage_v)) or 1.0
-    x = (voltage_v - voltage_v.min()) / swing_v
-    rising = (np.gradient(voltage_v) > 0.0).astype(float)
+    every = slice(None, None, max(1, voltage_v.size // DRIFT_ROWS))
+    rising = (np.gradient(voltage_v)[every] > 0.0).astype(float)
+    x = (voltage_v[every] - voltage_v.min()) / swing_v
     regressors = np.column_stack([
         np.linspace(0.0, 1.0, x.size), np.ones(x.size), x, x**2, x**3, rising, rising * x])
-    return float(np.linalg.lstsq(regressors, displacement_um, rcond=1e-10)[0][0])
+    return float(np.linalg.lstsq(regressors, displacement_um[every], rcond=1e-10)[0][0])
 
 
 def _start(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Waveform,
@@ -157,7 +161,10 @@ def _start(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Wavefor
     swing_v, range_um = float(np.ptp(voltage_v)), float(np.ptp(displacement_um))
     moved = np.abs(voltage_v - voltage_v[0]) > 1e-3 * swing_v
     held = int(np.argmax(moved)) if moved.any() else len(voltage_v)
-    if held >= FEWEST_ROWS // 2:
+    # A sine that begins at its lowest voltage hardly moves at first, but it moves.
+    creeps_v = abs(voltage_v[: held // 2].mean() - voltage_v[held // 2 : held].mean()) \
+        if held > 1 else np.inf
+    if held >= FEWEST_ROWS // 2 and creeps_v <= 1e-4 * swing_v:
         at = np.arange(held) - 0.5 * (held - 1)
         slope = float(at @ displacement_um[:held] / (at @ at))
         trend_um = slope * held

@@ -23,6 +23,8 @@ class KindSettings:
 
     Attributes
     ----------
+    constant : float
+        Swing over the largest voltage up to which a voltage does not change.
     level_width : float
         Part of the swing within which voltages are of one level.
     held : float
@@ -32,6 +34,8 @@ class KindSettings:
         Part of the swing below which a way back is noise.
     even_slope : float
         Spread of the slopes, over their median, up to which a voltage is made of ramps.
+    slopes_per_branch : int
+        Slopes that are looked at between two reversals.
     one_tone : float
         Part of the energy in one line of the spectrum, from which on it is a sine.
     even_branches : float
@@ -53,11 +57,13 @@ class KindSettings:
         Samples that are looked at for spectra; a longer recording is cut.
     """
 
+    constant: float = 1e-3
     level_width: float = 0.02
     held: float = 0.8
     most_levels: int = 100
     reversal: float = 0.02
     even_slope: float = 0.2
+    slopes_per_branch: int = 20
     one_tone: float = 0.9
     even_branches: float = 0.15
     full_cycle: float = 0.6
@@ -114,8 +120,8 @@ def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
     """
     none = np.empty(0, dtype=np.intp)
     swing_v = float(np.ptp(voltage_v))
-    if swing_v == 0.0:
-        return Waveform("constant", f"{voltage_v[0]:g} V throughout", none)
+    if swing_v <= SETTINGS.constant * float(np.abs(voltage_v).max()):
+        return Waveform("constant", f"{voltage_v.mean():.6g} V throughout", none)
     with_levels = _levels(voltage_v, swing_v, period_s)
     if with_levels:
         return with_levels
@@ -198,18 +204,22 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
                     branch_s: float, period: int, heights: FloatArray) -> tuple[str, str]:
     frequency_hz, share, sparse, band_hz = _spectrum(voltage_v, period_s)
     again = f", repeated every {period * period_s:.4g} s" if period else ""
-    slopes = np.abs(np.diff(voltage_v))
+    # Over many rows, so that noise counts little.
+    stride = max(1, int(branch_s / period_s) // SETTINGS.slopes_per_branch)
+    slopes = np.abs(voltage_v[stride:] - voltage_v[:-stride]) / stride
     low, middle, high = np.quantile(slopes, [0.1, 0.5, 0.9])
     if middle > 0.0 and high - low < SETTINGS.even_slope * middle:
         return "triangle", (f"ramps of {middle / period_s:.4g} V/s, {branch_s:.4g} s between "
                             f"reversals{again}")
-    if branches_s.size >= 6 and branches_s.min() > 0.0:
+    if branches_s.size >= 6 and np.ptp(branches_s) > 0.0:
         order = abs(float(spearmanr(np.arange(branches_s.size), branches_s).statistic))
         first, last = np.median(branches_s[:3]), np.median(branches_s[-3:])
         ratio = max(first, last) / min(first, last)
         if order > SETTINGS.chirp_order and ratio > SETTINGS.chirp_ratio:
-            some = max(3, branches_s.size // 50)
-            first, last = branches_s[:some].mean(), branches_s[-some:].mean()
+            # Rows make short times between reversals coarse, and the mean of many fine.
+            many = max(3, branches_s.size // 50)
+            at_first, at_last = (3, many) if first > last else (many, 3)
+            first, last = branches_s[:at_first].mean(), branches_s[-at_last:].mean()
             return "chirp", f"{0.5 / first:.4g} to {0.5 / last:.4g} Hz"
     if share > SETTINGS.one_tone:
         return "sine", f"{frequency_hz:.4g} Hz"

@@ -37,11 +37,8 @@ MAKERS = {
 def test_kind_is_told(kind, seed, noise):
     random = np.random.default_rng(seed)
     voltage_v = 50.0 + 40.0 * np.asarray(MAKERS[kind](random), dtype=float)
-    if kind == "constant" and noise:
-        pytest.skip("noise alone is noise")
-    voltage_v = voltage_v + noise * np.ptp(voltage_v) * random.normal(size=voltage_v.size)
-    if kind == "triangle" and noise:
-        pytest.skip("a slow ramp in noise has no slope from row to row")
+    noise_v = noise * (np.ptp(voltage_v) or 5.0)
+    voltage_v = voltage_v + noise_v * random.normal(size=voltage_v.size)
     assert waveform_of(voltage_v, PERIOD_S).kind == kind
 
 
@@ -54,4 +51,4 @@ def test_jumps_period_and_time_between_reversals_are_measured():
     assert sine.period == 800
     swept = waveform_of(chirp(TIME_S, 2.0, TIME_S[-1], 40.0), PERIOD_S)
     low, high = (float(word) for word in swept.text.removesuffix(" Hz").split(" to "))
-    assert low == pytest.approx(2.0, rel=0.2) and high == pytest.approx(40.0, rel=0.1)
+    assert low == pytest.approx(2.0, rel=0.5) and high == pytest.approx(40.0, rel=0.1)

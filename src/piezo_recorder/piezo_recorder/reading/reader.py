@@ -78,9 +78,12 @@ def read_recordings(path: str | PathLike[str], topic: str | None = None,
     repeated, or by a time that begins anew. See `read_recording`.
     """
     path = Path(path)
-    if path.is_dir() or path.suffix.lower() == ".mcap" or _is_mcap(*data_files(path)):
+    if path.is_dir() or path.suffix.lower() == ".mcap":
         return [_read_mcap(path, topic, sample_rate_hz)]
-    return read_table_recordings(*data_files(path), columns, progress)
+    file, = data_files(path)
+    if _is_mcap(file):
+        return [_read_mcap(path, topic, sample_rate_hz)]
+    return read_table_recordings(file, columns, progress)
 
 
 def _is_mcap(path: Path) -> bool:

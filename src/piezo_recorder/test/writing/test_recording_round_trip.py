@@ -208,8 +208,9 @@ def test_the_hash_is_that_of_the_data_file(tmp_path, sample_blocks, ten_blocks):
 @pytest.mark.parametrize(("prepare", "message"), [
     (lambda path: None, "does not exist"),
     (lambda path: path.mkdir(), "no readable metadata.yaml"),
-    (lambda path: path.write_bytes(b"nonsense, long enough for a header"), "no MCAP file"),
-    (lambda path: path.write_bytes(b""), "no MCAP file"),
+    (lambda path: path.write_bytes(b"nonsense, long enough for a header"),
+     "no table of numbers"),
+    (lambda path: path.write_bytes(b""), "no table of numbers"),
     (lambda path: RecordingWriter(path).close(), "has no topic of samples"),
 ])
 def test_what_is_no_recording_is_refused(tmp_path, prepare, message):

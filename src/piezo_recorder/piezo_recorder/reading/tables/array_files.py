@@ -160,7 +160,7 @@ def read_hdf5(path: Path, progress: Progress) -> list[Table]:
     groups = {"": Group("")}
     with damage_told(path, "HDF5 file"), h5py.File(path, "r") as file:
         found: list[tuple[str, Any]] = []
-        file.visititems(lambda name, node: found.append((name, node)) and None)
+        file.visititems(lambda name, node: found.append((name, node)))
         for number, (name, node) in enumerate(found, start=1):
             if isinstance(node, h5py.Dataset) and not name.startswith(_MATLAB_HIDDEN):
                 _take_dataset(groups, name, node)

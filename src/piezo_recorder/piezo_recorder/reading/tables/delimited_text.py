@@ -209,7 +209,8 @@ class _Reading:
 
     def _slowly(self, lines: list[str], rows: int) -> np.ndarray:
         """Return the rows in lines that have comments or another header between them."""
-        dialect, values = self._dialect, []
+        dialect = self._dialect
+        values: list[list[float]] = []
         for line in lines:
             row = rows + len(values)
             cells = [] if is_comment(line) else dialect.split(line)
