@@ -200,7 +200,7 @@ def _start(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Wavefor
         repeats = len(voltage_v) // period
         first = displacement_um[:period]
         last = displacement_um[(repeats - 1) * period : repeats * period]
-        change_um = float(np.std(first - last))
+        change_um = float(np.sqrt(np.mean((first - last) ** 2)))
         if change_um <= max(2.0 * np.sqrt(2.0) * noise_um, SETTLED_PART * range_um):
             return "periodic: its first period is like its last", True
         return (f"in motion: its first period differs from its last by {change_um:.3g} um RMS",
