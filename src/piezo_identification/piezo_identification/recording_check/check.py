@@ -132,7 +132,20 @@ def check_recording(recording: Recording) -> RecordingCheck:
 
 def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, period_s: float,
              waveform: Waveform) -> float:
-    """Return the least standard deviation that rests, repeats and the highest frequencies tell."""
+    """Return the least standard deviation that rests, repeats and the highest frequencies tell.
+
+    Parameters
+    ----------
+    displacement_um, voltage_v : ndarray, shape (N,)
+    period_s : float
+        Of the samples.
+    waveform : Waveform
+
+    Returns
+    -------
+    float
+        nan where none of them tells.
+    """
     found = [noise_floor_um(displacement_um, period_s),
              noise_from_rest_um(displacement_um, voltage_v, fewest=50)]
     if waveform.period:
@@ -145,6 +158,15 @@ def drift_of(displacement_um: FloatArray, voltage_v: FloatArray) -> float:
     """Return by how much the displacement drifts at one voltage, over the whole recording.
 
     A cubic of the voltage, apart for its rise and its fall, and a straight line of time are fitted.
+
+    Parameters
+    ----------
+    displacement_um, voltage_v : ndarray, shape (N,)
+
+    Returns
+    -------
+    float
+        In um.
     """
     swing_v = float(np.ptp(voltage_v)) or 1.0
     every = slice(None, None, max(1, voltage_v.size // DRIFT_ROWS))
@@ -178,7 +200,7 @@ def _start(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Wavefor
         repeats = len(voltage_v) // period
         first = displacement_um[:period]
         last = displacement_um[(repeats - 1) * period : repeats * period]
-        change_um = float(np.std(first - last))
+        change_um = float(np.sqrt(np.mean((first - last) ** 2)))
         if change_um <= max(2.0 * np.sqrt(2.0) * noise_um, SETTLED_PART * range_um):
             return "periodic: its first period is like its last", True
         return (f"in motion: its first period differs from its last by {change_um:.3g} um RMS",

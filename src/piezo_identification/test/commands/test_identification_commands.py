@@ -246,7 +246,7 @@ def test_simulate_refuses_a_missing_model(files, tmp_path, capsys):
 
 @pytest.mark.parametrize("text, named", [
     (f"{HEADER}\n0,0,0\n0.1,nan,0\n", "row 3: voltage_v is 'nan'"),
-    (f"{HEADER}\n0,0,0\n0.1,1,0\n0.2,2,0\n0.7,3,0\n", "row 5: time_s steps by 0.5 s"),
+    (f"{HEADER}\n0,0,0\n0.1,1,0\n0.2,2,0\n0.1,3,0\n", "row 5: time_s steps by -0.1 s"),
     (f"{HEADER}\n0,0,0\n0.1,1\n", "row 3: 2 values"),
     ("time_s,voltage_v\n0,0\n", "row 1: the column displacement_um is missing"),
 ])

@@ -114,7 +114,7 @@ def read_npz(path: Path, progress: Progress) -> list[Table]:
                     group.take(name, arrays[name])
                 except ValueError as error:
                     # An array of objects; others may be columns.
-                    if "pickle" not in str(error).lower():
+                    if "Object arrays" not in str(error):
                         raise
                 progress(f"read {path.name}", number / len(arrays.files))
     return tables_of(path, [group])
