@@ -163,7 +163,8 @@ def _without_drift(values: FloatArray) -> FloatArray:
 def _of_repeats(folded_um: FloatArray) -> _Noise:
     repeats, period = folded_um.shape
     deviations_um = _without_drift(folded_um - folded_um.mean(axis=0))
-    squares, freedom = {}, {}
+    squares: dict[int, float] = {}
+    freedom: dict[int, float] = {}
     for length in _lengths(period):
         means = _means(deviations_um, length)
         free = (repeats - 1) * means.shape[-1]
@@ -184,7 +185,8 @@ def _of_rests(residual: ComponentResidual, values_um: FloatArray) -> _Noise | No
             at_rest > SETTINGS.at_rest_at_most * values_um.size):
         return None
     rest_um = _without_drift(values_um[None, start:end])[0]
-    squares, freedom = {}, {}
+    squares: dict[int, float] = {}
+    freedom: dict[int, float] = {}
     of_rest = _lengths(rest_um.size)
     for length in _lengths(values_um.size):
         known = min(length, of_rest[-1])

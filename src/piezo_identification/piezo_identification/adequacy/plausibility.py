@@ -123,13 +123,14 @@ def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[
 def _clipping(recording: Recording) -> list[str]:
     displacement_um = np.asarray(recording.displacement_um, dtype=float)
     voltage_v = np.asarray(recording.voltage_v, dtype=float)
+    if _is_coarse(displacement_um):
+        return []
     starts = np.flatnonzero(np.diff(displacement_um, prepend=np.nan) != 0.0)
     lengths = np.diff(np.append(starts, displacement_um.size))
     told = []
     for word, end_um in (("largest", displacement_um.max()), ("smallest", displacement_um.min())):
         at_end = displacement_um[starts] == end_um
-        if _is_coarse(displacement_um, end_um) or not _is_stuck(
-                voltage_v, starts, lengths, at_end):
+        if not _is_stuck(voltage_v, starts, lengths, at_end):
             continue
         share = np.sum(lengths[at_end]) / displacement_um.size
         told.append(
@@ -139,11 +140,11 @@ def _clipping(recording: Recording) -> list[str]:
     return told
 
 
-def _is_coarse(displacement_um: FloatArray, end_um: float) -> bool:
-    """Whether the value next to the end is far off it: a coarse sensor stands still, too."""
-    others = np.abs(displacement_um - end_um)
-    others = others[others > 0.0]
-    return others.size == 0 or bool(others.min() > SETTINGS.coarse * np.ptp(displacement_um))
+def _is_coarse(displacement_um: FloatArray) -> bool:
+    """Whether the smallest step between readings is large: a coarse sensor stands still, too."""
+    steps_um = np.diff(np.unique(displacement_um))
+    return steps_um.size == 0 or bool(
+        steps_um.min() > SETTINGS.coarse * np.ptp(displacement_um))
 
 
 def _is_stuck(voltage_v: FloatArray, starts: NDArray[np.intp], lengths: NDArray[np.intp],
