@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.cancellation import checking
+from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.estimators.estimate import untold_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
@@ -19,13 +20,19 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.estimators.hysteresis.density_fit import estimate_density
 from piezo_identification.estimators.refinement.joint_fit import refine as fit_jointly
 from piezo_identification.identification.given_data import (
     Data,
     given_data,
+    of_kind,
     rising_with_voltage,
     with_marked_outliers,
+    without_gaps,
+)
+from piezo_identification.identification.given_hysteresis import (
+    CHOSEN_BY_DATA,
+    DensityOptions,
+    estimate_hysteresis_of,
 )
 from piezo_identification.identification.linear_dynamics import (
     METHODS,
@@ -68,9 +75,9 @@ class FittedModel:
 
 
 def identify(
-    creep: Recording | None = None,
-    dynamics: Recording | FrequencyResponse | None = None,
-    hysteresis: Recording | None = None,
+    creep: Recordings | None = None,
+    dynamics: Recordings | FrequencyResponse | None = None,
+    hysteresis: Recordings | None = None,
     validation: Recording | None = None,
     progress: Callable[[str, float], object] | None = None,
     cancelled: Callable[[], bool] | None = None,
@@ -78,25 +85,28 @@ def identify(
     method: str = METHODS[0],
     order: ResponseOrder = ANY_ORDER,
     note: Callable[[str], object] | None = None,
+    density: DensityOptions = CHOSEN_BY_DATA,
 ) -> IdentifiedModel:
     """Identify a stage model step by step (thesis 4.5).
 
     The creep comes first, then the fast dynamics with the creep removed; both once more, as each
     was a small error to the other; then the hysteresis with all of them removed. What no recording
-    shows is left out of the model: no creep, or dynamics that pass the voltage on at once.
+    shows is left out of the model: no creep, or dynamics that pass the voltage on at once. Where no
+    recording of the hysteresis is given, it is that of the others; a frequency response or a
+    voltage of two levels shows a line only.
 
     Where the displacement falls as the voltage rises, the sensor counts the other way: the signs
     of all displacements are changed, and the model's displacement rises with the voltage.
 
     Parameters
     ----------
-    creep : Recording, optional
-        Of the experiment of this name.
-    dynamics : Recording or FrequencyResponse, optional
-        Of the experiment of this name or of `multisine`, or a measured frequency response. Of a
-        response, the creep is taken where `creep` is not given, and the delay as an effect.
-    hysteresis : Recording
-        Of the hysteresis experiment.
+    creep : Recording or sequence of Recording, optional
+        Of the experiment of this name, or of any slow voltage.
+    dynamics : Recording, sequence of Recording or FrequencyResponse, optional
+        Of the experiment of this name or of any fast voltage, or a measured frequency response. Of
+        a response, the creep is taken where `creep` is not given, and the delay as an effect.
+    hysteresis : Recording or sequence of Recording, optional
+        Of the hysteresis experiment, or of any other loops.
     validation : Recording, optional
         Any other recording: the errors are measured on it.
     progress : callable, optional
@@ -114,6 +124,8 @@ def identify(
     note : callable, optional
         Called with text for people: why the orders, and which part of the Preisach plane the data
         determine.
+    density : DensityOptions
+        Grid and smoothing of the hysteresis; what it leaves open is chosen from the data.
 
     Returns
     -------
@@ -122,22 +134,23 @@ def identify(
     Raises
     ------
     ValueError
-        If a recording does not fit its purpose, or that of the hysteresis is not given.
+        If a recording does not fit its purpose, or none is given.
     IdentificationCancelled
         If `cancelled` said so.
     """
     given = given_data(creep, dynamics, hysteresis, validation, refine)
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
     with checking(stages.check):
-        recordings = rising_with_voltage(with_marked_outliers(given, tell))
+        recordings = rising_with_voltage(without_gaps(with_marked_outliers(given, tell)))
+        fast = of_kind(recordings, "dynamics")
         linear = estimate_linear_dynamics(
-            recordings.get("creep"), recordings.get("dynamics"), recordings["hysteresis"], method,
-            order, stages.part(0.0, 0.6))
+            of_kind(recordings, "creep"),
+            fast[0] if fast and isinstance(fast[0], FrequencyResponse) else fast,
+            of_kind(recordings, "hysteresis"), method, order, stages.part(0.0, 0.6))
         stages.begin("hysteresis", 0.6)
-        density = estimate_density(
-            recordings["hysteresis"], linear.creep, linear.dynamics, delay_s=linear.delay_s)
-        tell_estimates(linear, density, tell)
-        fitted = fitted_model(linear, density)
+        estimate = estimate_hysteresis_of(recordings, linear, density)
+        tell_estimates(linear, estimate, tell)
+        fitted = fitted_model(linear, estimate)
         if refine:
             fitted = refined(fitted, recordings, stages)
         tell_uncertain_parameters(fitted, tell)

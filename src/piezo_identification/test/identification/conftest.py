@@ -8,8 +8,9 @@ from scipy.signal import lsim
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
-RADII_V = np.array([0.0, 2.0, 5.0, 10.0, 18.0, 30.0, 45.0])
-WEIGHTS_UM_PER_V = np.array([0.30, 0.06, 0.05, 0.05, 0.04, 0.04, 0.03])
+RADII_V = np.linspace(0.0, 40.0, 41)
+SHARES = np.exp(-RADII_V[1:] / 15.0)
+WEIGHTS_UM_PER_V = np.append(0.3, 0.27 * SHARES / SHARES.sum())
 
 
 class ForeignStage:
@@ -62,7 +63,7 @@ class ForeignStage:
         return 1.0 + sum(gain * rate / (s + rate) for rate, gain in self.creep)
 
 
-def recording_of(voltage_v, displacement_um, sample_period_s, path="record", start=0):
+def recording_of(voltage_v, displacement_um, sample_period_s, path, start=0):
     """Make a recording of rows at their instants."""
     count = voltage_v.size
     return Recording(
@@ -74,7 +75,7 @@ def recording_of(voltage_v, displacement_um, sample_period_s, path="record", sta
 @pytest.fixture(scope="session")
 def record():
     """Play a voltage on a stage and record it, with noise and drift of the sensor."""
-    def play(stage, voltage_v, sample_period_s, noise_um=0.003, drift_um=0.0, seed=1, path="record",
+    def play(stage, voltage_v, sample_period_s, noise_um=0.003, drift_um=0.0, seed=1, path=__file__,
              states=None):
         time_s = np.arange(voltage_v.size) * sample_period_s
         displacement_um = stage.displacement(time_s, voltage_v, states)
