@@ -70,8 +70,8 @@ CANDIDATES = 12
 FIRST_GAINS = (0.01, 0.05)
 """Of each rate that is tried."""
 
-STARTS = 3
-"""Rates from which a fit may begin, until one is found that can be creep."""
+STARTS = 2
+"""Further rates from which a fit may begin, until one is found that can be creep."""
 
 DRIFT_GAIN = 10.0
 """By which the information criterion must fall for a drift of the sensor to be taken."""
@@ -130,7 +130,7 @@ def _search(
     residual = problem.residual(point)
     trials = [problem.trial(point, residual, 0.0)]
     for _ in range(MOST_PAIRS if pair_count is None else pair_count):
-        for start in problem.with_further(point)[:STARTS]:
+        for start in problem.starts(point):
             trial_point = problem.refine(start)
             if not problem.refusal(trial_point):
                 break
@@ -224,6 +224,14 @@ class _Problem:
             costs = [float(np.sum(self.residual(trial) ** 2)) for trial in trials]
             starts.append((min(costs), trials[int(np.argmin(costs))]))
         return [start for _, start in sorted(starts, key=lambda pair: pair[0])]
+
+    def starts(self, point: FloatArray) -> list[FloatArray]:
+        """Points with one exponential more, and one of evenly spread rates between them."""
+        count = point.size // 2 + 1
+        spread = np.append(
+            np.linspace(*self.rates, count + 2)[1:-1], np.full(count, np.log(FIRST_GAINS[-1])))
+        further = self.with_further(point)
+        return [further[0], spread, *further[1:STARTS]]
 
     def refine(self, point: FloatArray) -> FloatArray:
         """Rates and gains of least error."""

@@ -31,11 +31,11 @@ class ForeignStage:
         self.is_linear = is_linear
 
     def hysteresis(self, voltage_v, states=None):
-        """Output of play operators; their states at the start are those of a way up from far below
+        """Output of play operators; their states at the start are those of a way down from far above
         unless given."""
         if self.is_linear:
             return WEIGHTS_UM_PER_V.sum() * voltage_v
-        state = voltage_v[0] - RADII_V if states is None else np.array(states, dtype=float)
+        state = voltage_v[0] + RADII_V if states is None else np.array(states, dtype=float)
         output = np.empty(voltage_v.size)
         for n, v in enumerate(voltage_v):
             state = np.maximum(v - RADII_V, np.minimum(v + RADII_V, state))
@@ -46,15 +46,15 @@ class ForeignStage:
         """Displacement at the times, each before its voltage acts; at rest in the first voltage."""
         entering = self.hysteresis(held_v, states)
         output = entering - entering[0]
-        held = np.append(0.0, output[:-1])
+        # What lsim holds from a sample on, it shows at the next.
+        held, moving = np.append(0.0, output[:-1]), output
         if self.mode:
             denominator = np.polymul(
                 [self.lag_s, 1.0], [self.mode**-2, 2 * self.damping / self.mode, 1.0])
-            # lsim with a held input: each sample sees the value from the sample before on.
-            held = lsim(([1.0], denominator), output, time_s, interp=False)[1]
+            held = moving = lsim(([1.0], denominator), output, time_s, interp=False)[1]
         result = held.copy()
         for rate, gain in self.creep:
-            result += gain * lsim(([rate], [1.0, rate]), held, time_s, interp=bool(self.mode))[1]
+            result += gain * lsim(([rate], [1.0, rate]), moving, time_s, interp=bool(self.mode))[1]
         return entering[0] + result
 
     def creep_response(self, frequency_hz):
