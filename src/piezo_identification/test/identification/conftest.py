@@ -31,8 +31,7 @@ class ForeignStage:
         self.is_linear = is_linear
 
     def hysteresis(self, voltage_v, states=None):
-        """Output of play operators; their states at the start are those of a way down from far above
-        unless given."""
+        """Output of play operators, which come down from far above unless states are given."""
         if self.is_linear:
             return WEIGHTS_UM_PER_V.sum() * voltage_v
         state = voltage_v[0] + RADII_V if states is None else np.array(states, dtype=float)
@@ -45,6 +44,9 @@ class ForeignStage:
     def displacement(self, time_s, held_v, states=None):
         """Displacement at the times, each before its voltage acts; at rest in the first voltage."""
         entering = self.hysteresis(held_v, states)
+        if not (self.creep or self.mode):
+            # Points of a static loop are read when all has come to rest.
+            return entering
         output = entering - entering[0]
         # What lsim holds from a sample on, it shows at the next.
         held, moving = np.append(0.0, output[:-1]), output

@@ -53,7 +53,6 @@ KINDS = ("chirp", "multisine", "noise", "steps", "square")
 def test_dynamics_of_a_linear_stage_are_found_from_any_input(kind, linear_stage, record):
     recording = record(linear_stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
     estimate = estimate_dynamics_any([recording], CreepDynamics())
-    print(kind, estimate.order, error_of(estimate.model), estimate.model)
     assert error_of(estimate.model) < 5e-3
 
 
@@ -61,7 +60,6 @@ def test_dynamics_of_a_linear_stage_are_found_from_any_input(kind, linear_stage,
 def test_dynamics_are_found_behind_a_hysteresis_that_nothing_else_tells(kind, stage, record):
     recording = record(stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
     estimate = estimate_dynamics_any([recording], CreepDynamics())
-    print(kind, estimate.order, error_of(estimate.model), estimate.model)
     # Lag of the hysteresis and of the stage are told apart by the frequencies they are seen at.
     assert error_of(estimate.model) < 0.1
 
@@ -76,7 +74,6 @@ def test_edges_of_a_generator_between_the_samples_are_found(record, linear_stage
     noise_um = np.random.default_rng(2).normal(scale=0.01, size=COUNT)
     object.__setattr__(recording, "displacement_um", 0.5 * response[::fine] + noise_um)
     estimate = estimate_dynamics_any([recording], CreepDynamics())
-    print(estimate.order, error_of(estimate.model), estimate.model)
     assert error_of(estimate.model) < 0.02
 
 
@@ -86,6 +83,5 @@ def test_a_linear_stage_becomes_a_line_with_its_gain(linear_stage, record):
         hysteresis = identify(dynamics=recording).model.hysteresis
         span_v = hysteresis.voltage_max_v - hysteresis.voltage_min_v
         gain = np.ptp(hysteresis.output_range_um) / span_v
-        print(kind, hysteresis.density_um_per_v2.shape, gain)
         assert not hysteresis.density_um_per_v2.any()
         assert gain == pytest.approx(0.57, rel=3e-3)

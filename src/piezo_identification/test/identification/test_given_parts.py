@@ -33,7 +33,6 @@ def test_62_points_of_static_loops_are_enough(static, record):
     points = loops([80.0, 60.0, 40.0], 21)[:62]
     identified = identify(hysteresis=record(static, points, 1.0, noise_um=0.05))
     unseen_v = np.concatenate([loops([80.0, 70.0, 50.0, 30.0], 400)])
-    print(relative_error(identified.model, static, unseen_v))
     assert relative_error(identified.model, static, unseen_v) < 0.01
 
 
@@ -46,7 +45,6 @@ def test_several_recordings_and_gaps_are_one_identification(static, record):
     second = replace(second.select(cut), gaps=[(500, 60)])
     identified = identify(hysteresis=[first, second])
     unseen_v = loops([80.0, 75.0, 50.0, 30.0], 400)
-    print(relative_error(identified.model, static, unseen_v))
     assert relative_error(identified.model, static, unseen_v) < 3e-3
     assert len(identified.recordings) == 2
 
@@ -56,7 +54,6 @@ def test_creep_alone_gives_a_model_with_its_hysteresis(foreign_stage, record):
     voltage_v = np.concatenate([loops([80.0, 50.0], 600), np.repeat([70.0, 20.0], 1000), [0.0]])
     model = identify(creep=record(stage, voltage_v, 0.05)).model
     assert len(model.creep.poles_rad_per_s) == 2
-    print(model.creep, relative_error(model, stage, loops([80.0, 60.0], 300)))
     assert relative_error(model, stage, loops([80.0, 60.0], 300)) < 0.01
 
 
@@ -68,7 +65,6 @@ def test_fast_cycles_give_the_hysteresis_where_the_dynamics_are_known(foreign_st
     model = identify(dynamics=record(stage, square, 1e-4),
                      hysteresis=record(stage, cycles, 1e-4)).model
     unseen_v = loops([80.0, 65.0, 45.0, 30.0], 400)
-    print(relative_error(model, stage, unseen_v), model.dynamics)
     assert relative_error(model, stage, unseen_v) < 5e-3
 
 

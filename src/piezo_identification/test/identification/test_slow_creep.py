@@ -39,5 +39,4 @@ def stage(foreign_stage):
 @pytest.mark.parametrize("waveform", WAVEFORMS)
 def test_creep_is_found_from_any_slow_voltage(waveform, stage, record):
     estimate = estimate_slow_creep(record(stage, WAVEFORMS[waveform], PERIOD_S))
-    print(waveform, estimate.model, error_of(estimate.model, stage), estimate.order_table())
     assert error_of(estimate.model, stage) < 3e-3
