@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from piezo_common.command_line import print_progress, run_command
 from piezo_identification.adequacy.component_adequacy import adequacy_table
 from piezo_identification.commands.response_options import (
@@ -14,6 +16,7 @@ from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
 )
+from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.conditioning.sensor_sign import displacement_falls
 from piezo_identification.estimators.frequency_response.response_file import (
     FrequencyResponse,
@@ -21,6 +24,8 @@ from piezo_identification.estimators.frequency_response.response_file import (
     read_frequency_response,
 )
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
+from piezo_identification.identification.given_data import given_data, slowest_recording
+from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_identification.identification.linear_dynamics import METHODS
 from piezo_identification.recording_check.check import check_recording
@@ -28,13 +33,12 @@ from piezo_identification.recording_check.suitability import suitability
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.data_options import add_columns_option, read_given
-from piezo_recorder.reading.recording import Recording
 
 EXPERIMENTS = {
-    "creep": "long square wave",
-    "dynamics": "short square wave or multisine at the full sample clock, or a frequency response "
-    "(CSV frequency_hz,gain_re,gain_im)",
-    "hysteresis": "harmonics of rising amplitude from the lowest voltage",
+    "creep": "long square wave, or any other slow voltage, such as steps or trapezoids",
+    "dynamics": "short square wave, or any other fast voltage, at the full sample clock, or a "
+    "frequency response (CSV frequency_hz,gain_re,gain_im)",
+    "hysteresis": "harmonics of rising amplitude from the lowest voltage, or any other loops",
     "validation": "any other input: the errors are measured on it",
 }
 
@@ -55,12 +59,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="identify", description="Identify a stage model from recordings.",
         epilog="FILE is a recording (a rosbag2 directory or an .mcap), or a table whose rows are "
-        "samples at their instants: text, .mat, .h5, .npz, .tdms, .parquet and others. Without "
-        "--creep the model does not creep; without --dynamics it answers at once.",
+        "samples at their instants: text, .mat, .h5, .npz, .tdms, .parquet and others. Give one or "
+        "more FILEs of at least one kind. Without --creep the model does not creep; without "
+        "--dynamics it answers at once; without --hysteresis that of the others is taken.",
     )
     for name, help_text in EXPERIMENTS.items():
-        parser.add_argument(f"--{name}", metavar="FILE", type=Path, help=help_text,
-                            required=name == "hysteresis")
+        several = {} if name == "validation" else {"nargs": "+"}
+        parser.add_argument(f"--{name}", metavar="FILE", type=Path, help=help_text, **several)
     parser.add_argument("--output", metavar="MODEL", type=Path, required=True,
                         help="model file to write")
     parser.add_argument("--refine", action="store_true",
@@ -76,6 +81,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--band", metavar=("LOW_HZ", "HIGH_HZ"), type=float, nargs=2,
                         help="part of a frequency response to fit; by default all of it")
     add_columns_option(parser)
+    parser.add_argument("--grid", metavar="CELLS", type=int, choices=range(4, 301),
+                        help="cells of the hysteresis along each threshold, 4 to 300; by default "
+                        "two for each of up to 70 levels that the voltage passes by")
+    parser.add_argument("--smoothing", metavar="WEIGHT", type=float,
+                        help="weight of the curvature of the hysteresis' density, such as 1e-10; "
+                        "by default chosen on branches held out")
+    parser.add_argument("--translation-weight", metavar="WEIGHT", type=float,
+                        help="weight of the density's change along the diagonal, which lets loops "
+                        "of one width be alike; by default chosen on branches held out")
     add_response_options(parser)
     return run_command(parser, _identify, arguments)
 
@@ -86,25 +100,26 @@ def _identify(options: argparse.Namespace) -> None:
     # Before the work, not after it.
     if output.is_dir() or not output.absolute().parent.is_dir():
         raise ValueError(f"{output} is no file in an existing directory: choose another --output")
-    data: dict[str, Any] = {}
-    for name, path in paths.items():
-        if path is not None:
-            print(f"reading {path}", flush=True)
-            of_response = name == "dynamics" and is_frequency_response(path)
-            data[name] = (read_frequency_response(path) if of_response
-                          else read_given(path, options))
+    if all(paths[name] is None for name in ("creep", "dynamics", "hysteresis")):
+        raise ValueError(
+            "there is nothing to identify: give --creep, --dynamics or --hysteresis")
+    data = {name: _read(name, listed, options)
+            for name, listed in paths.items() if listed is not None}
     _tell_unfit(data)
     _check_options(data.get("dynamics"), options)
     if options.band is not None:
         data["dynamics"] = data["dynamics"].between(*options.band)
     if isinstance(data.get("dynamics"), FrequencyResponse):
         data["dynamics"] = data["dynamics"].held(hold_s_of(options))
-    if displacement_falls(data["hysteresis"]):
+    slowest = slowest_recording(given_data(
+        data.get("creep"), data.get("dynamics"), data.get("hysteresis"), None, False))
+    if slowest is not None and displacement_falls(slowest):
         print("the displacement falls as the voltage rises: its sign is changed throughout")
     identified = identify(
         **data, progress=print_progress, refine=options.refine, note=print,
         method=options.method,
-        order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances))
+        order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances),
+        density=DensityOptions(options.grid, options.smoothing, options.translation_weight))
     save_model(output, identified)
     _print_summary(identified)
     print(f"model written to {output}")
@@ -113,14 +128,29 @@ def _identify(options: argparse.Namespace) -> None:
 def _tell_unfit(data: Mapping[str, Any]) -> None:
     """Print which recordings can hardly stand for the experiment that they were given as."""
     for name, given in data.items():
-        if not isinstance(given, FrequencyResponse):
-            fit = suitability(check_recording(given))[name]
+        for each in given if isinstance(given, list) else [given]:
+            if isinstance(each, FrequencyResponse):
+                continue
+            fit = suitability(check_recording(each))[name]
             if fit.verdict == "no":
-                print(f"{given.path} can hardly stand for the {name}: {fit.reason}")
+                print(f"{each.path} can hardly stand for the {name}: {fit.reason}")
+
+
+def _read(name: str, paths: Path | Sequence[Path], options: argparse.Namespace) -> Any:
+    """Read the files of an option: one recording or response, or a list of recordings."""
+    listed = [paths] if isinstance(paths, Path) else paths
+    read: list[Any] = []
+    for path in listed:
+        print(f"reading {path}", flush=True)
+        of_response = name == "dynamics" and is_frequency_response(path)
+        read.append(read_frequency_response(path) if of_response else read_given(path, options))
+        if of_response and len(listed) > 1:
+            raise ValueError(f"{path} is a frequency response: give no other file to --dynamics")
+    return read[0] if len(read) == 1 else read
 
 
 def _check_options(
-    dynamics: Recording | FrequencyResponse | None, options: argparse.Namespace,
+    dynamics: Recordings | FrequencyResponse | None, options: argparse.Namespace,
 ) -> None:
     """Refuse options that what was given for the dynamics has no use for."""
     is_response = isinstance(dynamics, FrequencyResponse)
@@ -129,10 +159,18 @@ def _check_options(
         "--modes": options.modes is not None and dynamics is None,
         "--antiresonances": options.antiresonances is not None and not is_response,
         "--band": options.band is not None and not is_response,
+        **{option: value is not None and isinstance(dynamics, FrequencyResponse)
+           and options.creep is None and options.hysteresis is None
+           for option, value in (("--grid", options.grid), ("--smoothing", options.smoothing),
+                                 ("--translation-weight", options.translation_weight))},
         "--creep-pairs": options.creep_pairs is not None and options.creep is None
         and not is_response,
         **({} if is_response else useless_response_options(options)),
     }
+    for option, weight in (("--smoothing", options.smoothing),
+                           ("--translation-weight", options.translation_weight)):
+        if weight is not None and not (np.isfinite(weight) and weight >= 0.0):
+            raise ValueError(f"{option} is {weight:g}: give a number from 0 up")
     for option in (option for option, is_useless in useless.items() if is_useless):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give the data it is of")
 

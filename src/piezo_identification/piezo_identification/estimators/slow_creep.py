@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 from scipy.sparse import csr_array
@@ -32,7 +33,6 @@ from piezo_identification.estimators.estimate import (
     Estimate,
     OrderTrial,
     creep_of_partial_fractions,
-    order_trial,
     parameter_covariance,
 )
 from piezo_identification.estimators.hysteresis.everett_regression import (
@@ -46,13 +46,13 @@ from piezo_identification.estimators.hysteresis.penalties import (
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
-CELLS = 24
+CELLS = 32
 """Along each threshold: the hysteresis is only to be told apart from the creep."""
 
 CURVATURE = 1e-11
 """Weight of the density's curvature, of the thesis' kind; it only decides what no sample shows."""
 
-MOST_BINS = 4000
+MOST_BINS = 2000
 """Rows of the regression; neighbouring samples of longer recordings are averaged."""
 
 JUMP_SHARE = 0.02
@@ -61,10 +61,19 @@ JUMP_SHARE = 0.02
 GAINS = (1e-4, 1.0)
 """Gain of a creep exponential over the immediate one, between which it is sought."""
 
+INDEPENDENT = 1e-7
+"""Share of a column that others do not make, below which it counts as made of them."""
+
 CANDIDATES = 12
 """Rates that are tried for each further exponential."""
 
-DRIFT_INFORMATION = 10.0
+FIRST_GAINS = (0.01, 0.05)
+"""Of each rate that is tried."""
+
+STARTS = 2
+"""Further rates from which a fit may begin, until one is found that can be creep."""
+
+DRIFT_GAIN = 10.0
 """By which the information criterion must fall for a drift of the sensor to be taken."""
 
 
@@ -99,32 +108,40 @@ def estimate_slow_creep(
     """
     parts = played_segments(recordings)
     settling_s = max(USUAL_SETTLING_S, settling_time_s(dynamics) if dynamics else 0.0)
-    plain = _search(_Problem(parts, settling_s, drifts=False), pair_count)
-    drifting = _search(_Problem(parts, settling_s, drifts=True), pair_count)
-    chosen = min(plain.trials, key=lambda trial: trial.information)
-    other = min(drifting.trials, key=lambda trial: trial.information)
-    best = drifting if chosen.information > other.information + DRIFT_INFORMATION else plain
-    refusal = next(trial.refusal for trial in best.trials if trial.order == best.order)
-    if pair_count is not None and refusal:
+    problem = _Problem(parts, settling_s, drifts=False)
+    point, trials = _search(problem, pair_count)
+    drifting = _Problem(parts, settling_s, drifts=True)
+    if problem.gain_of(problem.residual(point), drifting.residual(point), 1) > DRIFT_GAIN:
+        problem = drifting
+        point, trials = _search(problem, pair_count)
+    if pair_count is not None and trials[-1].refusal:
         raise CreepNotShown(
             f"{parts[0].path} does not show {pair_count} pairs of creep poles and zeros "
-            f"({refusal}): ask for fewer, or record longer")
-    return best
+            f"({trials[-1].refusal}): ask for fewer, or record longer")
+    model, deviations = problem.creep(point)
+    return Estimate(model, deviations, point.size // 2, tuple(trials), pair_count is not None)
 
 
-def _search(problem: "_Problem", pair_count: int | None) -> Estimate:
+def _search(
+    problem: "_Problem", pair_count: int | None,
+) -> tuple[FloatArray, list[OrderTrial]]:
     """Add exponentials one by one, each from the best of some rates."""
     point = best = np.empty(0)
-    trials = [problem.trial(point)]
+    residual = problem.residual(point)
+    trials = [problem.trial(point, residual, 0.0)]
     for _ in range(MOST_PAIRS if pair_count is None else pair_count):
-        point = problem.refine(problem.with_further(point))
-        trials.append(problem.trial(point))
-        better = trials[-1].information < min(trial.information for trial in trials[:-1])
-        if pair_count is None and (trials[-1].refusal or not better):
+        for start in problem.starts(point):
+            trial_point = problem.refine(start)
+            if not problem.refusal(trial_point):
+                break
+        left = problem.residual(trial_point)
+        gain = problem.gain_of(residual, left, 3)
+        trials.append(problem.trial(trial_point, left, trials[-1].information - gain))
+        if pair_count is None and (trials[-1].refusal or gain <= 0.0):
             break
-        best = point
-    model, deviations = problem.creep(best)
-    return Estimate(model, deviations, best.size // 2, tuple(trials), pair_count is not None)
+        point = best = trial_point
+        residual = left
+    return best, trials
 
 
 class _Problem:
@@ -169,9 +186,10 @@ class _Problem:
         scale = np.linalg.norm(np.vstack([columns, padded]), axis=0)
         scale[scale == 0.0] = 1.0
         normal = np.vstack([columns, padded]) / scale
-        orthogonal, values, _ = np.linalg.svd(normal, full_matrices=False)
-        kept: FloatArray = orthogonal[:, values > 1e-7 * values[0]]
-        self._penalties = rough.shape[0]
+        orthogonal, triangle, _ = qr(normal, mode="economic", pivoting=True)
+        sizes = np.abs(np.diag(triangle))
+        kept: FloatArray = orthogonal[:, sizes > INDEPENDENT * sizes[0]]
+        self._penalties, self.count = rough.shape[0], columns.shape[0]
         # Rows less what the hysteresis takes of them, which the penalties make a fraction.
         self.rows = columns.shape[0] - round(float(np.sum(kept[: columns.shape[0]] ** 2)))
         return kept
@@ -196,14 +214,24 @@ class _Problem:
             left = left - both[:, 1:] @ np.linalg.lstsq(both[:, 1:], left, rcond=1e-9)[0]
         return left
 
-    def with_further(self, point: FloatArray) -> FloatArray:
-        """Add the exponential that explains most."""
+    def with_further(self, point: FloatArray) -> list[FloatArray]:
+        """Add an exponential: the points of all rates that are tried, the best first."""
         rates, gains = np.split(point, 2)
-        grid = np.linspace(*self.rates, CANDIDATES + 2)[1:-1]
-        trials = [
-            np.concatenate([rates, [rate], gains, [np.log(gain)]])
-            for rate in grid for gain in (0.01, 0.05)]
-        return min(trials, key=lambda trial: float(np.sum(self.residual(trial) ** 2)))
+        starts = []
+        for rate in np.linspace(*self.rates, CANDIDATES + 2)[1:-1]:
+            trials = [np.concatenate([rates, [rate], gains, [np.log(gain)]])
+                      for gain in FIRST_GAINS]
+            costs = [float(np.sum(self.residual(trial) ** 2)) for trial in trials]
+            starts.append((min(costs), trials[int(np.argmin(costs))]))
+        return [start for _, start in sorted(starts, key=lambda pair: pair[0])]
+
+    def starts(self, point: FloatArray) -> list[FloatArray]:
+        """Points with one exponential more, and one of evenly spread rates between them."""
+        count = point.size // 2 + 1
+        spread = np.append(
+            np.linspace(*self.rates, count + 2)[1:-1], np.full(count, np.log(FIRST_GAINS[-1])))
+        further = self.with_further(point)
+        return [further[0], spread, *further[1:STARTS]]
 
     def refine(self, point: FloatArray) -> FloatArray:
         """Rates and gains of least error."""
@@ -211,22 +239,35 @@ class _Problem:
         low, high = (np.repeat([self.rates[end], self.gains[end]], pairs) for end in (0, 1))
         solution = least_squares(
             self.residual, np.clip(point, low + 1e-6, high - 1e-6), bounds=(low, high),
-            xtol=1e-9, ftol=1e-11, gtol=1e-12, max_nfev=60)
+            xtol=1e-7, ftol=1e-9, gtol=1e-12, max_nfev=30)
         result: FloatArray = solution.x
         return result
 
-    def trial(self, point: FloatArray) -> OrderTrial:
-        """How well these exponentials do, and whether they can be creep at all."""
-        residual = self.residual(point)
+    def refusal(self, point: FloatArray) -> str:
+        """Why these exponentials cannot be creep; empty if they can."""
         rates, gains = np.split(point, 2)
-        refusal = ""
         if np.any(gains <= self.gains[0] + 0.01) or np.any(gains >= self.gains[1] - 0.01):
-            refusal = "a gain is not positive, or larger than the immediate one"
-        elif np.any(rates >= self.rates[1] - 0.01):
-            refusal = "a rate is as fast as the sampling"
-        mean_square = np.sum(residual**2) / self.rows
-        return order_trial(
-            rates.size, np.full(self.rows, np.sqrt(mean_square)), 3 * rates.size, refusal)
+            return "a gain is not positive, or larger than the immediate one"
+        if np.any(rates >= self.rates[1] - 0.01):
+            return "a rate is as fast as the sampling"
+        return ""
+
+    def gain_of(self, before: FloatArray, after: FloatArray, parameters: int) -> float:
+        """Fall of the Bayesian information criterion, over rows that are independent.
+
+        What the grid leaves of the hysteresis is alike in neighbouring rows, which then count less.
+        """
+        data = after[: self.count]
+        alike = float(np.clip(data[1:] @ data[:-1] / (data @ data), 0.0, 0.98))
+        rows = max(self.rows * (1.0 - alike) / (1.0 + alike), 10.0)
+        return float(
+            rows * np.log(np.sum(before**2) / np.sum(after**2)) - parameters * np.log(rows))
+
+    def trial(self, point: FloatArray, residual: FloatArray, information: float) -> OrderTrial:
+        """Describe a fit, with its information relative to that of no creep."""
+        pairs = point.size // 2
+        rms = float(np.sqrt(np.sum(residual**2) / self.rows))
+        return OrderTrial(pairs, 3 * pairs, rms, information, self.refusal(point))
 
     def creep(self, point: FloatArray) -> tuple[CreepDynamics, dict[str, object]]:
         """Model of a point, and its standard deviations."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What an identification is given: checked, its outliers marked, its signs made alike."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +10,7 @@ from piezo_identification.conditioning.outlier_samples import (
     outlier_text,
     with_outliers_marked,
 )
+from piezo_identification.conditioning.segments import Recordings, listed, played_segments
 from piezo_identification.conditioning.sensor_sign import displacement_falls, reversed_displacement
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_recorder.reading.recording import Recording
@@ -19,38 +20,79 @@ Data = Recording | FrequencyResponse
 
 
 def given_data(
-    creep: Recording | None, dynamics: Data | None, hysteresis: Recording | None,
-    validation: Recording | None, refine: bool,
+    creep: Recordings | None, dynamics: Recordings | FrequencyResponse | None,
+    hysteresis: Recordings | None, validation: Recording | None, refine: bool,
 ) -> dict[str, Data]:
     """Name what was given, without what was not.
 
     Parameters
     ----------
-    creep, hysteresis, validation : Recording, optional
-    dynamics : Recording or FrequencyResponse, optional
+    creep, hysteresis : Recording or sequence of Recording, optional
+    dynamics : Recording, sequence of Recording or FrequencyResponse, optional
+    validation : Recording, optional
     refine : bool
         All of them are to be simulated.
 
     Returns
     -------
     dict of str to Recording or FrequencyResponse
-        By the name of the experiment.
+        By the name of the experiment; further ones of the same are numbered: creep, creep 2.
 
     Raises
     ------
     ValueError
-        If there is no recording of the hysteresis, or one to be simulated is a response.
+        If nothing is given to identify, or what is to be simulated is a response.
     """
-    if hysteresis is None:
-        raise ValueError("there is no recording of the hysteresis: give one")
+    if creep is None and dynamics is None and hysteresis is None:
+        raise ValueError(
+            "there is nothing to identify: give a recording of creep, dynamics or hysteresis")
     if refine and isinstance(dynamics, FrequencyResponse):
         raise ValueError(
             f"{dynamics.path} is a frequency response, which refining cannot simulate: refine "
             "with recordings of samples only"
         )
-    named: dict[str, Data | None] = {
-        "creep": creep, "dynamics": dynamics, "hysteresis": hysteresis, "validation": validation}
-    return {name: data for name, data in named.items() if data is not None}
+    named = {"creep": creep, "dynamics": dynamics, "hysteresis": hysteresis,
+             "validation": validation}
+    result: dict[str, Data] = {}
+    for name, data in named.items():
+        if isinstance(data, FrequencyResponse):
+            result[name] = data
+        elif data is not None:
+            result |= numbered(name, listed(data))
+    return result
+
+
+def numbered(name: str, data: Iterable[Recording]) -> dict[str, Data]:
+    """Name recordings of one kind: creep, creep 2, creep 3."""
+    return {name if index == 0 else f"{name} {index + 1}": each
+            for index, each in enumerate(data)}
+
+
+def of_kind(recordings: Mapping[str, Data], name: str) -> list[Any]:
+    """Return the recordings of one kind, or the response in its place, in a list."""
+    return [data for key, data in recordings.items() if key.split()[0] == name]
+
+
+def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
+    """Cut recordings at their gaps, but for the validation.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+
+    Returns
+    -------
+    dict of str to Recording or FrequencyResponse
+        Each stretch counts as a recording of its own; recordings without gaps are as they were.
+    """
+    result: dict[str, Data] = {}
+    for name in dict.fromkeys(key.split()[0] for key in recordings):
+        stretches: list[Any] = []
+        for data in of_kind(recordings, name):
+            whole = isinstance(data, FrequencyResponse) or not data.gaps or name == "validation"
+            stretches += [data] if whole else played_segments(data)
+        result |= numbered(name, stretches)
+    return result
 
 
 def with_marked_outliers(
@@ -80,7 +122,7 @@ def with_marked_outliers(
 
 
 def rising_with_voltage(recordings: Mapping[str, Data]) -> dict[str, Any]:
-    """Change the sign of all displacements where that of the hysteresis falls with the voltage.
+    """Change the sign of all displacements where that of the slowest falls with the voltage.
 
     Parameters
     ----------
@@ -91,10 +133,22 @@ def rising_with_voltage(recordings: Mapping[str, Data]) -> dict[str, Any]:
     -------
     dict of str to Recording or FrequencyResponse
     """
-    hysteresis = recordings["hysteresis"]
-    if isinstance(hysteresis, FrequencyResponse) or not displacement_falls(hysteresis):
+    slowest = slowest_recording(recordings)
+    if slowest is None or not displacement_falls(slowest):
         return dict(recordings)
     return {name: reversed_data(data) for name, data in recordings.items()}
+
+
+def slowest_recording(recordings: Mapping[str, Data]) -> Recording | None:
+    """Return the first recording of hysteresis, else of creep; None without.
+
+    Near a resonance the displacement moves against the voltage, so fast ones do not tell the sign.
+    """
+    for name in ("hysteresis", "creep"):
+        for data in of_kind(recordings, name):
+            if isinstance(data, Recording):
+                return data
+    return None
 
 
 def reversed_data(data: Data) -> Data:

@@ -17,6 +17,7 @@ from piezo_identification.adequacy.component_adequacy import adequacy_document, 
 from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
 from piezo_identification.adequacy.plausibility import implausible_data, implausible_model
 from piezo_identification.conditioning.recording_start import motion_um_per_s
+from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.estimate import untold_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -25,10 +26,7 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.estimators.hysteresis.density_fit import (
-    estimate_density,
-    hysteresis_output_um,
-)
+from piezo_identification.estimators.hysteresis.density_fit import hysteresis_output_um
 from piezo_identification.estimators.hysteresis.first_rise_fit import SETTINGS as FIRST_RISE
 from piezo_identification.estimators.hysteresis.first_rise_fit import (
     estimate_first_rise,
@@ -39,8 +37,15 @@ from piezo_identification.estimators.refinement.joint_fit import refine as fit_j
 from piezo_identification.identification.given_data import (
     Data,
     given_data,
+    of_kind,
     rising_with_voltage,
     with_marked_outliers,
+    without_gaps,
+)
+from piezo_identification.identification.given_hysteresis import (
+    CHOSEN_BY_DATA,
+    DensityOptions,
+    estimate_hysteresis_of,
 )
 from piezo_identification.identification.linear_dynamics import (
     METHODS,
@@ -85,9 +90,9 @@ class FittedModel:
 
 
 def identify(
-    creep: Recording | None = None,
-    dynamics: Recording | FrequencyResponse | None = None,
-    hysteresis: Recording | None = None,
+    creep: Recordings | None = None,
+    dynamics: Recordings | FrequencyResponse | None = None,
+    hysteresis: Recordings | None = None,
     validation: Recording | None = None,
     progress: Callable[[str, float], object] | None = None,
     cancelled: Callable[[], bool] | None = None,
@@ -95,25 +100,28 @@ def identify(
     method: str = METHODS[0],
     order: ResponseOrder = ANY_ORDER,
     note: Callable[[str], object] | None = None,
+    density: DensityOptions = CHOSEN_BY_DATA,
 ) -> IdentifiedModel:
     """Identify a stage model step by step (thesis 4.5).
 
     The creep comes first, then the fast dynamics with the creep removed; both once more, as each
     was a small error to the other; then the hysteresis with all of them removed. What no recording
-    shows is left out of the model: no creep, or dynamics that pass the voltage on at once.
+    shows is left out of the model: no creep, or dynamics that pass the voltage on at once. Where no
+    recording of the hysteresis is given, it is that of the others; a frequency response or a
+    voltage of two levels shows a line only.
 
     Where the displacement falls as the voltage rises, the sensor counts the other way: the signs
     of all displacements are changed, and the model's displacement rises with the voltage.
 
     Parameters
     ----------
-    creep : Recording, optional
-        Of the experiment of this name.
-    dynamics : Recording or FrequencyResponse, optional
-        Of the experiment of this name or of `multisine`, or a measured frequency response. Of a
-        response, the creep is taken where `creep` is not given, and the delay as an effect.
-    hysteresis : Recording
-        Of the hysteresis experiment.
+    creep : Recording or sequence of Recording, optional
+        Of the experiment of this name, or of any slow voltage.
+    dynamics : Recording, sequence of Recording or FrequencyResponse, optional
+        Of the experiment of this name or of any fast voltage, or a measured frequency response. Of
+        a response, the creep is taken where `creep` is not given, and the delay as an effect.
+    hysteresis : Recording or sequence of Recording, optional
+        Of the hysteresis experiment, or of any other loops.
     validation : Recording, optional
         Any other recording: the errors are measured on it.
     progress : callable, optional
@@ -131,6 +139,8 @@ def identify(
     note : callable, optional
         Called with text for people: why the orders, and which part of the Preisach plane the data
         determine.
+    density : DensityOptions
+        Grid and smoothing of the hysteresis; what it leaves open is chosen from the data.
 
     Returns
     -------
@@ -139,27 +149,29 @@ def identify(
     Raises
     ------
     ValueError
-        If a recording does not fit its purpose, or that of the hysteresis is not given.
+        If a recording does not fit its purpose, or none is given.
     IdentificationCancelled
         If `cancelled` said so.
     """
     given = given_data(creep, dynamics, hysteresis, validation, refine)
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
     with checking(stages.check):
-        recordings = rising_with_voltage(with_marked_outliers(given, tell))
+        recordings = rising_with_voltage(without_gaps(with_marked_outliers(given, tell)))
         tell_implausible(implausible_data(recordings), tell)
+        fast = of_kind(recordings, "dynamics")
         linear = estimate_linear_dynamics(
-            recordings.get("creep"), recordings.get("dynamics"), recordings["hysteresis"], method,
-            order, stages.part(0.0, 0.6))
+            of_kind(recordings, "creep"),
+            fast[0] if fast and isinstance(fast[0], FrequencyResponse) else fast,
+            of_kind(recordings, "hysteresis"), method, order, stages.part(0.0, 0.6))
         stages.begin("hysteresis", 0.6)
-        refuse_impossible_loops(
-            recordings["hysteresis"], linear.creep, linear.dynamics, linear.delay_s)
-        density, first_rise, cycled = estimate_loops(recordings["hysteresis"], linear)
-        tell_estimates(linear, density, tell)
+        for loops in of_kind(recordings, "hysteresis"):
+            refuse_impossible_loops(loops, linear.creep, linear.dynamics, linear.delay_s)
+        estimate, first_rise, cycled = estimate_loops(recordings, linear, density)
+        tell_estimates(linear, estimate, tell)
         tell_starts(recordings, linear, first_rise, tell)
-        fitted = fitted_model(linear, density, first_rise)
+        fitted = fitted_model(linear, estimate, first_rise)
         if refine:
-            fitted = refined(fitted, recordings | {"hysteresis": cycled}, stages)
+            fitted = refined(fitted, cycled, stages)
         tell_uncertain_parameters(fitted, tell)
         tell_implausible(implausible_model(fitted.model, recordings), tell)
         stages.begin("validation", 0.95)
@@ -171,40 +183,46 @@ def identify(
 
 
 def estimate_loops(
-    recording: Recording, linear: LinearDynamics,
-) -> tuple[DensityEstimate, FirstRise | None, Recording]:
-    """Estimate the density, and the first-cycle remanence where the recording shows one.
+    recordings: Mapping[str, Data], linear: LinearDynamics, options: DensityOptions,
+) -> tuple[DensityEstimate, FirstRise | None, Mapping[str, Data]]:
+    """Estimate the density, and the first-cycle remanence where the one recording shows it.
 
     Parameters
     ----------
-    recording : Recording
-        Of the hysteresis.
+    recordings : dict of str to Recording or FrequencyResponse
     linear : LinearDynamics
+    options : DensityOptions
 
     Returns
     -------
     DensityEstimate
     FirstRise or None
         None unless the loops are fitted far better beside it.
-    Recording
+    dict of str to Recording or FrequencyResponse
         As of a stage that was cycled before.
     """
+    density = estimate_hysteresis_of(recordings, linear, options)
+    loops = of_kind(recordings, "hysteresis")
+    if len(loops) != 1:
+        return density, None, recordings
+    recording = loops[0]
+
     def fitted_error_um(density: DensityEstimate, first_rise: FirstRise | None) -> float:
         return ModelRun(fitted_model(linear, density, first_rise).model, recording).error_um(())
 
-    density = estimate_density(recording, linear.creep, linear.dynamics, delay_s=linear.delay_s)
     part = played(recording)
     first_rise = estimate_first_rise(
         np.asarray(part.voltage_v, dtype=float),
         hysteresis_output_um(part, linear.creep, linear.dynamics, linear.delay_s),
         highest_before(recording))
     if first_rise is None:
-        return density, None, recording
-    cycled = without_first_rise(recording, first_rise, linear.creep, linear.dynamics)
-    beside = estimate_density(cycled, linear.creep, linear.dynamics, delay_s=linear.delay_s)
+        return density, None, recordings
+    cycled = {**recordings, "hysteresis": without_first_rise(
+        recording, first_rise, linear.creep, linear.dynamics)}
+    beside = estimate_hysteresis_of(cycled, linear, options)
     most_um = FIRST_RISE.largest_error_ratio * fitted_error_um(density, None)
     if fitted_error_um(beside, first_rise) > most_um:
-        return density, None, recording
+        return density, None, recordings
     return beside, first_rise, cycled
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Creep, electric and vibration dynamics, from whatever was recorded to show them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
@@ -9,9 +9,9 @@ import numpy as np
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.waveforms import played, square_wave
 from piezo_identification.estimators.creep import estimate_creep
+from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
 from piezo_identification.estimators.dynamics.armax_dynamics import estimate_dynamics_armax
-from piezo_identification.estimators.dynamics.multisine import estimate_dynamics_multisine
-from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
 from piezo_identification.estimators.estimate import Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
@@ -20,6 +20,7 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     estimate_from_response,
 )
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.estimators.slow_creep import estimate_slow_creep
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
@@ -86,21 +87,23 @@ class LinearDynamics:
 
 
 def estimate_linear_dynamics(
-    creep: Recording | None, dynamics: Recording | FrequencyResponse | None, hysteresis: Recording,
+    creep: Sequence[Recording], dynamics: Sequence[Recording] | FrequencyResponse,
+    hysteresis: Sequence[Recording],
     method: str = METHODS[0], order: ResponseOrder = ANY_ORDER,
     begin: Callable[[str, float], object] = lambda *_: None,
 ) -> LinearDynamics:
     """Estimate creep, then the fast dynamics with the creep removed; both once more.
 
-    The second time, each is a smaller error to the other. Fast dynamics come from a square wave
-    between two voltages; from any other fast recording, such as a multisine, for which the
-    hysteresis is estimated before; or from a measured frequency response.
+    The second time, each is a smaller error to the other. Creep comes from a square wave between
+    two voltages, or from any other slow recordings. Fast dynamics come from a periodic square wave
+    between two voltages; from any other fast recordings, for which the hysteresis is estimated
+    before, or beside where it was not recorded; or from a measured frequency response.
 
     Parameters
     ----------
-    creep : Recording or None
-    dynamics : Recording, FrequencyResponse or None
-    hysteresis : Recording
+    creep, hysteresis : sequence of Recording
+        Without gaps; empty for none.
+    dynamics : sequence of Recording, or FrequencyResponse
     method : str
         One of `METHODS`; a frequency response has its own.
     order : ResponseOrder
@@ -118,18 +121,20 @@ def estimate_linear_dynamics(
         If a recording does not fit its purpose.
     """
     found = LinearDynamics()
+    is_response = isinstance(dynamics, FrequencyResponse)
+    given = is_response or len(dynamics) > 0
     needs_hysteresis = (
-        dynamics is not None and not isinstance(dynamics, FrequencyResponse)
-        and not _is_square_wave(dynamics)
+        given and not is_response and len(hysteresis) > 0
+        and not all(_is_square_wave(recording) for recording in dynamics)
     )
     # Where only one is recorded, there is nothing to go through twice.
-    passes = 2 if dynamics is not None and (creep is not None or needs_hysteresis) else 1
+    passes = 2 if given and (creep or needs_hysteresis) else 1
     for turn in range(passes):
-        if creep is not None:
+        if creep:
             begin("creep beside the dynamics" if turn else "creep", 0.5 * turn)
             found = found.with_creep(
-                estimate_creep(creep, found.dynamics if turn else None, order.creep_pairs))
-        if dynamics is None:
+                _creep_of(creep, found.dynamics if turn else None, order.creep_pairs))
+        if not given:
             continue
         begin("dynamics beside the creep" if turn else "dynamics", 0.5 * turn + 0.3)
         if isinstance(dynamics, FrequencyResponse):
@@ -140,6 +145,16 @@ def estimate_linear_dynamics(
             density = estimate_density(hysteresis, found.creep, found.dynamics).model()
         found = found.with_dynamics(_from_samples(dynamics, found.creep, density, method, order))
     return found
+
+
+def _creep_of(
+    recordings: Sequence[Recording], dynamics: ElectricVibrationDynamics | None,
+    pair_count: int | None,
+) -> Estimate:
+    """Creep of one square wave as it was designed for, else of what there is."""
+    if len(recordings) == 1 and _is_square_wave(recordings[0]):
+        return estimate_creep(recordings[0], dynamics, pair_count)
+    return estimate_slow_creep(recordings, dynamics, pair_count)
 
 
 def _from_response(
@@ -154,14 +169,24 @@ def _from_response(
 
 
 def _from_samples(
-    recording: Recording, creep: CreepDynamics, density: PreisachModel | None, method: str,
-    order: ResponseOrder,
+    recordings: Sequence[Recording], creep: CreepDynamics, density: PreisachModel | None,
+    method: str, order: ResponseOrder,
 ) -> Estimate:
     if method == "armax":
-        return estimate_dynamics_armax(recording, creep, density, mode_count=order.modes)
-    if density is None:
-        return estimate_dynamics(recording, creep, order.modes)
-    return estimate_dynamics_multisine(recording, density, creep, order.modes)
+        return estimate_dynamics_armax(recordings[0], creep, density, mode_count=order.modes)
+    if len(recordings) == 1 and _is_periodic(recordings[0]):
+        return estimate_dynamics(recordings[0], creep, order.modes)
+    return estimate_dynamics_any(recordings, creep, density, order.modes)
+
+
+def _is_periodic(recording: Recording) -> bool:
+    """Tell whether a recording is a square wave whose period is a whole number of samples."""
+    part = played(recording)
+    if not _is_square_wave(recording):
+        return False
+    steps = square_wave(part).steps
+    steps = steps[steps >= WARM_UP_S / part.sample_period_s]
+    return steps.size >= 3 and bool(np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]))
 
 
 def _is_square_wave(recording: Recording) -> bool:

@@ -229,9 +229,9 @@ def test_identify_refuses_a_file_that_does_not_exist(name, files, tmp_path, caps
 
 
 def test_identify_refuses_the_recording_of_another_experiment(files, tmp_path, capsys):
-    wrong = dict(files) | {"creep": files["validation"]}
+    wrong = dict(files) | {"creep": files["dynamics"]}
     arguments = [*options(wrong), "--output", tmp_path / "model.json"]
-    assert "validation.csv is no square wave" in refusal(identify_main, arguments, capsys)
+    assert "dynamics.csv steps faster" in refusal(identify_main, arguments, capsys)
 
 
 def test_identify_refuses_an_output_that_cannot_be_written_before_it_works(files, capsys):
@@ -300,6 +300,6 @@ def test_a_slow_recording_of_another_stage_is_enough(slow_file, sign, tmp_path, 
     assert float(error.split()[1]) < 0.3
 
 
-def test_identify_needs_the_hysteresis():
-    with pytest.raises(ValueError, match="no recording of the hysteresis"):
+def test_identify_needs_something_to_identify():
+    with pytest.raises(ValueError, match="there is nothing to identify"):
         identify()

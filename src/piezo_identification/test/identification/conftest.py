@@ -8,8 +8,9 @@ from scipy.signal import lsim
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
-RADII_V = np.array([0.0, 2.0, 5.0, 10.0, 18.0, 30.0, 45.0])
-WEIGHTS_UM_PER_V = np.array([0.30, 0.06, 0.05, 0.05, 0.04, 0.04, 0.03])
+RADII_V = np.linspace(0.0, 40.0, 41)
+SHARES = np.exp(-RADII_V[1:] / 15.0)
+WEIGHTS_UM_PER_V = np.append(0.3, 0.27 * SHARES / SHARES.sum())
 
 
 class ForeignStage:
@@ -30,11 +31,10 @@ class ForeignStage:
         self.is_linear = is_linear
 
     def hysteresis(self, voltage_v, states=None):
-        """Output of play operators; their states at the start are those of a way up from far below
-        unless given."""
+        """Output of play operators, which come down from far above unless states are given."""
         if self.is_linear:
             return WEIGHTS_UM_PER_V.sum() * voltage_v
-        state = voltage_v[0] - RADII_V if states is None else np.array(states, dtype=float)
+        state = voltage_v[0] + RADII_V if states is None else np.array(states, dtype=float)
         output = np.empty(voltage_v.size)
         for n, v in enumerate(voltage_v):
             state = np.maximum(v - RADII_V, np.minimum(v + RADII_V, state))
@@ -44,16 +44,19 @@ class ForeignStage:
     def displacement(self, time_s, held_v, states=None):
         """Displacement at the times, each before its voltage acts; at rest in the first voltage."""
         entering = self.hysteresis(held_v, states)
+        if not (self.creep or self.mode):
+            # Points of a static loop are read when all has come to rest.
+            return entering
         output = entering - entering[0]
-        held = np.append(0.0, output[:-1])
+        # What lsim holds from a sample on, it shows at the next.
+        held, moving = np.append(0.0, output[:-1]), output
         if self.mode:
             denominator = np.polymul(
                 [self.lag_s, 1.0], [self.mode**-2, 2 * self.damping / self.mode, 1.0])
-            # lsim with a held input: each sample sees the value from the sample before on.
-            held = lsim(([1.0], denominator), output, time_s, interp=False)[1]
+            held = moving = lsim(([1.0], denominator), output, time_s, interp=False)[1]
         result = held.copy()
         for rate, gain in self.creep:
-            result += gain * lsim(([rate], [1.0, rate]), held, time_s, interp=bool(self.mode))[1]
+            result += gain * lsim(([rate], [1.0, rate]), moving, time_s, interp=bool(self.mode))[1]
         return entering[0] + result
 
     def creep_response(self, frequency_hz):
@@ -62,7 +65,7 @@ class ForeignStage:
         return 1.0 + sum(gain * rate / (s + rate) for rate, gain in self.creep)
 
 
-def recording_of(voltage_v, displacement_um, sample_period_s, path="record", start=0):
+def recording_of(voltage_v, displacement_um, sample_period_s, path, start=0):
     """Make a recording of rows at their instants."""
     count = voltage_v.size
     return Recording(
@@ -74,7 +77,7 @@ def recording_of(voltage_v, displacement_um, sample_period_s, path="record", sta
 @pytest.fixture(scope="session")
 def record():
     """Play a voltage on a stage and record it, with noise and drift of the sensor."""
-    def play(stage, voltage_v, sample_period_s, noise_um=0.003, drift_um=0.0, seed=1, path="record",
+    def play(stage, voltage_v, sample_period_s, noise_um=0.003, drift_um=0.0, seed=1, path=__file__,
              states=None):
         time_s = np.arange(voltage_v.size) * sample_period_s
         displacement_um = stage.displacement(time_s, voltage_v, states)

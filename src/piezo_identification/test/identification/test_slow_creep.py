@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: BSD-3-Clause
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -40,5 +39,4 @@ def stage(foreign_stage):
 @pytest.mark.parametrize("waveform", WAVEFORMS)
 def test_creep_is_found_from_any_slow_voltage(waveform, stage, record):
     estimate = estimate_slow_creep(record(stage, WAVEFORMS[waveform], PERIOD_S))
-    print(waveform, estimate.model, error_of(estimate.model, stage), estimate.order_table())
     assert error_of(estimate.model, stage) < 3e-3

@@ -12,6 +12,8 @@ from piezo_models.hysteresis.preisach import PreisachModel
 LINE = "a line, which predicts what is held out as well as a hysteresis"
 """Method of an estimate whose density is zero: the stage answers in proportion."""
 
+LINE_OF_RESPONSE = "a line, as a frequency response shows no hysteresis"
+
 
 @dataclass(frozen=True, eq=False)
 class DensityEstimate:

@@ -99,13 +99,13 @@ def estimate_density(
         raise ValueError(
             f"the voltage of {parts[0].path} is {lowest_v:g} V throughout: give a recording in "
             "which it moves")
-    _check_sign(parts)
+    segments = [_segment(part, creep, dynamics, delay_s) for part in parts]
+    _check_sign(segments, parts[0].path)
     if level_count is None:
         level_count = levels_passed(parts, highest_v - lowest_v)
     edges_v = np.linspace(lowest_v, highest_v, level_count * cells_per_level + 1)
     return density_of_segments(
-        [_segment(part, creep, dynamics, delay_s) for part in parts], edges_v, level_count,
-        smoothing_weight, translation_weight)
+        segments, edges_v, level_count, smoothing_weight, translation_weight)
 
 
 def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
@@ -170,13 +170,12 @@ def hysteresis_output_um(
     return remove_creep(displacement_um + lead_s * slope_um_per_s, creep, recording.sample_period_s)
 
 
-def _check_sign(parts: Sequence[Recording]) -> None:
+def _check_sign(segments: Sequence[HysteresisSegment], path: str) -> None:
     """Refuse a displacement that falls where the voltage rises."""
-    products = [
-        (part.voltage_v - part.voltage_v.mean()) @ (part.displacement_um - np.mean(
-            part.displacement_um)) for part in parts]
+    products = []
+    for segment in segments:
+        voltage_v = segment.voltage_v[segment.samples]
+        products.append((voltage_v - voltage_v.mean()) @ segment.output_um[segment.samples])
     if sum(products) <= 0.0:
         raise ValueError(
-            f"{parts[0].path}: the displacement falls where the voltage rises: reverse the sign "
-            "of one"
-        )
+            f"{path}: the displacement falls where the voltage rises: reverse the sign of one")

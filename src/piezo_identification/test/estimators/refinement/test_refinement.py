@@ -204,7 +204,7 @@ def test_the_command_stores_the_errors_before_and_after(
     doubtful = DensityEstimate(
         "doubtful", hysteresis.levels_v, 1.02 * hysteresis.density_um_per_v2, hysteresis.offset_um,
         visited=np.tril(np.ones_like(hysteresis.density_um_per_v2, dtype=bool)))
-    monkeypatch.setattr(identify_module, "estimate_density", lambda *_, **__: doubtful)
+    monkeypatch.setattr(identify_module, "estimate_hysteresis_of", lambda *_, **__: doubtful)
     unseen = play(experiments.hysteresis(level_count=5, harmonic_period_s=1.0), 3, 1000.0)
     files = {"hysteresis": recordings["hysteresis"], "validation": unseen}
     arguments = []

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import numpy as np
+import pytest
+from scipy.signal import chirp, lsim
+
+from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
+from piezo_identification.identification.identify import identify
+from piezo_models.linear.dynamics import CreepDynamics
+
+PERIOD_S = 1e-4
+LAG_S, MODE, DAMPING = 4e-4, 3000.0, 0.05
+COUNT = 12_000
+
+
+@pytest.fixture(scope="module")
+def linear_stage(foreign_stage):
+    return foreign_stage((), LAG_S, MODE, DAMPING, is_linear=True)
+
+
+@pytest.fixture(scope="module")
+def stage(foreign_stage):
+    return foreign_stage((), LAG_S, MODE, DAMPING)
+
+
+def voltage_of(kind):
+    time_s = np.arange(COUNT) * PERIOD_S
+    random = np.random.default_rng(4)
+    if kind == "chirp":
+        return 40.0 + 30.0 * chirp(time_s, 5.0, 1.2, 900.0)
+    if kind == "multisine":
+        phases = random.uniform(0.0, 2.0 * np.pi, 40)
+        tones = 2.0 * np.pi * 20.0 * np.arange(1, 41)
+        return 40.0 + 4.0 * np.sin(np.outer(time_s, tones) + phases).sum(axis=1)
+    if kind == "noise":
+        return np.clip(40.0 + 10.0 * random.normal(size=COUNT // 4), 0.0, 80.0).repeat(4)
+    if kind == "steps":
+        return np.repeat([10.0, 60.0, 30.0, 75.0, 20.0, 50.0], COUNT // 6)
+    return np.where((np.arange(COUNT) * PERIOD_S / 0.030137) % 1.0 < 0.45, 65.0, 20.0)
+
+
+def error_of(dynamics):
+    """Largest relative error of the response up to the mode and beyond."""
+    frequency_hz = np.linspace(1.0, 900.0, 60)
+    s = 2j * np.pi * frequency_hz
+    truth = 1.0 / ((LAG_S * s + 1.0) * (s**2 / MODE**2 + 2 * DAMPING * s / MODE + 1.0))
+    return np.abs(dynamics.response(frequency_hz) - truth).max() / np.abs(truth).max()
+
+
+KINDS = ("chirp", "multisine", "noise", "steps", "square")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_dynamics_of_a_linear_stage_are_found_from_any_input(kind, linear_stage, record):
+    recording = record(linear_stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
+    estimate = estimate_dynamics_any([recording], CreepDynamics())
+    assert error_of(estimate.model) < 5e-3
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_dynamics_are_found_behind_a_hysteresis_that_nothing_else_tells(kind, stage, record):
+    recording = record(stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
+    estimate = estimate_dynamics_any([recording], CreepDynamics())
+    # Lag of the hysteresis and of the stage are told apart by the frequencies they are seen at.
+    assert error_of(estimate.model) < 0.1
+
+
+def test_edges_of_a_generator_between_the_samples_are_found(record, linear_stage):
+    fine = 16
+    time_s = np.arange(COUNT * fine) * PERIOD_S / fine
+    voltage_v = np.where((time_s / 0.030137) % 1.0 < 0.45, 65.0, 20.0)
+    response = lsim(([1.0], np.polymul([LAG_S, 1.0], [MODE**-2, 2 * DAMPING / MODE, 1.0])),
+                    voltage_v, time_s, interp=False)[1]
+    recording = record(linear_stage, voltage_v[::fine], PERIOD_S)
+    noise_um = np.random.default_rng(2).normal(scale=0.01, size=COUNT)
+    object.__setattr__(recording, "displacement_um", 0.5 * response[::fine] + noise_um)
+    estimate = estimate_dynamics_any([recording], CreepDynamics())
+    assert error_of(estimate.model) < 0.02
+
+
+def test_a_linear_stage_becomes_a_line_with_its_gain(linear_stage, record):
+    for kind in ("chirp", "square"):
+        recording = record(linear_stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
+        hysteresis = identify(dynamics=recording).model.hysteresis
+        span_v = hysteresis.voltage_max_v - hysteresis.voltage_min_v
+        gain = np.ptp(hysteresis.output_range_um) / span_v
+        assert not hysteresis.density_um_per_v2.any()
+        assert gain == pytest.approx(0.57, rel=3e-3)

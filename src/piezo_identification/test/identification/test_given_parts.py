@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whatever is given is identified: one kind alone, several of a kind, gaps, few points."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezo_identification.commands.identify_command import main as identify_main
+from piezo_identification.identification.identify import identify
+from piezo_models.model_file import load_model
+
+
+def loops(tops_v, points):
+    """Triangles from 0 V, so many points each."""
+    way = np.concatenate([np.linspace(0.0, 1.0, points // 2, endpoint=False),
+                          np.linspace(1.0, 0.0, points - points // 2, endpoint=False)])
+    return np.append(np.concatenate([top * way for top in tops_v]), 0.0)
+
+
+def relative_error(model, stage, voltage_v):
+    truth = stage.hysteresis(voltage_v)
+    error = model.hysteresis.simulate(voltage_v) - truth
+    return np.std(error) / np.ptp(truth)
+
+
+@pytest.fixture(scope="module")
+def static(foreign_stage):
+    return foreign_stage()
+
+
+def test_62_points_of_static_loops_are_enough(static, record):
+    points = loops([80.0, 60.0, 40.0], 21)[:62]
+    identified = identify(hysteresis=record(static, points, 1.0, noise_um=0.05))
+    unseen_v = np.concatenate([loops([80.0, 70.0, 50.0, 30.0], 400)])
+    assert relative_error(identified.model, static, unseen_v) < 0.01
+
+
+def test_several_recordings_and_gaps_are_one_identification(static, record):
+    first = record(static, loops([80.0, 60.0], 300), 0.1, seed=1)
+    second = record(static, loops([70.0, 80.0, 40.0, 20.0], 300), 0.1, seed=2)
+    second = replace(second, displacement_um=second.displacement_um + 3.0)
+    cut = np.ones(second.voltage_v.size, dtype=bool)
+    cut[500:560] = False
+    second = replace(second.select(cut), gaps=[(500, 60)])
+    identified = identify(hysteresis=[first, second])
+    unseen_v = loops([80.0, 75.0, 50.0, 30.0], 400)
+    assert relative_error(identified.model, static, unseen_v) < 3e-3
+    assert len(identified.recordings) == 2
+
+
+def test_creep_alone_gives_a_model_with_its_hysteresis(foreign_stage, record):
+    stage = foreign_stage(((0.05, 0.04), (0.8, 0.03)))
+    voltage_v = np.concatenate([loops([80.0, 50.0], 600), np.repeat([70.0, 20.0], 1000), [0.0]])
+    model = identify(creep=record(stage, voltage_v, 0.05)).model
+    assert len(model.creep.poles_rad_per_s) == 2
+    assert relative_error(model, stage, loops([80.0, 60.0], 300)) < 0.01
+
+
+def test_fast_cycles_give_the_hysteresis_where_the_dynamics_are_known(foreign_stage, record):
+    stage = foreign_stage((), 4e-4, 3000.0, 0.05)
+    square = np.tile(np.repeat([20.0, 60.0], 150), 30).astype(float)
+    cycles = loops([80.0, 70.0, 60.0, 50.0, 40.0, 30.0, 20.0, 10.0] * 2, 250)
+    cycles = 40.0 - 40.0 * np.cos(np.pi * cycles / 80.0)
+    model = identify(dynamics=record(stage, square, 1e-4),
+                     hysteresis=record(stage, cycles, 1e-4)).model
+    unseen_v = loops([80.0, 65.0, 45.0, 30.0], 400)
+    assert relative_error(model, stage, unseen_v) < 5e-3
+
+
+def test_a_frequency_response_alone_gives_a_line(tmp_path, capsys):
+    frequency_hz = np.geomspace(5.0, 900.0, 120)
+    s = 2j * np.pi * frequency_hz
+    gain = 0.4 / ((4e-4 * s + 1.0) * (s**2 / 3000.0**2 + 0.1 * s / 3000.0 + 1.0))
+    path = tmp_path / "response.csv"
+    np.savetxt(path, np.column_stack([frequency_hz, gain.real, gain.imag]), delimiter=",",
+               header="frequency_hz,gain_re,gain_im", comments="")
+    output = tmp_path / "model.json"
+    assert identify_main(["--dynamics", str(path), "--output", str(output)]) == 0
+    hysteresis = load_model(output).model.hysteresis
+    rise_um = np.diff(hysteresis.simulate(np.array([0.0, 10.0])))
+    assert rise_um == pytest.approx(4.0, rel=1e-3)
+    assert hysteresis.simulate(np.array([0.0])) == pytest.approx(0.0, abs=1e-9)
+    assert "shows no hysteresis" in capsys.readouterr().out
+
+
+def test_the_command_takes_several_files_grid_and_weights(static, record, save_csv, tmp_path):
+    files = []
+    for number, tops in enumerate(([80.0, 60.0], [80.0, 40.0])):
+        recording = record(static, loops(tops, 200), 0.1)
+        files.append(str(save_csv(tmp_path / f"{number}.csv", recording.time_s,
+                                  recording.voltage_v, recording.displacement_um)))
+    output = tmp_path / "model.json"
+    assert identify_main(["--hysteresis", *files, "--grid", "20", "--smoothing", "1e-10",
+                          "--translation-weight", "1e-8", "--output", str(output)]) == 0
+    identified = load_model(output)
+    assert identified.model.hysteresis.density_um_per_v2.shape == (20, 20)
+    assert [each["path"] for each in identified.recordings] == files
+
+
+@pytest.mark.parametrize("arguments, said", [
+    ([], "there is nothing to identify"),
+    (["--smoothing", "-1"], "there is nothing to identify"),
+])
+def test_what_cannot_be_identified_is_refused(arguments, said, tmp_path, capsys):
+    assert identify_main([*arguments, "--output", str(tmp_path / "model.json")]) == 2
+    assert said in capsys.readouterr().err
