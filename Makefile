@@ -13,8 +13,8 @@ help: ## list the targets
 setup: ## make the environment and build the packages; skips what is done
 	@tools/setup
 
-demo: ## identify and control the simulated stage; report in runs/demo
-	@./run piezo_studies demo --output runs/demo
+demo: ## identify and control the simulated stage, or that of PLANT (beam); report in runs/demo
+	@./run piezo_studies demo $(if $(PLANT),--plant "$(PLANT)")
 
 test: setup ## check the style, then run the unit and the integration tests
 	@$(in_environment) tools/style && tools/tests

@@ -34,6 +34,10 @@ def test_identification_leaves_a_model_with_its_errors_and_recordings(identifica
     assert identification.path.parent == identification.recordings[0].parent
     assert identification.errors == pytest.approx(identified.errors)
     assert identified.errors["e_y_percent"] < 0.2  # on data that were not fitted
+    assert identification.components == identified.adequacy
+    assert list(identified.adequacy) == ["creep", "dynamics", "hysteresis"]
+    verdicts = {part["verdict"] for part in identified.adequacy.values()}
+    assert identification.adequacy == ("adequate" if verdicts == {"adequate"} else "inadequate")
     assert {entry["sha256"] for entry in identified.recordings} >= {
         sha256_of(path) for path in identification.recordings[:3]}
     assert identified.voltage_range_v == pytest.approx((-20.0, 120.0))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the calls of a stage return; each may stand for the path of what it made."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,11 +85,18 @@ class Identification:
         On data that was not fitted.
     recordings : tuple of Path
         Of the experiments.
+    adequacy : str
+        "adequate" if every component leaves no more than noise of its own recording, else
+        "inadequate"; empty if that was not tested.
+    components : dict of str to dict
+        The same of each component, as the model file holds it.
     """
 
     path: Path
     errors: dict[str, float]
     recordings: tuple[Path, ...]
+    adequacy: str = ""
+    components: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def __fspath__(self) -> str:
         return str(self.path)

@@ -157,7 +157,8 @@ class Stage:
             on_feedback=self._shown(""))
         return Identification(
             Path(result.model), dict(zip(result.error_names, result.error_values, strict=True)),
-            tuple(map(Path, result.recordings)))
+            tuple(map(Path, result.recordings)), result.adequacy,
+            json.loads(result.adequacy_json or "{}"))
 
     def track(self, reference: Mapping[str, Any], model: AnyPath, mode: str = "composite",
               duration_s: float = 1.0, directory: AnyPath = "") -> Tracking:

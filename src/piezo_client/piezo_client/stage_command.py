@@ -131,6 +131,8 @@ def _experiment(stage: Stage, options: argparse.Namespace) -> list[str]:
 def _identify(stage: Stage, options: argparse.Namespace) -> list[str]:
     identification = stage.identify(options.output, options.recordings)
     return [*(f"{name} {value:.4g}" for name, value in identification.errors.items()),
+            *(" ".join([name, part["verdict"], part.get("left", "")]).rstrip()
+              for name, part in identification.components.items()),
             f"written {identification.path}"]
 
 

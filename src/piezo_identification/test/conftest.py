@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.conditioning.waveforms import played
 from piezo_models.cascade import StageModel
@@ -83,3 +84,80 @@ def play(plant):
         )
 
     return play_experiment
+
+
+class IndependentStage:
+    """A stage that shares no form with the model: plays on a curved voltage, then sums of lags.
+
+    Parameters
+    ----------
+    creep_rates, creep_gains : sequence of float
+        Of the lags that add up to the creep.
+    time_constant_s, mode_rad_per_s, damping_ratio : float
+        Of the dynamics; no dynamics by default.
+    plays : bool
+        False: no hysteresis, a curve only.
+    """
+
+    half_widths_v = np.linspace(1.0, 34.0, 24)
+
+    def __init__(self, creep_rates=(0.125, 2.0), creep_gains=(0.04, 0.02), time_constant_s=0.0,
+                 mode_rad_per_s=0.0, damping_ratio=0.05, plays=True):
+        self.creep = tuple(zip(creep_rates, creep_gains, strict=True))
+        self.time_constant_s, self.plays = time_constant_s, plays
+        self.mode = mode_rad_per_s, damping_ratio
+
+    def displacement_um(self, voltage_v, period_s, past_v=(), settled=True):
+        """Displacement at the sample instants; the past is met quasi-statically, (N,)."""
+        hysteresis_um = self.hysteresis_um(np.append(past_v, voltage_v))[len(past_v):]
+        input_um = hysteresis_um
+        if self.time_constant_s:
+            a, (w, z) = -1.0 / self.time_constant_s, self.mode
+            matrix = np.array([[a, 0.0, 0.0], [0.0, 0.0, 1.0], [w * w, -w * w, -2.0 * z * w]])
+            drive = np.array([[-a], [0.0], [0.0]])
+            step, by_input, *_ = cont2discrete(
+                (matrix, drive, np.eye(3), np.zeros((3, 1))), period_s)
+            state, output = np.full(3, hysteresis_um[0] if settled else 0.0) * (1, 1, 0), []
+            for value in hysteresis_um:
+                output.append(state[1])
+                state = step @ state + by_input[:, 0] * value
+            hysteresis_um = np.array(output)
+        displacement_um = hysteresis_um.copy()
+        for rate, gain in self.creep:
+            decay = np.exp(-rate * period_s)
+            start = [input_um[0]] if settled else [0.0]
+            displacement_um += gain * lfilter(
+                [0.0, 1.0 - decay], [1.0, -decay], hysteresis_um, zi=start)[0]
+        return displacement_um
+
+    def hysteresis_um(self, voltage_v):
+        """Generalised Prandtl-Ishlinskii: weighted plays on a curve, none displaced at first."""
+        driven_v = voltage_v + 1e-3 * voltage_v**2
+        if not self.plays:
+            return 0.4 * driven_v
+        weights = 0.02 * np.exp(-self.half_widths_v / 20.0)
+        width_v, state = self.half_widths_v, np.zeros(self.half_widths_v.size)
+        output_um = np.empty(driven_v.size)
+        for n, v in enumerate(driven_v):
+            state = np.minimum(np.maximum(state, v - width_v), v + width_v)
+            output_um[n] = 0.2 * v + weights @ state
+        return output_um
+
+
+@pytest.fixture(scope="session")
+def independent_stage():
+    return IndependentStage
+
+
+@pytest.fixture(scope="session")
+def recorded():
+    """A recording of plain arrays, all of it played, as that of a CSV file."""
+    def recorded(name, voltage_v, displacement_um, period_s, noise_um=0.0, seed=0):
+        noise = noise_um * np.random.default_rng(seed).normal(size=len(voltage_v))
+        return Recording(
+            path=name, sample_rate_hz=1.0 / period_s, sample_index=np.arange(len(voltage_v)),
+            sample_periods_s=np.full(len(voltage_v), period_s),
+            voltage_v=np.asarray(voltage_v, dtype=float), displacement_um=displacement_um + noise,
+            flags=np.full(len(voltage_v), Flag.PLAYING, dtype=np.uint32))
+
+    return recorded

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from piezo_models.cascade import StageMemory, StageModel
     from piezo_models.control_objects import from_control, to_control
     from piezo_models.effects import EFFECTS, Effect, known_effects
+    from piezo_models.hysteresis.first_rise import FirstRise
     from piezo_models.hysteresis.hysteretic_creep import HystereticCreep
     from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel
     from piezo_models.identified_model import IdentifiedModel
@@ -31,6 +32,7 @@ _HOMES = {
     "EFFECTS": "effects",
     "Effect": "effects",
     "known_effects": "effects",
+    "FirstRise": "hysteresis.first_rise",
     "HystereticCreep": "hysteresis.hysteretic_creep",
     "PreisachMemory": "hysteresis.preisach",
     "PreisachModel": "hysteresis.preisach",
@@ -50,9 +52,9 @@ _HOMES = {
 __getattr__, __dir__ = lazy_exports(__name__, _HOMES)
 
 __all__ = [
-    "CreepDynamics", "EFFECTS", "Effect", "ElectricVibrationDynamics", "HystereticCreep",
-    "IdentifiedModel", "ModelFileError", "PreisachMemory", "PreisachModel", "StageMemory",
-    "StageModel", "e_r_percent", "e_rms_percent", "e_y_percent", "from_control",
+    "CreepDynamics", "EFFECTS", "Effect", "ElectricVibrationDynamics", "FirstRise",
+    "HystereticCreep", "IdentifiedModel", "ModelFileError", "PreisachMemory", "PreisachModel",
+    "StageMemory", "StageModel", "e_r_percent", "e_rms_percent", "e_y_percent", "from_control",
     "invert_linear_periodic", "known_effects", "load_model", "save_model", "simulate_linear",
     "to_control", "zoh",
 ]

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.effect import Effect
+from piezo_models.hysteresis.first_rise import CYCLED, FirstRise
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
 from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel
 from piezo_models.linear.dynamics import (
@@ -29,19 +30,22 @@ class StageMemory:
     """What the stage remembers: the past of its hysteresis and the state of `StageModel.linear`.
 
     That of the hysteretic creep too, where the model has it, and of the effects, by their place
-    among those of the model: what `piezo_models.effects.effect.Effect.advance` returns.
+    among those of the model: what `piezo_models.effects.effect.Effect.advance` returns. And the
+    highest voltage so far, where the model has a first rise.
     """
 
     hysteresis: PreisachMemory
     linear_state: FloatArray
     hysteretic_creep: HystereticCreepMemory | None = None
     effects: dict[int, Any] = field(default_factory=dict)
+    highest_v: float = CYCLED
 
     def copy(self) -> "StageMemory":
         """Return an independent memory with the same past."""
         hysteretic = None if self.hysteretic_creep is None else self.hysteretic_creep.copy()
         return StageMemory(
-            self.hysteresis.copy(), self.linear_state.copy(), hysteretic, dict(self.effects))
+            self.hysteresis.copy(), self.linear_state.copy(), hysteretic, dict(self.effects),
+            self.highest_v)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +62,9 @@ class StageModel:
         motion to the feedback.
     effects : tuple of piezo_models.effects.effect.Effect
         What else the stage does; those of one place act in this order.
+    first_rise : FirstRise, optional
+        What a stage that was never cycled lacks until its first rise; a stage is taken for cycled
+        unless its memory says otherwise.
     """
 
     hysteresis: PreisachModel
@@ -65,6 +72,7 @@ class StageModel:
     dynamics: ElectricVibrationDynamics
     hysteretic_creep: HystereticCreep | None = None
     effects: tuple[Effect, ...] = ()
+    first_rise: FirstRise | None = None
 
     def effects_at(self, place: str) -> tuple[Any, ...]:
         """Return the effects at one of `piezo_models.effects.effect.PLACES`."""
@@ -111,7 +119,7 @@ class StageModel:
         return signal
 
     def memory(self, rest_voltage_v: float = 0.0, hysteresis: PreisachMemory | None = None,
-               settled: bool = True) -> StageMemory:
+               settled: bool = True, highest_v: float = CYCLED) -> StageMemory:
         """Return the memory of a stage at rest.
 
         Parameters
@@ -123,6 +131,9 @@ class StageModel:
         settled : bool
             True: the stage has rested for so long that the creep is over, and the linear states
             are in equilibrium with the hysteresis output. False: they are zero.
+        highest_v : float
+            Up to which the stage has risen so far; by default it was cycled. Only a model with a
+            first rise heeds it.
 
         Returns
         -------
@@ -139,7 +150,10 @@ class StageModel:
             extremes_v = hysteresis.extremes_v[: hysteresis.top + 1]
             hysteretic = self.hysteretic_creep.memory(extremes_v, settled)
             held += self.hysteretic_creep.held_um(hysteretic)
-        return StageMemory(hysteresis, equilibrium_state(self.linear(), held), hysteretic)
+        if self.first_rise is not None and settled:
+            held += self.first_rise.simulate([hysteresis.voltage_v], highest_v)[0]
+        return StageMemory(hysteresis, equilibrium_state(self.linear(), held), hysteretic,
+                           highest_v=highest_v)
 
     def simulate(self, voltage_v: ArrayLike, sample_period_s: float,
                  memory: StageMemory | None = None) -> FloatArray:
@@ -178,5 +192,8 @@ class StageModel:
             hysteresis += self.hysteretic_creep.simulate(
                 applied_v, sample_period_s, memory.hysteretic_creep
             )
+        if self.first_rise is not None and applied_v.size:
+            hysteresis += self.first_rise.simulate(applied_v, memory.highest_v)
+            memory.highest_v = max(memory.highest_v, float(applied_v.max()))
         displacement, memory.linear_state = continue_linear(system, hysteresis, memory.linear_state)
         return self.sensed(displacement, sample_period_s, memory)

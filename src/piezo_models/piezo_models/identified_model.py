@@ -33,6 +33,10 @@ class IdentifiedModel:
     visited : ndarray of bool, shape (L, L), optional
         Cells of the density that the recordings determine; lower triangular. In the others it is a
         continuation. None where that is not known.
+    adequacy : dict of str to dict
+        By component (creep, dynamics, hysteresis): whether it leaves more than the noise of the
+        recording that it was estimated from; see `model_document.AdequacyPart`. Empty where that
+        is not known.
     """
 
     model: StageModel
@@ -43,3 +47,4 @@ class IdentifiedModel:
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     uncertainties: dict[str, dict[str, Any]] = field(default_factory=dict)
     visited: NDArray[np.bool_] | None = None
+    adequacy: dict[str, dict[str, Any]] = field(default_factory=dict)

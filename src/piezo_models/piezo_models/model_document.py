@@ -3,7 +3,7 @@
 
 import json
 import math
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import model_validator
@@ -58,6 +58,15 @@ class HystereticCreepPart(Part):
     half_widths_v: list[NotNegative] = entry("Half the width of each play.", unit="V")
     time_constants_s: list[Positive] = entry("Time constant of each.", unit="s")
     weights_um_per_v: Numbers = entry("Weight of each.", unit="um/V")
+
+
+class FirstRisePart(Part):
+    """First-cycle remanence of a stage that was never cycled."""
+
+    voltages_v: Numbers = entry("Increasing voltages.", unit="V", shortest=2)
+    remanence_um: list[NotNegative] = entry(
+        "Displacement that remains after a first rise to each of them, from 0 on.", unit="um",
+        shortest=2)
 
 
 class HysteresisPart(Part):
@@ -126,6 +135,24 @@ class UncertaintiesPart(Part):
     dynamics: DynamicsDeviations | None = entry("Of the dynamics.", default=None)
 
 
+class AdequacyPart(Part):
+    """How well a component fits the recording that it was estimated from."""
+
+    residual_rms_um: NotNegative = entry(
+        "What is left, of the mean period where the voltage repeats itself.", unit="um")
+    noise_rms_um: NotNegative = entry("The noise in the same samples.", unit="um")
+    ratio: NotNegative = entry("The first over the second.", unit="1")
+    verdict: Literal["adequate", "inadequate"] = entry(
+        '"adequate" if what is left is noise, or too little to matter; else "inadequate".')
+    error_percent: NotNegative | None = entry(
+        "Relative error e_y (4.20) on the data that were fitted.", unit="%", default=None)
+    noise_from: str | None = entry("What told the noise.", default=None)
+    left: str | None = entry(
+        "If inadequate: what is left beyond the noise, at which frequencies, when, at which "
+        "voltages.", default=None)
+    advice: str | None = entry("If inadequate: what to do.", default=None)
+
+
 class RecordingPart(Part):
     """A recording that the model was identified from."""
 
@@ -157,6 +184,11 @@ class ModelDocument(Document):
         "Standard deviations of parameters.", default=UncertaintiesPart())
     hysteretic_creep: HystereticCreepPart | None = entry(
         "Creep that depends on the branch of the hysteresis.", default=None)
+    first_rise: FirstRisePart | None = entry(
+        "What a stage lacks until it has risen to its highest voltage once.", default=None)
+    adequacy: dict[str, AdequacyPart] = entry(
+        "By component (creep, dynamics, hysteresis): what it leaves of its own recording.",
+        default={})
     visited: list[str] | None = entry(
         "Row i of the density: 1 for each of its i + 1 cells that the recordings determine, "
         "else 0.", default=None)
@@ -213,6 +245,10 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
             "weights_um_per_v": list(hysteretic.weights_um_per_v),
         }
     }
+    first_rise = {} if model.first_rise is None else {"first_rise": {
+        "voltages_v": list(model.first_rise.voltages_v),
+        "remanence_um": list(model.first_rise.remanence_um),
+    }}
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -237,6 +273,8 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
         **({"effects": effects} if effects else {}),
         **uncertainties,
         **hysteretic_creep,
+        **first_rise,
+        **({"adequacy": _plain(identified.adequacy)} if identified.adequacy else {}),
         **visited,
         "hysteresis": {
             "voltage_min_v": hysteresis.voltage_min_v,

@@ -13,6 +13,7 @@ from piezo_common.schema import SchemaError, checked
 from piezo_common.schema.checking import quoted
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, known_effects
+from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
@@ -61,7 +62,7 @@ def built_model(document: ModelDocument) -> IdentifiedModel:
     SchemaError
         If the parts contradict each other, or an effect is not installed.
     """
-    hysteretic = document.hysteretic_creep
+    hysteretic, first_rise = document.hysteretic_creep, document.first_rise
     low_v, high_v = document.voltage_range_v
     return IdentifiedModel(
         model=StageModel(
@@ -71,6 +72,9 @@ def built_model(document: ModelDocument) -> IdentifiedModel:
             None if hysteretic is None else _built(
                 "hysteretic_creep", HystereticCreep, **dict(hysteretic)),
             _effects(document),
+            None if first_rise is None else _built(
+                "first_rise", FirstRise, tuple(first_rise.voltages_v),
+                tuple(first_rise.remanence_um)),
         ),
         voltage_range_v=(low_v, high_v),
         sample_periods_s=document.sample_periods_s,
@@ -81,6 +85,8 @@ def built_model(document: ModelDocument) -> IdentifiedModel:
             name: {parameter: _infinite_where_untold(value) for parameter, value in part}
             for name, part in document.uncertainties if part},
         visited=_visited(document.visited),
+        adequacy={component: part.model_dump(exclude_none=True)
+                  for component, part in document.adequacy.items()},
     )
 
 

@@ -22,7 +22,8 @@ class SimulatedStage:
     Parameters
     ----------
     plant : path-like or PlantConfig, optional
-        Plant file, or what was read from one; by default the stage of thesis chapter 4.
+        Plant file, the name of a plant that comes with this package (`plant_file.PLANTS`), or what
+        was read; by default the stage of thesis chapter 4.
     seed : int
         Seed of everything random, not negative.
     sample_rate_hz : float

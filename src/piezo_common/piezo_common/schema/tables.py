@@ -2,7 +2,7 @@
 """Write the fields of a schema as a table in Markdown."""
 
 from collections.abc import Iterator
-from typing import Any, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
@@ -36,8 +36,9 @@ def _rows(kind: type[Part], prefix: str) -> Iterator[str]:
         yield "| " + " | ".join(str(cell) for cell in cells) + " |\n"
         part = _part(field.annotation)
         if part:
-            brackets = "[]" if get_origin(field.annotation) is list else ""
-            yield from _rows(part, f"{prefix}{name}{brackets}.")
+            origin = get_origin(field.annotation)
+            within = "[]" if origin is list else ".NAME" if origin is dict else ""
+            yield from _rows(part, f"{prefix}{name}{within}.")
 
 
 def type_name(annotation: Any) -> str:
@@ -54,6 +55,8 @@ def type_name(annotation: Any) -> str:
         return type_name(annotation.__origin__)
     arguments = [entry for entry in get_args(annotation) if entry is not type(None)]
     origin = get_origin(annotation)
+    if origin is Literal:
+        return " or ".join(f'"{choice}"' for choice in arguments)
     if origin is list:
         return f"list of {_plural(type_name(arguments[0]))}"
     if origin is dict:

@@ -71,6 +71,8 @@ def _diagnose(options: argparse.Namespace) -> None:
         options.model, options.data, options.holdout, options.output, print_progress,
         lambda path: read_all_given(path, options))
     _print_table(results.diagnosis, verdict_sentence(results.diagnosis))
+    for sentence in results.outside:
+        print(sentence)
     print(f"written to {options.output}")
 
 

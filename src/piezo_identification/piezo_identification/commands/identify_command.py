@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from piezo_common.command_line import print_progress, run_command
+from piezo_identification.adequacy.component_adequacy import adequacy_table
 from piezo_identification.commands.response_options import (
     add_response_options,
     hold_s_of,
@@ -152,6 +153,7 @@ def _print_summary(identified: IdentifiedModel) -> None:
     ]
     for name, value in rows:
         print(f"{name:24}{value}" if len(name) < 24 else f"{name}  {value}")
+    print(adequacy_table(identified.adequacy))
 
 
 def _error_rows(errors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -5,10 +5,13 @@ import argparse
 import sys
 from pathlib import Path
 
+import numpy as np
+
 from piezo_common.command_line import run_command
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction import predict
+from piezo_identification.prediction.outside_identified import outside_identified
 from piezo_identification.prediction.prediction_pictures import draw_displacement, draw_loops
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.data_options import FILE_HELP, add_columns_option, read_given
@@ -43,9 +46,9 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _simulate(options: argparse.Namespace) -> None:
     model_path, data_path, directory = options.model, options.data, options.output
-    model = load_model(model_path).model
+    identified = load_model(model_path)
     recording = read_given(data_path, options)
-    prediction = predict(model, recording)
+    prediction = predict(identified.model, recording)
     if prediction.reversed:
         print(sign_text(data_path))
     if not prediction.good.all():
@@ -54,11 +57,18 @@ def _simulate(options: argparse.Namespace) -> None:
         print("the recording does not begin saturated: taken to have come from {:.4g} V by way of "
               "{:.4g} V".format(*prediction.past_v))
     print(f"e_y_percent {prediction.e_y_percent():.4g}")
+    found = outside_identified(identified, prediction.voltage_v, prediction.past_v)
+    for sentence in found.sentences():
+        print(sentence)
+    inside = ~found.outside & prediction.good
+    if found.outside.any() and np.unique(prediction.measured_um[inside]).size > 1:
+        print(f"e_y_percent_inside {prediction.e_y_percent(inside):.4g}")
     if directory is None:
         return
     directory.mkdir(parents=True, exist_ok=True)
-    for name, draw in (("displacement.png", draw_displacement), ("loops.png", draw_loops)):
-        draw(directory / name, prediction)
+    draw_displacement(directory / "displacement.png", prediction, found.deviation_um)
+    draw_loops(directory / "loops.png", prediction)
+    for name in ("displacement.png", "loops.png"):
         print(f"drawn {directory / name}")
 
 

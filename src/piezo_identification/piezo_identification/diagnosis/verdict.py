@@ -97,7 +97,7 @@ def save_extended_model(path: Path, identified: IdentifiedModel, verdict: Verdic
     """
     if verdict.model is not identified.model:
         identified = replace(
-            identified, model=verdict.model, uncertainties={},
+            identified, model=verdict.model, uncertainties={}, adequacy={},
             errors={**identified.errors, "before_diagnosis": verdict.before,
                     "after_diagnosis": verdict.after},
             recordings=[*identified.recordings, *(

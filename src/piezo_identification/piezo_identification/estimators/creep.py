@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Creep from a long square wave, by output-error fit."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from piezo_common.cancellation import check_cancelled
+from piezo_identification.conditioning.recording_start import square_part, without_first
 from piezo_identification.conditioning.settling import low_frequency_delay_s, settling_time_s
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
 from piezo_identification.estimators.estimate import (
@@ -28,6 +31,10 @@ BINS_PER_DECADE = 60
 """Averaging after a step: creep needs no finer view of logarithmic time."""
 
 
+FEWEST_STEPS = 2
+"""Of a record whose first level returns, so that it may differ from the later ones."""
+
+
 class CreepNotShown(ValueError):
     """A recording does not show as many pairs as are asked for."""
 
@@ -43,6 +50,11 @@ def estimate_creep(
     The measured mean displacement is then a sum of exponentials in the known voltage, and the
     error of this output, not of a one-step prediction, is made least: an equation-error fit such as
     ARMAX would take the offset's step for creep.
+
+    Until its first step the hysteresis may be anywhere. From then on the loop between the levels is
+    closed: a return to a level has the output that it had there before. So where the Bayesian
+    information criterion says that what comes before the first step is not on the loop, it is left
+    out.
 
     Parameters
     ----------
@@ -64,7 +76,19 @@ def estimate_creep(
     ValueError
         If the recording has gaps or is no square wave, or the data do not show as many pairs.
     """
-    record = _CreepRecord(played(recording), dynamics)
+    part = square_part(played(recording))
+    record = _CreepRecord(part, dynamics)
+    if record.wave.steps.size < FEWEST_STEPS:
+        return _estimate(record, pair_count)
+    cut = _estimate(_CreepRecord(without_first(part, record.wave.steps[0]), dynamics), pair_count)
+    whole = _estimate(record, pair_count)
+    off_um = record.first_run_off_um(cut.model)
+    return whole if off_um == 0.0 else replace(
+        cut, start=f"its first {record.first_run_s:.4g} s, up to the first step, are {off_um:+.3g} "
+        "um off the loop of the later ones: left out")
+
+
+def _estimate(record: "_CreepRecord", pair_count: int | None) -> Estimate:
     rates = np.empty(0)
     best, trials = rates, [record.trial(rates)]
     for _ in range(MOST_PAIRS if pair_count is None else pair_count):
@@ -76,7 +100,7 @@ def estimate_creep(
         best = rates
     if pair_count is not None and trials[-1].refusal:
         raise CreepNotShown(
-            f"{recording.path} does not show {pair_count} pairs of creep poles and zeros "
+            f"{record.path} does not show {pair_count} pairs of creep poles and zeros "
             f"({trials[-1].refusal}): ask for fewer, or record longer"
         )
     model, standard_deviations = record.creep(best)
@@ -87,6 +111,7 @@ class _CreepRecord:
     """The averaged record, and the response of creep exponentials to its voltage."""
 
     def __init__(self, recording, dynamics):
+        self.path = recording.path
         self.wave = square_wave(recording)
         if self.wave.steps.size == 0:
             raise ValueError(f"{recording.path} has no step of the voltage: record a whole period")
@@ -175,6 +200,31 @@ class _CreepRecord:
             np.eye(rates.size) / coefficients[1]
         )
         return creep_of_partial_fractions(rates, gains, propagated(relative, covariance))
+
+    @property
+    def first_run_s(self):
+        """Time before the first step."""
+        return self.wave.steps[0] * self.period_s
+
+    def first_run_off_um(self, creep):
+        """Level before the first step less that of later ones; 0 where it may be the same.
+
+        Compared are fits at given rates, of which one has a level of its own before the first step.
+        The creep answers the difference too, and so ends in a decay with free coefficients.
+        """
+        rates = np.asarray(creep.poles_rad_per_s)
+        first = np.arange(self.wave.level.size) < self.wave.steps[0]
+        of_first = self._average(np.column_stack(
+            [first, *(first * np.exp(-rate * self.time_s) for rate in rates)]))
+        basis = self._basis(rates)
+        own = np.column_stack([basis, of_first])
+        coefficients, _, rank, _ = np.linalg.lstsq(own, self.displacement, rcond=1e-12)
+        apart = np.sum((self.displacement - own @ coefficients) ** 2)
+        together = np.sum(self._fit(rates)[1] ** 2)
+        rows = self.displacement.size
+        gain = rows * np.log(together / max(apart, np.finfo(float).tiny))
+        free = rank - np.linalg.matrix_rank(basis)
+        return float(coefficients[basis.shape[1]]) if gain > free * np.log(rows) else 0.0
 
     def trial(self, rates):
         """How well these rates do, and whether they can be creep at all."""

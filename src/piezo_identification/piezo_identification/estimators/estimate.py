@@ -63,6 +63,8 @@ class Estimate:
         Every order that was fitted.
     order_given : bool
         True if the user asked for this order.
+    start : str
+        What people are told of the state in which the recording begins.
     """
 
     model: Any
@@ -70,6 +72,7 @@ class Estimate:
     order: int
     trials: tuple
     order_given: bool = False
+    start: str = ""
 
     @property
     def residual_rms(self) -> float:

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Identify a stage model from recordings: the sequence of estimators from top to bottom.
 
-recordings -> conditioned -> linear dynamics -> hysteresis -> model -> refined -> errors -> result
+recordings -> conditioned -> linear dynamics -> hysteresis -> model -> refined -> errors
+-> adequacy -> result
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,6 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.cancellation import checking
+from piezo_identification.adequacy.component_adequacy import adequacy_document, adequacy_of
+from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
+from piezo_identification.adequacy.plausibility import implausible_data, implausible_model
+from piezo_identification.conditioning.recording_start import motion_um_per_s
+from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.estimate import untold_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
@@ -19,7 +25,16 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.estimators.hysteresis.density_fit import (
+    estimate_density,
+    hysteresis_output_um,
+)
+from piezo_identification.estimators.hysteresis.first_rise_fit import SETTINGS as FIRST_RISE
+from piezo_identification.estimators.hysteresis.first_rise_fit import (
+    estimate_first_rise,
+    highest_before,
+    without_first_rise,
+)
 from piezo_identification.estimators.refinement.joint_fit import refine as fit_jointly
 from piezo_identification.identification.given_data import (
     Data,
@@ -36,9 +51,11 @@ from piezo_identification.identification.progress import (
     IdentificationCancelled,
     Stages,
 )
+from piezo_identification.prediction.model_run import ModelRun
 from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
+from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import sha256_of
 from piezo_recorder.reading.recording import Recording
@@ -130,22 +147,65 @@ def identify(
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
     with checking(stages.check):
         recordings = rising_with_voltage(with_marked_outliers(given, tell))
+        tell_implausible(implausible_data(recordings), tell)
         linear = estimate_linear_dynamics(
             recordings.get("creep"), recordings.get("dynamics"), recordings["hysteresis"], method,
             order, stages.part(0.0, 0.6))
         stages.begin("hysteresis", 0.6)
-        density = estimate_density(
-            recordings["hysteresis"], linear.creep, linear.dynamics, delay_s=linear.delay_s)
+        refuse_impossible_loops(
+            recordings["hysteresis"], linear.creep, linear.dynamics, linear.delay_s)
+        density, first_rise, cycled = estimate_loops(recordings["hysteresis"], linear)
         tell_estimates(linear, density, tell)
-        fitted = fitted_model(linear, density)
+        tell_starts(recordings, linear, first_rise, tell)
+        fitted = fitted_model(linear, density, first_rise)
         if refine:
-            fitted = refined(fitted, recordings, stages)
+            fitted = refined(fitted, recordings | {"hysteresis": cycled}, stages)
         tell_uncertain_parameters(fitted, tell)
+        tell_implausible(implausible_model(fitted.model, recordings), tell)
         stages.begin("validation", 0.95)
         errors = validation_errors(fitted.model, recordings) | fitted.errors
-        identified = identified_model(fitted, errors, given)
+        adequacy = adequacy_document(adequacy_of(fitted.model, recordings))
+        identified = replace(identified_model(fitted, errors, given), adequacy=adequacy)
         stages.begin("done", 1.0)
     return identified
+
+
+def estimate_loops(
+    recording: Recording, linear: LinearDynamics,
+) -> tuple[DensityEstimate, FirstRise | None, Recording]:
+    """Estimate the density, and the first-cycle remanence where the recording shows one.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the hysteresis.
+    linear : LinearDynamics
+
+    Returns
+    -------
+    DensityEstimate
+    FirstRise or None
+        None unless the loops are fitted far better beside it.
+    Recording
+        As of a stage that was cycled before.
+    """
+    def fitted_error_um(density: DensityEstimate, first_rise: FirstRise | None) -> float:
+        return ModelRun(fitted_model(linear, density, first_rise).model, recording).error_um(())
+
+    density = estimate_density(recording, linear.creep, linear.dynamics, delay_s=linear.delay_s)
+    part = played(recording)
+    first_rise = estimate_first_rise(
+        np.asarray(part.voltage_v, dtype=float),
+        hysteresis_output_um(part, linear.creep, linear.dynamics, linear.delay_s),
+        highest_before(recording))
+    if first_rise is None:
+        return density, None, recording
+    cycled = without_first_rise(recording, first_rise, linear.creep, linear.dynamics)
+    beside = estimate_density(cycled, linear.creep, linear.dynamics, delay_s=linear.delay_s)
+    most_um = FIRST_RISE.largest_error_ratio * fitted_error_um(density, None)
+    if fitted_error_um(beside, first_rise) > most_um:
+        return density, None, recording
+    return beside, first_rise, cycled
 
 
 def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
@@ -156,11 +216,42 @@ def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
     tell(f"hysteresis: {density.report()}")
 
 
-def fitted_model(linear: LinearDynamics, density: DensityEstimate) -> FittedModel:
+def tell_starts(recordings: Mapping[str, Data], linear: LinearDynamics,
+                first_rise: FirstRise | None, tell: Callable[[str], object]) -> None:
+    """Tell in which state each recording begins, and what is made of it.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+    linear : LinearDynamics
+    first_rise : FirstRise or None
+        That the recording of the hysteresis showed.
+    tell : callable
+        Called with a sentence for each recording.
+    """
+    for name, data in recordings.items():
+        if isinstance(data, FrequencyResponse):
+            continue
+        part = played(data)
+        words = [f"begins at {part.voltage_v[0]:.4g} V"]
+        velocity = motion_um_per_s(part)
+        if velocity:
+            words.append(f"in motion, {velocity:+.3g} um/s: its initial state is fitted")
+        if name in linear.estimates and linear.estimates[name].start:
+            words.append(linear.estimates[name].start)
+        if name == "hysteresis" and first_rise is not None:
+            words.append(
+                f"on a stage that was never cycled: its first rise leaves {first_rise.whole_um:.3g}"
+                " um for good, which the model keeps apart")
+        tell(f"start of the {name}: {'; '.join(words)}")
+
+
+def fitted_model(linear: LinearDynamics, density: DensityEstimate,
+                 first_rise: FirstRise | None = None) -> FittedModel:
     """Put the estimated components together; a significant delay becomes an effect."""
     model = StageModel(
         density.model(), linear.creep, linear.dynamics,
-        effects=(Delay(linear.delay_s),) if linear.delay_s else (),
+        effects=(Delay(linear.delay_s),) if linear.delay_s else (), first_rise=first_rise,
     )
     return FittedModel(model, linear.uncertainties, density.visited)
 
@@ -198,6 +289,12 @@ def refined(fitted: FittedModel, recordings: Mapping[str, Any], stages: Stages) 
         return replace(fitted, errors=errors)
     return replace(
         fitted, model=result.model, uncertainties=result.standard_deviations, errors=errors)
+
+
+def tell_implausible(found: Sequence[str], tell: Callable[[str], object]) -> None:
+    """Tell what is implausible, as what it makes of the model is not to be relied on."""
+    for text in found:
+        tell(f"implausible: {text}")
 
 
 def tell_uncertain_parameters(fitted: FittedModel, tell: Callable[[str], object]) -> None:

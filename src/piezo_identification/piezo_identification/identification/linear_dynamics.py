@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
+from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.waveforms import played, square_wave
 from piezo_identification.estimators.creep import estimate_creep
 from piezo_identification.estimators.dynamics.armax_dynamics import estimate_dynamics_armax
@@ -164,7 +165,7 @@ def _from_samples(
 
 
 def _is_square_wave(recording: Recording) -> bool:
-    part = played(recording)
+    part = square_part(played(recording))
     try:
         return square_wave(part).steps.size > 0
     except ValueError:

@@ -10,6 +10,7 @@ from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperim
 from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
+from piezo_identification.adequacy.component_adequacy import overall_verdict
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
 from piezo_identification.diagnosis.report.results import diagnose_files
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
@@ -166,12 +167,14 @@ class IdentificationNode(LifecycleNode):
                 progress=lambda stage, fraction: progress.report(
                     EXPERIMENTS_FRACTION + (1.0 - EXPERIMENTS_FRACTION) * fraction,
                     stage=f"estimate: {stage}"),
-                cancelled=lambda: progress.cancelled)
+                cancelled=lambda: progress.cancelled, note=self.get_logger().info)
         except IdentificationCancelled:
             raise Cancelled from None
         model = directory / "model.json"
         save_model(model, identified)
         result.model = str(model)
+        result.adequacy = overall_verdict(identified.adequacy)
+        result.adequacy_json = json.dumps(identified.adequacy)
         result.error_names = list(identified.errors)
         result.error_values = [float(value) for value in identified.errors.values()]
 

@@ -2,6 +2,7 @@
 """A recording, and what a model makes of its voltage after different pasts."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -22,6 +23,7 @@ from piezo_identification.estimators.frequency_response.sampled_response import 
 )
 from piezo_identification.estimators.hysteresis.everett_regression import NEAR_THE_END
 from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_recorder.reading.recording import Recording
 
 PastVoltages = tuple[float, float] | tuple[()]
@@ -197,30 +199,48 @@ class ModelRun:
         highest_v, lowest_v = best_v
         return float(highest_v), float(lowest_v)
 
-    def error_um(self, past_v: PastVoltages) -> float:
+    @cached_property
+    def highest_v(self) -> float:
+        """Voltage up to which the stage had risen before: cycled, unless less explains more.
+
+        Only a model with a first rise tells; the past of its hysteresis is that of no reversals.
+        """
+        first_rise = self.model.first_rise
+        if first_rise is None:
+            return CYCLED
+        candidates = np.linspace(
+            first_rise.voltages_v[0], first_rise.voltages_v[-1], SETTINGS.grid_points)
+        errors_um = [self.error_um((), float(highest_v)) for highest_v in candidates]
+        least = int(np.argmin(errors_um))
+        explains_more = errors_um[least] < SETTINGS.largest_error_ratio * self.error_um((), CYCLED)
+        return float(candidates[least]) if explains_more else CYCLED
+
+    def error_um(self, past_v: PastVoltages, highest_v: float | None = None) -> float:
         """Return the RMS of the difference that remains with a past."""
-        difference_um = self.measured_um - self.simulated_um(past_v)
+        difference_um = self.measured_um - self.simulated_um(past_v, highest_v)
         return float(np.sqrt(np.mean(difference_um[self.good] ** 2)))
 
-    def simulated_um(self, past_v: PastVoltages) -> FloatArray:
+    def simulated_um(self, past_v: PastVoltages, highest_v: float | None = None) -> FloatArray:
         """Simulate the displacement after a past, with offset and initial creep fitted.
 
         Parameters
         ----------
         past_v : (float, float) or ()
             Of `starting_past_v`.
+        highest_v : float, optional
+            Up to which the stage has risen before; by default `highest_v` of this run.
 
         Returns
         -------
         ndarray, shape (N,)
         """
-        simulated_um = self._response_um(past_v)
+        simulated_um = self._response_um(past_v, highest_v)
         difference_um = self.measured_um - simulated_um
         nuisance, good = self._nuisance, self.good
         return simulated_um + nuisance @ np.linalg.lstsq(
             nuisance[good], difference_um[good], rcond=1e-12)[0]
 
-    def _response_um(self, past_v: PastVoltages) -> FloatArray:
+    def _response_um(self, past_v: PastVoltages, highest_v: float | None = None) -> FloatArray:
         """Return the displacement after a past, without offset and initial creep."""
         model, part = self.model, self.part
         past = model.hysteresis.memory()
@@ -231,6 +251,10 @@ class ModelRun:
             hysteresis_um += model.hysteretic_creep.simulate(
                 self._voltage_v, part.sample_period_s, memory.hysteretic_creep
             )
+        if model.first_rise is not None:
+            highest_v = self.highest_v if highest_v is None else highest_v
+            hysteresis_um += model.first_rise.simulate(
+                self._voltage_v, max(highest_v, self._before_v.max()))
         simulated_um = respond(
             self._system, hysteresis_um, part.sample_period_s, self._samples, self._delay_s)
         for effect in self._effects:

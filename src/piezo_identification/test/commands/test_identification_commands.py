@@ -48,6 +48,8 @@ def test_identify_writes_a_model_that_holds_on_unseen_data(plant, model_file):
     frequency_hz = np.array([100.0, 500.0, 1000.0])
     ratio = identified.model.response(frequency_hz) / plant.response(frequency_hz)
     assert np.abs(ratio - 1.0).max() < 1e-3
+    assert {part["verdict"] for part in identified.adequacy.values()} == {"adequate"}
+    assert list(identified.adequacy) == ["creep", "dynamics", "hysteresis"]
 
 
 def test_the_model_names_range_periods_and_recordings(files, model_file):
@@ -71,6 +73,12 @@ def test_identify_takes_orders_and_says_why_and_what_the_data_determine(files, t
     printed = capsys.readouterr().out
     assert printed.count("<- asked for") == 2
     assert "of the Preisach plane visited" in printed
+    # Three creep pairs and a mode too few, on the data that were fitted themselves.
+    adequacy = load_model(output).adequacy
+    assert {name: part["verdict"] for name, part in adequacy.items()} == {
+        "creep": "inadequate", "dynamics": "inadequate", "hysteresis": "inadequate"}
+    assert "creep is inadequate: " in printed
+    assert f"let diagnose name the cause from {files['dynamics']}" in printed
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING
 from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
+    from piezo_models.hysteresis.first_rise import FirstRise
     from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
     from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel
 
 _HOMES = {
+    "FirstRise": "first_rise",
     "HystereticCreep": "hysteretic_creep",
     "HystereticCreepMemory": "hysteretic_creep",
     "PreisachMemory": "preisach",
@@ -18,5 +20,5 @@ _HOMES = {
 __getattr__, __dir__ = lazy_exports(__name__, _HOMES)
 
 __all__ = [
-    "HystereticCreep", "HystereticCreepMemory", "PreisachMemory", "PreisachModel",
+    "FirstRise", "HystereticCreep", "HystereticCreepMemory", "PreisachMemory", "PreisachModel",
 ]

@@ -71,7 +71,8 @@ class SimulatedStageNode(StageNode):
 def create_simulated_stage(node: StageNode) -> StageBackend:
     """Make the backend that the node's parameters describe."""
     seed = declare(node, "seed", 1, "Seed of the sensor noise.", 0, 2**31 - 1)
-    plant = declare(node, "plant", "", "Plant file (YAML); empty for the default plant.")
+    plant = declare(node, "plant", "", "Plant file (YAML), or the name of a plant that comes with "
+                    "the simulator; empty for the default plant.")
     stage = SimulatedStage(
         plant or None, seed, node.settings.sample_rate_hz, node.settings.rest_voltage_v)
     # Both lack `lead_samples`, which a backend may.

@@ -25,6 +25,13 @@ from piezo_common.schema import (
 )
 from piezo_common.schema.checking import quoted
 from piezo_common.text_file import UnreadableFile, read_bounded_text
+from piezo_sim.beam.clamped_beam import ClampedBeam
+from piezo_sim.beam.clock_jitter import SamplingJitter, UpdateJitter
+from piezo_sim.beam.distributed_line import DistributedLine
+from piezo_sim.beam.generalised_plays import GeneralisedPlays
+from piezo_sim.beam.output_converter import OutputConverter
+from piezo_sim.beam.power_law_creep import PowerLawCreep
+from piezo_sim.beam.slewing_amplifier import SlewingAmplifier
 from piezo_sim.effects.current_limit import CurrentLimit
 from piezo_sim.effects.depolarisation import Depolarisation
 from piezo_sim.effects.distributed_lag import DistributedLag
@@ -48,6 +55,10 @@ from piezo_sim.plant.continuous_preisach import PreisachHysteresis
 from piezo_sim.plant.linear_effects import Creep, ElectricLag, VibrationMode
 from piezo_sim.plant.plant_effect import Effect, PlantConfigError
 from piezo_sim.plant.sensor import DisplacementSensor
+
+PLANTS = {"default": "plant.yaml", "undeclared": "undeclared.yaml", "beam": "beam.yaml"}
+"""Plants that come with this package, by name: that of thesis chapter 4, the same with two effects
+that no model is told of, and one of another mathematical form than any model."""
 
 GROUP = "piezo_sim.effects"
 """Entry points by which other packages offer effects of the plant."""
@@ -78,6 +89,21 @@ EFFECTS = {
         SelfHeating,
         IntermittentContact,
         Depolarisation,
+    )
+}
+
+# Those of the plant `beam`, in the order of the signal.
+BEAM_EFFECTS = {
+    effect.name: effect
+    for effect in (
+        OutputConverter,
+        UpdateJitter,
+        SlewingAmplifier,
+        DistributedLine,
+        GeneralisedPlays,
+        PowerLawCreep,
+        ClampedBeam,
+        SamplingJitter,
     )
 }
 
@@ -169,7 +195,7 @@ def read_plant(path: str | Path | None = None) -> PlantConfig:
     Parameters
     ----------
     path : path-like, optional
-        YAML file; by default the plant of thesis chapter 4 that comes with this package.
+        YAML file, or one of the names `PLANTS`; by default the plant ``default``.
 
     Raises
     ------
@@ -177,12 +203,14 @@ def read_plant(path: str | Path | None = None) -> PlantConfig:
         If the file cannot be read, or a section, effect or parameter is unknown, missing, without
         unit or source, not finite, or impossible.
     """
-    if path is None:
-        return parse_plant((resources.files("piezo_sim") / "plant.yaml").read_text("utf-8"))
+    name = "default" if path is None else str(path)
+    if name in PLANTS:
+        return parse_plant((resources.files("piezo_sim") / PLANTS[name]).read_text("utf-8"))
     try:
-        return parse_plant(read_bounded_text(path))
+        return parse_plant(read_bounded_text(name))
     except UnreadableFile as error:
-        raise PlantConfigError(f"{path}: the plant file {error}.") from None
+        raise PlantConfigError(f"{path}: the plant file {error}; give a file or one of "
+                               f"{', '.join(PLANTS)}.") from None
     except PlantConfigError as error:
         raise PlantConfigError(f"{path}: {error}") from None
 
@@ -218,7 +246,7 @@ def _effect(where: str, content: dict[str, Any]) -> Effect:
 def _known_effects() -> Mapping[str, type[Effect]]:
     """Return effects and faults by their names, those of other packages after those of this one."""
     try:
-        return registered(GROUP, EFFECTS | FAULTS)
+        return registered(GROUP, EFFECTS | BEAM_EFFECTS | FAULTS)
     except ValueError as error:
         raise _schema_error(str(error)) from None
 

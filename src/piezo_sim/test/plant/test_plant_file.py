@@ -7,7 +7,14 @@ import pytest
 import yaml
 
 from piezo_sim.plant.plant_effect import PlantConfigError
-from piezo_sim.plant.plant_file import parse_plant, read_plant
+from piezo_sim.plant.plant_file import (
+    BEAM_EFFECTS,
+    EFFECTS,
+    PLANTS,
+    effect_schema,
+    parse_plant,
+    read_plant,
+)
 from piezo_sim.simulated_stage import SimulatedStage
 
 
@@ -39,6 +46,40 @@ def test_default_plant_is_the_chain_of_chapter_4():
     # Coefficients of s in the denominators of G_ev.
     assert 2 * first.damping_ratio * first.frequency_rad_per_s == pytest.approx(3901, rel=1e-4)
     assert 2 * second.damping_ratio * second.frequency_rad_per_s == pytest.approx(805, rel=1e-4)
+
+
+def test_a_plant_is_chosen_by_name_or_by_file(tmp_path):
+    assert read_plant("default") == read_plant()
+    plants = {name: read_plant(name) for name in PLANTS}
+    assert all(one != other for one, other in zip(plants.values(), [*plants.values()][1:],
+                                                  strict=False))
+    path = tmp_path / "mine.yaml"
+    path.write_text((resources.files("piezo_sim") / "beam.yaml").read_text())
+    assert read_plant(path) == read_plant(str(path)) == plants["beam"]
+    with pytest.raises(PlantConfigError, match="give a file or one of default, undeclared, beam"):
+        read_plant("cantilever")
+
+
+def test_the_beam_shares_no_form_with_the_default_plant():
+    beam = read_plant("beam")
+    names = {effect.name for effect in beam.amplifier + beam.stage + beam.sensor}
+    assert names >= BEAM_EFFECTS.keys()
+    default = read_plant()
+    shared = names & {effect.name for effect in default.amplifier + default.stage + default.sensor}
+    assert shared == {"displacement_sensor"}
+    assert names - BEAM_EFFECTS.keys() - shared == {"thermal_drift", "distributed_lag"}
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_every_figure_of_a_plant_has_its_unit_and_a_source_that_says_something(plant):
+    content = yaml.safe_load((resources.files("piezo_sim") / PLANTS[plant]).read_text())
+    figures = [(entry["effect"], name, figure) for section in content.values()
+               for entry in section for name, figure in entry.items() if name != "effect"]
+    assert len(figures) >= 20
+    for effect, name, figure in figures:
+        kind = {**EFFECTS, **BEAM_EFFECTS}[effect]
+        assert name in effect_schema(kind).model_fields
+        assert len(figure["source"]) > 4, f"{effect}: {name}"
 
 
 def test_a_parameter_without_value_unit_or_source_is_refused():

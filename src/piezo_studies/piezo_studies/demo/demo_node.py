@@ -11,7 +11,6 @@ import sys
 import time
 import traceback
 from contextlib import contextmanager
-from importlib.resources import files
 from pathlib import Path
 
 from piezo_bringup.processes import Processes
@@ -20,6 +19,9 @@ from piezo_common.picture_style import to_png
 from piezo_common.progress_line import ProgressLine
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import read_recording
+from piezo_sim.plant.plant_effect import PlantConfigError
+from piezo_sim.plant.plant_file import PLANTS
+from piezo_studies.demo.demo_plant import USUAL, demo_plant
 from piezo_studies.demo.demo_report import render_report
 from piezo_studies.demo.extended_model_section import ExtendedModel
 from piezo_studies.demo.run_directory import claim_directory
@@ -34,14 +36,11 @@ from piezo_studies.demo.tracked_run import read_tracked_run
 from piezo_studies.demo.tracking_pictures import draw_errors
 
 NODES = {
-    # A stage with a creep and a vibration mode that nobody declared to the identification.
-    "stage": {"timing": "lockstep", "autostart": True, "seed": 1,
-              "plant": str(files("piezo_sim") / "undeclared.yaml")},
+    "stage": {"timing": "lockstep", "autostart": True, "seed": 1},
     "recorder": {},
     "identification": {},
     "controller": {},
 }
-DECLARED = {"modes": 2}
 # Frequency in Hz and amplitude in um peak to peak of the thesis' trajectories.
 TRAJECTORIES = ((40.0, 40.0), (100.0, 40.0), (500.0, 21.0), (1000.0, 10.25))
 CENTRE_UM = 50.0
@@ -99,11 +98,12 @@ class WatchfulClient(Client):
         return [name for name in NODES if name not in there]
 
 
-def run_demo(directory, command, progress):
+def run_demo(plant, directory, command, progress):
     """Run the demo.
 
     Parameters
     ----------
+    plant : DemoPlant
     directory : Path
         Gets the recordings, ``model.json``, ``summary.json``, ``report.html``, the picture
         ``tracking.png`` and the logs.
@@ -124,10 +124,11 @@ def run_demo(directory, command, progress):
     with Processes(directory / "logs", data_root=directory) as processes:
         progress.show("start the nodes", 0.0)
         for name, parameters in NODES.items():
-            processes.start(name, parameters)
+            told = {"plant": plant.plant} if name == "stage" else {}
+            processes.start(name, {**parameters, **told})
         with WatchfulClient(processes) as client:
             client.wait_for_nodes()
-            identified = _identify(client, processes, directory, progress)
+            identified = _identify(client, processes, plant, directory, progress)
             identified_s = time.monotonic()
             tracks = _track_all(client, processes, identified.model, directory, progress)
             tracked_s = time.monotonic()
@@ -138,7 +139,7 @@ def run_demo(directory, command, progress):
             tracked_again_s = time.monotonic()
         progress.show("end the nodes", 1.0)
     progress.show("draw the report", 1.0)
-    summary = _report(directory, identified, tracks, diagnosis, tracks_after, command)
+    summary = _report(plant, directory, identified, tracks, diagnosis, tracks_after, command)
     summary["wall_s"] = {
         "identification": identified_s - begin_s,
         "tracking": tracked_s - identified_s,
@@ -150,12 +151,12 @@ def run_demo(directory, command, progress):
     return summary
 
 
-def _identify(client, processes, directory, progress):
+def _identify(client, processes, plant, directory, progress):
     def show(feedback):
         progress.show(f"identify, {feedback.stage}", feedback.fraction, feedback.seconds_left)
 
     with _blaming(processes, "identification"):
-        return client.identify(directory, on_feedback=show, **DECLARED)
+        return client.identify(directory, on_feedback=show, **plant.declared)
 
 
 def _diagnose(client, processes, identified, directory, progress):
@@ -203,13 +204,14 @@ def _track_all(client, processes, model, directory, progress):
     return tracks
 
 
-def _report(directory, identified, tracks, diagnosis, tracks_after, command):
+def _report(plant, directory, identified, tracks, diagnosis, tracks_after, command):
     """Write the report; return the summary."""
     runs = [read_tracked_run(track) for track in tracks]
     errors = dict(zip(identified.error_names, identified.error_values, strict=True))
     runs_after = [read_tracked_run(track) for track in tracks_after]
     verdict = json.loads(diagnosis.verdict_json)
     summary = {
+        "plant": plant.name,
         **summarise(runs, errors, directory),
         "diagnosis": {key: verdict[key] for key in ("verdict", "effects", "before", "after")},
         "tracking_after": [summarise_run(run, directory) for run in runs_after],
@@ -222,7 +224,7 @@ def _report(directory, identified, tracks, diagnosis, tracks_after, command):
     (directory / "tracking.png").write_bytes(to_png(
         draw_errors(summary["tracking"], summary["tracking_after"])))
     (directory / "report.html").write_text(
-        render_report(summary, runs, model, shown, extended, command, directory),
+        render_report(plant, summary, runs, model, shown, extended, command, directory),
         encoding="utf-8")
     return summary
 
@@ -241,12 +243,20 @@ def main(args=None):
     parser = argparse.ArgumentParser(
         prog="demo", description="Identify a simulated stage, track with the model, find what the "
         "model lacks, track again with the extended model, and report.")
-    parser.add_argument("--output", type=Path, default=Path("runs/demo"), metavar="DIRECTORY",
-                        help="gets all results (default: %(default)s); an earlier run there is "
-                             "moved aside")
-    directory = parser.parse_args(args).output
-    command = shlex.join(["./run", "piezo_bringup", "demo", *(sys.argv[1:] if args is None
+    parser.add_argument("--plant", default=USUAL, metavar="PLANT",
+                        help=f"the stage: {', '.join(PLANTS)}, or a plant file "
+                             "(default: %(default)s)")
+    parser.add_argument("--output", type=Path, metavar="DIRECTORY",
+                        help="gets all results (default: runs/demo, and runs/demo-PLANT for any "
+                             "other stage than the usual one); an earlier run there is moved aside")
+    options = parser.parse_args(args)
+    command = shlex.join(["./run", "piezo_studies", "demo", *(sys.argv[1:] if args is None
                                                               else args)])
+    try:
+        plant = demo_plant(options.plant)
+    except PlantConfigError as error:
+        _fail(BAD_INPUT, error)
+    directory = options.output or plant.directory
     for number in signal.SIGINT, signal.SIGTERM:
         signal.signal(number, _interrupt)
     progress = ProgressLine()
@@ -257,7 +267,7 @@ def main(args=None):
     if earlier:
         print(f"the earlier run is now in {earlier}")
     try:
-        summary = run_demo(directory.absolute(), command, progress)
+        summary = run_demo(plant, directory.absolute(), command, progress)
     except KeyboardInterrupt:
         progress.clear()
         _fail(INTERRUPTED, f"interrupted; all nodes have ended, the recordings are in {directory}")

@@ -11,11 +11,12 @@ from piezo_studies.demo.summary import table_rows
 TITLE = "A piezo stage, identified and controlled"
 
 
-def render_report(summary, runs, model, recordings, extended, command, directory):
+def render_report(plant, summary, runs, model, recordings, extended, command, directory):
     """Return the report as one HTML page.
 
     Parameters
     ----------
+    plant : DemoPlant
     summary : dict
         Of `summary.summarise`.
     runs : list of TrackedRun
@@ -29,7 +30,7 @@ def render_report(summary, runs, model, recordings, extended, command, directory
     directory : path-like
         Where the model and the recordings are.
     """
-    return render_page(TITLE, _introduction(command), [
+    return render_page(TITLE, _introduction(plant, command), [
         _errors_section(summary),
         _identification_section(summary["identification"], model, recordings, directory),
         *(_frequency_section(frequency_hz, [run for run in runs
@@ -40,12 +41,13 @@ def render_report(summary, runs, model, recordings, extended, command, directory
     ])
 
 
-def _introduction(command):
+def _introduction(plant, command):
     return (
         "A simulated stage was identified from its own measurements. It then followed sines, "
-        "controlled with the identified model. The stage does more than the model was "
-        "allowed to describe. A diagnostic recording showed what, the model was extended by it, "
-        "and the stage followed the same sines again. Stage, recorder, identification and "
+        "controlled with the identified model.",
+        plant.sentence,
+        "A diagnostic recording was searched for what the model lacks, the model was extended by "
+        "it, and the stage followed the same sines again. Stage, recorder, identification and "
         "controller ran as separate ROS 2 nodes in lockstep: the speed of the machine changes no "
         "number except the speed itself.",
         f"All numbers and pictures come from one run of `{command}`. The recordings, the model and "

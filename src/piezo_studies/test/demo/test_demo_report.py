@@ -16,6 +16,7 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics, zoh_response
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
+from piezo_studies.demo.demo_plant import demo_plant
 from piezo_studies.demo.demo_report import render_report
 from piezo_studies.demo.extended_model_section import ExtendedModel
 from piezo_studies.demo.square_wave_response import CLEARANCE, square_wave_response
@@ -86,7 +87,8 @@ def drawn(model, recordings, tracking_recordings, tmp_path_factory, picture_faul
                              replace(model, effects=(MODE,)), runs_after)
     pages = []
     faults = picture_faults(lambda: pages.append(render_report(
-        summary, runs, model, recordings, extended, "demo --output <here>", directory)))
+        demo_plant("beam"), summary, runs, model, recordings, extended, "demo --output <here>",
+        directory)))
     return pages[0], faults
 
 

@@ -7,9 +7,12 @@ from datetime import datetime
 from os import PathLike
 from pathlib import Path
 
+from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.diagnose import Diagnosis, Progress, diagnose
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
+from piezo_identification.prediction.outside_identified import outside_identified
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import only_recording, read_recordings, sha256_of
 from piezo_recorder.reading.recording import Recording
@@ -26,12 +29,15 @@ class DiagnosisResults:
     ----------
     diagnosis : piezo_identification.diagnosis.diagnose.Diagnosis
     verdict, extended_model, report : Path
+    outside : tuple of str
+        Sentences on what of the recordings leaves what the model was identified on.
     """
 
     diagnosis: Diagnosis
     verdict: Path
     extended_model: Path
     report: Path
+    outside: tuple[str, ...] = ()
 
 
 def diagnose_files(
@@ -77,12 +83,20 @@ def diagnose_files(
         stage, READ_FRACTION + (REPORT_FRACTION - READ_FRACTION) * fraction))
     progress("write the report", REPORT_FRACTION)
     results = DiagnosisResults(diagnosis, directory / "verdict.json",
-                               directory / "extended_model.json", directory / "report.html")
+                               directory / "extended_model.json", directory / "report.html",
+                               _outside(identified, read))
     write_verdict(results.verdict, diagnosis)
     save_extended_model(results.extended_model, identified, diagnosis, recordings)
     origin = [("diagnosed", datetime.now().astimezone().isoformat(" ", "seconds")),
               ("model", f"{model}, of {identified.created}"),
+              *(("outside", sentence) for sentence in results.outside),
               *(("recording", f"{path}, SHA-256 {sha256_of(path)[:16]}") for path in recordings),
               ("extended model", str(results.extended_model))]
     results.report.write_text(render_report(diagnosis, origin), encoding="utf-8")
     return results
+
+
+def _outside(identified: IdentifiedModel, recordings: Sequence[Recording]) -> tuple[str, ...]:
+    return tuple(
+        f"{recording.path}: {sentence}" for recording in recordings
+        for sentence in outside_identified(identified, played(recording).voltage_v).sentences())

@@ -23,8 +23,10 @@ from piezo_identification.estimators.frequency_response.sampled_response import 
     respond,
 )
 from piezo_identification.prediction import starting_past_v
+from piezo_identification.prediction.model_run import ModelRun
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
+from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
 
@@ -102,6 +104,8 @@ class SimulatedRecording:
                 f"{SETTINGS.fewest_samples} after the start has settled: record longer"
             )
         self.past_v = starting_past_v(model, recording) if past_v is None else past_v
+        self._highest_v = CYCLED if model.first_rise is None else (
+            ModelRun(model, recording).highest_v)
         self._outputs: dict[tuple, FloatArray] = {}
         self._amplified_v = model.amplified(self._joined_v, self.sample_period_s)
         self.hysteresis_um, rest_um = self._hysteresis(model.hysteresis, self._amplified_v)
@@ -167,6 +171,8 @@ class SimulatedRecording:
         memory = hysteresis.memory()
         hysteresis.simulate(self.past_v, memory)
         output_um = hysteresis.simulate(amplified_v, memory)
+        if self.model.first_rise is not None:
+            output_um += self.model.first_rise.simulate(amplified_v, self._highest_v)
         return output_um[self._samples_before :], output_um[0]
 
     def _with_creep(self, hysteresis_um: FloatArray, amplified_v: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.signal import lfilter, lfilter_zi
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_identification.estimators.estimate import Estimate
@@ -63,7 +64,7 @@ class _DynamicsRecord:
     """The mean period of the record without creep, and the response of models to it."""
 
     def __init__(self, recording: Recording, creep: CreepDynamics) -> None:
-        part = played_at_the_clock(recording)
+        part = square_part(played_at_the_clock(recording))
         self.period_s = part.sample_period_s
         wave = square_wave(part)
         quick_um = remove_creep(part.displacement_um, creep, self.period_s)

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from piezo_common.arrays import FloatArray
 from piezo_models.hysteresis.preisach import PreisachModel
 
+LINE = "a line, which predicts what is held out as well as a hysteresis"
+"""Method of an estimate whose density is zero: the stage answers in proportion."""
+
 
 @dataclass(frozen=True, eq=False)
 class DensityEstimate:
@@ -34,6 +37,8 @@ class DensityEstimate:
         For the smoothed method.
     reversible_um_per_v : ndarray, shape (n,), optional
         On the diagonal, alpha = beta; for the smoothed method.
+    translation_weight : float
+        For the smoothed method.
     """
 
     method: str
@@ -45,6 +50,12 @@ class DensityEstimate:
     rank: int | None = None
     smoothing_weight: float | None = None
     reversible_um_per_v: FloatArray | None = None
+    translation_weight: float = 0.0
+
+    @property
+    def is_line(self) -> bool:
+        """True if there is no hysteresis."""
+        return self.reversible_um_per_v is not None and not self.density_um_per_v2.any()
 
     @property
     def visited_fraction(self) -> float:
@@ -66,6 +77,8 @@ class DensityEstimate:
 
     def report(self) -> str:
         """One line for people: method, grid, rank, and what was not visited."""
+        if self.is_line:
+            return f"{self.method}: {self.reversible_um_per_v[0]:.6g} um/V"
         words = [f"{self.method}, {len(self.visited)} x {len(self.visited)} cells"]
         if self.rank is not None:
             words.append(
@@ -74,6 +87,8 @@ class DensityEstimate:
             )
         if self.smoothing_weight is not None:
             words.append(f"smoothing weight {self.smoothing_weight:.0e}")
+        if self.translation_weight:
+            words.append(f"translation weight {self.translation_weight:.0e}")
         visited = f"{100.0 * self.visited_fraction:.1f} % of the Preisach plane visited"
         if self.visited_fraction < 1.0:
             rows, columns = np.nonzero(np.tril(~self.visited))

@@ -1,23 +1,40 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Preisach density from a recording: the linear dynamics removed, then the estimate."""
+"""Preisach density from recordings: the linear dynamics removed, then the estimate."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples
+from piezo_identification.conditioning.segments import Recordings, played_segments
 from piezo_identification.conditioning.settling import first_settled, low_frequency_delay_s
-from piezo_identification.conditioning.waveforms import played, sample_by_voltage
 from piezo_identification.estimators.dynamics.square_wave import remove_creep
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
+from piezo_identification.estimators.hysteresis.dynamics_inverse import (
+    follows_fast,
+    remove_dynamics,
+)
+from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
+from piezo_identification.estimators.hysteresis.smoothed_density import density_of_segments
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
+LEVELS = 70
+"""Levels above the lowest voltage, where the voltage passes by so many."""
+
+FEWEST_LEVELS = 4
+"""Levels that any recording gets."""
+
+LARGE_STEP_SHARE = 0.9
+"""Of the changes of the voltage from sample to sample that are no larger than a level."""
+
 
 def estimate_hysteresis(
-    recording: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
-    level_count: int = 70, cells_per_level: int = 2, smoothing_weight: float | None = None,
+    recording: Recordings, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
+    level_count: int | None = None, cells_per_level: int = 2,
+    smoothing_weight: float | None = None,
 ) -> PreisachModel:
     """Estimate the hysteresis: the model of `estimate_density`, which describes the parameters.
 
@@ -36,32 +53,32 @@ def estimate_hysteresis(
 
 
 def estimate_density(
-    recording: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
-    level_count: int = 70, cells_per_level: int = 2, smoothing_weight: float | None = None,
-    translation_weight: float = 0.0, delay_s: float = 0.0,
+    recording: Recordings, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
+    level_count: int | None = None, cells_per_level: int = 2,
+    smoothing_weight: float | None = None, translation_weight: float | None = None,
+    delay_s: float = 0.0,
 ) -> DensityEstimate:
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
     Creep and fast dynamics are removed by their inverses, Fig. 4.8. What is left makes a linear
     regression (4.11), solved by smoothed non-negative least squares with all samples; offset and
     initial creep are free. Any input will do: `DensityEstimate.visited` tells which part of the
-    plane it determines.
+    plane it determines. Where a line predicts what is held out as well, the hysteresis is a line.
 
     Parameters
     ----------
-    recording : Recording
-        Of the hysteresis experiment, or any slow one. For the start see `everett_regression`.
+    recording : Recording or sequence of Recording
+        Of the hysteresis experiment, or any other. For the start see `everett_regression`; after a
+        gap a recording starts anew, and several recordings share all but offset and initial creep.
         Samples that are marked as outliers are neither fitted nor held out.
     creep : CreepDynamics
     dynamics : ElectricVibrationDynamics
-    level_count : int
-        Number of levels L above level 0.
+    level_count : int, optional
+        Number of levels L above level 0; by default `LEVELS`, or as many as the voltage passes by.
     cells_per_level : int
         Cells of the model from one level to the next.
-    smoothing_weight : float, optional
-        By default chosen on held-out samples, see `smoothed_density`.
-    translation_weight : float
-        Of `smoothed_density`; for inputs that leave much of the plane unvisited.
+    smoothing_weight, translation_weight : float, optional
+        Of `smoothed_density`; chosen on branches held out by default.
     delay_s : float
         Of the measurement, beside the dynamics.
 
@@ -72,22 +89,52 @@ def estimate_density(
     Raises
     ------
     ValueError
-        If the recording has gaps, its voltage does not pass by all levels, or the displacement
-        falls where the voltage rises.
+        If the voltage does not change or never returns, or the displacement falls where the
+        voltage rises.
     """
-    part = played(recording)
-    voltage_v = part.voltage_v
-    levels_v = np.linspace(voltage_v.min(), voltage_v.max(), level_count + 1)
-    _check_coverage(recording.path, part, levels_v)
+    parts = played_segments(recording)
+    lowest_v = min(part.voltage_v.min() for part in parts)
+    highest_v = max(part.voltage_v.max() for part in parts)
+    if lowest_v == highest_v:
+        raise ValueError(
+            f"the voltage of {parts[0].path} is {lowest_v:g} V throughout: give a recording in "
+            "which it moves")
+    _check_sign(parts)
+    if level_count is None:
+        level_count = levels_passed(parts, highest_v - lowest_v)
+    edges_v = np.linspace(lowest_v, highest_v, level_count * cells_per_level + 1)
+    return density_of_segments(
+        [_segment(part, creep, dynamics, delay_s) for part in parts], edges_v, level_count,
+        smoothing_weight, translation_weight)
+
+
+def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
+    """Count the equal steps of voltage that the recordings do not jump over.
+
+    Parameters
+    ----------
+    parts : sequence of Recording
+    range_v : float
+
+    Returns
+    -------
+    int
+        From `FEWEST_LEVELS` to `LEVELS`.
+    """
+    steps_v = np.concatenate([np.abs(np.diff(part.voltage_v)) for part in parts])
+    largest_v = float(np.quantile(steps_v[steps_v > 0.0], LARGE_STEP_SHARE))
+    return int(np.clip(round(range_v / largest_v), FEWEST_LEVELS, LEVELS))
+
+
+def _segment(
+    part: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics, delay_s: float,
+) -> HysteresisSegment:
     settled = np.arange(part.time_s.size) >= first_settled(dynamics, part.time_s)
-    edges_v = np.linspace(levels_v[0], levels_v[-1], level_count * cells_per_level + 1)
-    return smoothed_density(
-        voltage_v, hysteresis_output_um(part, creep, dynamics, delay_s), edges_v,
-        samples=np.flatnonzero(settled & good_samples(part)),
-        transients=np.exp(-np.outer(part.time_s, creep.zeros_rad_per_s)),
-        smoothing_weight=smoothing_weight, level_count=level_count,
-        translation_weight=translation_weight,
-    )
+    return HysteresisSegment(
+        np.asarray(part.voltage_v, dtype=float),
+        hysteresis_output_um(part, creep, dynamics, delay_s),
+        np.flatnonzero(settled & good_samples(part)),
+        np.exp(-np.outer(part.time_s, creep.zeros_rad_per_s)))
 
 
 def hysteresis_output_um(
@@ -99,10 +146,9 @@ def hysteresis_output_um(
     Parameters
     ----------
     recording : Recording
-        Of a voltage that is slow beside the electric and vibration dynamics.
     creep : CreepDynamics
     dynamics : ElectricVibrationDynamics
-        Inverted at low frequency, (4.18) and (4.19).
+        Inverted at low frequency, (4.18) and (4.19), where the voltage is slow beside it.
     delay_s : float
         Further delay.
 
@@ -114,24 +160,23 @@ def hysteresis_output_um(
     displacement_um = recording.displacement_um
     if dynamics.is_static and delay_s == 0.0:
         return remove_creep(displacement_um, creep, recording.sample_period_s)
+    if follows_fast(recording.voltage_v, dynamics, recording.sample_period_s):
+        displacement_um = remove_dynamics(
+            displacement_um, recording.voltage_v, dynamics, recording.sample_period_s, delay_s)
+        return remove_creep(displacement_um, creep, recording.sample_period_s)
     # The hold lags half a sample, the mean leads half a sample less half a clock period.
     lead_s = delay_s + low_frequency_delay_s(dynamics) + 0.5 / recording.sample_rate_hz
     slope_um_per_s = np.gradient(displacement_um, recording.sample_period_s)
     return remove_creep(displacement_um + lead_s * slope_um_per_s, creep, recording.sample_period_s)
 
 
-def _check_coverage(path: str, part: Recording, levels_v: FloatArray) -> None:
-    """Refuse a voltage that jumps over the levels, and a displacement of the wrong sign."""
-    samples = sample_by_voltage(part.voltage_v, levels_v)
-    spacing_v = levels_v[1] - levels_v[0]
-    passed = np.unique(np.round((part.voltage_v[samples] - levels_v[0]) / max(spacing_v, 1e-12)))
-    if passed.size < 0.9 * levels_v.size:
+def _check_sign(parts: Sequence[Recording]) -> None:
+    """Refuse a displacement that falls where the voltage rises."""
+    products = [
+        (part.voltage_v - part.voltage_v.mean()) @ (part.displacement_um - np.mean(
+            part.displacement_um)) for part in parts]
+    if sum(products) <= 0.0:
         raise ValueError(
-            f"{path} passes by {passed.size} of {levels_v.size} voltage levels: "
-            "give a hysteresis experiment, whose voltage changes slowly"
-        )
-    rise_um = np.polyfit(part.voltage_v[samples], part.displacement_um[samples], 1)[0]
-    if rise_um <= 0.0:
-        raise ValueError(
-            f"{path}: the displacement falls where the voltage rises: reverse the sign of one"
+            f"{parts[0].path}: the displacement falls where the voltage rises: reverse the sign "
+            "of one"
         )

@@ -134,6 +134,28 @@ def visited_cells(voltage_v: FloatArray, levels_v: FloatArray) -> NDArray[np.boo
     return _visited(position, levels_v.size - 1)
 
 
+def summed_over_corners(
+    values: FloatArray, voltage_v: FloatArray, levels_v: FloatArray,
+) -> FloatArray:
+    """Sum a value of the cells over the corners of the memory at each sample.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, n)
+        Of each cell: row of its alpha, column of its beta.
+    voltage_v : ndarray, shape (N,)
+        From negative saturation.
+    levels_v : ndarray, shape (n + 1,)
+        Uniform and increasing.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+    """
+    position = np.concatenate([[0.0], _positions(voltage_v, levels_v)])
+    return _summed(np.ascontiguousarray(values, dtype=float), position)[1:]
+
+
 def _positions(voltage_v: FloatArray, levels_v: FloatArray) -> FloatArray:
     """Voltages in cells from level 0."""
     size = levels_v.size - 1
@@ -289,6 +311,22 @@ def _visited(position, size):
             last = _upper_cell(min(before, extremes[top - 1]))
             visited[i, cell_of(v, size) : min(last, i) + 1] = True
     return visited
+
+
+@njit(cache=True)
+def _summed(values, position):
+    size = len(values)
+    sums = np.zeros(position.size)
+    extremes = np.empty(16)
+    seen = np.zeros(4)
+    top = 0
+    for n in range(position.size):
+        extremes, top, number = _follow(position, n, extremes, top, seen, size)
+        for k in range(1, top + 1):
+            alpha, beta = max(extremes[k], extremes[k - 1]), min(extremes[k], extremes[k - 1])
+            i = _upper_cell(alpha)
+            sums[n] += values[i, min(cell_of(beta, size), i)]
+    return sums
 
 
 @njit(cache=True)

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
 
-from piezo_identification.estimators.hysteresis.smoothed_density import (
-    smoothed_density,
-    translation_operator,
-)
+from piezo_identification.estimators.hysteresis.penalties import translation_operator
+from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
 from piezo_models.hysteresis.preisach import PreisachModel
 
 LEVELS_V = np.linspace(0.0, 150.0, 31)

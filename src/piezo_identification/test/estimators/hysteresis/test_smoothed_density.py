@@ -11,10 +11,8 @@ from piezo_identification.estimators.hysteresis.everett_regression import (
     visited_cells,
 )
 from piezo_identification.estimators.hysteresis.nonnegative import nonnegative_minimum
-from piezo_identification.estimators.hysteresis.smoothed_density import (
-    curvature_operator,
-    smoothed_density,
-)
+from piezo_identification.estimators.hysteresis.penalties import curvature_operator
+from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_studies.baselines.relay_grid import activation_matrix
 

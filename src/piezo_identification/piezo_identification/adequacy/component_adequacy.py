@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verdict on each component of a model: what it leaves of its recording, beside the noise."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from piezo_identification.adequacy.component_residual import component_residual
+from piezo_identification.adequacy.lack_of_fit import LackOfFit, lack_of_fit
+from piezo_identification.adequacy.residual_location import ResidualLocation, residual_location
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_models.cascade import StageModel
+from piezo_recorder.reading.recording import Recording
+
+ADEQUATE, INADEQUATE = "adequate", "inadequate"
+
+COMPONENTS = ("creep", "dynamics", "hysteresis")
+"""By the names of the recordings that they are estimated from."""
+
+SLOW_HZ = 5.0
+"""Frequency below which what is left of loops may be creep, above it fast dynamics."""
+
+
+@dataclass(frozen=True)
+class ComponentAdequacy:
+    """How well a component fits the recording that it was estimated from.
+
+    Parameters
+    ----------
+    residual_rms_um, noise_rms_um, ratio : float
+        What is left, the noise in the same samples, and the first over the second. Of the mean
+        period where the voltage repeats itself.
+    verdict : str
+        `ADEQUATE` or `INADEQUATE`.
+    error_percent : float
+        Relative error e_y (4.20) on the data that were fitted.
+    noise_from : str
+        What told the noise.
+    left : str
+        Of what is left beyond the noise: how much, and where; empty if adequate.
+    advice : str
+        What to do; empty if adequate.
+    """
+
+    residual_rms_um: float
+    noise_rms_um: float
+    ratio: float
+    verdict: str
+    error_percent: float
+    noise_from: str
+    left: str = ""
+    advice: str = ""
+
+
+def adequacy_of(
+    model: StageModel, recordings: Mapping[str, Any],
+    delays_s: Mapping[str, float] | None = None,
+) -> dict[str, ComponentAdequacy]:
+    """Set what each component leaves of its recording against the noise.
+
+    Parameters
+    ----------
+    model : StageModel
+    recordings : dict of str to Recording or FrequencyResponse
+        Conditioned, by the names of `COMPONENTS`; any others are not looked at.
+    delays_s : dict of str to float, optional
+        Delays of the rows of some of them, beside the model.
+
+    Returns
+    -------
+    dict of str to ComponentAdequacy
+        By component.
+    """
+    delays_s = delays_s or {}
+    return {
+        component: _component_adequacy(
+            component, model, recordings[component], delays_s.get(component, 0.0), recordings)
+        for component in COMPONENTS if component in recordings
+    }
+
+
+def _component_adequacy(
+    component: str, model: StageModel, data: Recording | FrequencyResponse, delay_s: float,
+    recordings: Mapping[str, Any],
+) -> ComponentAdequacy:
+    residual = component_residual(component, model, data, delay_s)
+    fit = lack_of_fit(residual)
+    left = advice = ""
+    if not fit.is_adequate:
+        location = residual_location(residual, fit)
+        left = f"{fit.systematic_rms_um:.3g} um beyond the noise, {location.words}"
+        advice = advice_on(component, model, location, residual.path, recordings)
+    return ComponentAdequacy(
+        fit.residual_rms_um, fit.noise_rms_um, fit.ratio, _verdict(fit), residual.error_percent,
+        fit.noise_from, left, advice)
+
+
+def _verdict(fit: LackOfFit) -> str:
+    return ADEQUATE if fit.is_adequate else INADEQUATE
+
+
+def advice_on(component: str, model: StageModel, location: ResidualLocation, path: str,
+              recordings: Mapping[str, Any]) -> str:
+    """Say what to do about a component that is inadequate.
+
+    Parameters
+    ----------
+    component : str
+    model : StageModel
+    location : ResidualLocation
+        Of what it leaves.
+    path : str
+        Of its recording.
+    recordings : dict of str to Recording or FrequencyResponse
+        All that was given.
+
+    Returns
+    -------
+    str
+    """
+    steps = []
+    if component == "hysteresis":
+        slow = location.band_hz[1] < SLOW_HZ
+        missing = "creep" if slow else "dynamics"
+        if missing not in recordings:
+            steps.append(f"give a recording for --{missing}")
+    elif component == "creep":
+        steps.append("record the creep longer")
+        steps.append(f"ask for --creep-pairs {len(model.creep.poles_rad_per_s) + 1}")
+    elif location.band_is_narrow:
+        steps.append(f"ask for --modes {len(model.dynamics.mode_frequencies_rad_per_s) + 1}")
+    steps.append(f"let diagnose name the cause from {path}")
+    return ", or ".join(steps)
+
+
+def adequacy_document(adequacy: Mapping[str, ComponentAdequacy]) -> dict[str, dict[str, Any]]:
+    """Return the adequacy as plain numbers and texts, as the model file keeps it."""
+    return {component: {name: value for name, value in asdict(part).items() if value != ""}
+            for component, part in adequacy.items()}
+
+
+def overall_verdict(document: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return `ADEQUATE` if every component is, else `INADEQUATE`; empty if none was tested.
+
+    Parameters
+    ----------
+    document : dict of str to dict
+        Of `adequacy_document`, or from a model file.
+    """
+    verdicts = {part["verdict"] for part in document.values()}
+    if not verdicts:
+        return ""
+    return ADEQUATE if verdicts == {ADEQUATE} else INADEQUATE
+
+
+def adequacy_table(document: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the adequacy as a table for people, with what is left and what to do below it.
+
+    Parameters
+    ----------
+    document : dict of str to dict
+        Of `adequacy_document`.
+    """
+    lines = [f"{'on the data that were fitted':30}{'left (um)':>12}{'noise (um)':>12}{'ratio':>10}"
+             f"{'e_y (%)':>10}"]
+    lines += [f"{component:30}{part['residual_rms_um']:12.3g}{part['noise_rms_um']:12.3g}"
+              f"{part['ratio']:10.3g}{part['error_percent']:10.3g}  {part['verdict']}"
+              for component, part in document.items()]
+    lines += [f"{component} is inadequate: {part['left']}; {part['advice']}"
+              for component, part in document.items() if part["verdict"] == INADEQUATE]
+    return "\n".join(lines)

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a model leaves of the recording that one of its components was estimated from."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.conditioning.outlier_samples import good_samples
+from piezo_identification.conditioning.recording_start import square_part
+from piezo_identification.conditioning.settling import first_settled
+from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
+from piezo_identification.diagnosis.residual.sensor_noise import repeated_period
+from piezo_identification.estimators.creep import FEWEST_STEPS, USUAL_SETTLING_S
+from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.estimators.frequency_response.response_hold import without_hold
+from piezo_identification.estimators.frequency_response.sampled_response import (
+    behind_lags,
+    leading_lags,
+    respond,
+)
+from piezo_identification.prediction.model_run import ModelRun, starting_past_v
+from piezo_models.cascade import StageModel
+from piezo_recorder.reading.recording import Recording
+
+WITH_FREE_GAIN = ("creep", "dynamics")
+"""Components whose gain is that of the hysteresis, and so is not theirs to answer for."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComponentResidual:
+    """Samples of a recording that count, and what the model leaves of them.
+
+    Parameters
+    ----------
+    path : str
+    time_s, voltage_v, measured_um, residual_um : ndarray, shape (N,)
+        Of a frequency response, the time is none: it is the number of the frequency, and what is
+        measured is its magnitude at the travel of the model.
+    good : ndarray of bool, shape (N,)
+        False where an outlier stands, or a step has not settled yet that the component leaves out.
+    period : int or None
+        Samples after which the voltage repeats itself.
+    steps : ndarray of int
+        Samples at which a square wave changes its level; empty for any other input.
+    frequency_hz : ndarray, shape (N,), optional
+        Of a frequency response.
+    """
+
+    path: str
+    time_s: FloatArray
+    voltage_v: FloatArray
+    measured_um: FloatArray
+    residual_um: FloatArray
+    good: BoolArray
+    period: int | None
+    steps: NDArray[np.intp]
+    frequency_hz: FloatArray | None = None
+
+    @property
+    def sample_period_s(self) -> float:
+        """Time from sample to sample."""
+        return float(self.time_s[1] - self.time_s[0])
+
+    @property
+    def error_percent(self) -> float:
+        """Relative error e_y (4.20) on these samples, which were fitted."""
+        measured_um = self.measured_um[self.good]
+        norm_um = np.linalg.norm(measured_um - measured_um.mean())
+        return float(100.0 * np.linalg.norm(self.residual_um[self.good])
+                     / max(norm_um, np.finfo(float).tiny))
+
+
+def component_residual(
+    component: str, model: StageModel, data: Recording | FrequencyResponse, delay_s: float = 0.0,
+) -> ComponentResidual:
+    """Simulate a model under the data of one component, and remove what is not of the component.
+
+    That is the offset, the state in which the recording begins, and for creep and dynamics the gain
+    of the hysteresis. Under a square wave the hysteresis is an offset and a gain (4.5), so that it
+    does not enter at all.
+
+    Parameters
+    ----------
+    component : str
+        creep, dynamics or hysteresis.
+    model : StageModel
+    data : Recording or FrequencyResponse
+        That the component was estimated from.
+    delay_s : float
+        Of the rows of the recording, beside the model.
+
+    Returns
+    -------
+    ComponentResidual
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps, or is too short to settle.
+    """
+    if isinstance(data, FrequencyResponse):
+        return _of_response(model, data)
+    if component in WITH_FREE_GAIN:
+        part = square_part(played(data))
+        try:
+            wave = square_wave(part)
+        except ValueError:
+            wave = None
+        if wave is not None and wave.steps.size:
+            return _of_square_wave(component, model, part, delay_s)
+    return _of_any_wave(component in WITH_FREE_GAIN, model, data)
+
+
+def _of_square_wave(
+    component: str, model: StageModel, part: Recording, delay_s: float,
+) -> ComponentResidual:
+    wave, time_s = square_wave(part), part.time_s
+    samples = samples_per_mean(part)
+    lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), samples)
+    system, behind_s = behind_lags(model.linear(), lags)
+    response = respond(
+        system, wave.level, part.sample_period_s, samples, behind_s + delay_s)
+    first = first_settled(model.dynamics, time_s)
+    if component == "dynamics":
+        first = max(first, min(int(np.searchsorted(time_s, WARM_UP_S)), time_s.size // 2))
+    elif wave.steps.size >= FEWEST_STEPS:
+        first = max(first, int(wave.steps[0]))
+    good = good_samples(part)[first:]
+    if component == "creep":
+        # The fast dynamics are not what this recording shows.
+        since = np.arange(time_s.size) - np.concatenate([[0], wave.steps])[
+            np.searchsorted(wave.steps, np.arange(time_s.size), side="right")]
+        good = good & (since[first:] * part.sample_period_s >= USUAL_SETTLING_S)
+    columns = np.column_stack(
+        [response, np.ones_like(time_s),
+         *(np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])[first:]
+    measured_um = part.displacement_um[first:]
+    fitted = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
+    voltage_v = np.asarray(part.voltage_v)[first:]
+    return ComponentResidual(
+        str(part.path), time_s[first:], voltage_v, measured_um, measured_um - columns @ fitted,
+        good, repeated_period(wave.level[first:]), wave.steps[wave.steps >= first] - first)
+
+
+def _of_any_wave(free_gain: bool, model: StageModel, data: Recording) -> ComponentResidual:
+    run = ModelRun(model, data)
+    simulated_um = run.simulated_um(starting_past_v(model, data))
+    time_s, measured_um = run.part.time_s[run.settled], run.measured_um
+    if free_gain:
+        columns = np.column_stack(
+            [simulated_um, np.ones_like(time_s),
+             *(np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
+        simulated_um = columns @ np.linalg.lstsq(
+            columns[run.good], measured_um[run.good], rcond=1e-12)[0]
+    voltage_v = np.asarray(run.part.voltage_v)[run.settled]
+    return ComponentResidual(
+        str(data.path), time_s, voltage_v, measured_um, measured_um - simulated_um, run.good,
+        repeated_period(voltage_v), np.empty(0, dtype=np.intp))
+
+
+def _of_response(model: StageModel, data: FrequencyResponse) -> ComponentResidual:
+    """Real and imaginary parts one after the other, at the travel of the model."""
+    lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), 1)
+    system, delay_s = behind_lags(model.linear(), lags)
+    measured = without_hold(data, system, delay_s)
+    s = 2j * np.pi * measured.frequency_hz
+    modelled = system(s, squeeze=True) * np.exp(-s * delay_s)
+    gain = np.vdot(modelled, measured.gain).real / np.vdot(modelled, modelled).real
+    low_um, high_um = model.hysteresis.output_range_um
+    travel_um = (high_um - low_um) / gain
+    measured_um, left_um = (
+        np.concatenate([part.real, part.imag])
+        for part in (travel_um * measured.gain, travel_um * (measured.gain - gain * modelled)))
+    order = np.arange(measured_um.size, dtype=float)
+    return ComponentResidual(
+        str(data.path), order, np.zeros(order.size), measured_um, left_um,
+        np.ones(order.size, dtype=bool), None, np.empty(0, dtype=np.intp),
+        np.tile(measured.frequency_hz, 2))

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Loops that no Preisach model with positive relays can make, refused by name.
+
+Each relay switches on as the voltage rises and off as it falls. So the displacement never moves
+against the voltage, falling branches lie above rising ones, and a minor loop closes.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.outlier_samples import good_samples
+from piezo_identification.conditioning.settling import first_settled
+from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORM
+from piezo_identification.conditioning.waveforms import played, turning_points
+from piezo_identification.estimators.hysteresis.density_fit import hysteresis_output_um
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Sizes below which a loop may be drift, noise or unknown creep.
+
+    Attributes
+    ----------
+    smallest_reversal : float
+        Part of the voltage's range by which a branch reverses.
+    long_branch : float
+        Part of the voltage's range from which the shape of a branch counts.
+    bins : int
+        Parts of a branch in which samples are averaged.
+    against : float
+        Part of the displacement's range by which it may move against the voltage.
+    clockwise : float
+        Part of the displacement's range by which a falling branch may lie below a rising one.
+    open_loop : float
+        Part of the swing of a minor loop by which it may fail to close.
+    fewest_minor_loops : int
+        That tell whether minor loops close.
+    """
+
+    smallest_reversal: float = 0.02
+    long_branch: float = 0.2
+    bins: int = 40
+    against: float = 0.05
+    clockwise: float = 0.01
+    open_loop: float = 0.25
+    fewest_minor_loops: int = 3
+
+
+SETTINGS = LoopSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """The way between two reversals, in bins of the voltage.
+
+    Parameters
+    ----------
+    voltage_v, output_um : ndarray, shape (B,)
+        In the order of time.
+    """
+
+    voltage_v: FloatArray
+    output_um: FloatArray
+
+    @property
+    def rises(self) -> bool:
+        """Whether the voltage rises."""
+        return bool(self.voltage_v[-1] > self.voltage_v[0])
+
+    @property
+    def against_um(self) -> tuple[float, float]:
+        """Largest movement against the voltage, and the voltage at which it ends."""
+        along_um = self.output_um if self.rises else -self.output_um
+        below_um = np.maximum.accumulate(along_um) - along_um
+        worst = int(np.argmax(below_um))
+        return float(below_um[worst]), float(self.voltage_v[worst])
+
+
+def refuse_impossible_loops(
+    recording: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
+    delay_s: float = 0.0,
+) -> None:
+    """Refuse a recording of loops that no Preisach model can make.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the hysteresis; nothing is refused of one that is too fast to be static.
+    creep : CreepDynamics
+    dynamics : ElectricVibrationDynamics
+    delay_s : float
+        Of the measurement; all three are removed before.
+
+    Raises
+    ------
+    ValueError
+        If the displacement moves against the voltage, loops are run through clockwise, or minor
+        loops do not close.
+    """
+    part = played(recording)
+    used = good_samples(part) & (
+        np.arange(part.time_s.size) >= first_settled(dynamics, part.time_s))
+    voltage_v = np.asarray(part.voltage_v, dtype=float)[used]
+    output_um = hysteresis_output_um(part, creep, dynamics, delay_s)[used]
+    range_v, range_um = float(np.ptp(voltage_v)), float(np.ptp(output_um))
+    points = turning_points(voltage_v, SETTINGS.smallest_reversal * range_v)
+    if np.median(np.diff(part.time_s[used][points])) < WAVEFORM.slow_branch_s:
+        return
+    long = [
+        _binned(voltage_v[start : end + 1], output_um[start : end + 1])
+        for start, end in pairwise(points)
+        if abs(voltage_v[end] - voltage_v[start]) > SETTINGS.long_branch * range_v]
+    _refuse_against(str(part.path), long, range_um)
+    _refuse_clockwise(str(part.path), long, range_um)
+    _refuse_open_loops(str(part.path), voltage_v, output_um, points)
+
+
+def _refuse_against(path: str, branches: list[Branch], range_um: float) -> None:
+    found = [(branch, *branch.against_um) for branch in branches]
+    wrong = [entry for entry in found if entry[1] > SETTINGS.against * range_um]
+    if not wrong:
+        return
+    ways = {branch.rises for branch, *_ in wrong}
+    branch, against_um, at_v = max(wrong, key=lambda entry: entry[1])
+    name = "a butterfly loop" if len(ways) == 2 else "no loop that is monotone in the voltage"
+    moves = "falls" if branch.rises else "rises"
+    raise ValueError(
+        f"{path} holds {name}: the displacement {moves} by {against_um:.3g} um, to {at_v:.4g} V, "
+        f"while the voltage {'rises' if branch.rises else 'falls'} (on {len(wrong)} of "
+        f"{len(found)} branches), which no Preisach model can do: keep the voltage on the side of "
+        "that turn on which the displacement follows it, or look for drift and wrong columns")
+
+
+def _refuse_clockwise(path: str, branches: list[Branch], range_um: float) -> None:
+    widths_um = [width for pair in pairwise(branches) if (width := _width_um(*pair)) is not None]
+    if widths_um and np.median(widths_um) < -SETTINGS.clockwise * range_um:
+        raise ValueError(
+            f"{path} holds loops that are run through clockwise, {-np.median(widths_um):.3g} um "
+            "wide: falling branches lie below rising ones, so that the displacement leads the "
+            "voltage, which no Preisach model can do: look for rows that are shifted, or for a "
+            "voltage that is that of a controller")
+
+
+def _width_um(first: Branch, second: Branch) -> float | None:
+    """By how much the falling branch lies above the rising one, where both have been."""
+    if first.rises == second.rises:
+        return None
+    low_v = max(first.voltage_v.min(), second.voltage_v.min())
+    high_v = min(first.voltage_v.max(), second.voltage_v.max())
+    if low_v >= high_v:
+        return None
+    level_v = np.linspace(low_v, high_v, SETTINGS.bins)
+    up, down = (first, second) if first.rises else (second, first)
+    return float(np.mean(
+        np.interp(level_v, down.voltage_v[::-1], down.output_um[::-1])
+        - np.interp(level_v, up.voltage_v, up.output_um)))
+
+
+def _refuse_open_loops(
+    path: str, voltage_v: FloatArray, output_um: FloatArray, points: NDArray[np.intp],
+) -> None:
+    """Refuse loops of which the way back to a reversal ends elsewhere than it left."""
+    open_parts = []
+    for leave, turn, end in zip(points[:-2], points[1:-1], points[2:], strict=True):
+        # The way back from `turn` passes the voltage of `leave`, if it goes far enough.
+        back = voltage_v[turn : end + 1]
+        sign = np.sign(voltage_v[leave] - voltage_v[turn])
+        passed = np.flatnonzero(sign * (back - voltage_v[leave]) >= 0.0)
+        if leave == 0 or passed.size == 0 or passed[0] == 0:
+            continue
+        after = turn + passed[0]
+        part = ((voltage_v[leave] - voltage_v[after - 1])
+                / (voltage_v[after] - voltage_v[after - 1]))
+        returned_um = (1.0 - part) * output_um[after - 1] + part * output_um[after]
+        swing_um = abs(output_um[turn] - output_um[leave])
+        open_parts.append((returned_um - output_um[leave]) / max(swing_um, np.finfo(float).tiny))
+    if len(open_parts) < SETTINGS.fewest_minor_loops:
+        return
+    typical = float(np.median(open_parts))
+    if abs(typical) > SETTINGS.open_loop:
+        raise ValueError(
+            f"{path} holds minor loops that do not close: the displacement is {100 * typical:+.0f} "
+            "% of their swing off where they began, so that a former extreme does not wipe out "
+            "what came after it, which no Preisach model can do: look for drift, or give the creep")
+
+
+def _binned(voltage_v: FloatArray, output_um: FloatArray) -> Branch:
+    """Means in bins of the voltage; the samples themselves where they are few."""
+    if voltage_v.size <= 2 * SETTINGS.bins:
+        return Branch(voltage_v, output_um)
+    edges_v = np.linspace(voltage_v[0], voltage_v[-1], SETTINGS.bins + 1)
+    rises = edges_v[-1] > edges_v[0]
+    number = np.searchsorted(edges_v, voltage_v) if rises else np.searchsorted(
+        -edges_v, -voltage_v)
+    number = np.clip(number - 1, 0, SETTINGS.bins - 1)
+    counts = np.bincount(number, minlength=SETTINGS.bins)
+    seen = counts > 0
+    means = [np.bincount(number, values, minlength=SETTINGS.bins)[seen] / counts[seen]
+             for values in (voltage_v, output_um)]
+    return Branch(*means)

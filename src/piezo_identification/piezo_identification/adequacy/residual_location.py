@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where a residual is left: at which frequencies, when, and at which voltages."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import detrend, periodogram
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.adequacy.component_residual import ComponentResidual
+from piezo_identification.adequacy.lack_of_fit import LackOfFit
+
+BINS = 10
+"""Parts of a recording, of the time after a step, and of the voltages that are compared."""
+
+NARROW = 1.5
+"""Highest over lowest frequency of the middle half of the power, below which it is one peak."""
+
+MIDDLE_HALF = (0.25, 0.75)
+"""Of the power: the frequencies between are told."""
+
+LOPSIDED = 2.0
+"""Mean square of one direction over that of the other, from which the direction is told."""
+
+
+@dataclass(frozen=True)
+class ResidualLocation:
+    """Where most of a residual is.
+
+    Parameters
+    ----------
+    band_hz : (float, float)
+        Between which the middle half of its power lies.
+    band_is_narrow : bool
+        The power makes one peak.
+    words : str
+        All of it for people: frequency, time and voltage.
+    """
+
+    band_hz: tuple[float, float]
+    band_is_narrow: bool
+    words: str
+
+
+def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLocation:
+    """Find where a residual is larger than elsewhere.
+
+    Parameters
+    ----------
+    residual : ComponentResidual
+    fit : LackOfFit
+        Of this residual.
+
+    Returns
+    -------
+    ResidualLocation
+    """
+    values_um = fit.sequence_um
+    band_hz = _band(detrend(values_um, type="constant"), residual.sample_period_s)
+    if residual.frequency_hz is not None:
+        band_hz = _band_of_response(residual.frequency_hz, residual.residual_um)
+    narrow = band_hz[1] < NARROW * band_hz[0]
+    words = [f"near {np.sqrt(band_hz[0] * band_hz[1]):.3g} Hz" if narrow
+             else f"from {band_hz[0]:.3g} to {band_hz[1]:.3g} Hz"]
+    if residual.frequency_hz is None:
+        words.append(_time_words(residual, values_um))
+        if not residual.steps.size:
+            words[-1] += f" and {_voltage_words(residual, values_um)}"
+    return ResidualLocation(band_hz, narrow, ", ".join(words))
+
+
+def _band(values_um: FloatArray, sample_period_s: float) -> tuple[float, float]:
+    frequency_hz, power = periodogram(values_um, 1.0 / sample_period_s)
+    share = np.cumsum(power) / max(np.sum(power), np.finfo(float).tiny)
+    low, high = np.interp(MIDDLE_HALF, share, frequency_hz)
+    return float(low), float(high)
+
+
+def _band_of_response(frequency_hz: FloatArray, values_um: FloatArray) -> tuple[float, float]:
+    order = np.argsort(frequency_hz, kind="stable")
+    share = np.cumsum(values_um[order] ** 2)
+    low, high = np.interp(MIDDLE_HALF, share / share[-1], frequency_hz[order])
+    return float(low), float(high)
+
+
+def _time_words(residual: ComponentResidual, values_um: FloatArray) -> str:
+    samples = np.arange(values_um.size)
+    good = residual.good[: values_um.size]
+    if residual.steps.size:
+        steps = np.unique(residual.steps % (residual.period or values_um.size + 1))
+        steps = steps[steps < values_um.size]
+        # What comes before the first step of a period follows the last one of the period before.
+        since = samples - np.concatenate([[steps[-1] - values_um.size], steps])[
+            np.searchsorted(steps, samples, side="right")]
+        seconds = np.maximum(since, 1) * residual.sample_period_s
+        edges = np.geomspace(seconds.min(), seconds.max() * (1.0 + 1e-9), BINS + 1)
+        low_s, high_s = _largest_bin(seconds, values_um, good, edges)
+        return f"most of it {_time(low_s)} to {_time(high_s)} after the steps"
+    seconds = samples * residual.sample_period_s + residual.time_s[0]
+    low_s, high_s = _largest_bin(
+        seconds, values_um, good, np.linspace(seconds[0], seconds[-1], BINS + 1))
+    return f"most of it at {low_s:.4g} to {high_s:.4g} s"
+
+
+def _voltage_words(residual: ComponentResidual, values_um: FloatArray) -> str:
+    good = residual.good[: values_um.size]
+    voltage_v = residual.voltage_v[: values_um.size]
+    low_v, high_v = _largest_bin(
+        voltage_v, values_um, good, np.linspace(voltage_v.min(), voltage_v.max(), BINS + 1))
+    words = f"{low_v:.4g} to {high_v:.4g} V"
+    slope = np.gradient(voltage_v)
+    squares = [float(np.mean(values_um[part] ** 2)) if part.any() else 0.0
+               for part in (good & (slope > 0.0), good & (slope < 0.0))]
+    if min(squares) and max(squares) > LOPSIDED * min(squares):
+        words += " where the voltage " + ("rises" if squares[0] > squares[1] else "falls")
+    return words
+
+
+def _largest_bin(
+    place: FloatArray, values_um: FloatArray, good: BoolArray, edges: FloatArray,
+) -> tuple[float, float]:
+    """Edges of the bin of the largest mean square."""
+    number = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, edges.size - 2)[good]
+    counts = np.bincount(number, minlength=edges.size - 1)
+    squares = np.bincount(number, values_um[good] ** 2, minlength=edges.size - 1)
+    largest = int(np.argmax(squares / np.maximum(counts, 1)))
+    return float(edges[largest]), float(edges[largest + 1])
+
+
+def _time(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms" if seconds < 1.0 else f"{seconds:.3g} s"

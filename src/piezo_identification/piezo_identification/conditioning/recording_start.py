@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The state in which a recording begins: at rest off its levels, or not yet in its periodic state.
+
+A stage that follows a square wave is in its periodic state from the first step on at the latest:
+the way to the second level closes the loop, whatever came before. Until then the hysteresis may be
+anywhere.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORM
+from piezo_recorder.reading.recording import Recording
+
+
+@dataclass(frozen=True)
+class StartSettings:
+    """Numbers that steer how the start of a recording is read.
+
+    Attributes
+    ----------
+    significant : float
+        Standard deviations by which the displacement has to change at the start to count as in
+        motion.
+    first_samples, fewest_samples : int
+        Samples at the start, as far as the voltage rests there, that tell of a motion; with fewer,
+        nothing is told.
+    least_motion : float
+        Part of the displacement's span below which a motion at the start is of no account.
+    """
+
+    significant: float = 5.0
+    first_samples: int = 200
+    fewest_samples: int = 8
+    least_motion: float = 1e-3
+
+
+SETTINGS = StartSettings()
+
+
+def square_part(recording: Recording) -> Recording:
+    """Leave out the rest, or the way from it, before and after a square wave between two levels.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its middle half tells the levels.
+
+    Returns
+    -------
+    Recording
+        From the first sample to the last between which the voltage takes no third value; the same
+        where the middle half has no two levels.
+    """
+    voltage_v = recording.voltage_v
+    middle = voltage_v[voltage_v.size // 4 : voltage_v.size - voltage_v.size // 4]
+    low_v, high_v = middle.min(), middle.max()
+    slack_v = WAVEFORM.level_tolerance * (high_v - low_v)
+    off = np.flatnonzero(
+        np.minimum(np.abs(voltage_v - low_v), np.abs(voltage_v - high_v)) > slack_v)
+    if off.size == 0 or low_v == high_v:
+        return recording
+    half = voltage_v.size // 2
+    before, after = off[off < half], off[off >= half]
+    begin = before[-1] + 1 if before.size else 0
+    end = after[0] if after.size else voltage_v.size
+    if end - begin < half:
+        return recording
+    kept = np.zeros(voltage_v.size, dtype=bool)
+    kept[begin:end] = True
+    return recording.select(kept)
+
+
+def first_run_length(voltage_v: FloatArray) -> int:
+    """Count the samples until the voltage changes for the first time; all where it never does.
+
+    Parameters
+    ----------
+    voltage_v : ndarray, shape (N,)
+    """
+    slack_v = WAVEFORM.level_tolerance * float(np.ptp(voltage_v))
+    moved = np.flatnonzero(np.abs(voltage_v - voltage_v[0]) > slack_v)
+    return int(moved[0]) if moved.size else voltage_v.size
+
+
+def without_first(recording: Recording, samples: int) -> Recording:
+    """Return the recording without its first samples.
+
+    Parameters
+    ----------
+    recording : Recording
+    samples : int
+    """
+    return recording.select(np.arange(recording.voltage_v.size) >= samples)
+
+
+def motion_um_per_s(recording: Recording) -> float:
+    """Return the velocity in which a recording begins while its voltage rests; 0 for none shown.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    float
+        0 where the voltage moves at once, or the change is within the scatter of the samples.
+    """
+    count = min(first_run_length(recording.voltage_v), SETTINGS.first_samples)
+    if count < SETTINGS.fewest_samples:
+        return 0.0
+    time_s = recording.time_s[:count] - recording.time_s[:count].mean()
+    displacement_um = recording.displacement_um[:count]
+    slope = float(time_s @ displacement_um / (time_s @ time_s))
+    # Differences of neighbours are noise even where the displacement moves along a curve.
+    noise_um = float(np.std(np.diff(displacement_um)) / np.sqrt(2.0))
+    moved_um = abs(slope) * 2.0 * time_s[-1]
+    least_um = SETTINGS.least_motion * float(np.ptp(recording.displacement_um))
+    sure = abs(slope) > SETTINGS.significant * noise_um / np.sqrt(time_s @ time_s)
+    return slope if sure and moved_um > least_um else 0.0

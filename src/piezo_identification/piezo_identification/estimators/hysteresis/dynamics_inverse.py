@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The inverse of electric and vibration dynamics for cycles that are fast beside them."""
+
+import numpy as np
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.conditioning.settling import low_frequency_delay_s
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
+
+SLOW_ERROR = 1e-3
+"""Of the voltage's RMS: so much may the inverse at low frequency miss."""
+
+LEAST_GAIN = 0.3
+"""Gain of the dynamics below which they are not inverted but damped: noise would drown the rest."""
+
+TAPER_SHARE = 0.1
+"""Of the record, that is added so that its end leads back to its beginning."""
+
+
+def follows_fast(
+    voltage_v: FloatArray, dynamics: ElectricVibrationDynamics, sample_period_s: float,
+) -> bool:
+    """Tell whether a voltage is too fast for the inverse of the dynamics at low frequency.
+
+    Parameters
+    ----------
+    voltage_v : ndarray, shape (N,)
+    dynamics : ElectricVibrationDynamics
+    sample_period_s : float
+
+    Returns
+    -------
+    bool
+    """
+    if dynamics.is_static:
+        return False
+    spectrum = np.abs(np.fft.rfft(np.hanning(voltage_v.size) * (voltage_v - voltage_v.mean())))
+    frequency_hz = np.fft.rfftfreq(voltage_v.size, sample_period_s)
+    rate = 2j * np.pi * frequency_hz
+    error = dynamics.response(frequency_hz) * (1.0 + low_frequency_delay_s(dynamics) * rate) - 1.0
+    missed = np.linalg.norm(spectrum * error)
+    return bool(missed > SLOW_ERROR * np.linalg.norm(spectrum))
+
+
+def remove_dynamics(
+    displacement_um: FloatArray, voltage_v: FloatArray, dynamics: ElectricVibrationDynamics,
+    sample_period_s: float, delay_s: float = 0.0,
+) -> FloatArray:
+    """Return what enters the dynamics, as the values that are held from each sample on.
+
+    The inverse is the stable, non-causal one of Wiener: conj(D) / (|D|^2 + e^2). It acts on what a
+    line in the voltage leaves of the displacement; the response to the line is calculated, so that
+    the damping of high frequencies touches the small rest only.
+
+    Parameters
+    ----------
+    displacement_um, voltage_v : ndarray, shape (N,)
+        Each displacement is measured before its voltage acts.
+    dynamics : ElectricVibrationDynamics
+    sample_period_s : float
+    delay_s : float
+        Further delay of the displacement.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+    """
+    added = max(2, int(TAPER_SHARE * voltage_v.size))
+    frequency_hz = np.fft.rfftfreq(voltage_v.size + added, sample_period_s)
+    forward = _held_response(dynamics, frequency_hz, sample_period_s)
+    forward = forward * np.exp(-2j * np.pi * frequency_hz * delay_s)
+    through = np.fft.irfft(
+        np.fft.rfft(_closed(voltage_v, added)) * forward, voltage_v.size + added)
+    basis = np.column_stack([through[: voltage_v.size], np.ones(voltage_v.size)])
+    slope, offset = np.linalg.lstsq(basis, displacement_um, rcond=None)[0]
+    rest_um = _closed(displacement_um - basis @ [slope, offset], added)
+    inverse = np.conj(forward) / (np.abs(forward) ** 2 + LEAST_GAIN**2)
+    # One more turn makes 1 - (e^2 / (|D|^2 + e^2))^2 of the loop: nothing is lost where D is 1.
+    inverse = inverse * (2.0 - inverse * forward)
+    before_um = np.fft.irfft(np.fft.rfft(rest_um) * inverse, rest_um.size)[: voltage_v.size]
+    return slope * voltage_v + offset + before_um
+
+
+def _held_response(
+    dynamics: ElectricVibrationDynamics, frequency_hz: FloatArray, sample_period_s: float,
+) -> ComplexArray:
+    """Response from held values to samples, as far as the hold's images are small."""
+    turn = frequency_hz * sample_period_s
+    return dynamics.response(frequency_hz) * np.sinc(turn) * np.exp(-1j * np.pi * turn)
+
+
+def _closed(signal: FloatArray, added: int) -> FloatArray:
+    """Signal with a smooth way back from its end to its beginning."""
+    way = 0.5 - 0.5 * np.cos(np.pi * (np.arange(added) + 1.0) / (added + 1.0))
+    return np.concatenate([signal, signal[-1] + (signal[0] - signal[-1]) * way])

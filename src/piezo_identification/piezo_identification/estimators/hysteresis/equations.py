@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Normal equations of the regression on the Everett function, with the penalties of the density."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
+from piezo_identification.estimators.hysteresis.nonnegative import nonnegative_minimum
+from piezo_identification.estimators.hysteresis.penalties import (
+    bounded_operator,
+    curvature_operator,
+    reversible_differences,
+    translation_operator,
+)
+
+ROWS_AT_ONCE = 200_000
+"""Rows of the regression that are held in memory together."""
+
+
+@dataclass(frozen=True, eq=False)
+class HysteresisSegment:
+    """A stretch without gaps of what enters and leaves the hysteresis.
+
+    Parameters
+    ----------
+    voltage_v, output_um : ndarray, shape (N,)
+    samples : ndarray of int
+        Increasing indices of the samples to fit.
+    transients : ndarray, shape (N, k)
+        Further columns of the regression, whose coefficients are free.
+    """
+
+    voltage_v: FloatArray
+    output_um: FloatArray
+    samples: NDArray[np.intp]
+    transients: FloatArray
+
+
+@dataclass(frozen=True)
+class Penalties:
+    """Weights of what a density is charged for; see `smoothed_density`.
+
+    Parameters
+    ----------
+    smoothing, translation : float
+    """
+
+    smoothing: float
+    translation: float = 0.0
+
+
+class Equations:
+    """Normal equations, accumulated over blocks of samples, (2.7).
+
+    Parameters
+    ----------
+    size : int
+        Number n of cells along each threshold.
+    others : int
+        Number of unknowns beside those of the hysteresis: offsets and transients.
+
+    Attributes
+    ----------
+    offset_columns : ndarray of int
+        For each segment the column, of those, of the offset of its samples of a known past.
+    """
+
+    def __init__(self, size: int, others: int) -> None:
+        unknowns = size * (size + 3) // 2
+        self.size, self.count = size, 0
+        self.quadratic, self.linear = csr_array((unknowns, unknowns)), np.zeros(unknowns)
+        self.border, self.corner = np.zeros((unknowns, others)), np.zeros((others, others))
+        self.border_linear, self.square = np.zeros(others), 0.0
+        self.offset_columns = np.zeros(1, dtype=int)
+
+    def add(self, matrix: csr_array, others: FloatArray, output: FloatArray) -> None:
+        """Add rows of the regression."""
+        self.count += output.size
+        self.quadratic = self.quadratic + matrix.T @ matrix
+        self.linear += matrix.T @ output
+        self.border += matrix.T @ others
+        self.corner += others.T @ others
+        self.border_linear += others.T @ output
+        self.square += output @ output
+
+    def plus(self, other: "Equations", sign: float = 1.0) -> "Equations":
+        """Return the equations of the samples of both; with sign -1, without those of the other."""
+        result = Equations(self.size, self.corner.shape[0])
+        result.count = self.count + int(sign) * other.count
+        result.offset_columns = self.offset_columns
+        for name in ("quadratic", "linear", "border", "corner", "border_linear", "square"):
+            setattr(result, name, getattr(self, name) + sign * getattr(other, name))
+        return result
+
+    def solve(
+        self, penalties: Penalties, multiplier: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return unknowns, coefficients of the other columns, and forces of the bounds."""
+        roughness = penalties.smoothing * _bending(self.size)
+        if penalties.translation:
+            roughness = roughness + penalties.translation * _sliding(self.size)
+        return nonnegative_minimum(
+            self.quadratic / self.count + roughness,
+            self.linear / self.count, _bounded(self.size), self.border / self.count,
+            self.corner / self.count, self.border_linear / self.count, multiplier,
+        )
+
+    def solve_line(self) -> tuple[FloatArray, FloatArray]:
+        """Return unknowns of a line through the data, and coefficients of the other columns."""
+        line = line_unknowns(self.size)
+        normal = np.block([
+            [np.array([[line @ (self.quadratic @ line)]]), (line @ self.border)[None]],
+            [(line @ self.border)[:, None], self.corner],
+        ])
+        right = np.append(line @ self.linear, self.border_linear)
+        slope, *beside = np.linalg.lstsq(normal, right, rcond=1e-13)[0]
+        return slope * line, np.array(beside)
+
+    def misfit(self, unknowns: FloatArray, beside: FloatArray) -> float:
+        """Sum of the squares of what the regression leaves."""
+        return float(self.square + (
+            unknowns @ (self.quadratic @ unknowns + 2.0 * self.border @ beside - 2.0 * self.linear)
+            + beside @ (self.corner @ beside - 2.0 * self.border_linear)
+        ))
+
+    def unseen_misfit(
+        self, fitted: "Equations", unknowns: FloatArray, beside: FloatArray,
+    ) -> float:
+        """Misfit of what was fitted to other samples; an offset that those lack is fitted here."""
+        missing = np.diag(fitted.corner) == 0.0
+        if missing.any():
+            right = (self.border_linear - self.border.T @ unknowns - self.corner @ np.where(
+                missing, 0.0, beside))[missing]
+            beside = beside.copy()
+            beside[missing] = np.linalg.lstsq(
+                self.corner[np.ix_(missing, missing)], right, rcond=1e-12)[0]
+        return self.misfit(unknowns, beside)
+
+
+def line_unknowns(size: int) -> FloatArray:
+    """Unknowns of the regression of a line that rises by one in each cell."""
+    i, j = np.tril_indices(size)
+    return np.concatenate([(i + 1.0 - j), np.ones(size)])
+
+
+def equations_of_folds(
+    segments: Sequence[HysteresisSegment], levels_v: FloatArray,
+    folds: Sequence[NDArray[np.intp]] | None = None,
+) -> list[Equations]:
+    """Return the equations of the samples whose memory is known well enough, by folds.
+
+    Parameters
+    ----------
+    segments : sequence of HysteresisSegment
+        Each has offsets and transients of its own.
+    levels_v : ndarray, shape (n + 1,)
+    folds : sequence of ndarray of int, optional
+        For every segment the number of the fold of each of its samples to fit; one by default.
+
+    Returns
+    -------
+    list of Equations
+
+    Raises
+    ------
+    ValueError
+        If no sample can be used.
+    """
+    if folds is None:
+        folds = [np.zeros(segment.samples.size, dtype=int) for segment in segments]
+    histories = [everett_regression(segment.voltage_v, levels_v).history for segment in segments]
+    widths = [
+        1 + max(int(history.max()), 0) + segment.transients.shape[1]
+        for segment, history in zip(segments, histories, strict=True)
+    ]
+    if all((history[segment.samples] < 0).all()
+           for segment, history in zip(segments, histories, strict=True)):
+        raise ValueError(
+            "no sample lies where the voltage has been before: record at least one reversal"
+        )
+    count = 1 + max((int(fold.max(initial=0)) for fold in folds), default=0)
+    equations = [Equations(levels_v.size - 1, sum(widths)) for _ in range(count)]
+    first = 0
+    for each in equations:
+        each.offset_columns = np.cumsum([0, *widths[:-1]])
+    for segment, history, fold, width in zip(segments, histories, folds, widths, strict=True):
+        numbers = np.arange(1, history.max() + 1)
+        known = history[segment.samples] >= 0
+        samples, fold = segment.samples[known], fold[known]
+        for start in range(0, samples.size, ROWS_AT_ONCE):
+            block = samples[start : start + ROWS_AT_ONCE]
+            rows = everett_regression(segment.voltage_v, levels_v, block)
+            others = np.zeros((block.size, sum(widths)))
+            others[:, first : first + width] = np.column_stack([
+                rows.history == 0, rows.history[:, None] == numbers, segment.transients[block]
+            ])
+            of_block = fold[start : start + ROWS_AT_ONCE]
+            for number in np.unique(of_block):
+                part = of_block == number
+                equations[number].add(
+                    rows.matrix[part] if not part.all() else rows.matrix, others[part],
+                    segment.output_um[block][part])
+        first += width
+    return equations
+
+
+@lru_cache(maxsize=8)
+def _bounded(size: int) -> csr_array:
+    return bounded_operator(size)
+
+
+@lru_cache(maxsize=8)
+def _bending(size: int) -> csr_array:
+    """Integral of the squares of the second derivatives; of a density over the squared range.
+
+    The powers of the size turn differences into derivatives and the sum into the integral.
+    """
+    curvature = curvature_operator(size) @ _bounded(size)[:-size]
+    bend = reversible_differences(size, 2)
+    return size**6 * (curvature.T @ curvature) + size**5 * (bend.T @ bend)
+
+
+@lru_cache(maxsize=8)
+def _sliding(size: int) -> csr_array:
+    """The same of the first derivatives along the diagonal."""
+    translation = translation_operator(size) @ _bounded(size)[:-size]
+    slope = reversible_differences(size, 1)
+    return size**4 * (translation.T @ translation) + size**3 * (slope.T @ slope)

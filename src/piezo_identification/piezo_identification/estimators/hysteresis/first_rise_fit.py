@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""First-cycle remanence from a recording of the hysteresis that begins with the first rise."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import isotonic_regression
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.conditioning.waveforms import (
+    played,
+    samples_per_mean,
+    with_voltage_before,
+)
+from piezo_identification.estimators.frequency_response.sampled_response import respond
+from piezo_identification.estimators.hysteresis.everett_regression import NEAR_THE_END
+from piezo_models.hysteresis.first_rise import FirstRise
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+
+
+@dataclass(frozen=True)
+class FirstRiseSettings:
+    """Numbers that steer the estimate.
+
+    Attributes
+    ----------
+    cells : int
+        Parts of the voltage range between which the remanence goes on a straight line.
+    least : float
+        Part of the displacement's range below which a remanence is noise, drift or creep.
+    largest_drift : float
+        Part of the remanence by which the displacement at the lowest voltage may still change once
+        the highest voltage was reached; what drifts goes on, a remanence does not.
+    largest_error_ratio : float
+        A remanence is accepted if the loops fitted beside it leave less than this part of what
+        they leave without. One that drift or an unknown creep feigns explains less of them.
+    """
+
+    cells: int = 24
+    least: float = 2e-3
+    largest_drift: float = 0.2
+    largest_error_ratio: float = 0.5
+
+
+SETTINGS = FirstRiseSettings()
+
+
+def estimate_first_rise(
+    voltage_v: FloatArray, output_um: FloatArray, highest_v: float = -np.inf,
+) -> FirstRise | None:
+    """Estimate what rises beyond all earlier voltages add for good.
+
+    A rise from the lowest voltage runs along one curve, the Everett function of a cycled stage.
+    Beyond the highest voltage so far the remanence adds to it, and shows again as the displacement
+    at the lowest voltage afterwards.
+
+    Parameters
+    ----------
+    voltage_v, output_um : ndarray, shape (N,)
+        Of the hysteresis, with everything linear removed.
+    highest_v : float
+        Voltage up to which the stage had risen before.
+
+    Returns
+    -------
+    FirstRise or None
+        None if the recording does not return to its lowest voltage and rise again, shows no
+        remanence of account, or goes on to drift once the highest voltage was reached.
+    """
+    low_v, high_v = float(voltage_v.min()), float(voltage_v.max())
+    at_low = voltage_v <= low_v + NEAR_THE_END * (high_v - low_v)
+    begin = int(np.argmax(at_low))
+    highest_v = max(highest_v, float(voltage_v[: begin + 1].max()))
+    rises = _rises(voltage_v[begin:], output_um[begin:], at_low[begin:], highest_v)
+    again = [np.column_stack([v, y - bottom])[v <= before]
+             for v, y, bottom, before in rises]
+    curve = np.concatenate(again)
+    if curve.size == 0 or np.ptp(curve[:, 0]) < 0.5 * (high_v - low_v):
+        return None
+    edges_v = np.linspace(low_v, high_v, SETTINGS.cells + 1)
+    curve_v, curve_um = _cell_means(curve, edges_v)
+    first_um = rises[0][2]
+    shown = [np.array([[before, bottom - first_um] for *_, bottom, before in rises[1:]])]
+    for v, y, _, before in rises:
+        beyond = (v > before) & (v <= curve_v[-1])
+        shown.append(np.column_stack(
+            [v[beyond], y[beyond] - first_um - np.interp(v[beyond], curve_v, curve_um)]))
+    points_v, points_um = _cell_means(np.concatenate(shown), edges_v)
+    known = points_v > highest_v
+    if not known.any():
+        return None
+    rising_um = np.maximum(isotonic_regression(points_um[known]).x, 0.0)
+    start_v = min(max(low_v, highest_v), float(points_v[known][0]) - 1e-9 * (high_v - low_v))
+    afterwards_um = [bottom for *_, bottom, before in rises if before >= curve_v[-1]]
+    drift_um = np.ptp(afterwards_um) if afterwards_um else 0.0
+    if rising_um[-1] < SETTINGS.least * float(np.ptp(output_um)) or (
+            drift_um > SETTINGS.largest_drift * rising_um[-1]):
+        return None
+    return FirstRise((start_v, *points_v[known].tolist()), (0.0, *rising_um.tolist()))
+
+
+def _rises(
+    voltage_v: FloatArray, output_um: FloatArray, at_low: BoolArray, highest_v: float,
+) -> list[tuple[FloatArray, FloatArray, float, float]]:
+    """Voltages and outputs of each rise from the lowest voltage, its start, and the highest before.
+
+    Of each, the samples at which the voltage is where it has not been since the lowest one.
+    """
+    starts = np.flatnonzero(at_low[:-1] & ~at_low[1:]) + 1
+    arrivals = np.flatnonzero(at_low & np.insert(~at_low[:-1], 0, True))
+    rises = []
+    for start, arrival in zip(starts, arrivals, strict=False):
+        later = arrivals[arrivals > arrival]
+        end = later[0] if later.size else voltage_v.size
+        v, y = voltage_v[start:end], output_um[start:end]
+        furthest = np.maximum.accumulate(v)
+        new = v > np.insert(furthest[:-1], 0, -np.inf)
+        rises.append((v[new], y[new], float(np.mean(output_um[arrival:start])), highest_v))
+        highest_v = max(highest_v, float(furthest[-1]))
+    return rises
+
+
+def _cell_means(points: FloatArray, edges_v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean voltage and value of the points in each cell that has any."""
+    number = np.clip(np.searchsorted(edges_v, points[:, 0]) - 1, 0, edges_v.size - 2)
+    counts = np.bincount(number, minlength=edges_v.size - 1)
+    some = counts > 0
+    voltage_v, values = (np.bincount(number, column, minlength=edges_v.size - 1)[some]
+                         / counts[some] for column in points.T)
+    return voltage_v, values
+
+
+def highest_before(recording: Recording) -> float:
+    """Return the highest voltage of a recording before what is played; -inf if nothing is."""
+    before_v, lead = with_voltage_before(recording, played(recording))
+    return float(before_v[:lead].max(initial=-np.inf))
+
+
+def without_first_rise(
+    recording: Recording, first_rise: FirstRise, creep: CreepDynamics,
+    dynamics: ElectricVibrationDynamics,
+) -> Recording:
+    """Return what is played in a recording as if the stage had been cycled before.
+
+    Parameters
+    ----------
+    recording : Recording
+        That begins with the first rise.
+    first_rise : FirstRise
+    creep : CreepDynamics
+    dynamics : ElectricVibrationDynamics
+        What follows the hysteresis.
+
+    Returns
+    -------
+    Recording
+    """
+    part = played(recording)
+    lacking_um = first_rise.simulate(part.voltage_v, highest_before(recording))
+    lacking_um = respond(creep.state_space() * dynamics.state_space(), lacking_um,
+                         part.sample_period_s, samples_per_mean(part))
+    return replace(part, displacement_um=part.displacement_um - lacking_um)

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The weights of the density's penalties that predict branches held out."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.waveforms import turning_points
+from piezo_identification.estimators.hysteresis.equations import (
+    Equations,
+    HysteresisSegment,
+    Penalties,
+    equations_of_folds,
+)
+
+SMOOTHING_WEIGHTS = tuple(10.0**power for power in range(-6, -16, -1))
+"""Weights of the density's curvature, from the largest down."""
+
+TRANSLATION_WEIGHTS = tuple(10.0**power for power in range(-6, -12, -1))
+"""Weights of the density's change along the diagonal, from the largest down."""
+
+FOLDS = 5
+"""Parts of the branches, each held out once; odd, so that ways up and down take turns."""
+
+SHORT_BRANCH = 0.02
+"""Of the range of the voltage, below which a way back is no branch of its own."""
+
+FEWEST_ROWS = 4
+"""Samples to fit in a piece of a branch."""
+
+
+@dataclass(frozen=True, eq=False)
+class PenaltyChoice:
+    """The chosen weights.
+
+    Parameters
+    ----------
+    penalties : Penalties
+    forces : ndarray
+        Of the bounds, on the grid on which the weights were chosen.
+    is_line : bool
+        A line predicts what was held out as well.
+    """
+
+    penalties: Penalties
+    forces: FloatArray
+    is_line: bool
+
+
+def branch_folds(segments: Sequence[HysteresisSegment]) -> list[NDArray[np.intp]]:
+    """Number the samples to fit by the fold in which they are held out.
+
+    Whole branches between reversals are held out, as samples beside each other tell the same. Where
+    there are few, they are cut into pieces.
+
+    Parameters
+    ----------
+    segments : sequence of HysteresisSegment
+
+    Returns
+    -------
+    list of ndarray of int
+    """
+    branches = [_branches(segment) for segment in segments]
+    count = sum(len(np.unique(each)) for each in branches)
+    pieces = max(1, -(-2 * FOLDS // max(count, 1)))
+    folds, first = [], 0
+    for branch in branches:
+        number = np.zeros(branch.size, dtype=int)
+        for each in np.unique(branch):
+            rows = np.flatnonzero(branch == each)
+            parts = max(1, min(pieces, rows.size // FEWEST_ROWS))
+            number[rows] = first + np.arange(rows.size) * parts // rows.size
+            first += parts
+        folds.append(number % FOLDS)
+    return folds
+
+
+def _branches(segment: HysteresisSegment) -> NDArray[np.intp]:
+    """Number of the branch of each sample to fit."""
+    voltage_v = segment.voltage_v
+    points = turning_points(voltage_v, SHORT_BRANCH * float(np.ptp(voltage_v)))
+    return np.searchsorted(points[1:-1], segment.samples, side="right")
+
+
+def choose_penalties(
+    segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None = None,
+) -> PenaltyChoice:
+    """Choose the largest weights that predict branches held out as well as any.
+
+    As well as any: the mean over the folds is worse by no more than the standard error of the
+    difference, or than chance does to a mean square.
+
+    Parameters
+    ----------
+    segments : sequence of HysteresisSegment
+    levels_v : ndarray, shape (n + 1,)
+    translation : float, optional
+        Weight of the change along the diagonal; by default chosen too.
+
+    Returns
+    -------
+    PenaltyChoice
+    """
+    trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments)))
+    penalties = trials.best(
+        Penalties(weight, translation or 0.0) for weight in SMOOTHING_WEIGHTS)
+    if translation is None:
+        penalties = trials.best(
+            replace(penalties, translation=weight) for weight in (*TRANSLATION_WEIGHTS, 0.0))
+        penalties = trials.best(
+            replace(penalties, smoothing=weight) for weight in SMOOTHING_WEIGHTS)
+    return PenaltyChoice(penalties, trials.forces(penalties), trials.line_predicts(penalties))
+
+
+class _Trials:
+    """Misfits of the folds held out, by the penalties."""
+
+    def __init__(self, folds: Sequence[Equations]) -> None:
+        self._unseen = [fold for fold in folds if fold.count]
+        whole = self._unseen[0]
+        for fold in self._unseen[1:]:
+            whole = whole.plus(fold)
+        self._whole = whole
+        self._fitted = [whole.plus(fold, -1.0) if len(self._unseen) > 1 else whole
+                        for fold in self._unseen]
+        self._counts = np.array([fold.count for fold in self._unseen])
+        self._misfits: dict[Penalties, FloatArray] = {}
+        self._forces: list[FloatArray | None] = [None] * len(self._unseen)
+
+    def misfits(self, penalties: Penalties) -> FloatArray:
+        """Sum of the squared errors of each fold."""
+        if penalties not in self._misfits:
+            result = []
+            for index, (fitted, unseen) in enumerate(zip(self._fitted, self._unseen, strict=True)):
+                unknowns, beside, self._forces[index] = fitted.solve(
+                    penalties, self._forces[index])
+                result.append(unseen.unseen_misfit(fitted, unknowns, beside))
+            self._misfits[penalties] = np.array(result)
+        return self._misfits[penalties]
+
+    def best(self, candidates: Iterable[Penalties]) -> Penalties:
+        """Return the first candidate that predicts as well as any."""
+        listed = list(candidates)
+        least = min(listed, key=lambda penalties: self.misfits(penalties).sum())
+        return next(each for each in listed if self._as_well(self.misfits(each), least))
+
+    def forces(self, penalties: Penalties) -> FloatArray:
+        """Forces of the bounds with all samples."""
+        return self._whole.solve(penalties, self._forces[0])[2]
+
+    def line_predicts(self, penalties: Penalties) -> bool:
+        """Tell whether a line predicts as well as a density with these penalties."""
+        misfits = np.array([
+            unseen.unseen_misfit(fitted, *fitted.solve_line())
+            for fitted, unseen in zip(self._fitted, self._unseen, strict=True)
+        ])
+        return self._as_well(misfits, penalties)
+
+    def _as_well(self, misfits: FloatArray, least: Penalties) -> bool:
+        best = self.misfits(least)
+        worse = (misfits - best) / self._counts
+        error = float(np.std(worse) / np.sqrt(max(worse.size - 1, 1)))
+        chance = np.sqrt(2.0 / self._counts.sum()) * best.sum() / self._counts.sum()
+        return float(np.mean(worse)) <= max(error, chance)

@@ -1,0 +1,349 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Creep from any slow recordings: what makes of the displacement a memory of the voltage alone.
+
+The inverse of the creep that is sought leaves the output of the hysteresis, which depends on the
+extremes of the voltage and not on time: a regression on the Everett function (4.11). So the creep
+is the one whose inverse this regression explains best. Steps, trapezoids, staircases and loops
+are alike to it. The inverse commutes with the fast dynamics, so that what follows a jump need only
+be left out.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+from scipy.sparse import csr_array
+
+from piezo_common.arrays import FloatArray
+from piezo_common.cancellation import check_cancelled
+from piezo_identification.conditioning.outlier_samples import good_samples
+from piezo_identification.conditioning.segments import Recordings, played_segments
+from piezo_identification.conditioning.settling import settling_time_s
+from piezo_identification.conditioning.waveforms import samples_per_mean
+from piezo_identification.estimators.creep import (
+    BINS_PER_DECADE,
+    MOST_PAIRS,
+    USUAL_SETTLING_S,
+    CreepNotShown,
+)
+from piezo_identification.estimators.estimate import (
+    Estimate,
+    OrderTrial,
+    creep_of_partial_fractions,
+    order_trial,
+    parameter_covariance,
+)
+from piezo_identification.estimators.hysteresis.everett_regression import (
+    density_operator,
+    everett_regression,
+)
+from piezo_identification.estimators.hysteresis.penalties import (
+    curvature_operator,
+    reversible_differences,
+)
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+
+CELLS = 24
+"""Along each threshold: the hysteresis is only to be told apart from the creep."""
+
+CURVATURE = 1e-11
+"""Weight of the density's curvature, of the thesis' kind; it only decides what no sample shows."""
+
+MOST_BINS = 4000
+"""Rows of the regression; neighbouring samples of longer recordings are averaged."""
+
+JUMP_SHARE = 0.02
+"""Of the voltage's range, from which a change within a sample is a jump."""
+
+GAINS = (1e-4, 1.0)
+"""Gain of a creep exponential over the immediate one, between which it is sought."""
+
+CANDIDATES = 12
+"""Rates that are tried for each further exponential."""
+
+DRIFT_INFORMATION = 10.0
+"""By which the information criterion must fall for a drift of the sensor to be taken."""
+
+
+def estimate_slow_creep(
+    recordings: Recordings, dynamics: ElectricVibrationDynamics | None = None,
+    pair_count: int | None = None,
+) -> Estimate:
+    """Estimate the creep dynamics (4.4) from recordings of any slow voltage.
+
+    Hysteresis, offset, initial creep and, where the data show it, a drift in proportion to time
+    are fitted beside. Each recording, and each stretch after a gap, begins with an unknown past.
+
+    Parameters
+    ----------
+    recordings : Recording or sequence of Recording
+    dynamics : ElectricVibrationDynamics, optional
+        If known: their ringing after each jump is left out.
+    pair_count : int, optional
+        Number of pole and zero pairs; by default as many as the Bayesian information criterion
+        justifies.
+
+    Returns
+    -------
+    Estimate
+        Its model is a `CreepDynamics`; its order counts pairs of pole and zero.
+
+    Raises
+    ------
+    ValueError
+        If nothing is left of the recordings beside what follows jumps, or the data do not show as
+        many pairs.
+    """
+    parts = played_segments(recordings)
+    settling_s = max(USUAL_SETTLING_S, settling_time_s(dynamics) if dynamics else 0.0)
+    plain = _search(_Problem(parts, settling_s, drifts=False), pair_count)
+    drifting = _search(_Problem(parts, settling_s, drifts=True), pair_count)
+    chosen = min(plain.trials, key=lambda trial: trial.information)
+    other = min(drifting.trials, key=lambda trial: trial.information)
+    best = drifting if chosen.information > other.information + DRIFT_INFORMATION else plain
+    refusal = next(trial.refusal for trial in best.trials if trial.order == best.order)
+    if pair_count is not None and refusal:
+        raise CreepNotShown(
+            f"{parts[0].path} does not show {pair_count} pairs of creep poles and zeros "
+            f"({refusal}): ask for fewer, or record longer")
+    return best
+
+
+def _search(problem: "_Problem", pair_count: int | None) -> Estimate:
+    """Add exponentials one by one, each from the best of some rates."""
+    point = best = np.empty(0)
+    trials = [problem.trial(point)]
+    for _ in range(MOST_PAIRS if pair_count is None else pair_count):
+        point = problem.refine(problem.with_further(point))
+        trials.append(problem.trial(point))
+        better = trials[-1].information < min(trial.information for trial in trials[:-1])
+        if pair_count is None and (trials[-1].refusal or not better):
+            break
+        best = point
+    model, deviations = problem.creep(best)
+    return Estimate(model, deviations, best.size // 2, tuple(trials), pair_count is not None)
+
+
+class _Problem:
+    """Rows of all recordings; a point is the logarithms of rates, then those of gains."""
+
+    def __init__(self, parts: Sequence[Recording], settling_s: float, drifts: bool) -> None:
+        lowest_v = min(part.voltage_v.min() for part in parts)
+        highest_v = max(part.voltage_v.max() for part in parts)
+        if lowest_v == highest_v:
+            raise ValueError(
+                f"the voltage of {parts[0].path} is {lowest_v:g} V throughout: give a recording "
+                "in which it moves")
+        levels_v = np.linspace(lowest_v, highest_v, CELLS + 1)
+        self._parts = [
+            _Part(part, levels_v, settling_s, MOST_BINS // len(parts), drifts) for part in parts]
+        self._span = self._explained_by_hysteresis()
+        longest_s = max(part.time_s[-1] for part in parts)
+        shortest_s = max(min(part.sample_period_s for part in parts), settling_s / 3.0)
+        if self.rows < 20 or 0.3 / longest_s >= 0.5 / shortest_s:
+            raise ValueError(
+                f"{parts[0].path} leaves too little beside the {settling_s:.3g} s after each "
+                "jump, too fast to show creep: give the recording of a creep experiment")
+        self.rates = np.log([0.3 / longest_s, 1.0 / shortest_s])
+        self.gains = np.log(GAINS)
+
+    def _explained_by_hysteresis(self) -> FloatArray:
+        """Orthonormal columns of what hysteresis and offsets can make; rough ones count less."""
+        width = sum(part.offsets.shape[1] for part in self._parts)
+        blocks, first = [], 0
+        for part in self._parts:
+            own = np.zeros((part.offsets.shape[0], width))
+            own[:, first : first + part.offsets.shape[1]] = part.offsets
+            blocks.append(np.hstack([part.everett, own]))
+            first += part.offsets.shape[1]
+        columns = np.vstack(blocks)
+        density = density_operator(CELLS)
+        curvature = CELLS**3 * (curvature_operator(CELLS) @ density)
+        bend = CELLS**2.5 * reversible_differences(CELLS, 2)
+        rough = np.vstack([curvature.toarray(), bend.toarray()]) * np.sqrt(
+            CURVATURE * columns.shape[0])
+        padded = np.hstack([rough, np.zeros((rough.shape[0], width))])
+        scale = np.linalg.norm(np.vstack([columns, padded]), axis=0)
+        scale[scale == 0.0] = 1.0
+        normal = np.vstack([columns, padded]) / scale
+        orthogonal, values, _ = np.linalg.svd(normal, full_matrices=False)
+        kept: FloatArray = orthogonal[:, values > 1e-7 * values[0]]
+        self._penalties = rough.shape[0]
+        # Rows less what the hysteresis takes of them, which the penalties make a fraction.
+        self.rows = columns.shape[0] - round(float(np.sum(kept[: columns.shape[0]] ** 2)))
+        return kept
+
+    def residual(self, point: FloatArray) -> FloatArray:
+        """What hysteresis, offsets and initial creep leave of the displacement without creep."""
+        check_cancelled()
+        rates, gains = np.exp(np.split(point, 2))
+        target = np.concatenate([part.without_creep(rates, gains) for part in self._parts])
+        zeros = np.asarray(creep_of_partial_fractions(rates, gains)[0].zeros_rad_per_s)
+        target = np.append(target, np.zeros(self._penalties))
+        own = [part.decays(zeros) for part in self._parts]
+        decays = np.zeros((target.size, zeros.size * len(own)))
+        first = 0
+        for index, each in enumerate(own):
+            decays[first : first + len(each), index * zeros.size : (index + 1) * zeros.size] = each
+            first += len(each)
+        both = np.column_stack([target, decays])
+        both = both - self._span @ (self._span.T @ both)
+        left: FloatArray = both[:, 0]
+        if decays.shape[1]:
+            left = left - both[:, 1:] @ np.linalg.lstsq(both[:, 1:], left, rcond=1e-9)[0]
+        return left
+
+    def with_further(self, point: FloatArray) -> FloatArray:
+        """Add the exponential that explains most."""
+        rates, gains = np.split(point, 2)
+        grid = np.linspace(*self.rates, CANDIDATES + 2)[1:-1]
+        trials = [
+            np.concatenate([rates, [rate], gains, [np.log(gain)]])
+            for rate in grid for gain in (0.01, 0.05)]
+        return min(trials, key=lambda trial: float(np.sum(self.residual(trial) ** 2)))
+
+    def refine(self, point: FloatArray) -> FloatArray:
+        """Rates and gains of least error."""
+        pairs = point.size // 2
+        low, high = (np.repeat([self.rates[end], self.gains[end]], pairs) for end in (0, 1))
+        solution = least_squares(
+            self.residual, np.clip(point, low + 1e-6, high - 1e-6), bounds=(low, high),
+            xtol=1e-9, ftol=1e-11, gtol=1e-12, max_nfev=60)
+        result: FloatArray = solution.x
+        return result
+
+    def trial(self, point: FloatArray) -> OrderTrial:
+        """How well these exponentials do, and whether they can be creep at all."""
+        residual = self.residual(point)
+        rates, gains = np.split(point, 2)
+        refusal = ""
+        if np.any(gains <= self.gains[0] + 0.01) or np.any(gains >= self.gains[1] - 0.01):
+            refusal = "a gain is not positive, or larger than the immediate one"
+        elif np.any(rates >= self.rates[1] - 0.01):
+            refusal = "a rate is as fast as the sampling"
+        mean_square = np.sum(residual**2) / self.rows
+        return order_trial(
+            rates.size, np.full(self.rows, np.sqrt(mean_square)), 3 * rates.size, refusal)
+
+    def creep(self, point: FloatArray) -> tuple[CreepDynamics, dict[str, object]]:
+        """Model of a point, and its standard deviations."""
+        rates, gains = np.exp(np.split(point, 2))
+        if rates.size == 0:
+            return CreepDynamics(), {"poles_rad_per_s": (), "zeros_rad_per_s": ()}
+        residual = self.residual(point)
+        steps = 1e-4 * np.eye(point.size)
+        jacobian = np.column_stack([
+            (self.residual(point + step) - self.residual(point - step)) / 2e-4 for step in steps])
+        values = np.concatenate([rates, gains])
+        covariance = parameter_covariance(
+            jacobian / values, residual, residual.size - self.rows + 3 * rates.size)
+        return creep_of_partial_fractions(rates, gains, covariance)
+
+
+class _Part:
+    """A stretch without gaps, in bins of the samples that are alike."""
+
+    def __init__(self, part: Recording, levels_v: FloatArray, settling_s: float, most_bins: int,
+                 drifts: bool) -> None:
+        self._period_s = part.sample_period_s
+        self._mean_samples = samples_per_mean(part)
+        # A displacement at an instant is that before the voltage of its row acts.
+        shift = 1 if self._mean_samples == 1 else 0
+        voltage_v = np.asarray(part.voltage_v[: part.voltage_v.size - shift], dtype=float)
+        self._displacement_um = np.asarray(part.displacement_um[shift:], dtype=float)
+        self._time_s = np.arange(voltage_v.size) * self._period_s
+        regression = everett_regression(voltage_v, levels_v)
+        skipped = int(np.ceil(settling_s / self._period_s))
+        used = _used(voltage_v, float(levels_v[-1] - levels_v[0]), skipped)
+        used &= (regression.history >= 0) & good_samples(part)[shift:]
+        number = _bins(voltage_v, levels_v, used, regression.history, skipped, most_bins)
+        self._samples = np.flatnonzero(used)
+        _, self._bin, counts = np.unique(
+            number[used], return_inverse=True, return_counts=True)
+        self._counts = counts.astype(float)
+        # Means over the bins, weighted to equal variance.
+        self._gather = csr_array(
+            (1.0 / np.sqrt(self._counts)[self._bin], (self._bin, self._samples)),
+            shape=(self._counts.size, self._time_s.size))
+        self.everett = np.asarray((self._gather @ regression.matrix).toarray())
+        histories = np.unique(regression.history[used])
+        offsets = [(regression.history == each).astype(float) for each in histories]
+        if drifts and offsets:
+            offsets.append(self._time_s / self._time_s[-1])
+        self.offsets = self.means(np.column_stack(offsets)) if offsets else np.empty((0, 0))
+
+    def means(self, signals: FloatArray) -> FloatArray:
+        """Means over the bins, weighted to equal variance."""
+        return np.asarray(self._gather @ signals)
+
+    def without_creep(self, rates: FloatArray, gains: FloatArray) -> FloatArray:
+        """Bins of the displacement passed through the exact inverse of the creep for held input."""
+        steps = [_exponential(rate, self._period_s, self._mean_samples) for rate in rates]
+        # The held output h gives h + sum g (h + (x - h) m); x decays to h.
+        numerator, denominator = np.array([1.0]), np.array([1.0])
+        for decay, _ in steps:
+            denominator = np.convolve(denominator, [1.0, -decay])
+        forward = denominator.copy()
+        for index, (gain, (decay, mean)) in enumerate(zip(gains, steps, strict=True)):
+            others = np.array([1.0])
+            for other, (its_decay, _) in enumerate(steps):
+                if other != index:
+                    others = np.convolve(others, [1.0, -its_decay])
+            # From h to h + (x - h) m with x[n] = a x[n-1] + (1 - a) h[n-1].
+            own = np.array([1.0 - mean, mean - decay])
+            forward = forward + gain * np.convolve(others, own)
+        numerator = denominator
+        start = self._displacement_um[0]
+        still = self._displacement_um - start
+        return self.means(
+            lfilter(numerator, forward, still) + start * numerator.sum() / forward.sum())
+
+    def decays(self, zeros: FloatArray) -> FloatArray:
+        """Bins of what is left of the creep from before, shape (bins, zeros)."""
+        return self.means(np.exp(-np.outer(self._time_s, zeros)))
+
+
+def _exponential(rate: float, period_s: float, mean_samples: int) -> tuple[float, float]:
+    """Decay over a sample, and its mean over the clock samples of which a displacement is made."""
+    decay = float(np.exp(-rate * period_s))
+    if mean_samples == 1:
+        return decay, decay
+    step = np.expm1(-rate * period_s / mean_samples)
+    return decay, float(np.expm1(-rate * period_s) / (mean_samples * step))
+
+
+def _used(voltage_v: FloatArray, range_v: float, skipped: int) -> NDArray[np.bool_]:
+    """Mark the samples that are not just after a jump."""
+    jumps = np.flatnonzero(np.abs(np.diff(voltage_v, prepend=voltage_v[0])) > JUMP_SHARE * range_v)
+    since = np.arange(voltage_v.size)
+    last = np.full(voltage_v.size, -skipped - 1)
+    last[jumps] = jumps
+    return since - np.maximum.accumulate(last) >= skipped
+
+
+def _bins(
+    voltage_v: FloatArray, levels_v: FloatArray, used: NDArray[np.bool_],
+    history: NDArray[np.intp], skipped: int, most_bins: int,
+) -> NDArray[np.intp]:
+    """Number the samples by bins: logarithmic in the time of a hold, within a cell on the way.
+
+    Creep after a hold began needs no finer view of logarithmic time.
+    """
+    cell_v = (levels_v[-1] - levels_v[0]) / CELLS
+    way = np.abs(np.diff(voltage_v, prepend=voltage_v[0])) / cell_v
+    moves = way > 1e-3 / max(1, skipped)
+    moved = np.flatnonzero(moves)
+    last = np.zeros(voltage_v.size, dtype=int)
+    last[moved] = moved
+    since = np.arange(voltage_v.size) - np.maximum.accumulate(last)
+    held = np.floor(
+        BINS_PER_DECADE * np.log10(np.maximum(since, 1) / max(skipped, 1)).clip(0.0))
+    group = np.maximum(1, voltage_v.size // most_bins)
+    changes = (np.diff(held, prepend=held[0]) != 0.0) | (np.diff(history, prepend=0) != 0)
+    changes |= np.diff(used.astype(int), prepend=0) != 0
+    changes |= moves & (np.arange(voltage_v.size) % group == 0)
+    changes |= moves & ~np.append(False, moves[:-1])
+    return np.cumsum(changes)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which share of a voltage leaves what a model was identified on, and what that makes uncertain."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.ndimage import binary_dilation, label
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.estimators.hysteresis.everett_regression import summed_over_corners
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.identified_model import IdentifiedModel
+
+NEAR_VISITED = 0.03
+"""Part of the voltage range within which a density is known from visited cells, being smooth."""
+
+BEYOND = 1e-6
+"""Part of the voltage range by which a voltage may exceed it by rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutsideIdentified:
+    """Samples at which a model has not been identified.
+
+    Parameters
+    ----------
+    beyond : ndarray of bool, shape (N,)
+        The voltage is beyond that of the model, whose hysteresis stands still there.
+    unvisited : ndarray of bool, shape (N,)
+        The output depends on cells of the Preisach plane that no recording determined.
+    deviation_um : ndarray, shape (N,)
+        Standard deviation of the displacement for these two reasons; 0 where there is none.
+    voltage_range_v : (float, float)
+        Of the model.
+    """
+
+    beyond: BoolArray
+    unvisited: BoolArray
+    deviation_um: FloatArray
+    voltage_range_v: tuple[float, float]
+
+    @property
+    def outside(self) -> BoolArray:
+        """Samples to which either applies, shape (N,)."""
+        return self.beyond | self.unvisited
+
+    def sentences(self) -> list[str]:
+        """Tell people which share is outside, and how uncertain the displacement is there."""
+        low_v, high_v = self.voltage_range_v
+        told = []
+        for mask, where in (
+                (self.beyond, f"beyond the model's voltages, {low_v:g} to {high_v:g} V, at which "
+                              "its hysteresis stands still"),
+                (self.unvisited, "in a part of the Preisach plane that no recording of the model "
+                                 "visited, where its density is a continuation")):
+            if mask.any():
+                deviation_um = np.sqrt(np.mean(self.deviation_um[mask] ** 2))
+                told.append(
+                    f"{100.0 * mask.mean():.3g} % of the samples lie {where}: standard deviation "
+                    f"of the displacement there {deviation_um:.3g} um; identify the model on loops "
+                    "that go there")
+        return told
+
+
+def outside_identified(
+    identified: IdentifiedModel, voltage_v: ArrayLike, past_v: tuple[float, ...] = (),
+) -> OutsideIdentified:
+    """Find where a voltage leaves what a model was identified on.
+
+    The output is a sum of Everett values, one at each remembered extreme. The value at a visited
+    corner is known, whatever cells it is made of. At another one, the mass m of unvisited cells
+    that it includes may be anything between none and all of the mass M of their connected block:
+    its variance is taken for m (M - m) / 3, that of a Dirichlet distribution of concentration 2.
+    Beyond the voltages of the model nothing is known: the standard deviation is the way there times
+    the largest gain.
+
+    Parameters
+    ----------
+    identified : IdentifiedModel
+        Without `visited`, only voltages beyond its range are told.
+    voltage_v : array_like, shape (N,)
+        From the first sample that counts in the memory of the hysteresis.
+    past_v : tuple of float
+        Voltages before.
+
+    Returns
+    -------
+    OutsideIdentified
+    """
+    hysteresis = identified.model.hysteresis
+    voltage_v = np.asarray(voltage_v, dtype=float)
+    low_v, high_v = hysteresis.voltage_min_v, hysteresis.voltage_max_v
+    excess_v = np.maximum(np.maximum(voltage_v - high_v, low_v - voltage_v), 0.0)
+    beyond = excess_v > BEYOND * (high_v - low_v)
+    deviation_um = excess_v * hysteresis.gain_um_per_v()[1] * beyond
+    unvisited = np.zeros(voltage_v.size, dtype=bool)
+    if identified.visited is not None:
+        variance = everett_variance_um2(hysteresis, identified.visited)
+        of_samples = summed_over_corners(
+            variance, np.concatenate([past_v, voltage_v]), hysteresis.levels_v)[len(past_v):]
+        unvisited = of_samples > 0.0
+        deviation_um = np.sqrt(deviation_um**2 + of_samples)
+    return OutsideIdentified(beyond, unvisited, deviation_um, (low_v, high_v))
+
+
+def everett_variance_um2(hysteresis: PreisachModel, visited: BoolArray) -> FloatArray:
+    """Variance of the Everett value in each cell, for the unvisited cells that it includes.
+
+    Parameters
+    ----------
+    hysteresis : PreisachModel
+    visited : ndarray of bool, shape (L, L)
+        Cells that the recordings determine.
+
+    Returns
+    -------
+    ndarray, shape (L, L)
+        0 in visited cells and near them.
+    """
+    size = len(visited)
+    near = binary_dilation(visited, iterations=max(1, round(NEAR_VISITED * size)))
+    unknown = np.tril(~near)
+    blocks, count = label(unknown)
+    area = np.tril(np.ones((size, size))) - 0.5 * np.eye(size)
+    mass_um = hysteresis.density_um_per_v2 * area * hysteresis.cell_width_v**2
+    variance = np.zeros((size, size))
+    for block in range(1, count + 1):
+        of_block = np.where(blocks == block, mass_um, 0.0)
+        # What the corner of each cell includes: lower upper thresholds, higher lower thresholds.
+        included = np.cumsum(np.cumsum(of_block, axis=0)[:, ::-1], axis=1)[:, ::-1]
+        whole = float(of_block.sum())
+        variance += np.maximum(included * (whole - included), 0.0) / 3.0
+    return np.where(unknown, variance, 0.0)

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Verdicts on components of known truth: the stage itself is the model, or lacks something."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from piezo_identification.adequacy.component_adequacy import (
+    adequacy_document,
+    adequacy_of,
+    adequacy_table,
+    overall_verdict,
+)
+from piezo_identification.adequacy.component_residual import component_residual
+from piezo_identification.adequacy.lack_of_fit import lack_of_fit
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.experiments import catalogue as experiments
+from piezo_models.effects.delay import Delay
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+
+NOISE_UM = 0.009
+PERIODS = 100
+
+
+@pytest.fixture(scope="module")
+def recordings(play):
+    return {
+        "creep": play(experiments.creep(), 1, 100.0),
+        "dynamics": play(experiments.dynamics(), 2),
+        "hysteresis": play(experiments.hysteresis(level_count=20), 3, 1000.0),
+    }
+
+
+def test_the_stage_itself_is_adequate_and_its_noise_is_found(plant, recordings):
+    adequacy = adequacy_of(plant, recordings)
+    assert {part.verdict for part in adequacy.values()} == {"adequate"}
+    true_um = {"creep": NOISE_UM / np.sqrt(400.0), "hysteresis": NOISE_UM / np.sqrt(40.0),
+               # The first 0.3 s of 100 periods are not used.
+               "dynamics": NOISE_UM / np.sqrt(0.85 * PERIODS)}
+    for component, part in adequacy.items():
+        assert part.noise_rms_um == pytest.approx(true_um[component], rel=0.1)
+        assert part.ratio == pytest.approx(1.0, abs=0.1)
+        assert (part.left, part.advice) == ("", "")
+    assert overall_verdict(adequacy_document(adequacy)) == "adequate"
+    assert adequacy["dynamics"].noise_from == "repeats"
+
+
+@pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 110), marks=pytest.mark.long)],
+                         ids=["some", "many"])
+def test_noise_alone_is_hardly_ever_called_inadequate(plant, play, seeds):
+    adequate = [
+        adequacy_of(plant, {"dynamics": play(experiments.dynamics(duration_s=1.0), seed)})[
+            "dynamics"].verdict == "adequate" for seed in seeds]
+    assert np.mean(adequate) >= 0.99
+
+
+def test_slow_noise_of_the_sensor_is_told_by_repeats(plant, play):
+    """A sensor of 1 kHz bandwidth: its noise is white nowhere in the sampled band."""
+    recording = play(experiments.dynamics(), 1, noise_um=0.0)
+    white = np.random.default_rng(5).normal(size=recording.voltage_v.size)
+    slow_um = 0.02 * lfilter([0.15], [1.0, -0.85], white)
+    noisy = replace(recording, displacement_um=recording.displacement_um + slow_um)
+    part = adequacy_of(plant, {"dynamics": noisy})["dynamics"]
+    assert part.verdict == "adequate"
+    assert part.noise_rms_um == pytest.approx(np.std(slow_um) / np.sqrt(0.85 * PERIODS), rel=0.15)
+
+
+HIDDEN = {
+    "a delay": (replace, {"effects": (Delay(1e-4),)}),
+    "a mode": (replace, {"dynamics": ElectricVibrationDynamics(
+        0.00049, (2846.0, 4909.0, 8800.0), (0.685, 0.082, 0.02))}),
+}
+
+
+@pytest.mark.parametrize("hidden", HIDDEN)
+def test_what_the_dynamics_lack_is_told_with_its_size_and_place(plant, play, hidden):
+    change, fields = HIDDEN[hidden]
+    stage = change(plant, **fields)
+    quiet, noisy = (play(experiments.dynamics(), 1, stage=stage, noise_um=noise_um)
+                    for noise_um in (0.0, NOISE_UM))
+    truth_um = lack_of_fit(component_residual("dynamics", plant, quiet)).residual_rms_um
+    part = adequacy_of(plant, {"dynamics": noisy})["dynamics"]
+    assert part.verdict == "inadequate"
+    assert part.residual_rms_um == pytest.approx(truth_um, rel=0.01)
+    assert "after the steps" in part.left
+    assert "let diagnose name the cause" in part.advice
+
+
+def test_a_mode_is_found_at_its_frequency_and_more_modes_are_advised(plant, play):
+    stage = replace(plant, dynamics=ElectricVibrationDynamics(
+        0.00049, (2846.0, 4909.0), (0.685, 0.02)))
+    model = replace(plant, dynamics=ElectricVibrationDynamics(0.00049, (2846.0,), (0.685,)))
+    part = adequacy_of(
+        model, {"dynamics": play(experiments.dynamics(), 1, stage=stage)})["dynamics"]
+    near_hz = float(part.left.split("near ")[1].split(" Hz")[0])
+    assert near_hz == pytest.approx(4909.0 / 2.0 / np.pi, rel=0.1)
+    assert "--modes 2" in part.advice
+
+
+def test_creep_that_is_a_tenth_too_fast_is_inadequate(plant, recordings):
+    poles, zeros = plant.creep.poles_rad_per_s, plant.creep.zeros_rad_per_s
+    wrong = CreepDynamics((1.1 * poles[0], *poles[1:]), (1.1 * zeros[0], *zeros[1:]))
+    adequacy = adequacy_of(replace(plant, creep=wrong), {"creep": recordings["creep"]})
+    assert adequacy["creep"].verdict == "inadequate"
+    assert "--creep-pairs 5" in adequacy["creep"].advice
+
+
+def test_loops_that_the_model_misses_are_told_by_voltage(plant, recordings):
+    recording = recordings["hysteresis"]
+    bump_um = 0.05 * np.exp(-(((recording.voltage_v - 90.0) / 4.0) ** 2))
+    bent = replace(recording, displacement_um=recording.displacement_um + bump_um)
+    part = adequacy_of(plant, {"hysteresis": bent})["hysteresis"]
+    assert part.verdict == "inadequate"
+    low_v, high_v = (float(word) for word in part.left.split(" and ")[1].split(" V")[0].split(
+        " to "))
+    assert low_v < 90.0 < high_v
+    table = adequacy_table(adequacy_document({"hysteresis": part}))
+    assert "hysteresis is inadequate" in table
+
+
+def test_a_frequency_response_is_judged_too(plant):
+    frequency_hz = np.geomspace(2.0, 2000.0, 200)
+    noise = np.random.default_rng(3).normal(size=(2, 200)) * 1e-3
+    gain = 2.0 * plant.response(frequency_hz) + noise[0] + 1j * noise[1]
+    verdicts = [
+        adequacy_of(plant, {"dynamics": FrequencyResponse("r", frequency_hz, shown)})["dynamics"]
+        for shown in (gain, gain * np.exp(-2j * np.pi * frequency_hz * 1e-4))]
+    assert [part.verdict for part in verdicts] == ["adequate", "inadequate"]
+    low_um, high_um = plant.hysteresis.output_range_um
+    assert verdicts[0].noise_rms_um == pytest.approx(0.5e-3 * (high_um - low_um), rel=0.1)
+
+
+def test_without_noise_only_what_matters_is_inadequate(plant, play):
+    quiet = play(experiments.hysteresis(level_count=20), 3, 1000.0, noise_um=0.0)
+    assert adequacy_of(plant, {"hysteresis": quiet})["hysteresis"].verdict == "adequate"
+
+
+def test_the_recording_that_is_missing_is_asked_for(plant, recordings):
+    static = replace(plant, creep=CreepDynamics(), dynamics=ElectricVibrationDynamics())
+    loops = {"hysteresis": recordings["hysteresis"]}
+    advice = adequacy_of(static, loops)["hysteresis"].advice
+    assert "give a recording for --creep" in advice
+    advice = adequacy_of(static, recordings)["hysteresis"].advice
+    assert "give a recording" not in advice

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What no piezo stage does is said, and what one may do is not."""
+
+import re
+
+import numpy as np
+import pytest
+
+from piezo_identification.adequacy.plausibility import implausible_data, implausible_model
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+
+SINE_V = 50.0 - 50.0 * np.cos(np.arange(4000) * 0.01)
+SQUARE_V = np.repeat(np.tile([20.0, 80.0], 10), 200)
+
+
+def model(range_um=30.0, range_v=100.0, **dynamics):
+    hysteresis = PreisachModel(0.0, range_v, np.zeros((1, 1)), 0.0,
+                               np.array([range_um / range_v]))
+    return StageModel(hysteresis, CreepDynamics(),
+                      ElectricVibrationDynamics(**{"time_constant_s": 5e-4} | dynamics))
+
+
+@pytest.mark.parametrize("voltage_v", [SINE_V, SQUARE_V], ids=["sine", "square"])
+@pytest.mark.parametrize("end", [1, -1], ids=["top", "bottom"])
+def test_a_sensor_that_clips_is_told(independent_stage, recorded, voltage_v, end):
+    displacement_um = independent_stage().displacement_um(voltage_v, 1e-3)
+    noisy_um = displacement_um + 0.01 * np.random.default_rng(1).normal(size=voltage_v.size)
+    limit_um = np.quantile(noisy_um, 0.5 + 0.2 * end)
+    clipped_um = end * np.minimum(end * noisy_um, end * limit_um)
+    (text,) = implausible_data({"hysteresis": recorded("clip", voltage_v, clipped_um, 1e-3)})
+    assert text.startswith("clip: the sensor clips: ")
+    assert f"{limit_um:.6g} um" in text
+
+
+@pytest.mark.parametrize("quantum_um", [0.0, 0.02, 1.0])
+@pytest.mark.parametrize("noise_um", [0.0, 0.01])
+@pytest.mark.parametrize("voltage_v", [SINE_V, SQUARE_V], ids=["sine", "square"])
+def test_a_good_sensor_is_not_said_to_clip(
+        independent_stage, recorded, voltage_v, noise_um, quantum_um):
+    displacement_um = independent_stage().displacement_um(voltage_v, 1e-3)
+    displacement_um = displacement_um + noise_um * np.random.default_rng(1).normal(
+        size=voltage_v.size)
+    if quantum_um:
+        displacement_um = quantum_um * np.round(displacement_um / quantum_um)
+    assert implausible_data({"creep": recorded("good", voltage_v, displacement_um, 1e-3)}) == []
+
+
+def test_dynamics_that_are_sampled_too_slowly_are_told(recorded):
+    recording = recorded("slow", SQUARE_V, SQUARE_V + np.arange(SQUARE_V.size) * 1e-3, 0.01)
+    (text,) = implausible_data({"dynamics": recording})
+    assert "too slow to hold dynamics" in text
+    assert implausible_data({"creep": recording}) == []
+
+
+@pytest.mark.parametrize(("made", "said"), [
+    ({"time_constant_s": 2.7}, "a time constant of 2.7 s is too slow .* is dyn a recording"),
+    ({"mode_frequencies_rad_per_s": (3.0,), "damping_ratios": (0.5,)}, "a mode at 0.477 Hz"),
+    ({"range_um": 0.133}, "a range of 0.133 um over 100 V is implausible"),
+    ({"range_um": 3e4}, "a range of 3e.04 um"),
+    ({"range_v": 1e5}, "voltages from 0 to 1e.05 V are implausible"),
+])
+def test_an_implausible_model_is_told(recorded, made, said):
+    recordings = {"dynamics": recorded("dyn", SQUARE_V, SQUARE_V, 1e-3)}
+    assert re.search(said, " ".join(implausible_model(model(**made), recordings)))
+
+
+@pytest.mark.parametrize("made", [
+    {}, {"range_um": 0.3, "range_v": 3.0}, {"range_um": 1500.0}, {"range_um": 1.0},
+    {"mode_frequencies_rad_per_s": (60.0,), "damping_ratios": (0.05,)}])
+def test_a_plausible_model_is_not_told_of(recorded, made):
+    recordings = {"dynamics": recorded("dyn", SQUARE_V, SQUARE_V, 1e-3)}
+    assert implausible_model(model(**made), recordings) == []

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recordings that begin anywhere, of a stage that shares no form with the model."""
+
+import numpy as np
+import pytest
+
+from piezo_identification.conditioning.recording_start import (
+    first_run_length,
+    motion_um_per_s,
+    square_part,
+)
+from piezo_identification.estimators.creep import estimate_creep
+from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+from piezo_models.linear.dynamics import CreepDynamics
+
+LEVELS_V = np.array([10.0, 50.0])
+NOISE_UM = 0.003
+
+
+def square(first, runs, samples):
+    return np.repeat([LEVELS_V[(first + run) % 2] for run in range(runs)], samples)
+
+
+@pytest.mark.parametrize("past_v", [(), (0.0, 60.0, 0.0)], ids=["virgin", "cycled"])
+@pytest.mark.parametrize("first", [0, 1], ids=["lower", "upper"])
+def test_creep_may_begin_at_either_level(independent_stage, recorded, first, past_v):
+    voltage_v = square(first, 5, 3000)
+    displacement_um = independent_stage().displacement_um(voltage_v, 0.01, past_v)
+    estimate = estimate_creep(recorded("creep", voltage_v, displacement_um, 0.01, NOISE_UM, 4))
+    poles, deviations = estimate.model.poles_rad_per_s, estimate.standard_deviations
+    assert poles == pytest.approx((0.125, 2.0), rel=0.02)
+    assert abs(poles[0] - 0.125) < 3.0 * deviations["poles_rad_per_s"][0]
+    # The way up to the first upper level ends on the loop, that to the first lower one does not.
+    assert ("left out" in estimate.start) == (first == 0)
+
+
+def test_what_comes_before_the_first_step_is_used_where_it_is_on_the_loop(
+        independent_stage, recorded):
+    voltage_v = square(0, 5, 3000)
+    stage = independent_stage()
+    settled_v = [10.0, 50.0, 10.0, 50.0, 10.0]
+    displacement_um = stage.displacement_um(voltage_v, 0.01, settled_v)
+    estimate = estimate_creep(recorded("creep", voltage_v, displacement_um, 0.01, NOISE_UM))
+    assert estimate.start == ""
+    assert estimate.model.poles_rad_per_s == pytest.approx((0.125, 2.0), rel=0.02)
+
+
+def test_a_square_wave_may_come_from_rest_anywhere_and_end_there(independent_stage, recorded):
+    way_v = np.linspace(0.0, 50.0, 40)
+    voltage_v = np.concatenate([np.zeros(500), way_v, square(1, 4, 3000), np.full(200, 30.0)])
+    displacement_um = independent_stage().displacement_um(voltage_v, 0.01)
+    recording = recorded("creep", voltage_v, displacement_um, 0.01, NOISE_UM)
+    part = square_part(recording)
+    # The last sample of the way has reached the level.
+    assert part.sample_index[[0, -1]].tolist() == [539, 12539]
+    assert estimate_creep(recording).model.poles_rad_per_s == pytest.approx((0.125, 2.0), rel=0.02)
+
+
+@pytest.mark.parametrize("first", [0, 1], ids=["lower", "upper"])
+def test_dynamics_may_begin_at_either_level_and_in_motion(independent_stage, recorded, first):
+    stage = independent_stage((0.125,), (0.04,), 5e-4, 2500.0, 0.1)
+    creep = CreepDynamics((0.125,), (0.125 * 1.04,))
+    voltage_v = np.concatenate([np.zeros(400), square(first, 60, 400)])
+    displacement_um = stage.displacement_um(voltage_v, 25e-6, settled=False)
+    recording = recorded("dynamics", voltage_v, displacement_um, 25e-6, NOISE_UM)
+    estimate = estimate_dynamics(recording, creep, 1)
+    for name, truth in (("time_constant_s", 5e-4), ("mode_frequencies_rad_per_s", 2500.0),
+                        ("damping_ratios", 0.1)):
+        value = np.ravel(getattr(estimate.model, name))[0]
+        assert abs(value - truth) < 4.0 * np.ravel(estimate.standard_deviations[name])[0], name
+
+
+def test_a_voltage_of_more_than_two_levels_is_left_as_it_is(recorded):
+    voltage_v = np.sin(np.arange(4000) / 50.0)
+    recording = recorded("sine", voltage_v, voltage_v, 0.01)
+    assert square_part(recording) is recording
+
+
+def test_a_motion_at_the_start_is_told_from_noise(recorded):
+    voltage_v = square(0, 2, 300)
+    moving_um = voltage_v + 0.8 * np.exp(-np.arange(600) / 100.0)
+    assert motion_um_per_s(recorded("m", voltage_v, moving_um, 0.01, 0.01)) == pytest.approx(
+        -0.4, abs=0.1)
+    assert motion_um_per_s(recorded("r", voltage_v, voltage_v, 0.01, 0.01)) == 0.0
+    assert first_run_length(voltage_v) == 300

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: BSD-3-Clause
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezo_identification.estimators.slow_creep import estimate_slow_creep
+
+CREEP = ((0.05, 0.04), (0.8, 0.03))
+FREQUENCY_HZ = np.geomspace(0.005, 1.0, 20)
+PERIOD_S = 0.05
+
+
+def ways(corners):
+    """Voltage that goes straight between (time, voltage) corners, sampled every `PERIOD_S`."""
+    times, voltages = np.transpose(corners)
+    return np.interp(np.arange(0.0, times[-1], PERIOD_S), times, voltages)
+
+
+WAVEFORMS = {
+    "steps": np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 70.0, 10.0], 800),
+    "staircase": np.repeat([*range(0, 90, 10), *range(70, -1, -10)], 500).astype(float),
+    "trapezoid": np.tile(ways([(0, 0), (4, 80), (60, 80), (64, 0), (120, 0)]), 3),
+    "triangles": ways([(0, 0), (40, 80), (60, 20), (90, 70), (130, 5), (170, 60), (210, 0),
+                       (211, 50), (300, 50)]),
+}
+
+
+def error_of(creep, stage):
+    """Largest relative error of the response but for a common gain."""
+    ratio = creep.response(FREQUENCY_HZ) / stage.creep_response(FREQUENCY_HZ)
+    return np.abs(ratio / ratio[-1] - 1.0).max()
+
+
+@pytest.fixture(scope="module")
+def stage(foreign_stage):
+    return foreign_stage(CREEP)
+
+
+@pytest.mark.parametrize("waveform", WAVEFORMS)
+def test_creep_is_found_from_any_slow_voltage(waveform, stage, record):
+    estimate = estimate_slow_creep(record(stage, WAVEFORMS[waveform], PERIOD_S))
+    print(waveform, estimate.model, error_of(estimate.model, stage), estimate.order_table())
+    assert error_of(estimate.model, stage) < 3e-3

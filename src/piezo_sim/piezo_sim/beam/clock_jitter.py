@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Converters that do not act at the ticks of the clock exactly.
+
+With the deviation tau from the tick, |normal| times the stated RMS and at most one period T, a
+sample becomes s[n] + (s[n-1] - s[n]) tau / T. For a held voltage that is the mean over the period
+of an update that comes late by tau; for a displacement it is a straight line, read tau early.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from numba import njit
+
+from piezo_common.arrays import FloatArray
+from piezo_sim.plant.plant_effect import Effect, Surroundings, parameter, require
+from piezo_sim.plant.random_stream import NormalStream, bits_for
+
+
+@njit(cache=True)
+def _deviate(samples: FloatArray, normals: FloatArray, previous: float,
+             rms_share: float) -> float:
+    for n in range(samples.size):
+        level = samples[n]
+        share = min(abs(normals[n]) * rms_share, 1.0)
+        samples[n] = level + (previous - level) * share
+        previous = level
+    return previous
+
+
+@dataclass(frozen=True)
+class UpdateJitter:
+    """Updates of the voltage that come late at random."""
+
+    name: ClassVar[str] = "update_jitter"
+
+    jitter_rms_s: float = parameter("s")
+
+    def __post_init__(self) -> None:
+        require(self.jitter_rms_s >= 0.0, self, "jitter_rms_s must not be negative.")
+
+    def start(self, surroundings: Surroundings) -> "JitterRunner":
+        """Start the deviations from the seed."""
+        return JitterRunner(self, self.jitter_rms_s, surroundings)
+
+
+@dataclass(frozen=True)
+class SamplingJitter:
+    """Readings of the displacement that are taken early at random."""
+
+    name: ClassVar[str] = "sampling_jitter"
+
+    jitter_rms_s: float = parameter("s")
+
+    def __post_init__(self) -> None:
+        require(self.jitter_rms_s >= 0.0, self, "jitter_rms_s must not be negative.")
+
+    def start(self, surroundings: Surroundings) -> "JitterRunner":
+        """Start the deviations from the seed."""
+        return JitterRunner(self, self.jitter_rms_s, surroundings)
+
+
+class JitterRunner:
+    """Jitter with the sample before."""
+
+    def __init__(self, effect: Effect, jitter_rms_s: float, surroundings: Surroundings) -> None:
+        self._rms_share = jitter_rms_s / surroundings.sample_period_s
+        self._normals = NormalStream(bits_for(effect.name, surroundings.seed))
+        self._previous = 0.0
+
+    def rest(self, level: float) -> float:
+        """Stand at the constant input `level`, where a deviation in time shows nothing."""
+        self._previous = level
+        return level
+
+    def apply(self, samples: FloatArray) -> None:
+        """Replace samples by those at the deviating instants."""
+        normals = self._normals.next(samples.size)
+        self._previous = _deviate(samples, normals, self._previous, self._rms_share)

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Digital-to-analogue converter that holds each level until the next update."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from piezo_common.arrays import FloatArray
+from piezo_sim.plant.converter import Converter
+from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.pointwise import PointwiseRunner
+
+
+@dataclass(frozen=True)
+class OutputConverter:
+    """Range and levels of the converter, stated at the output of the amplifier behind it."""
+
+    name: ClassVar[str] = "output_converter"
+
+    voltage_min_v: float = parameter("V")
+    voltage_max_v: float = parameter("V")
+    converter_bits: int = parameter("1")
+
+    def __post_init__(self) -> None:
+        require(
+            self.voltage_min_v < self.voltage_max_v,
+            self,
+            "voltage_min_v must be below voltage_max_v.",
+        )
+        require(
+            1 <= self.converter_bits <= 32, self, "converter_bits must be an integer from 1 to 32."
+        )
+
+    def start(self, surroundings: Surroundings) -> PointwiseRunner:
+        """Start; a converter has no memory."""
+        converter = Converter(self.voltage_min_v, self.voltage_max_v, self.converter_bits)
+
+        def convert(samples: FloatArray) -> None:
+            converter.apply(samples)
+
+        return PointwiseRunner(convert)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Power amplifier of two poles in a feedback loop, whose first stage saturates.
+
+    dv/dt = z,   dz/dt = 2 zeta w (sat(w / (2 zeta) (u - v), S) - z)
+
+For small signals v'' + 2 zeta w v' + w^2 v = w^2 u; for large ones |dv/dt| stays below the slew
+rate S. The loop is advanced in steps of a fraction of a sample, each exact for the regime, linear
+or saturated, in which it begins; the output is the mean over the sample, to which what follows
+responds.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numba import njit
+from scipy.linalg import expm
+
+from piezo_common.arrays import FloatArray
+from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+
+# The saturation ends in the right one of these parts of a sample.
+STEPS = 8
+
+
+@njit(cache=True)
+def _follow(samples: FloatArray, output_v: float, slope_v_per_s: float, steps: int,
+            linear: FloatArray, saturated: FloatArray, gain_per_s: float,
+            slew_v_per_s: float) -> tuple[float, float]:
+    """Rows of the matrices: new output, new slope, integral; columns: output, slope, input."""
+    for n in range(samples.size):
+        target_v = samples[n]
+        integral = 0.0
+        for _ in range(steps):
+            wanted = gain_per_s * (target_v - output_v)
+            if abs(wanted) <= slew_v_per_s:
+                matrix, drive = linear, target_v
+            else:
+                matrix, drive = saturated, (slew_v_per_s if wanted > 0.0 else -slew_v_per_s)
+            integral += matrix[2, 0] * output_v + matrix[2, 1] * slope_v_per_s
+            integral += matrix[2, 2] * drive
+            following_v = matrix[0, 0] * output_v + matrix[0, 1] * slope_v_per_s
+            following_v += matrix[0, 2] * drive
+            slope_v_per_s = (
+                matrix[1, 0] * output_v + matrix[1, 1] * slope_v_per_s + matrix[1, 2] * drive
+            )
+            output_v = following_v
+        samples[n] = integral
+    return output_v, slope_v_per_s
+
+
+@dataclass(frozen=True)
+class SlewingAmplifier:
+    """Bandwidth, damping and slew rate of the amplifier with its load."""
+
+    name: ClassVar[str] = "slewing_amplifier"
+
+    natural_frequency_rad_per_s: float = parameter("rad/s")
+    damping_ratio: float = parameter("1")
+    slew_rate_v_per_s: float = parameter("V/s")
+
+    def __post_init__(self) -> None:
+        require(
+            self.natural_frequency_rad_per_s > 0.0,
+            self,
+            "natural_frequency_rad_per_s must be positive.",
+        )
+        require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
+        require(self.slew_rate_v_per_s > 0.0, self, "slew_rate_v_per_s must be positive.")
+
+    def start(self, surroundings: Surroundings) -> "SlewingRunner":
+        """Start with a voltage to be set by `rest`."""
+        return SlewingRunner(self, surroundings.sample_period_s)
+
+
+class SlewingRunner:
+    """Amplifier with its output and the slope of it."""
+
+    def __init__(self, effect: SlewingAmplifier, sample_period_s: float) -> None:
+        w, zeta = effect.natural_frequency_rad_per_s, effect.damping_ratio
+        self._output_v, self._slope_v_per_s = 0.0, 0.0
+        step_s = sample_period_s / STEPS
+        self._constants = (
+            STEPS,
+            _step_matrix(-w * w, -2.0 * zeta * w, w * w, step_s),
+            _step_matrix(0.0, -2.0 * zeta * w, 2.0 * zeta * w, step_s),
+            w / (2.0 * zeta),
+            effect.slew_rate_v_per_s,
+        )
+
+    def rest(self, level: float) -> float:
+        """Settle at the voltage `level`."""
+        self._output_v, self._slope_v_per_s = level, 0.0
+        return level
+
+    def apply(self, samples: FloatArray) -> None:
+        """Replace held voltages by the mean output over each sample."""
+        self._output_v, self._slope_v_per_s = _follow(
+            samples, self._output_v, self._slope_v_per_s, *self._constants
+        )
+
+
+def _step_matrix(stiffness: float, friction: float, drive: float, step_s: float) -> FloatArray:
+    """Exact step of v' = z, z' = stiffness v + friction z + drive u, and the share of a mean."""
+    augmented = np.zeros((4, 4))
+    augmented[0, 1] = 1.0
+    augmented[1] = stiffness, friction, 0.0, drive
+    augmented[2, 0] = 1.0 / (STEPS * step_s)
+    return np.ascontiguousarray(expm(augmented * step_s)[:3][:, [0, 1, 3]])

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The simulated stage of a demo: which plant it is, and what the identification is told of it."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from piezo_sim.plant.plant_file import PLANTS, read_plant
+
+# The demo's own, and what the identification is told of each plant as if it were known.
+USUAL = "undeclared"
+DECLARED = {"undeclared": {"modes": 2}}
+SENTENCES = {
+    "default": "The stage has the form of the model: a Preisach hysteresis, creep by poles and "
+    "zeros, an electric lag and two modes.",
+    "undeclared": "The stage does more than the model was allowed to describe: it has a third mode "
+    "and a creep with the logarithm of time.",
+    "beam": "The stage shares no mathematical form with the model: its hysteresis is made of "
+    "rate-dependent plays and has loops that no Preisach density has, it creeps by a power of "
+    "time, its electric lag is spread along a line behind an amplifier that slews, and it vibrates "
+    "as a beam of three coupled modes. Its converters jitter, its frame drifts with the "
+    "temperature, and its sensor has a bandwidth of 5 kHz.",
+}
+
+
+@dataclass(frozen=True)
+class DemoPlant:
+    """The plant of a demo.
+
+    Attributes
+    ----------
+    plant : str
+        Parameter of the stage node: a name, or the absolute path of a plant file.
+    name : str
+        For people and for the directory of the results.
+    sentence : str
+        What the stage is, for the report.
+    declared : dict of str to int
+        Orders that the identification is told; it finds the others.
+    """
+
+    plant: str
+    name: str
+    sentence: str
+    declared: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def directory(self) -> Path:
+        """Where the demo's results go unless the user says otherwise."""
+        return Path("runs", "demo" if self.name == USUAL else f"demo-{self.name}")
+
+
+def demo_plant(plant: str = USUAL) -> DemoPlant:
+    """Describe the plant of a demo.
+
+    Parameters
+    ----------
+    plant : str
+        Name of a plant that comes with the simulator, or path of a plant file.
+
+    Raises
+    ------
+    piezo_sim.plant.plant_effect.PlantConfigError
+        If there is no such plant, or its file cannot be used.
+    """
+    read_plant(plant)
+    if plant in PLANTS:
+        return DemoPlant(plant, plant, SENTENCES[plant], DECLARED.get(plant, {}))
+    path = Path(plant).absolute()
+    return DemoPlant(str(path), path.stem, f"The stage is that of the plant file {path.name}.")
