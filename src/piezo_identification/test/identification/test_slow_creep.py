@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: BSD-3-Clause
-from dataclasses import replace
 
 import numpy as np
 import pytest
