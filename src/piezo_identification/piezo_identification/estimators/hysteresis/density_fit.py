@@ -25,7 +25,7 @@ LEVELS = 70
 """Levels above the lowest voltage, where the voltage passes by so many."""
 
 FEWEST_LEVELS = 4
-"""Levels that any recording gets."""
+"""Levels from which a density is sought; fewer show a line only."""
 
 LARGE_STEP_SHARE = 0.9
 """Of the changes of the voltage from sample to sample that are no larger than a level."""
@@ -101,11 +101,13 @@ def estimate_density(
             "which it moves")
     segments = [_segment(part, creep, dynamics, delay_s) for part in parts]
     _check_sign(segments, parts[0].path)
+    passed = levels_passed(parts, highest_v - lowest_v)
+    is_line = passed < FEWEST_LEVELS
     if level_count is None:
-        level_count = levels_passed(parts, highest_v - lowest_v)
+        level_count = max(passed, FEWEST_LEVELS)
     edges_v = np.linspace(lowest_v, highest_v, level_count * cells_per_level + 1)
     return density_of_segments(
-        segments, edges_v, level_count, smoothing_weight, translation_weight)
+        segments, edges_v, level_count, smoothing_weight, translation_weight, is_line)
 
 
 def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
@@ -119,11 +121,11 @@ def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
     Returns
     -------
     int
-        From `FEWEST_LEVELS` to `LEVELS`.
+        From 1 to `LEVELS`.
     """
     steps_v = np.concatenate([np.abs(np.diff(part.voltage_v)) for part in parts])
     largest_v = float(np.quantile(steps_v[steps_v > 0.0], LARGE_STEP_SHARE))
-    return int(np.clip(round(range_v / largest_v), FEWEST_LEVELS, LEVELS))
+    return int(np.clip(round(range_v / largest_v), 1, LEVELS))
 
 
 def _segment(

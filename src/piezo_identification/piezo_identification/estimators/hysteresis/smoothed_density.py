@@ -80,6 +80,7 @@ def smoothed_density(
 def density_of_segments(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, level_count: int | None = None,
     smoothing_weight: float | None = None, translation_weight: float | None = None,
+    is_line: bool = False,
 ) -> DensityEstimate:
     """Estimate the density as `smoothed_density` does, from several segments of one stage.
 
@@ -91,6 +92,8 @@ def density_of_segments(
     level_count : int, optional
     smoothing_weight, translation_weight : float, optional
         As of `smoothed_density`.
+    is_line : bool
+        The voltage shows no more than a line.
 
     Returns
     -------
@@ -107,8 +110,10 @@ def density_of_segments(
     whole_plane = bool(seen[np.tril_indices(level_count)].all())
     if translation_weight is None and (whole_plane or smoothing_weight is not None):
         translation_weight = 0.0
-    multiplier, is_line = None, False
-    if smoothing_weight is None:
+    multiplier = None
+    if is_line:
+        penalties = Penalties(0.0)
+    elif smoothing_weight is None:
         coarse = min(size, CELLS_FOR_THE_WEIGHT)
         coarse_v = np.linspace(levels_v[0], levels_v[-1], coarse + 1)
         choice = choose_penalties(segments, coarse_v, translation_weight)
