@@ -25,22 +25,22 @@ from piezo_common.schema import (
 )
 from piezo_common.schema.checking import quoted
 from piezo_common.text_file import UnreadableFile, read_bounded_text
-from piezo_sim.beam.clamped_beam import ClampedBeam
-from piezo_sim.beam.clock_jitter import SamplingJitter, UpdateJitter
-from piezo_sim.beam.distributed_line import DistributedLine
-from piezo_sim.beam.generalised_plays import GeneralisedPlays
-from piezo_sim.beam.output_converter import OutputConverter
-from piezo_sim.beam.power_law_creep import PowerLawCreep
-from piezo_sim.beam.slewing_amplifier import SlewingAmplifier
+from piezo_sim.effects.clamped_beam import ClampedBeam
+from piezo_sim.effects.clock_jitter import SamplingJitter, UpdateJitter
 from piezo_sim.effects.current_limit import CurrentLimit
 from piezo_sim.effects.depolarisation import Depolarisation
 from piezo_sim.effects.distributed_lag import DistributedLag
+from piezo_sim.effects.distributed_line import DistributedLine
+from piezo_sim.effects.generalised_plays import GeneralisedPlays
 from piezo_sim.effects.hardening_spring import HardeningSpring
 from piezo_sim.effects.intermittent_contact import IntermittentContact
 from piezo_sim.effects.logarithmic_creep import LogarithmicCreep
 from piezo_sim.effects.mains_hum import MainsHum
+from piezo_sim.effects.output_converter import OutputConverter
 from piezo_sim.effects.parallel_mode import ParallelMode
+from piezo_sim.effects.power_law_creep import PowerLawCreep
 from piezo_sim.effects.self_heating import SelfHeating
+from piezo_sim.effects.slewing_amplifier import SlewingAmplifier
 from piezo_sim.effects.soft_backlash import SoftBacklash
 from piezo_sim.effects.soft_saturation import SoftSaturation
 from piezo_sim.effects.spikes import Spikes

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from piezo_sim.beam.generalised_plays import GeneralisedPlays, PlaysRunner
+from piezo_sim.effects.generalised_plays import GeneralisedPlays, PlaysRunner
 from piezo_sim.plant.plant_effect import PlantConfigError, Surroundings
 from piezo_sim.plant.plant_file import read_plant
 
