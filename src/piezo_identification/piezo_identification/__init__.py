@@ -7,7 +7,7 @@ from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from piezo_identification.diagnosis.diagnose import diagnose
-    from piezo_identification.estimators.creep import estimate_creep
+    from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
     from piezo_identification.estimators.dynamics.multisine import estimate_dynamics_multisine
     from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
     from piezo_identification.estimators.estimate import Estimate
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "diagnose": "diagnosis.diagnose",
-    "estimate_creep": "estimators.creep",
+    "estimate_creep": "estimators.creep.square_wave_creep",
     "estimate_dynamics": "estimators.dynamics.square_wave",
     "estimate_dynamics_multisine": "estimators.dynamics.multisine",
     "Estimate": "estimators.estimate",

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification.estimators.creep import estimate_creep
+from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel

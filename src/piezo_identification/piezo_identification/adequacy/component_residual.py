@@ -12,7 +12,7 @@ from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.settling import first_settled
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
 from piezo_identification.diagnosis.residual.sensor_noise import repeated_period
-from piezo_identification.estimators.creep import FEWEST_STEPS, USUAL_SETTLING_S
+from piezo_identification.estimators.creep.square_wave_creep import FEWEST_STEPS, USUAL_SETTLING_S
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold

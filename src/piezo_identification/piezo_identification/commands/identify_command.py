@@ -64,8 +64,8 @@ def main(arguments: list[str] | None = None) -> int:
         "--dynamics it answers at once; without --hysteresis that of the others is taken.",
     )
     for name, help_text in EXPERIMENTS.items():
-        several = {} if name == "validation" else {"nargs": "+"}
-        parser.add_argument(f"--{name}", metavar="FILE", type=Path, help=help_text, **several)
+        parser.add_argument(f"--{name}", metavar="FILE", type=Path, help=help_text,
+                            nargs=None if name == "validation" else "+")
     parser.add_argument("--output", metavar="MODEL", type=Path, required=True,
                         help="model file to write")
     parser.add_argument("--refine", action="store_true",

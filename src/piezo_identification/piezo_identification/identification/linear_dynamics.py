@@ -8,7 +8,8 @@ import numpy as np
 
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.waveforms import played, square_wave
-from piezo_identification.estimators.creep import estimate_creep
+from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
+from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
 from piezo_identification.estimators.dynamics.armax_dynamics import estimate_dynamics_armax
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
@@ -20,7 +21,6 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     estimate_from_response,
 )
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
-from piezo_identification.estimators.slow_creep import estimate_slow_creep
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
@@ -121,12 +121,9 @@ def estimate_linear_dynamics(
         If a recording does not fit its purpose.
     """
     found = LinearDynamics()
-    is_response = isinstance(dynamics, FrequencyResponse)
-    given = is_response or len(dynamics) > 0
-    needs_hysteresis = (
-        given and not is_response and len(hysteresis) > 0
-        and not all(_is_square_wave(recording) for recording in dynamics)
-    )
+    fast = [] if isinstance(dynamics, FrequencyResponse) else dynamics
+    given = isinstance(dynamics, FrequencyResponse) or len(fast) > 0
+    needs_hysteresis = len(hysteresis) > 0 and not all(map(_is_square_wave, fast))
     # Where only one is recorded, there is nothing to go through twice.
     passes = 2 if given and (creep or needs_hysteresis) else 1
     for turn in range(passes):
@@ -143,7 +140,7 @@ def estimate_linear_dynamics(
         density = None
         if needs_hysteresis:
             density = estimate_density(hysteresis, found.creep, found.dynamics).model()
-        found = found.with_dynamics(_from_samples(dynamics, found.creep, density, method, order))
+        found = found.with_dynamics(_from_samples(fast, found.creep, density, method, order))
     return found
 
 

@@ -9,7 +9,7 @@ from piezo_identification.conditioning.recording_start import (
     motion_um_per_s,
     square_part,
 )
-from piezo_identification.estimators.creep import estimate_creep
+from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
 from piezo_models.linear.dynamics import CreepDynamics
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification.estimators.slow_creep import estimate_slow_creep
+from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 
 CREEP = ((0.05, 0.04), (0.8, 0.03))
 FREQUENCY_HZ = np.geomspace(0.005, 1.0, 20)

@@ -15,7 +15,7 @@ from piezo_identification.diagnosis.residual.parameter_sensitivities import (
     parameter_sensitivities,
 )
 from piezo_identification.diagnosis.residual.regression import first_regression
-from piezo_identification.estimators.creep import CreepNotShown
+from piezo_identification.estimators.creep.square_wave_creep import CreepNotShown
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.identification.identify import identify
 from piezo_studies.diagnosis_benchmark import records

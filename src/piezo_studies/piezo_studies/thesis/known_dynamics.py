@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from piezo_identification.estimators.creep import estimate_creep
+from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.armax import fit_armax
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
 from piezo_identification.estimators.refinement.sensitivities import sensitivity_systems

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.dynamics.multisine import (
     LOWEST_LINE,
@@ -24,7 +25,6 @@ from piezo_identification.estimators.dynamics.square_wave import (
     drift_basis,
     dynamics_of_poles,
     played_at_the_clock,
-    remove_creep,
 )
 from piezo_identification.estimators.estimate import Estimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.dynamics.armax import Armax, fit_armax
 from piezo_identification.estimators.dynamics.multisine import hysteresis_and_displacement
@@ -16,7 +17,6 @@ from piezo_identification.estimators.dynamics.square_wave import (
     drift_basis,
     dynamics_of_poles,
     played_at_the_clock,
-    remove_creep,
 )
 from piezo_identification.estimators.estimate import (
     Estimate,

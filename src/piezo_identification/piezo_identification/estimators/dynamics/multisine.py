@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.waveforms import slow_branches
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_identification.estimators.dynamics.square_wave import (
@@ -13,7 +14,6 @@ from piezo_identification.estimators.dynamics.square_wave import (
     drift_basis,
     dynamics_of_poles,
     played_at_the_clock,
-    remove_creep,
 )
 from piezo_identification.estimators.estimate import Estimate
 from piezo_models.hysteresis.preisach import PreisachModel

@@ -3,9 +3,9 @@
 
 import control
 import numpy as np
-from scipy.signal import lfilter, lfilter_zi
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
@@ -124,30 +124,6 @@ def drift_basis(time_s: FloatArray, creep: CreepDynamics) -> FloatArray:
     return np.column_stack(
         [np.ones_like(time_s), *(np.exp(-zero * time_s) for zero in creep.zeros_rad_per_s)]
     )
-
-
-def remove_creep(signal: FloatArray, creep: CreepDynamics, sample_period_s: float) -> FloatArray:
-    """Pass a uniformly sampled signal through the inverse of the creep, Fig. 4.7.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-    creep : CreepDynamics
-    sample_period_s : float
-        Short beside the creep; the signal is taken for linear between samples (bilinear rule).
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Begins in equilibrium with the first sample.
-    """
-    for pole, zero in zip(creep.poles_rad_per_s, creep.zeros_rad_per_s, strict=True):
-        halves = 0.5 * sample_period_s * np.array([pole, zero])
-        numerator = np.array([1.0 + halves[0], halves[0] - 1.0]) / (1.0 + halves[1])
-        denominator = np.array([1.0, (halves[1] - 1.0) / (1.0 + halves[1])])
-        initial = lfilter_zi(numerator, denominator) * signal[0]
-        signal = lfilter(numerator, denominator, signal, zi=initial)[0]
-    return signal
 
 
 def periodic_response(discrete_system: control.StateSpace, period: FloatArray) -> FloatArray:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
 from piezo_identification.conditioning.settling import first_settled, low_frequency_delay_s
-from piezo_identification.estimators.dynamics.square_wave import remove_creep
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.dynamics_inverse import (
     follows_fast,

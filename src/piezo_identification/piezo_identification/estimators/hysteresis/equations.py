@@ -228,7 +228,7 @@ def _bending(size: int) -> csr_array:
 
 @lru_cache(maxsize=8)
 def _sliding(size: int) -> csr_array:
-    """The same of the first derivatives along the diagonal."""
+    """Do the same with the first derivatives along the diagonal."""
     translation = translation_operator(size) @ _bounded(size)[:-size]
     slope = reversible_differences(size, 1)
     return size**4 * (translation.T @ translation) + size**3 * (slope.T @ slope)

@@ -51,7 +51,7 @@ class PenaltyChoice:
 
 
 def branch_folds(segments: Sequence[HysteresisSegment]) -> list[NDArray[np.intp]]:
-    """Number the samples to fit by the fold in which they are held out.
+    """Return, for each sample to fit, the number of the fold in which they are held out.
 
     Whole branches between reversals are held out, as samples beside each other tell the same. Where
     there are few, they are cut into pieces.
@@ -80,7 +80,7 @@ def branch_folds(segments: Sequence[HysteresisSegment]) -> list[NDArray[np.intp]
 
 
 def _branches(segment: HysteresisSegment) -> NDArray[np.intp]:
-    """Number of the branch of each sample to fit."""
+    """Return the number of the branch of each sample to fit."""
     voltage_v = segment.voltage_v
     points = turning_points(voltage_v, SHORT_BRANCH * float(np.ptp(voltage_v)))
     return np.searchsorted(points[1:-1], segment.samples, side="right")
@@ -149,7 +149,7 @@ class _Trials:
         return next(each for each in listed if self._as_well(self.misfits(each), least))
 
     def forces(self, penalties: Penalties) -> FloatArray:
-        """Forces of the bounds with all samples."""
+        """Return the forces of the bounds with all samples."""
         return self._whole.solve(penalties, self._forces[0])[2]
 
     def line_predicts(self, penalties: Penalties) -> bool:

@@ -4,11 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.estimators.dynamics.square_wave import (
     estimate_dynamics,
     free_decay_poles,
     periodic_response,
-    remove_creep,
 )
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.effects.vibration_mode import VibrationMode

@@ -23,7 +23,7 @@ from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
 from piezo_identification.conditioning.settling import settling_time_s
 from piezo_identification.conditioning.waveforms import samples_per_mean
-from piezo_identification.estimators.creep import (
+from piezo_identification.estimators.creep.square_wave_creep import (
     BINS_PER_DECADE,
     MOST_PAIRS,
     USUAL_SETTLING_S,
@@ -195,7 +195,7 @@ class _Problem:
         return kept
 
     def residual(self, point: FloatArray) -> FloatArray:
-        """What hysteresis, offsets and initial creep leave of the displacement without creep."""
+        """Return what hysteresis, offsets and initial creep leave where the creep is removed."""
         check_cancelled()
         rates, gains = np.exp(np.split(point, 2))
         target = np.concatenate([part.without_creep(rates, gains) for part in self._parts])
@@ -369,7 +369,7 @@ def _bins(
     voltage_v: FloatArray, levels_v: FloatArray, used: NDArray[np.bool_],
     history: NDArray[np.intp], skipped: int, most_bins: int,
 ) -> NDArray[np.intp]:
-    """Number the samples by bins: logarithmic in the time of a hold, within a cell on the way.
+    """Return the bin of each sample: logarithmic in the time of a hold, within a cell on the way.
 
     Creep after a hold began needs no finer view of logarithmic time.
     """

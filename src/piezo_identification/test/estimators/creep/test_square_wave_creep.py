@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.estimators.creep import estimate_creep
+from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 

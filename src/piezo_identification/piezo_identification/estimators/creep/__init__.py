@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Estimate the creep from square waves and from any other slow recordings."""
