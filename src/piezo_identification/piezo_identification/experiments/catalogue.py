@@ -5,9 +5,10 @@ A package of its own adds an experiment through an entry point of the group
 `piezo_identification.experiments`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -165,8 +166,9 @@ def hysteresis(
 
 def validation(
     limits: StageLimits = USUAL_LIMITS, arc_s: float = 0.25, tones_s: float = 1.0,
+    tones: Sequence[Sequence[float]] = VALIDATION_TONES,
 ) -> Experiment:
-    """Design an unseen input: slow arcs between turning points off the levels, tones to 1 kHz.
+    """Design an unseen input: slow arcs between turning points off the levels, then tones.
 
     It begins at the lowest voltage, where the memory of the hysteresis is known.
 
@@ -178,23 +180,26 @@ def validation(
         Time from one turning point to the next.
     tones_s : float
         Length of the part with many frequencies.
+    tones : sequence of (float, float)
+        Frequency in Hz and amplitude over the voltage range of each.
 
     Raises
     ------
     ValueError
         If the waveform leaves the range or exceeds the slew limit.
     """
-    voltage_v = _arcs_and_tones(limits, VALIDATION_TURNS, VALIDATION_TONES, arc_s, tones_s)
+    voltage_v = _arcs_and_tones(limits, VALIDATION_TURNS, tones, arc_s, tones_s)
     return _fitting(
         limits, Experiment("validation", voltage_v, 1.0 / limits.sample_rate_hz, 1,
-                           "slow arcs of unseen amplitudes, then tones from 100 Hz to 1 kHz")
+                           f"slow arcs of unseen amplitudes, then tones {_band(tones)}")
     )
 
 
 def multisine(
     limits: StageLimits = USUAL_LIMITS, arc_s: float = 0.5, tones_s: float = 1.0,
+    tones: Sequence[Sequence[float]] = MULTISINE_TONES,
 ) -> Experiment:
-    """Design six tones from 100 to 600 Hz around mid-range (3.4.2), which show the modes.
+    """Design six tones around mid-range (3.4.2), which show the modes.
 
     It climbs from the lowest voltage, where the memory of the hysteresis is known, so that an
     identified Preisach model tells the input of the dynamics.
@@ -205,16 +210,18 @@ def multisine(
         What the stage allows.
     arc_s, tones_s : float
         Length of the climb and of the tones.
+    tones : sequence of (float, float)
+        Frequency in Hz and amplitude over the voltage range of each; by default 100 to 600 Hz.
 
     Raises
     ------
     ValueError
         If the waveform leaves the range or exceeds the slew limit.
     """
-    voltage_v = _arcs_and_tones(limits, MULTISINE_TURNS, MULTISINE_TONES, arc_s, tones_s)
+    voltage_v = _arcs_and_tones(limits, MULTISINE_TURNS, tones, arc_s, tones_s)
     return _fitting(
         limits, Experiment("multisine", voltage_v, 1.0 / limits.sample_rate_hz, 1,
-                           "six tones from 100 to 600 Hz around mid-range")
+                           f"{len(tones)} tones {_band(tones)} around mid-range")
     )
 
 
@@ -256,9 +263,10 @@ GROUP = "piezo_identification.experiments"
 """Entry points by which other packages offer their experiments: functions of the stage's limits."""
 
 
-def named_experiment(name: str,
-                     limits: StageLimits = USUAL_LIMITS) -> Experiment | RelayExperiment:
-    """Make the experiment of this name with its default parameters.
+def named_experiment(
+    name: str, limits: StageLimits = USUAL_LIMITS, parameters: Mapping[str, Any] | None = None,
+) -> Experiment | RelayExperiment:
+    """Make the experiment of this name.
 
     Parameters
     ----------
@@ -266,6 +274,8 @@ def named_experiment(name: str,
         Of an experiment of this module, or of another package's.
     limits : StageLimits
         What the stage allows.
+    parameters : dict of str to object, optional
+        Those that are not the defaults.
 
     Raises
     ------
@@ -276,7 +286,7 @@ def named_experiment(name: str,
     known = registered(GROUP, EXPERIMENTS | FURTHER_EXPERIMENTS)
     if name not in known:
         raise ValueError(f"unknown experiment '{name}': choose one of {', '.join(known)}")
-    experiment = known[name](limits)
+    experiment = known[name](limits, **(parameters or {}))
     if isinstance(experiment, RelayExperiment):
         return experiment
     if not isinstance(experiment, Experiment) or experiment.name != name:
@@ -296,7 +306,7 @@ def _square_wave(
 
 
 def _arcs_and_tones(
-    limits: StageLimits, turns: Sequence[float], tones: Sequence[tuple[float, float]], arc_s: float,
+    limits: StageLimits, turns: Sequence[float], tones: Sequence[Sequence[float]], arc_s: float,
     tones_s: float,
 ) -> FloatArray:
     """Smooth ways from turn to turn (N,), then tones about the last; both in parts of the range."""
@@ -308,6 +318,11 @@ def _arcs_and_tones(
         for frequency_hz, amplitude in tones
     )
     return limits.voltage_min_v + limits.span_v * np.concatenate([*arcs, waves])
+
+
+def _band(tones: Sequence[Sequence[float]]) -> str:
+    frequencies_hz = [frequency_hz for frequency_hz, _ in tones]
+    return f"from {min(frequencies_hz):g} to {max(frequencies_hz):g} Hz"
 
 
 def _fitting(limits: StageLimits, experiment: Experiment) -> Experiment:

@@ -24,6 +24,8 @@ class StageLimits:
         Voltage of the stage at rest.
     samples_per_tick : int
         Samples of one feedback period.
+    displacement_min_um, displacement_max_um : float
+        Range of the sensor's readings that the stage takes for real.
     """
 
     voltage_min_v: float = -20.0
@@ -32,11 +34,19 @@ class StageLimits:
     sample_rate_hz: float = 40_000.0
     rest_voltage_v: float = 0.0
     samples_per_tick: int = 40
+    displacement_min_um: float = -np.inf
+    displacement_max_um: float = np.inf
 
     @property
     def span_v(self) -> float:
         """Return the width of the voltage range."""
         return self.voltage_max_v - self.voltage_min_v
+
+    @property
+    def displacement_span_um(self) -> float:
+        """Return the width of the sensor's range; 0 where it is not bounded on both sides."""
+        span_um = self.displacement_max_um - self.displacement_min_um
+        return span_um if np.isfinite(span_um) else 0.0
 
     @property
     def middle_v(self) -> float:

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a probe has found, and how each of it is measured from what was played."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.experiments.probing.step_response import StepResponse, step_response
+
+SENSOR_MARGIN = 0.05
+"""Of the sensor's range, that is left free at both ends."""
+
+LEAST_CREEP = 1e-3
+"""Of the step in an octave of time, that counts as creep."""
+
+ENDED = 0.4
+"""An octave of time with less than this part of the largest one's creep is behind the creep."""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """A stage at rest.
+
+    Parameters
+    ----------
+    level_um : float
+        Mean displacement.
+    noise_rms_um : float
+        Of a sample, without a linear drift; no less than the sensor's resolution gives.
+    """
+
+    level_um: float
+    noise_rms_um: float
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """The answer to one pulse of the voltage, from rest and back.
+
+    Parameters
+    ----------
+    rise_um, fall_um : float
+        Change of the displacement by the rise and by the fall of the voltage, signed alike.
+    highest_um, lowest_um : float
+        Largest excursions from rest, without the noise; from 0.
+    unsettled : float
+        Change in the last quarter of the dwell over the rise.
+    """
+
+    rise_um: float
+    fall_um: float
+    highest_um: float
+    lowest_um: float
+    unsettled: float
+
+
+@dataclass(frozen=True)
+class Creep:
+    """How the displacement creeps after a step.
+
+    Parameters
+    ----------
+    share_per_decade : float
+        Of the step, mean over the decades of the hold.
+    time_s : float
+        Up to which it creeps: the end of the last octave with much creep; 0 where there is none.
+    ended : bool
+        Whether it was seen to fade.
+    """
+
+    share_per_decade: float
+    time_s: float
+    ended: bool
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a probe has found of a stage.
+
+    Parameters
+    ----------
+    rest : Rest
+    step_v : float
+        The step at which all else was measured, signed.
+    gain_um_per_v : float
+        Of the first rise to it, signed.
+    signal_to_noise : float
+        Of the repeated step over the noise of one sample.
+    response : StepResponse
+    creep : Creep
+    """
+
+    rest: Rest
+    step_v: float
+    gain_um_per_v: float
+    signal_to_noise: float
+    response: StepResponse
+    creep: Creep
+
+
+def measure_rest(displacement_um: FloatArray) -> Rest:
+    """Measure level and noise of a stage that rests.
+
+    Parameters
+    ----------
+    displacement_um : ndarray, shape (N,)
+    """
+    time = np.arange(displacement_um.size) - 0.5 * (displacement_um.size - 1)
+    slope = float(time @ displacement_um / (time @ time))
+    level_um = float(displacement_um.mean())
+    steps_um = np.abs(np.diff(displacement_um))
+    # A converter without noise in front of it hides what is smaller than a step of it.
+    resolution_um = float(steps_um[steps_um > 0.0].min(initial=np.inf))
+    least_um = resolution_um / np.sqrt(12.0) if np.isfinite(resolution_um) else 1e-6 * max(
+        1.0, abs(level_um))
+    spread_um = float((displacement_um - level_um - slope * time).std())
+    return Rest(level_um, max(spread_um, least_um))
+
+
+def measure_pulse(displacement_um: FloatArray, rise: int, fall: int, noise_um: float) -> Pulse:
+    """Measure the answer to one pulse.
+
+    Parameters
+    ----------
+    displacement_um : ndarray, shape (N,)
+    rise, fall : int
+        Samples at which the voltage begins to rise and to fall.
+    noise_um : float
+        RMS of a sample.
+    """
+    before_um = float(displacement_um[:rise].mean())
+    quarter = max(1, (fall - rise) // 4)
+    top_um = float(displacement_um[fall - quarter:fall].mean())
+    third_um = float(displacement_um[fall - 2 * quarter:fall - quarter].mean())
+    after_um = float(displacement_um[-quarter:].mean())
+    excursion_um = displacement_um - before_um
+    rise_um = top_um - before_um
+    return Pulse(
+        rise_um, top_um - after_um, max(0.0, float(excursion_um.max()) - 4.0 * noise_um),
+        max(0.0, -float(excursion_um.min()) - 4.0 * noise_um),
+        abs(top_um - third_um) / max(abs(rise_um), noise_um))
+
+
+def measure_response(displacement_um: FloatArray, rises: Sequence[int], dwell: int, noise_um: float,
+                     sample_period_s: float) -> StepResponse:
+    """Average the answers to equal pulses and take them apart.
+
+    Parameters
+    ----------
+    displacement_um : ndarray, shape (N,)
+    rises : sequence of int
+        Samples at which the voltage rises; it falls a dwell later.
+    dwell : int
+        Samples from one change of the voltage to the next.
+    noise_um : float
+        RMS of a sample.
+    sample_period_s : float
+    """
+    up_um = np.mean([displacement_um[n:n + dwell] for n in rises], axis=0)
+    down_um = np.mean([displacement_um[n + dwell:n + 2 * dwell] for n in rises], axis=0)
+    mean_um = 0.5 * (up_um - down_um)
+    # The sample at the step is measured before the voltage acts.
+    height_um = float(mean_um[-max(1, dwell // 10):].mean() - mean_um[0])
+    noise = noise_um / np.sqrt(2.0 * len(rises)) / abs(height_um)
+    return step_response((mean_um - mean_um[0]) / height_um, noise, sample_period_s)
+
+
+def measure_creep(time_s: FloatArray, displacement_um: FloatArray, steps_s: FloatArray,
+                  noise_um: float) -> Creep:
+    """Find how much and for how long a stage creeps after a step, apart from what lasts of others.
+
+    The creep is a sum of relaxations with time constants an octave apart and shares of one sign,
+    the same after each of the steps (superposition, Boltzmann).
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (N,)
+        Since the last step; below 0 before it.
+    displacement_um : ndarray, shape (N,)
+    steps_s : ndarray, shape (S,)
+        Times of all steps up and down in turn, the last at 0.
+    noise_um : float
+        Standard deviation of each sample.
+    """
+    displacement_um = displacement_um - displacement_um[time_s < 0.0].mean()
+    after = time_s > 0.0
+    sign = np.sign(displacement_um[after].mean())
+    first_s, last_s = time_s[after][0], time_s[-1]
+    constants_s = first_s * 2.0 ** np.arange(np.log2(4.0 * last_s / first_s))
+    ups = (-1.0) ** np.arange(steps_s.size)[::-1]
+    relaxed = sum(up * -np.expm1(-np.maximum(time_s - step_s, 0.0)[:, None] / constants_s)
+                  for up, step_s in zip(ups, steps_s, strict=True))
+    # As many points for each octave of time, so that the long end does not outweigh the others.
+    weights = 1.0 / np.sqrt(np.maximum(np.abs(time_s), first_s))
+    columns = np.column_stack([np.ones_like(time_s), after, sign * relaxed])
+    bounds = [-np.inf, -np.inf] + [0.0] * constants_s.size
+    fit = lsq_linear(columns * weights[:, None], displacement_um * weights, (bounds, np.inf)).x
+    ends_s = last_s / 2.0 ** np.arange(np.floor(np.log2(last_s / first_s)))[::-1]
+    crept = -np.expm1(-ends_s[:, None] / constants_s) @ fit[2:] / abs(fit[1])
+    octaves = np.diff(crept)
+    samples = 0.5 * ends_s[1:] / (last_s / np.count_nonzero(after))
+    spread = noise_um / abs(fit[1]) * np.sqrt(2.0 / samples)
+    much = octaves > np.maximum(
+        ENDED * octaves.max(initial=0.0), np.maximum(LEAST_CREEP, 4.0 * spread))
+    decades = np.log10(ends_s[-1] / ends_s[0])
+    return Creep(float((crept[-1] - crept[0]) / decades), float(
+        ends_s[1:][much].max(initial=0.0)), not much[-1])

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fit the parameters of the experiments to what a probe has found."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from piezo_identification.experiments.catalogue import (
+    MULTISINE_TONES,
+    SWING_FRACTION,
+    VALIDATION_TONES,
+)
+from piezo_identification.experiments.probing.findings import SENSOR_MARGIN, Findings
+from piezo_identification.experiments.stage_limits import StageLimits
+
+LARGE_SIGNAL = 2.0
+"""Gain over the whole range over that of a small rise, at most: small loops of a piezo-ceramic have
+little more than half of the gain of large ones."""
+
+LEAST_RANGE = 0.1
+"""Of the voltage range, that must be left to identify anything."""
+
+HALF_PERIOD_SETTLINGS = 2.0
+"""Settling times in half a period of the dynamics: the answer to each step is seen to its end."""
+
+PRECISION = 4e-5
+"""Noise of the mean step of the dynamics over the step, that enough periods reach."""
+
+PERIODS, LONGEST_DYNAMICS_S = (100, 1000), 30.0
+"""Of the dynamics, at least and at most."""
+
+LEVEL_COUNT = 70
+"""Harmonics of the hysteresis, as in the thesis (4.7.2)."""
+
+HARMONIC_SETTLINGS = 350.0
+"""Settling times in a harmonic: the dynamics are a small correction to the hysteresis."""
+
+LEVEL_PRECISION = 1e-4
+"""Noise of the mean within a level over the travel."""
+
+HARMONIC_S = (2.0, 8.0)
+"""Shortest and longest period of a harmonic."""
+
+HELD = 2000
+"""Values in a harmonic."""
+
+CREEP_TIMES = 1.6
+"""Half a period of the creep over the time up to which most of it lasts."""
+
+CREEP_PERIOD_S = (20.0, 1600.0)
+"""Shortest and longest period of the creep."""
+
+CREEP_SETTLINGS = 2.0
+"""Settling times in a sample of the creep: the fast motion ends within the first."""
+
+ARC_SETTLINGS, CLIMB_SETTLINGS = 45.0, 90.0
+"""Settling times in an arc of the validation, and in the climb before the multisine."""
+
+ARC_S, TONES_S = 0.25, (1.0, 10.0)
+"""Shortest arc; shortest and longest part with tones."""
+
+ABOVE_THE_MODES = 1.3
+"""Highest tone over the highest frequency of the stage."""
+
+HIGHEST_TONE = 0.1
+"""Of the sample clock: faster tones are stairs."""
+
+LARGEST_PEAK = 1.5
+"""Of a tone at a resonance over the same tone at rest."""
+
+RELAY_S, RELAY_SETTLINGS = 0.5, 100.0
+"""Shortest time of the relay, and settling times in it."""
+
+
+def fitted_limits(findings: Findings, limits: StageLimits) -> StageLimits:
+    """Narrow the voltage range to what stays within the range of the sensor.
+
+    Parameters
+    ----------
+    findings : Findings
+    limits : StageLimits
+
+    Raises
+    ------
+    ValueError
+        If hardly any range is left.
+    """
+    gain_um_per_v = LARGE_SIGNAL * findings.gain_um_per_v
+    margin_um = SENSOR_MARGIN * limits.displacement_span_um
+    rooms_v = sorted(
+        (end_um - findings.rest.level_um) / gain_um_per_v
+        for end_um in (limits.displacement_min_um + margin_um,
+                       limits.displacement_max_um - margin_um))
+    lowest_v = max(limits.voltage_min_v, limits.rest_voltage_v + min(rooms_v[0], 0.0))
+    highest_v = min(limits.voltage_max_v, limits.rest_voltage_v + max(rooms_v[1], 0.0))
+    if highest_v - lowest_v < LEAST_RANGE * limits.span_v:
+        raise ValueError(
+            f"the sensor's range of {limits.displacement_min_um:g}..{limits.displacement_max_um:g} "
+            f"um leaves only {lowest_v:.4g}..{highest_v:.4g} V for experiments: correct it, or "
+            "the rest voltage")
+    return replace(limits, voltage_min_v=lowest_v, voltage_max_v=highest_v)
+
+
+def fitted_parameters(findings: Findings, limits: StageLimits) -> dict[str, dict[str, Any]]:
+    """Choose the parameters of each experiment.
+
+    Parameters
+    ----------
+    findings : Findings
+    limits : StageLimits
+        Of `fitted_limits`.
+
+    Returns
+    -------
+    dict of str to dict
+        Arguments of the functions of the catalogue, by the name of the experiment.
+    """
+    clock_s, settling_s = 1.0 / limits.sample_rate_hz, findings.response.settling_s
+    swing_v = min(SWING_FRACTION * limits.span_v, 0.99 * limits.slew_limit_v_per_s * clock_s)
+    return {
+        "creep": _creep(findings, swing_v, clock_s),
+        "dynamics": _dynamics(findings, swing_v, clock_s),
+        "hysteresis": _hysteresis(findings, limits, clock_s),
+        "validation": {
+            "arc_s": _rounded(max(ARC_S, ARC_SETTLINGS * settling_s), clock_s),
+            **_tones(findings, limits, VALIDATION_TONES)},
+        "multisine": {
+            "arc_s": _rounded(max(2.0 * ARC_S, CLIMB_SETTLINGS * settling_s), clock_s),
+            **_tones(findings, limits, MULTISINE_TONES)},
+        "relay": {"oscillation_s": max(RELAY_S, RELAY_SETTLINGS * settling_s)},
+    }
+
+
+def _creep(findings: Findings, swing_v: float, clock_s: float) -> dict[str, Any]:
+    period_s = float(np.clip(2.0 * CREEP_TIMES * findings.creep.time_s, *CREEP_PERIOD_S))
+    sample_s = _two_digits(CREEP_SETTLINGS * findings.response.settling_s)
+    sample_s = _rounded(min(sample_s, period_s / 2000.0, 1.0), clock_s)
+    return {"swing_v": swing_v, "period_s": _rounded(period_s, 2.0 * sample_s),
+            "sample_period_s": sample_s}
+
+
+def _dynamics(findings: Findings, swing_v: float, clock_s: float) -> dict[str, Any]:
+    half_s = HALF_PERIOD_SETTLINGS * _two_digits(findings.response.settling_s)
+    period_s = 2.0 * _rounded(max(half_s, 20.0 * clock_s), clock_s)
+    noise = findings.rest.noise_rms_um / abs(swing_v * findings.gain_um_per_v)
+    most = max(PERIODS[0], min(PERIODS[1], int(LONGEST_DYNAMICS_S / period_s)))
+    periods = int(np.clip(np.ceil((noise / PRECISION) ** 2), PERIODS[0], most))
+    return {"swing_v": swing_v, "period_s": period_s, "duration_s": periods * period_s}
+
+
+def _hysteresis(findings: Findings, limits: StageLimits, clock_s: float) -> dict[str, Any]:
+    travel_um = abs(findings.gain_um_per_v) * limits.span_v
+    averaged = (findings.rest.noise_rms_um / (LEVEL_PRECISION * travel_um)) ** 2
+    wanted_s = max(HARMONIC_SETTLINGS * findings.response.settling_s,
+                   2.0 * LEVEL_COUNT * averaged * clock_s)
+    sample_s = _rounded(float(np.clip(wanted_s, *HARMONIC_S)) / HELD, clock_s)
+    return {"level_count": LEVEL_COUNT, "harmonic_period_s": HELD * sample_s,
+            "sample_period_s": sample_s}
+
+
+def _tones(findings: Findings, limits: StageLimits,
+           usual: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """Stretch the usual tones to the frequencies of the stage, smaller where it resonates."""
+    response = findings.response
+    highest_hz = max([mode[0] for mode in response.modes] or [3.0 / response.settling_s])
+    top_hz = min(ABOVE_THE_MODES * highest_hz, HIGHEST_TONE * limits.sample_rate_hz)
+    stretch = top_hz / usual[-1][0]
+    tones_s = float(np.clip(100.0 / (stretch * usual[0][0]), *TONES_S))
+    tones = []
+    for usual_hz, usual_share in usual:
+        # Whole cycles, so that the tones end where they began.
+        frequency_hz = round(usual_hz * stretch * tones_s) / tones_s
+        peak = max(response.magnitude(frequency_hz) / LARGEST_PEAK, 1.0)
+        tones.append([frequency_hz, usual_share / peak])
+    steps_v = limits.span_v * 2.0 * np.pi / limits.sample_rate_hz * sum(
+        frequency_hz * share for frequency_hz, share in tones)
+    slower = min(1.0, 0.9 * limits.slew_limit_v_per_s / limits.sample_rate_hz / steps_v)
+    return {"tones_s": _rounded(tones_s, 1.0 / limits.sample_rate_hz),
+            "tones": [[frequency_hz, share * slower] for frequency_hz, share in tones]}
+
+
+def _rounded(time_s: float, unit_s: float) -> float:
+    """Return the nearest whole multiple of a unit, at least one."""
+    return max(1, round(time_s / unit_s)) * unit_s
+
+
+def _two_digits(value: float) -> float:
+    return float(f"{value:.1e}")
