@@ -23,6 +23,7 @@ DOCUMENTS = {
     "learned": "piezo_controller.learning.learned_file:LearnedDocument",
     "calibration": "piezo_stage_driver.backends.calibration:Calibration",
     "columns": "piezo_recorder.reading.columns:ColumnsDocument",
+    "probe": "piezo_identification.experiments.probing.probe_file:ProbeDocument",
     "plant": "piezo_sim.plant.plant_file:PlantDocument",
 }
 SECTION = re.compile(r"(<!-- fields of (\w+) -->\n).*?(<!-- end -->)", re.S)

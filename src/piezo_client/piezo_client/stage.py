@@ -124,7 +124,7 @@ class Stage:
         Parameters
         ----------
         name : str
-            creep, dynamics, multisine, relay, hysteresis, validation or diagnostic.
+            creep, dynamics, multisine, relay, hysteresis, validation, diagnostic or probe.
         directory : path-like
             Where the recording is made; by default where the node's parameter says.
 
@@ -136,7 +136,8 @@ class Stage:
         return Experiment(Path(result.recording), result.summary)
 
     def identify(self, directory: AnyPath = "", recordings: Sequence[AnyPath] = (),
-                 creep_pairs: int = 0, modes: int = 0) -> Identification:
+                 creep_pairs: int = 0, modes: int = 0,
+                 probe_first: bool = False) -> Identification:
         """Run all experiments, or take these recordings, and estimate the model.
 
         Parameters
@@ -147,6 +148,8 @@ class Stage:
             Of creep, dynamics, hysteresis and validation, in this order.
         creep_pairs, modes : int
             Orders of the model; 0 to choose them from the data.
+        probe_first : bool
+            Whether to measure the stage first, and fit the experiments to it.
 
         Returns
         -------
@@ -154,7 +157,7 @@ class Stage:
         """
         result = self._client.identify(
             directory, recordings=recordings, creep_pairs=creep_pairs, modes=modes,
-            on_feedback=self._shown(""))
+            probe_first=probe_first, on_feedback=self._shown(""))
         return Identification(
             Path(result.model), dict(zip(result.error_names, result.error_values, strict=True)),
             tuple(map(Path, result.recordings)), result.adequacy,

@@ -64,6 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--namespace", default="", help="of the stage's nodes")
     commands = parser.add_subparsers(title="what to do", required=True, metavar="COMMAND")
     _add_experiment(commands)
+    _add_probe(commands)
     _add_identify(commands)
     _add_track(commands)
     _add_diagnose(commands)
@@ -89,11 +90,17 @@ def _add_experiment(commands: Commands) -> None:
                         "hysteresis, validation or diagnostic")
 
 
+def _add_probe(commands: Commands) -> None:
+    _add(commands, "probe", _probe, "measure an unknown stage, and fit the experiments to it")
+
+
 def _add_identify(commands: Commands) -> None:
     parser = _add(commands, "identify", _identify, "run all experiments and estimate the model")
     parser.add_argument("--recordings", type=Path, nargs=4, default=(),
                         metavar=("CREEP", "DYNAMICS", "HYSTERESIS", "VALIDATION"),
                         help="take these instead of running experiments")
+    parser.add_argument("--probe-first", action="store_true",
+                        help="measure the stage first and fit the experiments to it")
 
 
 def _add_track(commands: Commands) -> None:
@@ -128,8 +135,14 @@ def _experiment(stage: Stage, options: argparse.Namespace) -> list[str]:
     return [experiment.summary, f"recorded {experiment.path}"]
 
 
+def _probe(stage: Stage, options: argparse.Namespace) -> list[str]:
+    probed = stage.run_experiment("probe", options.output)
+    return [probed.summary, f"recorded {probed.path}", f"written {options.output / 'probe.json'}"]
+
+
 def _identify(stage: Stage, options: argparse.Namespace) -> list[str]:
-    identification = stage.identify(options.output, options.recordings)
+    identification = stage.identify(
+        options.output, options.recordings, probe_first=options.probe_first)
     return [*(f"{name} {value:.4g}" for name, value in identification.errors.items()),
             *(" ".join([name, part["verdict"], part.get("left", "")]).rstrip()
               for name, part in identification.components.items()),

@@ -285,7 +285,8 @@ def named_experiment(
     """
     known = registered(GROUP, EXPERIMENTS | FURTHER_EXPERIMENTS)
     if name not in known:
-        raise ValueError(f"unknown experiment '{name}': choose one of {', '.join(known)}")
+        raise ValueError(f"unknown experiment '{name}': choose one of {', '.join(known)}, "
+                         "probe")
     experiment = known[name](limits, **(parameters or {}))
     if isinstance(experiment, RelayExperiment):
         return experiment

@@ -20,6 +20,8 @@ from piezo_identification.experiments.catalogue import (
     StageLimits,
     named_experiment,
 )
+from piezo_identification.experiments.probing import probe_file
+from piezo_identification.experiments.probing.probe import NAME, Probe
 from piezo_identification.experiments.relay_feedback import (
     RelayExperiment,
     RelayRun,
@@ -73,7 +75,13 @@ class IdentificationNode(LifecycleNode):
                         progress: Progress) -> None:
         directory = self._writable(goal)
         stage = self._stage.wait(progress.check)
-        experiment = named_experiment(goal.experiment, _limits(stage))
+        if goal.experiment == NAME:
+            document = self._probe(stage, directory, result, lambda step, fraction: progress.report(
+                fraction, stage=step), progress, goal.unrecorded)
+            result.recording = str(directory / NAME)
+            result.summary = probe_file.probe_summary(document)
+            return
+        experiment = self._fitted(goal.experiment, stage, directory)
         result.summary = f"{experiment.description}, {experiment.duration_s:g} s"
         note, recording = self._record(
             experiment, stage, directory, result, lambda step, fraction: progress.report(
@@ -82,6 +90,39 @@ class IdentificationNode(LifecycleNode):
         if isinstance(experiment, RelayExperiment) and not recording.failure:
             oscillation = relay_oscillation(read_recording(result.recording), experiment)
             result.summary += f"\n{oscillation.summary}"
+
+    def _fitted(self, name: str, stage: StageDescription,
+                directory: Path) -> Experiment | RelayExperiment:
+        """Make an experiment, fitted to the stage where the directory has the file of a probe."""
+        limits, path = _limits(stage), directory / probe_file.NAME
+        if not path.exists():
+            return named_experiment(name, limits)
+        probed = probe_file.load_probe(self._data_root.readable(path))
+        self.get_logger().info(f"experiment {name} is fitted by {path}")
+        return named_experiment(name, probed.usable(limits), probed.fitted(name))
+
+    def _probe(self, stage: StageDescription, directory: Path,
+               result: RunExperiment.Result | Identify.Result, report: Report, progress: Progress,
+               unrecorded: bool) -> probe_file.ProbeDocument:
+        """Play and record the steps of a probe, and write its file into the directory."""
+        path, limits = self._data_root.writable(directory / probe_file.NAME), _limits(stage)
+        steps = self._data_root.writable(directory / NAME)
+        _make(steps)
+        probe, played_s = Probe(limits), 0.0
+        while (step := probe.step) is not None:
+            def told(phase: str, fraction: float, step: Experiment = step,
+                     begin_s: float = played_s) -> None:
+                # How long the probe takes shows only at its end.
+                done_s = begin_s + fraction * step.duration_s
+                report(f"{NAME}, {step.description}: {phase}", done_s / (done_s + probe.longest_s))
+            _, recording = self._record(step, stage, steps, result, told, progress, unrecorded)
+            if recording.failure:
+                raise CallFailed(f"{recording.note}: a probe must be recorded, run it again")
+            probe.take(read_recording(recording.path))
+            played_s += step.duration_s
+        document = probe_file.probe_document(probe.findings, limits)
+        probe_file.save_probe(path, document)
+        return document
 
     def _record(self, experiment: Experiment | RelayExperiment, stage: StageDescription,
                 directory: Path, result: RunExperiment.Result | Identify.Result, report: Report,
@@ -150,6 +191,13 @@ class IdentificationNode(LifecycleNode):
         directory = self._writable(goal)
         _make(directory)
         given = [*map(self._data_root.readable, goal.recordings)]
+        if goal.probe_first and given:
+            raise ValueError("probe_first was asked for, and recordings are given: leave one out")
+        if goal.probe_first:
+            self._probe(self._stage.wait(progress.check), directory, result,
+                        lambda step, _: progress.report(0.0, stage=step), progress,
+                        goal.unrecorded)
+            result.recordings = []
         result.recordings = given or self._run_all(
             directory, result, progress, goal.unrecorded)
         if len(result.recordings) != len(EXPERIMENTS):
@@ -183,7 +231,7 @@ class IdentificationNode(LifecycleNode):
         """Run every experiment; raise CallFailed at the end if one could not be recorded."""
         unread = []
         stage = self._stage.wait(progress.check)
-        experiments = [named_experiment(name, _limits(stage)) for name in EXPERIMENTS]
+        experiments = [self._fitted(name, stage, directory) for name in EXPERIMENTS]
         durations_s = [experiment.duration_s for experiment in experiments]
         for index, experiment in enumerate(experiments):
             begin = sum(durations_s[:index]) / sum(durations_s)
@@ -232,7 +280,8 @@ def _limits(stage: StageDescription) -> StageLimits:
     """Return what experiments are made for, as the stage describes it."""
     return StageLimits(
         stage.minimum_voltage_v, stage.maximum_voltage_v, stage.slew_limit_v_per_s,
-        stage.sample_rate_hz, stage.rest_voltage_v, stage.samples_per_tick)
+        stage.sample_rate_hz, stage.rest_voltage_v, stage.samples_per_tick,
+        stage.minimum_displacement_um, stage.maximum_displacement_um)
 
 
 def _described(experiment: Experiment | RelayExperiment, stage: StageDescription) -> str:

@@ -15,9 +15,9 @@ from piezo_identification.experiments.catalogue import (
 from piezo_identification.experiments.probing.findings import SENSOR_MARGIN, Findings
 from piezo_identification.experiments.stage_limits import StageLimits
 
-LARGE_SIGNAL = 2.0
-"""Gain over the whole range over that of a small rise, at most: small loops of a piezo-ceramic have
-little more than half of the gain of large ones."""
+LARGE_SIGNAL = (2.0, 1.3)
+"""Gain over the whole range over that of a step, at most: of the smallest, whose loop has hardly
+more than half of the gain of large ones, and of one of `SWING_FRACTION` of the range."""
 
 LEAST_RANGE = 0.1
 """Of the voltage range, that must be left to identify anything."""
@@ -46,7 +46,7 @@ HARMONIC_S = (2.0, 8.0)
 HELD = 2000
 """Values in a harmonic."""
 
-CREEP_TIMES = 1.6
+CREEP_TIMES = 1.0
 """Half a period of the creep over the time up to which most of it lasts."""
 
 CREEP_PERIOD_S = (20.0, 1600.0)
@@ -87,7 +87,9 @@ def fitted_limits(findings: Findings, limits: StageLimits) -> StageLimits:
     ValueError
         If hardly any range is left.
     """
-    gain_um_per_v = LARGE_SIGNAL * findings.gain_um_per_v
+    size = abs(findings.step_v) / limits.span_v
+    gain_um_per_v = findings.gain_um_per_v * float(
+        np.interp(size, [0.0, SWING_FRACTION], LARGE_SIGNAL))
     margin_um = SENSOR_MARGIN * limits.displacement_span_um
     rooms_v = sorted(
         (end_um - findings.rest.level_um) / gain_um_per_v

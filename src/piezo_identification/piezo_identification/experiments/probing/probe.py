@@ -24,6 +24,9 @@ from piezo_identification.experiments.probing.step_response import StepResponse
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_recorder.reading.recording import Recording
 
+NAME = "probe"
+"""Under which it is asked for, beside the experiments."""
+
 SIGNAL_TO_NOISE = 200.0
 """Wanted of a step over the RMS noise of one sample: no step is larger than this needs."""
 
@@ -94,7 +97,11 @@ class Probe:
         To be played next; None once all is known.
     findings : Findings or None
         None until all is known.
+    longest_s : float
+        What the longest step may take: of the order of what is left.
     """
+
+    longest_s = LONGEST_HOLD_S
 
     def __init__(self, limits: StageLimits) -> None:
         self._course = _course(limits)
