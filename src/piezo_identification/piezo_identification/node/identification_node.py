@@ -97,7 +97,7 @@ class IdentificationNode(LifecycleNode):
         limits, path = _limits(stage), directory / probe_file.NAME
         if not path.exists():
             return named_experiment(name, limits)
-        probed = probe_file.load_probe(self._data_root.readable(path))
+        probed = probe_file.load_probe(self._data_root.readable(str(path)))
         self.get_logger().info(f"experiment {name} is fitted by {path}")
         return named_experiment(name, probed.usable(limits), probed.fitted(name))
 
@@ -110,16 +110,18 @@ class IdentificationNode(LifecycleNode):
         _make(steps)
         probe, played_s = Probe(limits), 0.0
         while (step := probe.step) is not None:
-            def told(phase: str, fraction: float, step: Experiment = step,
-                     begin_s: float = played_s) -> None:
+            text, step_s = step.description, step.duration_s
+
+            def told(phase: str, fraction: float, text: str = text, begin_s: float = played_s,
+                     step_s: float = step_s) -> None:
                 # How long the probe takes shows only at its end.
-                done_s = begin_s + fraction * step.duration_s
-                report(f"{NAME}, {step.description}: {phase}", done_s / (done_s + probe.longest_s))
+                done_s = begin_s + fraction * step_s
+                report(f"{NAME}, {text}: {phase}", done_s / (done_s + probe.longest_s))
             _, recording = self._record(step, stage, steps, result, told, progress, unrecorded)
             if recording.failure:
                 raise CallFailed(f"{recording.note}: a probe must be recorded, run it again")
             probe.take(read_recording(recording.path))
-            played_s += step.duration_s
+            played_s += step_s
         document = probe_file.probe_document(probe.findings, limits)
         probe_file.save_probe(path, document)
         return document

@@ -95,8 +95,6 @@ class Probe:
     ----------
     step : Experiment or None
         To be played next; None once all is known.
-    findings : Findings or None
-        None until all is known.
     longest_s : float
         What the longest step may take: of the order of what is left.
     """
@@ -106,7 +104,14 @@ class Probe:
     def __init__(self, limits: StageLimits) -> None:
         self._course = _course(limits)
         self.step: Experiment | None = next(self._course)
-        self.findings: Findings | None = None
+        self._findings: Findings | None = None
+
+    @property
+    def findings(self) -> Findings:
+        """What was found; RuntimeError before the last step was taken."""
+        if self._findings is None:
+            raise RuntimeError("the probe has steps left: play them first")
+        return self._findings
 
     def take(self, recording: Recording) -> None:
         """Take what was recorded of the present step, and decide on the next.
@@ -124,7 +129,7 @@ class Probe:
         try:
             self.step = self._course.send(recording)
         except StopIteration as end:
-            self.step, self.findings = None, end.value
+            self.step, self._findings = None, end.value
 
 
 def _course(limits: StageLimits) -> Course:
@@ -211,7 +216,7 @@ def _creep(limits: StageLimits, rest: Rest, step: Step,
         # A sample is the mean over its period.
         begin_s = float(played(recording).sample_index[0]) / limits.sample_rate_hz
         up_s, down_s = begin_s + LEAD * period_s, begin_s + (LEAD + count) * period_s
-        time_s = (np.arange(LEAD + count) + 0.5 - LEAD) * period_s
+        time_s: FloatArray = (np.arange(LEAD + count, dtype=np.float64) + 0.5 - LEAD) * period_s
         # The fast motion is over by then.
         used = (time_s < 0.0) | (time_s > 3.0 * settling_s)
         creep = measure_creep(
@@ -253,7 +258,7 @@ def _experiment(limits: StageLimits, name: str, voltage_v: FloatArray,
 
 def _measured(recording: Recording) -> FloatArray:
     """Return the displacement (N,) while the step was played."""
-    return np.asarray(played(recording).displacement_um, dtype=float)
+    return np.asarray(played(recording).displacement_um, dtype=np.float64)
 
 
 def _check_rest(rest: Rest, limits: StageLimits) -> None:
