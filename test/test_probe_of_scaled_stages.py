@@ -112,8 +112,8 @@ def test_unknown_stage_is_identified_as_well_as_the_default_one(factors, default
     stage = ScaledStage(**factors)
     document = stage.probed()
     error_percent = stage.error_percent(document)
-    # What the noise of the sensor is worth over the travel comes on top.
+    # A tenth of the noise over the travel comes on top: averages take the rest.
     noise = factors.get("noise", 1.0) / (factors.get("gain", 1.0) * factors.get("voltage", 1.0))
-    assert error_percent <= default_error_percent * (1.5 + noise)
+    assert error_percent <= default_error_percent * (1.5 + 0.1 * noise)
     span_um = 190.0 * factors.get("gain", 1.0) * factors.get("voltage", 1.0)
     assert np.ptp(stage.measured_um) < span_um

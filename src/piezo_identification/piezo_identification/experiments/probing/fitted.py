@@ -40,11 +40,12 @@ HARMONIC_SETTLINGS = 350.0
 LEVEL_PRECISION = 1e-4
 """Noise of the mean within a level over the travel."""
 
-HARMONIC_S = (2.0, 8.0)
+HARMONIC_S = (0.2, 8.0)
 """Shortest and longest period of a harmonic."""
 
-HELD = 2000
-"""Values in a harmonic."""
+HELD_SETTLINGS, MOST_HELD = 0.17, 10_000
+"""Settling times in a value of a harmonic, as a mean over more loses the lag; values in it at most,
+which keeps the estimate's memory."""
 
 CREEP_TIMES = 1.0
 """Half a period of the creep over the time up to which most of it lasts."""
@@ -157,8 +158,9 @@ def _hysteresis(findings: Findings, limits: StageLimits, clock_s: float) -> dict
     averaged = (findings.rest.noise_rms_um / (LEVEL_PRECISION * travel_um)) ** 2
     wanted_s = max(HARMONIC_SETTLINGS * findings.response.settling_s,
                    2.0 * LEVEL_COUNT * averaged * clock_s)
-    sample_s = _rounded(float(np.clip(wanted_s, *HARMONIC_S)) / HELD, clock_s)
-    return {"level_count": LEVEL_COUNT, "harmonic_period_s": HELD * sample_s,
+    sample_s = _rounded(HELD_SETTLINGS * findings.response.settling_s, clock_s)
+    held = min(round(float(np.clip(wanted_s, *HARMONIC_S)) / sample_s), MOST_HELD)
+    return {"level_count": LEVEL_COUNT, "harmonic_period_s": held * sample_s,
             "sample_period_s": sample_s}
 
 
