@@ -68,7 +68,7 @@ class Creep:
     time_s : float
         Up to which it creeps: the end of the last octave with much creep; 0 where there is none.
     ended : bool
-        Whether it was seen to fade.
+        Whether it faded.
     """
 
     share_per_decade: float

@@ -23,7 +23,7 @@ LEAST_RANGE = 0.1
 """Of the voltage range, that must be left to identify anything."""
 
 HALF_PERIOD_SETTLINGS = 2.0
-"""Settling times in half a period of the dynamics: the answer to each step is seen to its end."""
+"""Settling times in half a period of the dynamics: the whole answer to each step shows."""
 
 PRECISION = 4e-5
 """Noise of the mean step of the dynamics over the step, that enough periods reach."""

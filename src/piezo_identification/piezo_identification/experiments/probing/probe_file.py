@@ -37,7 +37,7 @@ class ProbeFileError(ValueError):
 
 
 class ProbedMode(Part):
-    """A vibration that was seen to ring."""
+    """A vibration that rang visibly."""
 
     frequency_hz: Positive = entry("Natural frequency.", unit="Hz")
     damping_ratio: Positive = entry("Damping ratio.", unit="1")
@@ -59,7 +59,7 @@ class ProbedStage(Part):
     modes: list[ProbedMode] = entry("Vibrations, the largest first.")
     creep_share_per_decade: Number = entry("Creep over the step in a decade of time.", unit="1")
     creep_time_s: NotNegative = entry("Up to which the stage creeps; 0: no creep.", unit="s")
-    creep_ended: bool = entry("Whether the creep was seen to fade.")
+    creep_ended: bool = entry("Whether the creep faded.")
 
 
 class ProbedLimits(Part):
