@@ -2,6 +2,7 @@
 """The density by smoothed non-negative least squares, on any recording and on large grids."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,6 +78,11 @@ def smoothed_density(
         [segment], levels_v, level_count, smoothing_weight, translation_weight)
 
 
+LARGEST_TRANSLATION_COST = 1.3
+"""Factor by which a weight on the change along the diagonal that was chosen on few cells may raise
+the sum of squares on all of them."""
+
+
 def density_of_segments(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, level_count: int | None = None,
     smoothing_weight: float | None = None, translation_weight: float | None = None,
@@ -133,6 +139,13 @@ def density_of_segments(
         unknowns, beside = equations.solve_line()
     else:
         unknowns, beside, _ = equations.solve(penalties, multiplier)
+        if translation_weight is None and penalties.translation:
+            # Loops that were alike on the coarse grid need not be on the fine one.
+            free = replace(penalties, translation=0.0)
+            others = equations.solve(free, multiplier)[:2]
+            if equations.misfit(unknowns, beside) > (
+                    LARGEST_TRANSLATION_COST * equations.misfit(*others)):
+                penalties, (unknowns, beside) = free, others
     bounded = np.maximum(bounded_operator(size) @ unknowns, 0.0)
     density, reversible = np.split(bounded, [-size])
     width_v = (levels_v[-1] - levels_v[0]) / size

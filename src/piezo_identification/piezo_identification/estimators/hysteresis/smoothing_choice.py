@@ -89,9 +89,10 @@ def _branches(segment: HysteresisSegment) -> NDArray[np.intp]:
 def choose_penalties(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None = None,
 ) -> PenaltyChoice:
-    """Choose the largest weights that predict branches held out as well as any.
+    """Choose the weights that predict branches held out as well as any.
 
-    As well as any: the mean over the folds is worse by no more than the standard error of the
+    Of those, the largest of the curvature; of the change along the diagonal the smallest, and none
+    unless it predicts better, because few stages are alike along it. As well as any: the mean over the folds is worse by no more than the standard error of the
     difference, or than chance does to a mean square.
 
     Parameters
@@ -110,7 +111,8 @@ def choose_penalties(
         Penalties(weight, translation or 0.0) for weight in SMOOTHING_WEIGHTS)
     if translation is None:
         penalties = trials.best(
-            replace(penalties, translation=weight) for weight in (*TRANSLATION_WEIGHTS, 0.0))
+            replace(penalties, translation=weight)
+            for weight in (0.0, *reversed(TRANSLATION_WEIGHTS)))
         penalties = trials.best(
             replace(penalties, smoothing=weight) for weight in SMOOTHING_WEIGHTS)
     return PenaltyChoice(penalties, trials.forces(penalties), trials.line_predicts(penalties))

@@ -14,6 +14,7 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
     estimate_first_rise,
     without_first_rise,
 )
+from piezo_identification.identification.given_hysteresis import CHOSEN_BY_DATA
 from piezo_identification.identification.identify import estimate_loops
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_identification.prediction import predict
@@ -76,7 +77,9 @@ def virgin(stage, recorded):
 
 @pytest.fixture(scope="module")
 def loops(virgin):
-    return estimate_loops(virgin, LinearDynamics())
+    density, first_rise, cycled = estimate_loops(
+        {"hysteresis": virgin}, LinearDynamics(), CHOSEN_BY_DATA)
+    return density, first_rise, cycled["hysteresis"]
 
 
 def test_the_loops_beside_it_are_those_of_the_cycled_stage(stage, recorded, virgin, loops):
@@ -117,9 +120,8 @@ def test_it_is_not_taken_for_drift(recorded, stage):
     voltage_v = np.concatenate([HARMONICS_V, HARMONICS_V])
     displacement_um = stage.displacement_um(voltage_v, PERIOD_S, CYCLE_V)
     drift_um = np.linspace(0.0, 0.3, voltage_v.size)
-    *_, first_rise, _ = estimate_loops(
-        recorded("drifts", voltage_v, displacement_um + drift_um, PERIOD_S, NOISE_UM),
-        LinearDynamics())
+    drifts = recorded("drifts", voltage_v, displacement_um + drift_um, PERIOD_S, NOISE_UM)
+    _, first_rise, _ = estimate_loops({"hysteresis": drifts}, LinearDynamics(), CHOSEN_BY_DATA)
     assert first_rise is None
 
 
