@@ -92,8 +92,9 @@ def choose_penalties(
     """Choose the weights that predict branches held out as well as any.
 
     Of those, the largest of the curvature; of the change along the diagonal the smallest, and none
-    unless it predicts better, because few stages are alike along it. As well as any: the mean over the folds is worse by no more than the standard error of the
-    difference, or than chance does to a mean square.
+    unless it predicts better, because few stages are alike along it. As well as any: the mean over
+    the folds is worse by no more than the standard error of the difference, or than chance does to
+    a mean square.
 
     Parameters
     ----------
