@@ -84,7 +84,7 @@ def test_description_is_told_from_configure_to_cleanup_to_whoever_asks_whenever(
     assert stage.change_state(Transition.TRANSITION_ACTIVATE)
     with Stage("/described") as driver:
         stage.beside(driver.settle, rest_s=1)
-    stage.until(lambda: min(min(block.voltage_v) for block in stage.blocks) == -5.0)
+    stage.until(lambda: any(min(block.voltage_v) == -5.0 for block in stage.blocks))
     stage.until(lambda: stage.blocks[-1].voltage_v[-1] == LIMITS["rest_voltage_v"])
 
 

@@ -24,6 +24,8 @@ from piezo_ros.messages import Message, MessageType
 
 SERVER_TIMEOUT_S = 30.0
 LOST_RESPONSE_S = 10.0
+# So often a goal is asked for: a node that designs a controller answers late on a busy machine.
+MOST_ASKS = 6
 CANCEL_TIMEOUT_S = 10.0
 CALL_TIMEOUT_S = 120.0
 # A node that ends may be gone before its answer is read.
@@ -244,12 +246,12 @@ class Client:
 
     def _accepted(self, client: ActionClient, sent: list[Future],
                   ask: Callable[[], Future]) -> ClientGoalHandle | None:
-        """Ask, a second time if need be; return the handle that tells, or None."""
+        """Ask, several times if need be; return the handle that tells, or None."""
         def settled() -> bool:
             return (any(answer.done() and answer.result().accepted for answer in sent)
                     or all(answer.done() for answer in sent))
 
-        for _ in range(2):
+        for _ in range(MOST_ASKS):
             sent.append(ask())
             if self.spin_until(settled, LOST_RESPONSE_S):
                 handles = [answer.result() for answer in sent if answer.done()]
