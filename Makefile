@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test style quick long kernels soak bench reproduce measured diagnose-suite docs api clean
+.PHONY: help setup demo test style quick long coverage kernels soak bench reproduce measured diagnose-suite docs api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -27,6 +27,9 @@ quick: setup ## run the numerics of the unit tests, in less than a minute
 
 long: setup ## run the tests of many draws, and all unit tests under three BLAS kernels
 	@$(in_environment) tools/tests long
+
+coverage: setup ## print how much of each module the unit tests run
+	@$(in_environment) tools/tests coverage
 
 kernels: setup ## compare the demo's figures under three BLAS kernels; in runs/kernels
 	@$(in_environment) .venv/bin/python benchmarks/demo_by_kernel.py

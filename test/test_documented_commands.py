@@ -33,6 +33,7 @@ COVERED = {
     "make long": "test/test_bad_input.py",
     "make quick": "test/test_kernels.py",
     "make kernels": "test/test_kernels.py",
+    "make coverage": "test/test_style.py",
 }
 # Of programs that are not ours, or that need a device.
 NOT_OURS = ("source ", "pip install", "pre-commit ", "ros2 bag", "ros2 lifecycle", "ros2 param",
