@@ -28,6 +28,10 @@ FOLDS = 5
 SHORT_BRANCH = 0.02
 """Of the range of the voltage, below which a way back is no branch of its own."""
 
+MOST_ABOVE_THE_LEAST = 0.1
+"""Part by which a mean square may exceed the least, however much the folds differ: where some hold
+far more than others, the standard error excuses anything, even a line."""
+
 FEWEST_ROWS = 4
 """Samples to fit in a piece of a branch."""
 
@@ -168,4 +172,5 @@ class _Trials:
         worse = (misfits - best) / self._counts
         error = float(np.std(worse) / np.sqrt(max(worse.size - 1, 1)))
         chance = np.sqrt(2.0 / self._counts.sum()) * best.sum() / self._counts.sum()
-        return float(np.mean(worse)) <= max(error, chance)
+        most = MOST_ABOVE_THE_LEAST * best.sum() / self._counts.sum()
+        return float(np.mean(worse)) <= max(min(error, most), chance)
