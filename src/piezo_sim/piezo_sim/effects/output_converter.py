@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.converter import Converter
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.converter import converter_of
+from piezo_sim.plant.plant_effect import Surroundings, parameter
 from piezo_sim.plant.pointwise import PointwiseRunner
 
 
@@ -21,18 +21,11 @@ class OutputConverter:
     converter_bits: int = parameter("1")
 
     def __post_init__(self) -> None:
-        require(
-            self.voltage_min_v < self.voltage_max_v,
-            self,
-            "voltage_min_v must be below voltage_max_v.",
-        )
-        require(
-            1 <= self.converter_bits <= 32, self, "converter_bits must be an integer from 1 to 32."
-        )
+        converter_of(self, "voltage_min_v", "voltage_max_v")  # which checks
 
     def start(self, surroundings: Surroundings) -> PointwiseRunner:
         """Start; a converter has no memory."""
-        converter = Converter(self.voltage_min_v, self.voltage_max_v, self.converter_bits)
+        converter = converter_of(self, "voltage_min_v", "voltage_max_v")
 
         def convert(samples: FloatArray) -> None:
             converter.apply(samples)

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.converter import Converter
+from piezo_sim.plant.converter import converter_of
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 
@@ -41,14 +41,7 @@ class VoltageAmplifier:
     slew_rate_v_per_s: float = parameter("V/s")
 
     def __post_init__(self) -> None:
-        require(
-            self.voltage_min_v < self.voltage_max_v,
-            self,
-            "voltage_min_v must be below voltage_max_v.",
-        )
-        require(
-            1 <= self.converter_bits <= 32, self, "converter_bits must be an integer from 1 to 32."
-        )
+        converter_of(self, "voltage_min_v", "voltage_max_v")  # which checks
         require(self.slew_rate_v_per_s > 0.0, self, "slew_rate_v_per_s must be positive.")
 
     def start(self, surroundings: Surroundings) -> "AmplifierRunner":
@@ -60,9 +53,7 @@ class AmplifierRunner:
     """Amplifier with its present output."""
 
     def __init__(self, effect: VoltageAmplifier, sample_period_s: float) -> None:
-        self._converter = Converter(
-            effect.voltage_min_v, effect.voltage_max_v, effect.converter_bits
-        )
+        self._converter = converter_of(effect, "voltage_min_v", "voltage_max_v")
         self._largest_change_v = effect.slew_rate_v_per_s * sample_period_s
         self._output_v = effect.voltage_min_v
 

@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
+from piezo_sim.plant.plant_effect import Effect, require
 
 
 @njit(cache=True)
@@ -28,3 +29,24 @@ class Converter:
         """Replace samples, float64 of shape (N,), by the nearest levels."""
         highest = 2.0**self.bits - 1.0
         _quantise(samples, self.low, (self.high - self.low) / highest, highest)
+
+
+def converter_of(effect: Effect, low: str, high: str) -> Converter:
+    """Return the converter of an effect.
+
+    Parameters
+    ----------
+    effect : Effect
+        Its parameter `converter_bits` says how many levels there are.
+    low, high : str
+        Names of its parameters between which the levels lie.
+
+    Raises
+    ------
+    PlantConfigError
+        If the range is empty, or there are too few or too many levels.
+    """
+    lowest, highest, bits = (getattr(effect, name) for name in (low, high, "converter_bits"))
+    require(lowest < highest, effect, f"{low} must be below {high}.")
+    require(1 <= bits <= 32, effect, "converter_bits must be an integer from 1 to 32.")
+    return Converter(lowest, highest, bits)

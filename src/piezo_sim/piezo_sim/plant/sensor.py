@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.converter import Converter
+from piezo_sim.plant.converter import converter_of
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 from piezo_sim.plant.random_stream import NormalStream
 
@@ -25,14 +25,7 @@ class DisplacementSensor:
 
     def __post_init__(self) -> None:
         require(self.noise_rms_um >= 0.0, self, "noise_rms_um must not be negative.")
-        require(
-            self.displacement_min_um < self.displacement_max_um,
-            self,
-            "displacement_min_um must be below displacement_max_um.",
-        )
-        require(
-            1 <= self.converter_bits <= 32, self, "converter_bits must be an integer from 1 to 32."
-        )
+        converter_of(self, "displacement_min_um", "displacement_max_um")  # which checks
 
     def start(self, surroundings: Surroundings) -> "SensorRunner":
         """Start the noise from the seed."""
@@ -44,9 +37,7 @@ class SensorRunner:
 
     def __init__(self, effect: DisplacementSensor, seed: int) -> None:
         self._noise_rms_um = effect.noise_rms_um
-        self._converter = Converter(
-            effect.displacement_min_um, effect.displacement_max_um, effect.converter_bits
-        )
+        self._converter = converter_of(effect, "displacement_min_um", "displacement_max_um")
         self._noise = NormalStream(np.random.PCG64(seed))
 
     def rest(self, level: float) -> float:
