@@ -15,7 +15,7 @@ from piezo_recorder.reading.recording import Recording
 ADEQUATE, INADEQUATE = "adequate", "inadequate"
 
 COMPONENTS = ("creep", "dynamics", "hysteresis")
-"""By the names of the recordings that they are estimated from."""
+"""Components bear the names of the recordings that they are estimated from."""
 
 SLOW_HZ = 5.0
 """Frequency below which what is left of loops may be creep, above it fast dynamics."""

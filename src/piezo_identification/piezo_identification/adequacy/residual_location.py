@@ -17,7 +17,7 @@ NARROW = 1.5
 """Highest over lowest frequency of the middle half of the power, below which it is one peak."""
 
 MIDDLE_HALF = (0.25, 0.75)
-"""Of the power: the frequencies between are told."""
+"""The frequencies are told between which these parts of the power lie."""
 
 LOPSIDED = 2.0
 """Mean square of one direction over that of the other, from which the direction is told."""

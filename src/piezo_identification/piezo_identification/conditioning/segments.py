@@ -9,7 +9,7 @@ import numpy as np
 from piezo_recorder.reading.recording import Recording
 
 FEWEST_SAMPLES = 3
-"""Of a stretch between gaps; shorter ones tell nothing beside their own offset."""
+"""A stretch between gaps that is shorter tells nothing beside its own offset."""
 
 Recordings = Recording | Sequence[Recording]
 """One recording, or several of one kind."""

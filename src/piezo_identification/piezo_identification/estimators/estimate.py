@@ -19,7 +19,7 @@ RANK_TOLERANCE = 1e-12
 """Singular value over the largest, of scaled columns, from which a direction is rounding."""
 
 UNTOLD_SHARE = 1e-3
-"""Of a parameter in a direction that is rounding, from which it is not told either."""
+"""A parameter that has this share in a direction that is rounding is not told either."""
 
 
 @dataclass(frozen=True)

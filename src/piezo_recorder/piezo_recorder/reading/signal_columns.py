@@ -16,7 +16,7 @@ from piezo_recorder.reading.units import (
 )
 
 OWN_LABELS = {"time": "time_s", "voltage": "voltage_v", "displacement": "displacement_um"}
-"""Of the suite's own CSV files."""
+"""The suite's own CSV files have these labels."""
 
 WORDS = {
     "time": {"time", "times", "timestamp", "timestamps", "datetime", "date", "elapsed", "zeit",

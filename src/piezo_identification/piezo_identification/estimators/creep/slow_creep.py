@@ -56,7 +56,7 @@ MOST_BINS = 2000
 """Rows of the regression; neighbouring samples of longer recordings are averaged."""
 
 JUMP_SHARE = 0.02
-"""Of the voltage's range, from which a change within a sample is a jump."""
+"""A change within a sample by more than this part of the voltage's range is a jump."""
 
 GAINS = (1e-4, 1.0)
 """Gain of a creep exponential over the immediate one, between which it is sought."""
@@ -68,13 +68,13 @@ CANDIDATES = 12
 """Rates that are tried for each further exponential."""
 
 FIRST_GAINS = (0.01, 0.05)
-"""Of each rate that is tried."""
+"""Fits begin with these gains of each rate that is tried."""
 
 STARTS = 2
 """Further rates from which a fit may begin, until one is found that can be creep."""
 
 DRIFT_GAIN = 10.0
-"""By which the information criterion must fall for a drift of the sensor to be taken."""
+"""A drift of the sensor is taken if the information criterion falls by more than this."""
 
 
 def estimate_slow_creep(

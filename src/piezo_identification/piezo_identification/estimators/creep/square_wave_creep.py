@@ -32,7 +32,7 @@ BINS_PER_DECADE = 60
 
 
 FEWEST_STEPS = 2
-"""Of a record whose first level returns, so that it may differ from the later ones."""
+"""A record with fewer steps never returns to its first level, so its loop cannot be checked."""
 
 
 class CreepNotShown(ValueError):

@@ -17,7 +17,7 @@ from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.dynamics.multisine import (
     LOWEST_LINE,
     FastSignals,
-    _poles_of_lines,
+    poles_of_lines,
 )
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_identification.estimators.dynamics.square_wave import (
@@ -52,7 +52,8 @@ MOST_LEFT_OUT = 0.4
 """Part of a recording that is left out at most, until its past no longer counts."""
 
 NEAR_AN_EXTREME = 0.05
-"""Of the voltage's range: so near to both ends, the past no longer counts but for an offset."""
+"""Once the voltage was within this part of its range from both ends, the past counts for no more
+than an offset."""
 
 LATE_ROWS = 2
 """Rows at the end that are left out, as what follows them is not known."""
@@ -202,7 +203,7 @@ def _fit(
         signals.sample_period_s)
 
     def start(count: int) -> ElectricVibrationDynamics:
-        return dynamics_of_poles(_poles_of_lines(longest, 2 * count + 1, parts[0].path))
+        return dynamics_of_poles(poles_of_lines(longest, 2 * count + 1, parts[0].path))
 
     return fit_output_error(
         respond, signals.displacement_um[kept], signals.fixed[kept], start, mode_count)

@@ -24,7 +24,7 @@ MOST_MODES = 3
 """Vibration modes beyond which the search for their number ends."""
 
 SAMPLES_BEFORE = 50
-"""Of the rest before the jump; they fix its level."""
+"""So many samples of the rest before the jump fix its level."""
 
 SEARCH_WIDTH = 3.0
 """Logarithm of the factor by which the fit may leave its start."""

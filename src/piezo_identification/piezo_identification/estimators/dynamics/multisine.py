@@ -77,7 +77,7 @@ def estimate_dynamics_multisine(
         return response[fast]
 
     def start(count: int) -> ElectricVibrationDynamics:
-        return dynamics_of_poles(_poles_of_lines(signals, 2 * count + 1, recording.path))
+        return dynamics_of_poles(poles_of_lines(signals, 2 * count + 1, recording.path))
 
     return fit_output_error(
         respond, signals.displacement_um[fast], signals.drift[fast], start, mode_count
@@ -154,8 +154,27 @@ def hysteresis_and_displacement(
     )
 
 
-def _poles_of_lines(signals: "FastSignals", order: int, path: str) -> ComplexArray:
-    """Poles (rad/s) of a response without zeros through the excited spectral lines."""
+def poles_of_lines(signals: "FastSignals", order: int, path: str) -> ComplexArray:
+    """Return the poles of a response without zeros through the excited spectral lines.
+
+    Parameters
+    ----------
+    signals : FastSignals
+    order : int
+        Number of poles.
+    path : str
+        Of the recording, for the message.
+
+    Returns
+    -------
+    ndarray of complex, shape (order,)
+        In rad/s.
+
+    Raises
+    ------
+    ValueError
+        If too few lines are excited.
+    """
     window = np.hanning(signals.hysteresis_um[signals.fast].size)
     inputs, outputs = (
         np.fft.rfft(window * (signal[signals.fast] - signal[signals.fast].mean()))[LOWEST_LINE:]

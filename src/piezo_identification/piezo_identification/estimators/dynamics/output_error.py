@@ -25,8 +25,8 @@ PATIENCE = 2
 """Numbers of modes in succession that may bring no gain before the search ends."""
 
 MODES_LEFT_OUT = 2
-"""Of richer dynamics, from which the modes are chosen that explain most: of a stage with more modes
-than asked for, those that ring longest are not those that move it most."""
+"""Dynamics richer by up to so many modes are fitted, and the modes taken that explain most: those
+that ring longest are not those that move a stage most."""
 
 SEARCH_WIDTH = np.log(3.0)
 """Factor by which the fit may leave its start, as a logarithm."""

@@ -28,7 +28,7 @@ FEWEST_LEVELS = 4
 """Levels from which a density is sought; fewer show a line only."""
 
 LARGE_STEP_SHARE = 0.9
-"""Of the changes of the voltage from sample to sample that are no larger than a level."""
+"""A level is as high as this share of the voltage's changes from sample to sample is at most."""
 
 
 def estimate_hysteresis(

@@ -8,13 +8,13 @@ from piezo_identification.conditioning.settling import low_frequency_delay_s
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 SLOW_ERROR = 1e-3
-"""Of the voltage's RMS: so much may the inverse at low frequency miss."""
+"""The inverse at low frequency may miss this part of the voltage's RMS."""
 
 LEAST_GAIN = 0.3
 """Gain of the dynamics below which they are not inverted but damped: noise would drown the rest."""
 
 TAPER_SHARE = 0.1
-"""Of the record, that is added so that its end leads back to its beginning."""
+"""So much of the record is added that its end leads back to its beginning."""
 
 
 def follows_fast(

@@ -18,10 +18,10 @@ from piezo_common.arrays import FloatArray
 from piezo_models.hysteresis.preisach_kernels import branch_start, cell_of, with_room
 
 NEAR_THE_END = 1e-3
-"""Of the voltage range: this near to its ends the hysteresis counts as saturated."""
+"""Within this part of the voltage range from its ends the hysteresis counts as saturated."""
 
 NEAR_A_LEVEL = 0.02
-"""Of a cell: a voltage this near to a level counts as on it when cells are called visited."""
+"""A voltage within this part of a cell from a level is on it when cells are called visited."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,16 +10,16 @@ from scipy.sparse.linalg import splu
 from piezo_common.cancellation import check_cancelled
 
 PENALTY = 100.0
-"""Of a violated bound, over the mean curvature of the quadratic form."""
+"""A violated bound costs so many times the mean curvature of the quadratic form."""
 
 VIOLATION = 1e-5
 """Sum of what is below zero over the sum of all: so much counts as zero."""
 
 UNDECIDED = 1e-3
-"""Of the bounds: where so few change in a step, the rest of the way is too short to matter."""
+"""Where a smaller part of the bounds changes in a step, the rest of the way does not matter."""
 
 BISECTIONS = 10
-"""Of a step, for the length that is best."""
+"""The best length of a step is found by so many bisections."""
 
 MOST_FACTORISATIONS = 60
 """The search for the bounds that hold ends then; 1 to 20 are usual."""

@@ -26,7 +26,7 @@ FOLDS = 5
 """Parts of the branches, each held out once; odd, so that ways up and down take turns."""
 
 SHORT_BRANCH = 0.02
-"""Of the range of the voltage, below which a way back is no branch of its own."""
+"""A way back by less than this part of the voltage's range is no branch of its own."""
 
 MOST_ABOVE_THE_LEAST = 0.1
 """Part by which a mean square may exceed the least, however much the folds differ: where some hold

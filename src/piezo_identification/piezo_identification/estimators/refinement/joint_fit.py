@@ -15,10 +15,10 @@ from piezo_models.hysteresis.hysteretic_creep import HystereticCreep
 from piezo_recorder.reading.recording import Recording
 
 HALF_WIDTHS = (0.0, 0.15, 0.3)
-"""Of the play operators that are tried for hysteretic creep, over the voltage range."""
+"""Play operators of these half widths, over the voltage range, are tried for hysteretic creep."""
 
 TIME_CONSTANTS_S = (1.0, 10.0, 100.0)
-"""Of these operators, as far as a recording lasts twice as long."""
+"""These operators creep so fast; a recording must last twice as long for one to be tried."""
 
 WORTHWHILE = 0.9
 """Part below which a fit has to bring the mean square error held out. Less would be bought with the

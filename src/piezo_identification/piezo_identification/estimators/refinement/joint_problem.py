@@ -26,13 +26,13 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_models.measures import e_y_percent
 
 MOST_ROWS = 20_000
-"""Of a recording; neighbouring samples of longer ones are averaged, measured and simulated."""
+"""A longer recording has neighbouring samples averaged, the measured and the simulated ones."""
 
 STRETCHES, HELD_OUT = 50, 5
 """Stretches of a recording, and which of them are held out: one in five."""
 
 LEAST_ROWS = 200
-"""Of a recording."""
+"""A recording with fewer rows is refused."""
 
 CORRELATED = 100
 """Neighbouring rows whose mean tells how far errors are alike."""

@@ -11,10 +11,10 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.experiments.probing.step_response import StepResponse, step_response
 
 SENSOR_MARGIN = 0.05
-"""Of the sensor's range, that is left free at both ends."""
+"""This part of the sensor's range is left free at both ends."""
 
 LEAST_CREEP = 1e-3
-"""Of the step in an octave of time, that counts as creep."""
+"""A change by this part of the step in an octave of time counts as creep."""
 
 ENDED = 0.4
 """An octave of time with less than this part of the largest one's creep is behind the creep."""

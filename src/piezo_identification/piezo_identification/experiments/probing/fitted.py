@@ -20,7 +20,7 @@ LARGE_SIGNAL = (2.0, 1.3)
 more than half of the gain of large ones, and of one of `SWING_FRACTION` of the range."""
 
 LEAST_RANGE = 0.1
-"""Of the voltage range, that must be left to identify anything."""
+"""This part of the voltage range must be left to identify anything."""
 
 HALF_PERIOD_SETTLINGS = 2.0
 """Settling times in half a period of the dynamics: the whole answer to each step shows."""
@@ -29,7 +29,7 @@ PRECISION = 4e-5
 """Noise of the mean step of the dynamics over the step, that enough periods reach."""
 
 PERIODS, LONGEST_DYNAMICS_S = (100, 1000), 30.0
-"""Of the dynamics, at least and at most."""
+"""The dynamics are recorded for at least and at most so many periods, and for no longer."""
 
 LEVEL_COUNT = 70
 """Harmonics of the hysteresis, as in the thesis (4.7.2)."""
@@ -66,10 +66,10 @@ ABOVE_THE_MODES = 1.3
 """Highest tone over the highest frequency of the stage."""
 
 HIGHEST_TONE = 0.1
-"""Of the sample clock: faster tones are stairs."""
+"""Tones above this part of the sample clock's rate are stairs."""
 
 LARGEST_PEAK = 1.5
-"""Of a tone at a resonance over the same tone at rest."""
+"""A tone at a resonance may be so many times the same tone far below it."""
 
 RELAY_S, RELAY_SETTLINGS = 0.5, 100.0
 """Shortest time of the relay, and settling times in it."""

@@ -34,10 +34,11 @@ LEAST_SIGNAL_TO_NOISE = 10.0
 """Below, even the largest step that is allowed does not tell the gain."""
 
 SMALLEST_STEP, LARGEST_STEP = 1e-3, 0.3
-"""Of the voltage range: the first step, and the largest one, that of the other experiments."""
+"""The first step and the largest one are these parts of the voltage range. The other experiments
+step as far."""
 
 GROWTH = 2.0
-"""Of a step over the one before it, at most."""
+"""A step is at most so many times the one before it."""
 
 GAIN_GROWTH = 2.0
 """What a step twice as large may show in gain: a loop's displacement grows with the square."""
@@ -55,7 +56,7 @@ FIRST_HOLD_S, LONGEST_HOLD_S, HOLD_GROWTH = 4.0, 1024.0, 4.0
 """Holds for the creep, each so much longer than the one before, until the creep fades."""
 
 HOLD_SAMPLES, LEAD = 800, 20
-"""Of each hold, and of the rest before it: means; none is longer than the stage allows, 1 s."""
+"""A hold has so many means, the rest before it fewer; none is longer than the stage allows, 1 s."""
 
 Course = Generator[Experiment, Recording, Findings]
 

@@ -9,22 +9,23 @@ from scipy.linalg import hankel, lstsq, svd
 from piezo_common.arrays import ComplexArray, FloatArray
 
 LEAST_MODE_SHARE, LEAST_LAG_SHARE = 0.01, 0.05
-"""Of the step, from which a vibration or a lag counts; slower and smaller ones are creep."""
+"""A vibration or a lag counts from these parts of the step on; what is less or slower is creep."""
 
 LARGEST_DAMPING = 0.9
 """Above, a pair of poles does not visibly ring."""
 
 REMAINDER = 0.01
-"""Of the step, that is left when the response has settled."""
+"""The response has settled when less than this part of the step is left."""
 
 SIGNIFICANT = 4.0
 """Standard deviations above which a share is told from the noise."""
 
 MOST_POINTS = 1200
-"""Of a fit: the singular values of a Hankel matrix of a third of it take a fraction of a second."""
+"""A fit has at most so many: the singular values of a Hankel matrix of a third of them take a
+fraction of a second."""
 
 POINTS_PER_CYCLE = 5.0
-"""Of the highest frequency that the response shows."""
+"""A cycle of the highest frequency that the response shows has so many points."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ READERS: tuple[tuple[bytes, TableReader], ...] = (
     (HDF5_MAGIC, read_hdf5), (b"\x93NUMPY", read_npy), (b"PK\x03\x04", read_npz),
     (b"MATLAB 5.0", read_matlab), (b"TDSm", read_tdms), (b"PAR1", read_parquet),
     (b"ARROW1", read_arrow))
-"""By the bytes that a file begins with."""
+"""The bytes that a file begins with tell its reader."""
 
 FOREIGN = {
     b"SQLite format 3": ("a recording of rosbag2 as sqlite3",
