@@ -14,6 +14,7 @@ from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
 )
+from piezo_identification.commands.row_options import READINGS, add_rows_option
 from piezo_identification.conditioning.sensor_sign import displacement_falls
 from piezo_identification.estimators.frequency_response.response_file import (
     FrequencyResponse,
@@ -76,6 +77,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--band", metavar=("LOW_HZ", "HIGH_HZ"), type=float, nargs=2,
                         help="part of a frequency response to fit; by default all of it")
     add_columns_option(parser)
+    add_rows_option(parser)
     add_response_options(parser)
     return run_command(parser, _identify, arguments)
 
@@ -103,7 +105,7 @@ def _identify(options: argparse.Namespace) -> None:
         print("the displacement falls as the voltage rises: its sign is changed throughout")
     identified = identify(
         **data, progress=print_progress, refine=options.refine, note=print,
-        method=options.method,
+        method=options.method, read_at_samples=READINGS[options.rows_read],
         order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances))
     save_model(output, identified)
     _print_summary(identified)
@@ -149,6 +151,9 @@ def _print_summary(identified: IdentifiedModel) -> None:
         ("mode frequencies", _listing(model.dynamics.mode_frequencies_rad_per_s, "rad/s")),
         ("damping ratios", _listing(model.dynamics.damping_ratios, "")),
         *((f"effect {effect.name}", str(effect.parameters())) for effect in model.effects),
+        *((f"rows of the {name}", "read {read_at_samples:.4g} sample periods late, delay left "
+           "{delay_s:.2g} s +- {standard_deviation_s:.1g} s".format(**row))
+          for name, row in identified.rows.items()),
         *_error_rows(identified.errors),
     ]
     for name, value in rows:

@@ -10,7 +10,9 @@ from piezo_identification.conditioning.outlier_samples import (
     outlier_text,
     with_outliers_marked,
 )
+from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_sign import displacement_falls, reversed_displacement
+from piezo_identification.conditioning.waveforms import played, samples_per_mean
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_recorder.reading.recording import Recording
 
@@ -95,6 +97,29 @@ def rising_with_voltage(recordings: Mapping[str, Data]) -> dict[str, Any]:
     if isinstance(hysteresis, FrequencyResponse) or not displacement_falls(hysteresis):
         return dict(recordings)
     return {name: reversed_data(data) for name, data in recordings.items()}
+
+
+def aligned(
+    recordings: Mapping[str, Any], read_at_samples: float | Mapping[str, float],
+) -> dict[str, Any]:
+    """Align the rows of recordings whose displacements are read late; means are left as they are.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+    read_at_samples : float or dict of str to float
+        When rows are read, in sample periods after their voltage; of all, or by name.
+
+    Returns
+    -------
+    dict of str to Recording or FrequencyResponse
+    """
+    read_at = read_at_samples if isinstance(read_at_samples, Mapping) else dict.fromkeys(
+        recordings, read_at_samples)
+    return {
+        name: data if isinstance(data, FrequencyResponse) or samples_per_mean(played(data)) > 1
+        else rows_read_at_start(data, read_at[name])
+        for name, data in recordings.items()}
 
 
 def reversed_data(data: Data) -> Data:

@@ -17,6 +17,7 @@ from piezo_identification.adequacy.component_adequacy import adequacy_document, 
 from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
 from piezo_identification.adequacy.plausibility import implausible_data, implausible_model
 from piezo_identification.conditioning.recording_start import motion_um_per_s
+from piezo_identification.conditioning.row_alignment import RowDelay
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.estimate import untold_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -38,6 +39,7 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
 from piezo_identification.estimators.refinement.joint_fit import refine as fit_jointly
 from piezo_identification.identification.given_data import (
     Data,
+    aligned,
     given_data,
     rising_with_voltage,
     with_marked_outliers,
@@ -46,15 +48,16 @@ from piezo_identification.identification.linear_dynamics import (
     METHODS,
     LinearDynamics,
     estimate_linear_dynamics,
+    hysteresis_read_at,
 )
 from piezo_identification.identification.progress import (
     IdentificationCancelled,
     Stages,
 )
+from piezo_identification.identification.row_delays import row_delays, tell_row_delays
 from piezo_identification.prediction.model_run import ModelRun
 from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
-from piezo_models.effects.delay import Delay
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import sha256_of
@@ -79,7 +82,7 @@ class FittedModel:
     """
 
     model: StageModel
-    uncertainties: dict[str, dict[str, Any]]
+    uncertainties: dict[str, Any]
     visited: NDArray[np.bool_]
     errors: dict[str, Any] = field(default_factory=dict)
 
@@ -95,6 +98,7 @@ def identify(
     method: str = METHODS[0],
     order: ResponseOrder = ANY_ORDER,
     note: Callable[[str], object] | None = None,
+    read_at_samples: float = 0.0,
 ) -> IdentifiedModel:
     """Identify a stage model step by step (thesis 4.5).
 
@@ -131,6 +135,10 @@ def identify(
     note : callable, optional
         Called with text for people: why the orders, and which part of the Preisach plane the data
         determine.
+    read_at_samples : float
+        Instant at which the logger reads the displacement of a row, in sample periods after the
+        row's voltage changes: 0 for the start of the hold, 1 for its end. Beyond that, rows that
+        are read late are found from the dynamics; what is late behind them is the stage's delay.
 
     Returns
     -------
@@ -146,18 +154,24 @@ def identify(
     given = given_data(creep, dynamics, hysteresis, validation, refine)
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
     with checking(stages.check):
-        recordings = rising_with_voltage(with_marked_outliers(given, tell))
+        recordings = aligned(
+            rising_with_voltage(with_marked_outliers(given, tell)), read_at_samples)
         tell_implausible(implausible_data(recordings), tell)
         linear = estimate_linear_dynamics(
             recordings.get("creep"), recordings.get("dynamics"), recordings["hysteresis"], method,
             order, stages.part(0.0, 0.6))
         stages.begin("hysteresis", 0.6)
         refuse_impossible_loops(
-            recordings["hysteresis"], linear.creep, linear.dynamics, linear.delay_s)
+            recordings["hysteresis"], linear.creep, linear.slow_dynamics, linear.slow_delay_s)
+        read_at = dict.fromkeys(recordings, linear.read_at_samples) | {
+            "hysteresis": hysteresis_read_at(recordings["hysteresis"], linear)}
+        recordings = aligned(recordings, read_at)
         density, first_rise, cycled = estimate_loops(recordings["hysteresis"], linear)
         tell_estimates(linear, density, tell)
         tell_starts(recordings, linear, first_rise, tell)
         fitted = fitted_model(linear, density, first_rise)
+        rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)
+        tell_row_delays(rows, tell)
         if refine:
             fitted = refined(fitted, recordings | {"hysteresis": cycled}, stages)
         tell_uncertain_parameters(fitted, tell)
@@ -165,7 +179,7 @@ def identify(
         stages.begin("validation", 0.95)
         errors = validation_errors(fitted.model, recordings) | fitted.errors
         adequacy = adequacy_document(adequacy_of(fitted.model, recordings))
-        identified = replace(identified_model(fitted, errors, given), adequacy=adequacy)
+        identified = replace(identified_model(fitted, errors, given, rows), adequacy=adequacy)
         stages.begin("done", 1.0)
     return identified
 
@@ -192,16 +206,18 @@ def estimate_loops(
     def fitted_error_um(density: DensityEstimate, first_rise: FirstRise | None) -> float:
         return ModelRun(fitted_model(linear, density, first_rise).model, recording).error_um(())
 
-    density = estimate_density(recording, linear.creep, linear.dynamics, delay_s=linear.delay_s)
+    density = estimate_density(
+        recording, linear.creep, linear.slow_dynamics, delay_s=linear.slow_delay_s)
     part = played(recording)
     first_rise = estimate_first_rise(
         np.asarray(part.voltage_v, dtype=float),
-        hysteresis_output_um(part, linear.creep, linear.dynamics, linear.delay_s),
+        hysteresis_output_um(part, linear.creep, linear.slow_dynamics, linear.slow_delay_s),
         highest_before(recording))
     if first_rise is None:
         return density, None, recording
-    cycled = without_first_rise(recording, first_rise, linear.creep, linear.dynamics)
-    beside = estimate_density(cycled, linear.creep, linear.dynamics, delay_s=linear.delay_s)
+    cycled = without_first_rise(recording, first_rise, linear.creep, linear.slow_dynamics)
+    beside = estimate_density(
+        cycled, linear.creep, linear.slow_dynamics, delay_s=linear.slow_delay_s)
     most_um = FIRST_RISE.largest_error_ratio * fitted_error_um(density, None)
     if fitted_error_um(beside, first_rise) > most_um:
         return density, None, recording
@@ -213,6 +229,8 @@ def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
     """Tell why the orders were chosen, and which part of the Preisach plane the data determine."""
     for name, estimate in linear.estimates.items():
         tell(f"order of the {name}:\n{estimate.order_table()}")
+        if estimate.delay is not None:
+            tell(f"delay of the {name}: {estimate.delay}")
     tell(f"hysteresis: {density.report()}")
 
 
@@ -248,12 +266,15 @@ def tell_starts(recordings: Mapping[str, Data], linear: LinearDynamics,
 
 def fitted_model(linear: LinearDynamics, density: DensityEstimate,
                  first_rise: FirstRise | None = None) -> FittedModel:
-    """Put the estimated components together; a significant delay becomes an effect."""
+    """Put the estimated components together; what the dynamics lack becomes effects."""
     model = StageModel(
-        density.model(), linear.creep, linear.dynamics,
-        effects=(Delay(linear.delay_s),) if linear.delay_s else (), first_rise=first_rise,
+        density.model(), linear.creep, linear.dynamics, effects=linear.all_effects,
+        first_rise=first_rise,
     )
-    return FittedModel(model, linear.uncertainties, density.visited)
+    uncertainties: dict[str, Any] = dict(linear.uncertainties)
+    if linear.all_effects:
+        uncertainties["effects"] = list(linear.effect_deviations)
+    return FittedModel(model, uncertainties, density.visited)
 
 
 def refined(fitted: FittedModel, recordings: Mapping[str, Any], stages: Stages) -> FittedModel:
@@ -288,7 +309,8 @@ def refined(fitted: FittedModel, recordings: Mapping[str, Any], stages: Stages) 
     if not improved:
         return replace(fitted, errors=errors)
     return replace(
-        fitted, model=result.model, uncertainties=result.standard_deviations, errors=errors)
+        fitted, model=result.model, errors=errors,
+        uncertainties=fitted.uncertainties | result.standard_deviations)
 
 
 def tell_implausible(found: Sequence[str], tell: Callable[[str], object]) -> None:
@@ -311,7 +333,8 @@ def validation_errors(model: StageModel, recordings: Mapping[str, Any]) -> dict[
 
 
 def identified_model(
-    fitted: FittedModel, errors: dict[str, Any], given: Mapping[str, Data]
+    fitted: FittedModel, errors: dict[str, Any], given: Mapping[str, Data],
+    rows: Mapping[str, RowDelay],
 ) -> IdentifiedModel:
     """Return the model with its range, its errors, and the recordings that it was made from.
 
@@ -322,6 +345,7 @@ def identified_model(
         By the names under which the model file keeps them.
     given : dict of str to Recording or FrequencyResponse
         As read from their files.
+    rows : dict of str to RowDelay
 
     Returns
     -------
@@ -340,4 +364,5 @@ def identified_model(
             {"path": str(data.path), "sha256": sha256_of(data.path)} for data in given.values()
         ],
         uncertainties=fitted.uncertainties, visited=fitted.visited,
+        rows={name: row.fields() for name, row in rows.items()},
     )

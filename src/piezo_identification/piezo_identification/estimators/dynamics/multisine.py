@@ -7,27 +7,25 @@ import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.waveforms import slow_branches
+from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
+from piezo_identification.estimators.dynamics.pole_responses import HeldInput
 from piezo_identification.estimators.dynamics.square_wave import (
     WARM_UP_S,
     drift_basis,
-    dynamics_of_poles,
     played_at_the_clock,
     remove_creep,
 )
 from piezo_identification.estimators.estimate import Estimate
 from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.dynamics import (
-    CreepDynamics,
-    ElectricVibrationDynamics,
-    equilibrium_state,
-    simulate_linear,
-    zoh,
-)
+from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
 LINE_THRESHOLD = 0.02
 """Spectral lines weaker than this part of the strongest do not count as excited."""
+
+LATE_ROWS = 2
+"""Rows at the end that are left out, as a row may be read up to so much later."""
 
 LOWEST_LINE = 8
 """First line of a windowed spectrum that the slow parts do not reach."""
@@ -35,7 +33,7 @@ LOWEST_LINE = 8
 
 def estimate_dynamics_multisine(
     recording: Recording, hysteresis: PreisachModel, creep: CreepDynamics,
-    mode_count: int | None = None,
+    mode_count: int | None = None, delay: float | None = None,
 ) -> Estimate:
     """Estimate the electric lag and the vibration modes (3.2) from a multi-sine.
 
@@ -53,6 +51,8 @@ def estimate_dynamics_multisine(
     creep : CreepDynamics
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
+    delay : float, optional
+        Of the rows, in sample periods; by default it is estimated beside.
 
     Returns
     -------
@@ -66,22 +66,21 @@ def estimate_dynamics_multisine(
         If the recording has gaps, is averaged, leaves the hysteresis' range, or is too short.
     """
     signals = hysteresis_and_displacement(recording, hysteresis, creep)
-    fast = signals.fast
+    # What comes after the last row is not known, and a row may be read late.
+    fast = slice(signals.fast.start, signals.fast.stop - LATE_ROWS)
 
-    def respond(dynamics: ElectricVibrationDynamics) -> FloatArray:
-        system = dynamics.state_space()
-        initial = equilibrium_state(system, signals.hysteresis_um[0])
-        response = simulate_linear(
-            zoh(system, signals.sample_period_s), signals.hysteresis_um, initial
-        )
-        return response[fast]
+    def starts(count: int) -> list[ComplexArray]:
+        try:
+            return [_poles_of_lines(signals, 2 * count + 1, recording.path)]
+        except ValueError:
+            # The lines are too few for as many poles.
+            return []
 
-    def start(count: int) -> ElectricVibrationDynamics:
-        return dynamics_of_poles(_poles_of_lines(signals, 2 * count + 1, recording.path))
-
-    return fit_output_error(
-        respond, signals.displacement_um[fast], signals.drift[fast], start, mode_count
-    )
+    record = FastRecord(
+        HeldInput(signals.hysteresis_um, signals.sample_period_s, is_periodic=False),
+        np.arange(fast.start, fast.stop), signals.displacement_um[fast], signals.drift[fast],
+        starts)
+    return fit_output_error(record, mode_count, delay)
 
 
 @dataclass(frozen=True)
