@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from piezo_common.command_line import run_command
+from piezo_identification.commands.row_options import READINGS, add_rows_option
 from piezo_identification.conditioning.outlier_samples import outlier_text
+from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction import predict
 from piezo_identification.prediction.outside_identified import outside_identified
@@ -41,13 +43,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--output", metavar="DIR", type=Path,
                         help="directory for the pictures; none are drawn without it")
     add_columns_option(parser)
+    add_rows_option(parser)
     return run_command(parser, _simulate, arguments)
 
 
 def _simulate(options: argparse.Namespace) -> None:
     model_path, data_path, directory = options.model, options.data, options.output
     identified = load_model(model_path)
-    recording = read_given(data_path, options)
+    recording = rows_read_at_start(read_given(data_path, options), READINGS[options.rows_read])
     prediction = predict(identified.model, recording)
     if prediction.reversed:
         print(sign_text(data_path))
