@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.settling import slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
 from piezo_identification.estimators.dynamics.fast_signals import (
@@ -38,8 +39,8 @@ known; the phase that one takes from the other is then small."""
 LEVELS_IN_TURN, SMOOTHING_IN_TURN = 24, 1e-9
 """Grid and smoothing of a hysteresis that is only to drive the dynamics."""
 
-MODES_IN_TURN = 2
-"""Vibration modes that are fitted then: enough for a delay that the hysteresis does not take."""
+MODES_THAT_TELL = 2
+"""Modes with which it is told whether a generator runs freely: edges off by half a sample show."""
 
 AT_REST = 20
 """Samples without a change of the voltage, from which a recording counts as beginning at rest."""
@@ -96,13 +97,16 @@ def estimate_dynamics_any(
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(recordings, parts, strict=True)]
         return fit_signals(_signals(parts, entering_um, creep), mode_count, delay)
-    entering = [np.asarray(part.voltage_v, dtype=float) for part in parts]
+    inputs = [part.voltage_v for part in parts]
+    estimate = fit_signals(_signals(parts, inputs, creep), mode_count, delay)
     for _ in range(TURNS):
-        estimate = fit_signals(_signals(parts, entering, creep), MODES_IN_TURN, 0.0)
         density = estimate_density(
-            parts, creep, estimate.model, LEVELS_IN_TURN, 1, SMOOTHING_IN_TURN, 0.0).model()
-        entering = [density.simulate(part.voltage_v) for part in parts]
-    return fit_signals(_signals(parts, entering, creep), mode_count, delay)
+            parts, creep, slow_dynamics(estimate.model, estimate.effects), LEVELS_IN_TURN, 1,
+            SMOOTHING_IN_TURN, 0.0,
+            estimate.delay_s + slow_delay_s(estimate.model, estimate.effects)).model()
+        inputs = [density.simulate(part.voltage_v) for part in parts]
+        estimate = fit_signals(_signals(parts, inputs, creep), mode_count, delay)
+    return estimate
 
 
 def _has_two_levels(part: Recording) -> bool:
@@ -169,9 +173,9 @@ def _signals(
 
 
 def _left_by_free_residues(signals: FastSignals) -> float:
-    """Sum of the squared residual that poles with free residues leave at most."""
+    """Sum of the squared residual that a few poles with free residues leave."""
     return min(fit.cost for fit in free_fits(
-        signals.record().thinned(ROWS_OF_SEARCH), MODES_IN_TURN))
+        signals.record().thinned(ROWS_OF_SEARCH), MODES_THAT_TELL))
 
 
 def _first_kept(part: Recording) -> int:

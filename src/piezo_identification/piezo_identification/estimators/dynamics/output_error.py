@@ -84,6 +84,9 @@ IDLE, IDLE_DAMPING = 25.0, 0.1
 larger order begins that is to make what a smaller one makes: it is at rest within a sample period,
 and delays by a four-hundredth of it."""
 
+MOST_ALIKE = 0.98
+"""Correlation of neighbouring samples of a residual up to which it counts."""
+
 NESTED_ROUNDS = 3
 """Passes over the orders in which one that leaves more than a smaller one begins from that one."""
 
@@ -362,10 +365,14 @@ class _Search:
         return order_trial(fit.order, fit.residual, parameters, refusal)
 
     def _deviations(self, fit: FastFit) -> FloatArray:
-        """Standard deviations of the vector, and of the delay where it was fitted."""
+        """Standard deviations of the vector, and of the delay where it was fitted.
+
+        What a form cannot explain is no white noise: neighbours are alike, and tell less.
+        """
         parameters = fit.jacobian.shape[1] + self._record.linear_parameters
         covariance = parameter_covariance(fit.jacobian, fit.residual, parameters)
-        deviations: FloatArray = np.sqrt(np.diag(covariance))
+        alike = float(np.clip(fit.residual[1:] @ fit.residual[:-1] / fit.cost, 0.0, MOST_ALIKE))
+        deviations: FloatArray = np.sqrt(np.diag(covariance) * (1.0 + alike) / (1.0 - alike))
         return deviations
 
 
