@@ -107,6 +107,14 @@ def test_a_third_mode_that_rings_long_is_found_and_does_not_bend_the_others(hert
     assert np.abs(normalised_errors(stage, estimate)).max() < 4.0
 
 
+def test_a_mode_that_may_not_be_fitted_is_not_taken_for_a_delay():
+    stage = IndependentStage(4.9e-4, (
+        (2846.0, 0.685, 0.696), (4909.0, 0.082, 0.3), (8796.0, 0.01, 0.004)))
+    estimate = estimate_dynamics(record(stage), CreepDynamics(), mode_count=2)
+    assert estimate.residual_rms > 2.0 * FOLDED_NOISE_UM
+    assert not estimate.delay.is_significant
+
+
 @pytest.mark.long
 @pytest.mark.xfail(reason="an open fault: of some such stages the form with the right number of "
                    "modes does not converge, and one with a mode more is taken")
