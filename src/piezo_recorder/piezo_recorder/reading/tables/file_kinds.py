@@ -7,12 +7,12 @@ from pathlib import Path
 from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.reading.tables.array_files import (
     read_hdf5,
-    read_matlab,
     read_npy,
     read_npz,
 )
 from piezo_recorder.reading.tables.columnar_files import read_arrow, read_parquet, read_tdms
 from piezo_recorder.reading.tables.delimited_text import Needed, read_text_table
+from piezo_recorder.reading.tables.matlab_files import is_version_4, read_matlab
 from piezo_recorder.reading.tables.table import Progress, Table
 
 TableReader = Callable[[Path, Progress], list[Table]]
@@ -61,6 +61,8 @@ def read_tables(path: Path, needed: Needed, progress: Progress) -> list[Table]:
         head = file.read(MATLAB_HDF5_OFFSET + len(HDF5_MAGIC))
     if head[MATLAB_HDF5_OFFSET:] == HDF5_MAGIC:
         return read_hdf5(path, progress)
+    if is_version_4(head):
+        return read_matlab(path, progress)
     for magic, read in READERS:
         if head.startswith(magic):
             return read(path, progress)
