@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Arrays under names: NumPy's .npy and .npz, HDF5 and what MATLAB writes as such."""
+"""Arrays under names: NumPy's .npy and .npz, sound, HDF5 and what MATLAB writes as such."""
 
 import warnings
 import zipfile
@@ -120,6 +120,18 @@ def read_npz(path: Path, progress: Progress) -> list[Table]:
                     if "Object arrays" not in str(error):
                         raise
                 progress(f"read {path.name}", number / len(arrays.files))
+    return tables_of(path, [group])
+
+
+def read_wav(path: Path, progress: Progress) -> list[Table]:
+    """Read the channels of a sound file in counts, and its rate."""
+    from scipy.io import wavfile
+
+    group = Group("")
+    with damage_told(path, "WAV file"):
+        rate_hz, values = wavfile.read(path)
+        group.take("channel", values)
+        group.scalars["rate"] = float(rate_hz)
     return tables_of(path, [group])
 
 

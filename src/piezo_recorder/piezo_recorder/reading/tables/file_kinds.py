@@ -9,6 +9,7 @@ from piezo_recorder.reading.tables.array_files import (
     read_hdf5,
     read_npy,
     read_npz,
+    read_wav,
 )
 from piezo_recorder.reading.tables.columnar_files import read_arrow, read_parquet, read_tdms
 from piezo_recorder.reading.tables.delimited_text import Needed, read_text_table
@@ -21,7 +22,7 @@ HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 READERS: tuple[tuple[bytes, TableReader], ...] = (
     (HDF5_MAGIC, read_hdf5), (b"\x93NUMPY", read_npy), (b"PK\x03\x04", read_npz),
     (b"MATLAB 5.0", read_matlab), (b"TDSm", read_tdms), (b"PAR1", read_parquet),
-    (b"ARROW1", read_arrow))
+    (b"ARROW1", read_arrow), (b"RIFF", read_wav))
 """The bytes that a file begins with tell its reader."""
 
 FOREIGN = {
