@@ -47,7 +47,7 @@ def test_a_byte_order_mark_and_a_last_empty_line_do_no_harm(tmp_path):
 @pytest.mark.parametrize(("text", "where", "what"), [
     ("", "row 1", "no table of numbers begins"),
     ("time_s,voltage_v\n0,1\n1,2\n", "row 1", "the column displacement_um is missing"),
-    (f"{HEADER},voltage_v\n0,1,2,3\n1,1,2,3\n", "row 1", "'voltage_v.1', 'voltage_v.2' may each be the voltage"),
+    (f"{HEADER},voltage_v\n0,1,2,3\n1,1,2,3\n", "row 1", "'voltage_v.1', 'voltage_v.2' may"),
     (f"{HEADER}\n0,1,2\n1,nan,2\n2,1,2\n", "row 3", "voltage_v is missing"),
     (f"{HEADER}\n0,1,2\n1,1,inf\n2,1,2\n", "row 3", "displacement_um is 'inf'"),
     (f"{HEADER}\n0,1,2\n1,1,2\n2,1,two\n", "row 4", "displacement_um is 'two'"),
