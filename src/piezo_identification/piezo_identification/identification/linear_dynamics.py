@@ -21,12 +21,10 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     estimate_from_response,
 )
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.identification.dynamics_methods import METHODS
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
-
-METHODS = ("output-error", "armax")
-"""Each estimates electric and vibration dynamics from samples."""
 
 SIGNIFICANT = 3.0
 """Standard deviations by which a delay has to differ from none."""
