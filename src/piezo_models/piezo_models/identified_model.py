@@ -29,7 +29,11 @@ class IdentifiedModel:
     created : str
         Time of creation, ISO 8601; now by default.
     uncertainties : dict of str to dict
-        Standard deviations under "creep" and "dynamics", in names and shapes those of the model.
+        Standard deviations under "creep" and "dynamics", in names and shapes those of the model;
+        under "effects" a list of those of each effect's parameters, by their names.
+    rows : dict of str to dict
+        For each recording when its rows are read and what delay is left in it:
+        `read_at_samples`, `delay_s` and `standard_deviation_s`.
     visited : ndarray of bool, shape (L, L), optional
         Cells of the density that the recordings determine; lower triangular. In the others it is a
         continuation. None where that is not known.
@@ -45,6 +49,7 @@ class IdentifiedModel:
     errors: dict[str, Any] = field(default_factory=dict)
     recordings: list[dict[str, str]] = field(default_factory=list)
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
-    uncertainties: dict[str, dict[str, Any]] = field(default_factory=dict)
+    uncertainties: dict[str, Any] = field(default_factory=dict)
+    rows: dict[str, dict[str, float]] = field(default_factory=dict)
     visited: NDArray[np.bool_] | None = None
     adequacy: dict[str, dict[str, Any]] = field(default_factory=dict)

@@ -133,6 +133,18 @@ class UncertaintiesPart(Part):
 
     creep: CreepDeviations | None = entry("Of the creep.", default=None)
     dynamics: DynamicsDeviations | None = entry("Of the dynamics.", default=None)
+    effects: list[dict[str, Deviation]] | None = entry(
+        "Of the parameters of each effect, in the order of `effects`.", default=None)
+
+
+class RowsPart(Part):
+    """When the rows of a recording are read, and what delay is left in it."""
+
+    read_at_samples: Number = entry(
+        "Instant at which a row's displacement is read, after its voltage: the logger's habit.",
+        unit="sample periods")
+    delay_s: Number = entry("Delay left beside that and the model.", unit="s")
+    standard_deviation_s: Deviation = entry("Of this delay.", unit="s")
 
 
 class AdequacyPart(Part):
@@ -182,6 +194,8 @@ class ModelDocument(Document):
     effects: list[EffectPart] = entry("Effects that extend the cascade.", default=[])
     uncertainties: UncertaintiesPart = entry(
         "Standard deviations of parameters.", default=UncertaintiesPart())
+    rows: dict[str, RowsPart] = entry(
+        "When the rows of each recording are read, by the name of the experiment.", default={})
     hysteretic_creep: HystereticCreepPart | None = entry(
         "Creep that depends on the branch of the hysteresis.", default=None)
     first_rise: FirstRisePart | None = entry(
@@ -217,6 +231,11 @@ class ModelDocument(Document):
                 if isinstance(parameter, list) and len(deviation) != len(parameter):
                     raise violation(f"is not a list of {len(parameter)} numbers",
                                     f"give {len(parameter)} numbers", path)
+        deviations = self.uncertainties.effects
+        if deviations is not None and len(deviations) != len(self.effects):
+            raise violation(
+                f"is not a list of {len(self.effects)} objects (found {len(deviations)})",
+                "give one for each effect, or leave the field out", "uncertainties.effects")
 
 
 def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
@@ -272,6 +291,7 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
         },
         **({"effects": effects} if effects else {}),
         **uncertainties,
+        **({"rows": _untold_as_null(_plain(identified.rows))} if identified.rows else {}),
         **hysteretic_creep,
         **first_rise,
         **({"adequacy": _plain(identified.adequacy)} if identified.adequacy else {}),

@@ -24,6 +24,7 @@ from piezo_models.model_document import (
     HysteresisPart,
     ModelDocument,
     ModelFileError,
+    UncertaintiesPart,
 )
 
 T = TypeVar("T")
@@ -81,13 +82,25 @@ def built_model(document: ModelDocument) -> IdentifiedModel:
         errors=document.errors,
         recordings=[dict(recording) for recording in document.recordings],
         created=document.created,
-        uncertainties={
-            name: {parameter: _infinite_where_untold(value) for parameter, value in part}
-            for name, part in document.uncertainties if part},
+        uncertainties=_deviations(document.uncertainties),
+        rows={name: {field: _infinite_where_untold(value) for field, value in part}
+              for name, part in document.rows.items()},
         visited=_visited(document.visited),
         adequacy={component: part.model_dump(exclude_none=True)
                   for component, part in document.adequacy.items()},
     )
+
+
+def _deviations(part: UncertaintiesPart) -> dict[str, Any]:
+    """Standard deviations by part, and those of each effect in a list."""
+    deviations: dict[str, Any] = {
+        name: {parameter: _infinite_where_untold(value) for parameter, value in of_part}
+        for name, of_part in (("creep", part.creep), ("dynamics", part.dynamics)) if of_part}
+    if part.effects is not None:
+        deviations["effects"] = [
+            {parameter: _infinite_where_untold(value) for parameter, value in effect.items()}
+            for effect in part.effects]
+    return deviations
 
 
 def _infinite_where_untold(deviation: Deviation | Deviations) -> float | list[float]:

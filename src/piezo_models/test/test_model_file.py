@@ -260,6 +260,8 @@ def test_an_uncertainty_that_no_data_told_is_saved_as_null(identified, tmp_path)
     (lambda u: u["creep"]["zeros_rad_per_s"].append(1.0), "uncertainties.creep.zeros_rad_per_s is"),
     (lambda u: u["creep"]["zeros_rad_per_s"].__setitem__(0, -1.0), "is out of range"),
     (lambda u: u.update(hysteresis={}), "uncertainties.hysteresis is unknown"),
+    (lambda u: u.update(effects=[{"delay_s": 1.0}] * 9),
+     r"uncertainties.effects is not a list of \d+ objects \(found 9\)"),
 ])
 def test_uncertainties_that_do_not_fit_the_model_are_refused(path, edit, named):
     def add(document):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.recording_start import square_part
+from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.settling import first_settled
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
 from piezo_identification.diagnosis.residual.sensor_noise import repeated_period
@@ -111,7 +112,8 @@ def component_residual(
             wave = None
         if wave is not None and wave.steps.size:
             return _of_square_wave(component, model, part, delay_s)
-    return _of_any_wave(component in WITH_FREE_GAIN, model, data)
+    aligned = rows_read_at_start(data, -delay_s / played(data).sample_period_s)
+    return _of_any_wave(component in WITH_FREE_GAIN, model, aligned)
 
 
 def _of_square_wave(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from piezo_common.command_line import Command
 from piezo_identification.commands.response_options import add_response_options
+from piezo_identification.commands.row_options import add_rows_option
 from piezo_identification.identification.dynamics_methods import METHODS
 from piezo_recorder.commands.data_flags import add_columns_option
 
@@ -52,6 +53,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--translation-weight", metavar="WEIGHT", type=float,
                         help="weight of the density's change along the diagonal, which lets loops "
                         "of one width be alike; by default chosen on branches held out")
+    add_rows_option(parser)
     add_response_options(parser)
 
 

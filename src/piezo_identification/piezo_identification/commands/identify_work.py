@@ -15,6 +15,7 @@ from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
 )
+from piezo_identification.commands.row_options import READINGS
 from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.conditioning.sensor_sign import displacement_falls
 from piezo_identification.estimators.frequency_response.response_file import (
@@ -51,7 +52,7 @@ def identify_files(options: argparse.Namespace) -> None:
         print("the displacement falls as the voltage rises: its sign is changed throughout")
     identified = identify(
         **data, progress=print_progress, refine=options.refine, note=print,
-        method=options.method,
+        method=options.method, read_at_samples=READINGS[options.rows_read],
         order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances),
         density=DensityOptions(options.grid, options.smoothing, options.translation_weight))
     save_model(options.output, identified)
@@ -121,6 +122,9 @@ def _print_summary(identified: IdentifiedModel) -> None:
         ("mode frequencies", _listing(model.dynamics.mode_frequencies_rad_per_s, "rad/s")),
         ("damping ratios", _listing(model.dynamics.damping_ratios, "")),
         *((f"effect {effect.name}", str(effect.parameters())) for effect in model.effects),
+        *((f"rows of the {name}", "read {read_at_samples:.4g} sample periods late, delay left "
+           "{delay_s:.2g} s +- {standard_deviation_s:.1g} s".format(**row))
+          for name, row in identified.rows.items()),
         *_error_rows(identified.errors),
     ]
     for name, value in rows:

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
+from piezo_identification.commands.row_options import add_rows_option
 from piezo_recorder.commands.data_flags import FILE_HELP, add_columns_option
 
 
@@ -21,6 +22,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", metavar="DIR", type=Path,
                         help="directory for the pictures; none are drawn without it")
     add_columns_option(parser)
+    add_rows_option(parser)
 
 
 COMMAND = Command(

@@ -5,7 +5,9 @@ import argparse
 
 import numpy as np
 
+from piezo_identification.commands.row_options import READINGS
 from piezo_identification.conditioning.outlier_samples import outlier_text
+from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction import predict
 from piezo_identification.prediction.outside_identified import outside_identified
@@ -18,7 +20,7 @@ def simulate_file(options: argparse.Namespace) -> None:
     """Simulate the model of the options under a recording; print the error and draw both."""
     model_path, data_path, directory = options.model, options.data, options.output
     identified = load_model(model_path)
-    recording = read_given(data_path, options)
+    recording = rows_read_at_start(read_given(data_path, options), READINGS[options.rows_read])
     prediction = predict(identified.model, recording)
     if prediction.reversed:
         print(sign_text(data_path))

@@ -2,10 +2,15 @@
 """What slow signals see of the electric and vibration dynamics."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.effect import Effect
+from piezo_models.effects.sensor_lag import SensorLag
+from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 NEGLIGIBLE = 1e-5
@@ -37,6 +42,56 @@ def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
         - sum_of_modes(dynamics.antiresonance_frequencies_rad_per_s,
                        dynamics.antiresonance_damping_ratios)
     )
+
+
+def slow_dynamics(
+    dynamics: ElectricVibrationDynamics, effects: Sequence[Effect],
+) -> ElectricVibrationDynamics:
+    """Return the dynamics with all modes among those in series, as each of them has to settle.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics
+    effects : sequence of Effect
+        Modes beside those of the dynamics; others are left out.
+
+    Returns
+    -------
+    ElectricVibrationDynamics
+    """
+    beside = [effect for effect in effects if isinstance(effect, VibrationMode)]
+    return replace(
+        dynamics,
+        mode_frequencies_rad_per_s=dynamics.mode_frequencies_rad_per_s + tuple(
+            mode.frequency_rad_per_s for mode in beside),
+        damping_ratios=dynamics.damping_ratios + tuple(mode.damping_ratio for mode in beside))
+
+
+def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect]) -> float:
+    """Return the delay of slow signals by dynamics and effects, beside that of `slow_dynamics`.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics
+    effects : sequence of Effect
+        Delays, lags of the sensor, and modes beside those of the dynamics, of which each delays
+        its part of the displacement only.
+
+    Returns
+    -------
+    float
+    """
+    in_series_s = low_frequency_delay_s(dynamics) - dynamics.time_constant_s
+    delay_s = 0.0
+    for effect in effects:
+        if isinstance(effect, Delay):
+            delay_s += effect.delay_s
+        elif isinstance(effect, SensorLag):
+            delay_s += effect.time_constant_s
+        elif isinstance(effect, VibrationMode):
+            own_s = 2.0 * effect.damping_ratio / effect.frequency_rad_per_s
+            delay_s += effect.participation * (own_s - in_series_s) - own_s
+    return delay_s
 
 
 def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_models.cascade import StageModel
+from piezo_models.effects.effect import Effect
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 SHOWN = 12
@@ -17,6 +18,10 @@ SHOWN = 12
 
 RANK_TOLERANCE = 1e-12
 """Singular value over the largest, of scaled columns, from which a direction is rounding."""
+
+SIGNIFICANT = 3.0
+"""Standard deviations by which a delay has to differ from none, and a mode from an antiresonance
+that would cancel it."""
 
 UNTOLD_SHARE = 1e-3
 """A parameter that has this share in a direction that is rounding is not told either."""
@@ -28,7 +33,7 @@ class OrderTrial:
 
     Parameters
     ----------
-    order : int
+    order : object
         What was counted: pairs of creep poles and zeros, or vibration modes.
     parameters : int
         Free parameters of the fit.
@@ -40,11 +45,44 @@ class OrderTrial:
         Why the fit cannot be taken whatever the criterion says; empty otherwise.
     """
 
-    order: int
+    order: Any
     parameters: int
     residual_rms: float
     information: float
     refusal: str = ""
+
+
+@dataclass(frozen=True)
+class DelayEstimate:
+    """Delay of a recording's displacement behind its voltage, beside what the dynamics explain.
+
+    Parameters
+    ----------
+    delay_s : float
+        Negative where the displacement of a row is read later than its voltage changes.
+    standard_deviation_s : float
+    sample_period_s : float
+        Of the recording.
+    """
+
+    delay_s: float
+    standard_deviation_s: float
+    sample_period_s: float
+
+    @property
+    def samples(self) -> float:
+        """Delay in sample periods of the recording."""
+        return self.delay_s / self.sample_period_s
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether it differs from none by more than chance lets it."""
+        return abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s
+
+    def __str__(self) -> str:
+        verdict = "significant" if self.is_significant else "not significant, left out"
+        return (f"{1e6 * self.delay_s:.4g} +- {1e6 * self.standard_deviation_s:.2g} us "
+                f"({self.samples:.4g} sample periods), {verdict}")
 
 
 @dataclass(frozen=True)
@@ -65,19 +103,33 @@ class Estimate:
         True if the user asked for this order.
     start : str
         What people are told of the state in which the recording begins.
+    effects : tuple of Effect
+        What the stage model needs beside `model`: modes beside its modes, a sensor's lag.
+    effect_deviations : tuple of dict
+        Standard deviations of the parameters of each effect, by their names.
+    delay : DelayEstimate, optional
+        None where no delay was fitted.
     """
 
     model: Any
-    standard_deviations: dict
-    order: int
-    trials: tuple
+    standard_deviations: dict[str, Any]
+    order: Any
+    trials: tuple[OrderTrial, ...]
     order_given: bool = False
     start: str = ""
+    effects: tuple[Effect, ...] = ()
+    effect_deviations: tuple[dict[str, float], ...] = ()
+    delay: DelayEstimate | None = None
 
     @property
     def residual_rms(self) -> float:
         """Residual of the chosen order, in the unit of the fitted output."""
         return next(trial.residual_rms for trial in self.trials if trial.order == self.order)
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of the displacement where it is significant; negative where rows are read late."""
+        return self.delay.delay_s if self.delay is not None and self.delay.is_significant else 0.0
 
     def order_table(self) -> str:
         """Return the best trials, each in a line, with the chosen one marked."""
@@ -166,6 +218,27 @@ def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
     return result
 
 
+def are_equal(
+    vector: FloatArray, covariance: FloatArray, one: int, other: int,
+) -> bool:
+    """Tell whether two of the parameters of a fit do not differ significantly.
+
+    Parameters
+    ----------
+    vector : ndarray, shape (P,)
+    covariance : ndarray, shape (P, P)
+    one, other : int
+        Their places.
+
+    Returns
+    -------
+    bool
+    """
+    variance = covariance[one, one] + covariance[other, other] - 2.0 * covariance[one, other]
+    difference = abs(vector[one] - vector[other])
+    return bool(difference <= SIGNIFICANT * np.sqrt(max(variance, 0.0)))
+
+
 def parameter_deviations(jacobian: FloatArray) -> FloatArray:
     """Return standard deviations of the parameters of a fit whose residual has variance 1.
 
@@ -226,7 +299,8 @@ def untold_parameters(
         Such as ``creep poles_rad_per_s 2``, counted from 1.
     """
     untold = []
-    for part, deviations in standard_deviations.items():
+    for part in ("creep", "dynamics"):
+        deviations = standard_deviations.get(part, {})
         for name, deviation in deviations.items():
             value = np.atleast_1d(getattr(getattr(model, part), name))
             wide = np.flatnonzero(np.atleast_1d(deviation) > np.abs(value))

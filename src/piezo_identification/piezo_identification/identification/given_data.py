@@ -10,6 +10,7 @@ from piezo_identification.conditioning.outlier_samples import (
     outlier_text,
     with_outliers_marked,
 )
+from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
 from piezo_identification.conditioning.segments import Recordings, listed, played_segments
 from piezo_identification.conditioning.sensor_sign import displacement_falls, reversed_displacement
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -149,6 +150,27 @@ def slowest_recording(recordings: Mapping[str, Data]) -> Recording | None:
             if isinstance(data, Recording):
                 return data
     return None
+def aligned(
+    recordings: Mapping[str, Data], read_at_samples: float | Mapping[str, float],
+) -> dict[str, Data]:
+    """Align the rows of recordings whose displacements are read late; means are left as they are.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+    read_at_samples : float or dict of str to float
+        When rows are read, in sample periods after their voltage; of all, or by name.
+
+    Returns
+    -------
+    dict of str to Recording or FrequencyResponse
+    """
+    read_at = read_at_samples if isinstance(read_at_samples, Mapping) else dict.fromkeys(
+        recordings, read_at_samples)
+    return {
+        name: data if isinstance(data, FrequencyResponse)
+        else rows_read_at_start(data, read_as(data, read_at[name]))
+        for name, data in recordings.items()}
 
 
 def reversed_data(data: Data) -> Data:

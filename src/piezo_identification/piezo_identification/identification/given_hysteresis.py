@@ -66,10 +66,10 @@ def estimate_hysteresis_of(
     if not shown:
         return _line_of_response(of_kind(recordings, "dynamics")[0], linear)
     return estimate_density(
-        shown, linear.creep, linear.dynamics, options.grid,
+        shown, linear.creep, linear.slow_dynamics, options.grid,
         **({} if options.grid is None else {"cells_per_level": 1}),
         smoothing_weight=options.smoothing_weight, translation_weight=options.translation_weight,
-        delay_s=linear.delay_s)
+        delay_s=linear.slow_delay_s)
 
 
 def _line_of_response(measured: FrequencyResponse, linear: LinearDynamics) -> DensityEstimate:

@@ -17,6 +17,7 @@ from piezo_identification.adequacy.component_adequacy import adequacy_document, 
 from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
 from piezo_identification.adequacy.plausibility import implausible_data, implausible_model
 from piezo_identification.conditioning.recording_start import motion_um_per_s
+from piezo_identification.conditioning.row_alignment import RowDelay
 from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.estimate import untold_parameters
@@ -36,6 +37,7 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
 from piezo_identification.estimators.refinement.joint_fit import refine as fit_jointly
 from piezo_identification.identification.given_data import (
     Data,
+    aligned,
     given_data,
     of_kind,
     rising_with_voltage,
@@ -56,10 +58,15 @@ from piezo_identification.identification.progress import (
     IdentificationCancelled,
     Stages,
 )
+from piezo_identification.identification.row_delays import (
+    delays_of_rows_s,
+    found_readings,
+    row_delays,
+    tell_row_delays,
+)
 from piezo_identification.prediction.model_run import ModelRun
 from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
-from piezo_models.effects.delay import Delay
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import sha256_of
@@ -84,7 +91,7 @@ class FittedModel:
     """
 
     model: StageModel
-    uncertainties: dict[str, dict[str, Any]]
+    uncertainties: dict[str, Any]
     visited: NDArray[np.bool_]
     errors: dict[str, Any] = field(default_factory=dict)
 
@@ -101,6 +108,7 @@ def identify(
     order: ResponseOrder = ANY_ORDER,
     note: Callable[[str], object] | None = None,
     density: DensityOptions = CHOSEN_BY_DATA,
+    read_at_samples: float = 0.0,
 ) -> IdentifiedModel:
     """Identify a stage model step by step (thesis 4.5).
 
@@ -141,6 +149,10 @@ def identify(
         determine.
     density : DensityOptions
         Grid and smoothing of the hysteresis; what it leaves open is chosen from the data.
+    read_at_samples : float
+        Instant at which the logger reads the displacement of a row, in sample periods after the
+        row's voltage changes: 0 for the start of the hold, 1 for its end. Beyond that, rows that
+        are read late are found from the dynamics; what is late behind them is the stage's delay.
 
     Returns
     -------
@@ -156,28 +168,34 @@ def identify(
     given = given_data(creep, dynamics, hysteresis, validation, refine)
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
     with checking(stages.check):
-        recordings = rising_with_voltage(without_gaps(with_marked_outliers(given, tell)))
-        tell_implausible(implausible_data(recordings), tell)
-        fast = of_kind(recordings, "dynamics")
+        said = aligned(
+            rising_with_voltage(without_gaps(with_marked_outliers(given, tell))), read_at_samples)
+        tell_implausible(implausible_data(said), tell)
+        fast = of_kind(said, "dynamics")
         linear = estimate_linear_dynamics(
-            of_kind(recordings, "creep"),
+            of_kind(said, "creep"),
             fast[0] if fast and isinstance(fast[0], FrequencyResponse) else fast,
-            of_kind(recordings, "hysteresis"), method, order, stages.part(0.0, 0.6))
+            of_kind(said, "hysteresis"), method, order, stages.part(0.0, 0.6))
         stages.begin("hysteresis", 0.6)
-        for loops in of_kind(recordings, "hysteresis"):
-            refuse_impossible_loops(loops, linear.creep, linear.dynamics, linear.delay_s)
+        for loops in of_kind(said, "hysteresis"):
+            refuse_impossible_loops(loops, linear.creep, linear.slow_dynamics, linear.slow_delay_s)
+        read_at = found_readings(said, linear)
+        recordings = aligned(said, read_at)
         estimate, first_rise, cycled = estimate_loops(recordings, linear, density)
         tell_estimates(linear, estimate, tell)
         tell_starts(recordings, linear, first_rise, tell)
         fitted = fitted_model(linear, estimate, first_rise)
+        rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)
+        tell_row_delays(rows, tell)
         if refine:
             fitted = refined(fitted, cycled, stages)
         tell_uncertain_parameters(fitted, tell)
         tell_implausible(implausible_model(fitted.model, recordings), tell)
         stages.begin("validation", 0.95)
         errors = validation_errors(fitted.model, recordings) | fitted.errors
-        adequacy = adequacy_document(adequacy_of(fitted.model, recordings))
-        identified = replace(identified_model(fitted, errors, given), adequacy=adequacy)
+        adequacy = adequacy_document(
+            adequacy_of(fitted.model, said, delays_of_rows_s(said, read_at)))
+        identified = replace(identified_model(fitted, errors, given, rows), adequacy=adequacy)
         stages.begin("done", 1.0)
     return identified
 
@@ -213,12 +231,12 @@ def estimate_loops(
     part = played(recording)
     first_rise = estimate_first_rise(
         np.asarray(part.voltage_v, dtype=float),
-        hysteresis_output_um(part, linear.creep, linear.dynamics, linear.delay_s),
+        hysteresis_output_um(part, linear.creep, linear.slow_dynamics, linear.slow_delay_s),
         highest_before(recording))
     if first_rise is None:
         return density, None, recordings
     cycled = {**recordings, "hysteresis": without_first_rise(
-        recording, first_rise, linear.creep, linear.dynamics)}
+        recording, first_rise, linear.creep, linear.slow_dynamics)}
     beside = estimate_hysteresis_of(cycled, linear, options)
     most_um = FIRST_RISE.largest_error_ratio * fitted_error_um(density, None)
     if fitted_error_um(beside, first_rise) > most_um:
@@ -231,6 +249,8 @@ def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
     """Tell why the orders were chosen, and which part of the Preisach plane the data determine."""
     for name, estimate in linear.estimates.items():
         tell(f"order of the {name}:\n{estimate.order_table()}")
+        if estimate.delay is not None:
+            tell(f"delay of the {name}: {estimate.delay}")
     tell(f"hysteresis: {density.report()}")
 
 
@@ -266,12 +286,15 @@ def tell_starts(recordings: Mapping[str, Data], linear: LinearDynamics,
 
 def fitted_model(linear: LinearDynamics, density: DensityEstimate,
                  first_rise: FirstRise | None = None) -> FittedModel:
-    """Put the estimated components together; a significant delay becomes an effect."""
+    """Put the estimated components together; what the dynamics lack becomes effects."""
     model = StageModel(
-        density.model(), linear.creep, linear.dynamics,
-        effects=(Delay(linear.delay_s),) if linear.delay_s else (), first_rise=first_rise,
+        density.model(), linear.creep, linear.dynamics, effects=linear.all_effects,
+        first_rise=first_rise,
     )
-    return FittedModel(model, linear.uncertainties, density.visited)
+    uncertainties: dict[str, Any] = dict(linear.uncertainties)
+    if linear.all_effects:
+        uncertainties["effects"] = list(linear.effect_deviations)
+    return FittedModel(model, uncertainties, density.visited)
 
 
 def refined(fitted: FittedModel, recordings: Mapping[str, Any], stages: Stages) -> FittedModel:
@@ -306,7 +329,8 @@ def refined(fitted: FittedModel, recordings: Mapping[str, Any], stages: Stages) 
     if not improved:
         return replace(fitted, errors=errors)
     return replace(
-        fitted, model=result.model, uncertainties=result.standard_deviations, errors=errors)
+        fitted, model=result.model, errors=errors,
+        uncertainties=fitted.uncertainties | result.standard_deviations)
 
 
 def tell_implausible(found: Sequence[str], tell: Callable[[str], object]) -> None:
@@ -329,7 +353,8 @@ def validation_errors(model: StageModel, recordings: Mapping[str, Any]) -> dict[
 
 
 def identified_model(
-    fitted: FittedModel, errors: dict[str, Any], given: Mapping[str, Data]
+    fitted: FittedModel, errors: dict[str, Any], given: Mapping[str, Data],
+    rows: Mapping[str, RowDelay],
 ) -> IdentifiedModel:
     """Return the model with its range, its errors, and the recordings that it was made from.
 
@@ -340,6 +365,7 @@ def identified_model(
         By the names under which the model file keeps them.
     given : dict of str to Recording or FrequencyResponse
         As read from their files.
+    rows : dict of str to RowDelay
 
     Returns
     -------
@@ -358,4 +384,5 @@ def identified_model(
             {"path": str(data.path), "sha256": sha256_of(data.path)} for data in given.values()
         ],
         uncertainties=fitted.uncertainties, visited=fitted.visited,
+        rows={name: row.fields() for name, row in rows.items()},
     )

@@ -3,31 +3,36 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from piezo_identification.conditioning.recording_start import square_part
+from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
+from piezo_identification.conditioning.settling import slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import played, square_wave
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
 from piezo_identification.estimators.dynamics.armax_dynamics import estimate_dynamics_armax
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
-from piezo_identification.estimators.estimate import Estimate
+from piezo_identification.estimators.estimate import SIGNIFICANT, Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
     ANY_ORDER,
     ResponseOrder,
     estimate_from_response,
 )
+from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
 from piezo_identification.identification.dynamics_methods import METHODS
+from piezo_identification.prediction.model_run import ModelRun
+from piezo_models.cascade import StageModel
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
-
-SIGNIFICANT = 3.0
-"""Standard deviations by which a delay has to differ from none."""
 
 
 @dataclass(frozen=True)
@@ -39,18 +44,45 @@ class LinearDynamics:
     creep : CreepDynamics
     dynamics : ElectricVibrationDynamics
     delay_s : float
-        Beside the dynamics; only a frequency response tells it.
+        Of the stage, beside the dynamics.
+    effects : tuple of Effect
+        Modes beside those of the dynamics, and a sensor's lag.
+    read_at_samples : float
+        Instant at which the rows of the dynamics' recording were found to be read, in sample
+        periods after their voltage.
     estimates : dict of str to Estimate
         By what they were made from: creep, dynamics.
     uncertainties : dict of str to dict
         Standard deviations of creep and dynamics, as far as they were estimated.
+    effect_deviations : tuple of dict
+        Standard deviations of the parameters of all effects that `all_effects` returns.
     """
 
     creep: CreepDynamics = CreepDynamics()
     dynamics: ElectricVibrationDynamics = ElectricVibrationDynamics()
     delay_s: float = 0.0
-    estimates: dict = field(default_factory=dict)
-    uncertainties: dict = field(default_factory=dict)
+    effects: tuple[Effect, ...] = ()
+    read_at_samples: float = 0.0
+    estimates: dict[str, Estimate] = field(default_factory=dict)
+    uncertainties: dict[str, dict[str, Any]] = field(default_factory=dict)
+    effect_deviations: tuple[dict[str, float], ...] = ()
+
+    @property
+    def all_effects(self) -> tuple[Effect, ...]:
+        """Effects of the model, in the order of the signal."""
+        delay = (Delay(self.delay_s),) if self.delay_s else ()
+        return (*(effect for effect in self.effects if effect.place == "modes"), *delay,
+                *(effect for effect in self.effects if effect.place != "modes"))
+
+    @property
+    def slow_dynamics(self) -> ElectricVibrationDynamics:
+        """Dynamics as slow signals see them: every mode among those in series has to settle."""
+        return slow_dynamics(self.dynamics, self.effects)
+
+    @property
+    def slow_delay_s(self) -> float:
+        """Delay of slow signals beside those dynamics."""
+        return slow_delay_s(self.dynamics, self.all_effects)
 
     def with_creep(self, estimate: Estimate) -> "LinearDynamics":
         """Estimate the model anew with the creep of a recording."""
@@ -60,9 +92,26 @@ class LinearDynamics:
         )
 
     def with_dynamics(self, estimate: Estimate) -> "LinearDynamics":
-        """Estimate the model anew with the dynamics of a recording."""
+        """With the dynamics of a recording, and its delay told apart.
+
+        A displacement that comes before its voltage can only be the habit of the logger, which
+        reads its rows late. A displacement that comes after it is taken for the stage's.
+        """
+        delay_s, read_at, deviations = 0.0, 0.0, list(estimate.effect_deviations)
+        delay = estimate.delay
+        if delay is not None and delay.is_significant:
+            delay_s, read_at = max(delay.delay_s, 0.0), max(-delay.samples, 0.0)
+            by_s = abs(delay.delay_s + delay.sample_period_s)
+            if by_s < SIGNIFICANT * delay.standard_deviation_s:
+                # The end of the hold is what a logger means.
+                read_at = 1.0
+            if delay_s:
+                modes = sum(effect.place == "modes" for effect in estimate.effects)
+                deviations.insert(modes, {"delay_s": delay.standard_deviation_s})
         return replace(
-            self, dynamics=estimate.model, estimates=self.estimates | {"dynamics": estimate},
+            self, dynamics=estimate.model, effects=estimate.effects, delay_s=delay_s,
+            read_at_samples=read_at, effect_deviations=tuple(deviations),
+            estimates=self.estimates | {"dynamics": estimate},
             uncertainties=self.uncertainties | {"dynamics": estimate.standard_deviations},
         )
 
@@ -77,9 +126,11 @@ class LinearDynamics:
             known_spread = self.uncertainties.get("creep", {}).get(name, ())
             spread[name] = tuple(
                 np.append(known_spread, deviations["creep"][name])[order].tolist())
+        is_late = model.delay_s > SIGNIFICANT * deviations["delay_s"]
         return replace(
             self.with_dynamics(estimate), creep=CreepDynamics(**creep), dynamics=model.dynamics,
-            delay_s=model.delay_s if model.delay_s > SIGNIFICANT * deviations["delay_s"] else 0.0,
+            delay_s=model.delay_s if is_late else 0.0,
+            effect_deviations=({"delay_s": deviations["delay_s"]},) if is_late else (),
             uncertainties={"creep": spread, "dynamics": deviations["dynamics"]},
         )
 
@@ -127,8 +178,7 @@ def estimate_linear_dynamics(
     for turn in range(passes):
         if creep:
             begin("creep beside the dynamics" if turn else "creep", 0.5 * turn)
-            found = found.with_creep(
-                _creep_of(creep, found.dynamics if turn else None, order.creep_pairs))
+            found = found.with_creep(_creep_of(creep, found, bool(turn), order.creep_pairs))
         if not given:
             continue
         begin("dynamics beside the creep" if turn else "dynamics", 0.5 * turn + 0.3)
@@ -137,19 +187,55 @@ def estimate_linear_dynamics(
             continue
         density = None
         if needs_hysteresis:
-            density = estimate_density(hysteresis, found.creep, found.dynamics).model()
+            density = aligned_density(hysteresis, found)[0].model()
         found = found.with_dynamics(_from_samples(fast, found.creep, density, method, order))
     return found
 
 
 def _creep_of(
-    recordings: Sequence[Recording], dynamics: ElectricVibrationDynamics | None,
+    recordings: Sequence[Recording], found: LinearDynamics, is_dynamics_known: bool,
     pair_count: int | None,
 ) -> Estimate:
     """Creep of one square wave as it was designed for, else of what there is."""
+    dynamics = found.slow_dynamics if is_dynamics_known else None
+    recordings = [rows_read_at_start(each, read_as(each, found.read_at_samples))
+                  for each in recordings]
     if len(recordings) == 1 and _is_square_wave(recordings[0]):
-        return estimate_creep(recordings[0], dynamics, pair_count)
+        return estimate_creep(recordings[0], dynamics, pair_count, found.slow_delay_s)
     return estimate_slow_creep(recordings, dynamics, pair_count)
+
+
+def aligned_density(
+    hysteresis: Sequence[Recording], found: LinearDynamics,
+) -> tuple[DensityEstimate, float]:
+    """Estimate the density, its recordings read as the dynamics' if that explains them better.
+
+    Parameters
+    ----------
+    hysteresis : sequence of Recording
+    found : LinearDynamics
+
+    Returns
+    -------
+    density : DensityEstimate
+    read_at_samples : float
+        Instant at which the rows of the recordings are read, in sample periods after their voltage.
+    """
+    tried = []
+    for read_at in {0.0, *(read_as(each, found.read_at_samples) for each in hysteresis)}:
+        aligned = [rows_read_at_start(each, read_as(each, read_at)) for each in hysteresis]
+        density = estimate_density(
+            aligned, found.creep, found.slow_dynamics, delay_s=found.slow_delay_s)
+        tried.append((density, read_at, aligned))
+    if len(tried) == 1:
+        return tried[0][:2]
+
+    def error_um(entry: tuple[DensityEstimate, float, list[Recording]]) -> float:
+        model = StageModel(entry[0].model(), found.creep, found.dynamics,
+                           effects=found.all_effects)
+        return sum(ModelRun(model, each).error_um(()) for each in entry[2])
+
+    return min(tried, key=error_um)[:2]
 
 
 def _from_response(

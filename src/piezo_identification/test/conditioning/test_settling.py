@@ -6,7 +6,12 @@ from piezo_identification.conditioning.settling import (
     first_settled,
     low_frequency_delay_s,
     settling_time_s,
+    slow_delay_s,
+    slow_dynamics,
 )
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.sensor_lag import SensorLag
+from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics, simulate_linear, zoh
 
 
@@ -16,6 +21,17 @@ def test_the_delay_is_the_slope_of_the_phase_at_low_frequency(plant):
     with_zeros = ElectricVibrationDynamics(1e-3, (3000.0,), (0.1,), (2000.0,), (0.3,))
     phase = np.angle(with_zeros.response(0.1))
     assert low_frequency_delay_s(with_zeros) == pytest.approx(-phase / (0.2 * np.pi), rel=1e-4)
+
+
+def test_effects_delay_slow_signals_by_the_slope_of_their_phase(plant):
+    modes = (VibrationMode(5400.0, 0.3, 0.2), VibrationMode(8300.0, 0.015, -0.04))
+    effects = (*modes, Delay(2e-4), SensorLag(1e-4))
+    response = plant.dynamics.response(0.1, modes) * np.exp(-2j * np.pi * 0.1 * 2e-4) / (
+        1.0 + 2j * np.pi * 0.1 * 1e-4)
+    slow = slow_dynamics(plant.dynamics, effects)
+    assert len(slow.damping_ratios) == len(plant.dynamics.damping_ratios) + 2
+    assert low_frequency_delay_s(slow) + slow_delay_s(plant.dynamics, effects) == pytest.approx(
+        -np.angle(response) / (0.2 * np.pi), rel=1e-5)
 
 
 def test_after_the_settling_time_a_step_response_stays_at_its_end(plant):

@@ -11,7 +11,7 @@ from piezo_identification.estimators.dynamics.square_wave import estimate_dynami
 from piezo_identification.estimators.hysteresis.density_fit import estimate_hysteresis
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.cascade import StageModel
-from piezo_studies.thesis.laboratory import record_experiment
+from piezo_studies.thesis.laboratory import ROWS_LATE, record_experiment
 from piezo_studies.thesis.pictures import draw_plane
 from piezo_studies.thesis.table import Row, Study
 
@@ -33,9 +33,10 @@ def identified_stage():
         record_experiment(experiments.named_experiment(name), seed=seed)
         for seed, name in enumerate(("creep", "dynamics", "hysteresis"), start=1)
     )
-    dynamics = estimate_dynamics(quick, estimate_creep(slow).model).model
+    dynamics = estimate_dynamics(
+        quick, estimate_creep(slow).model, delay=ROWS_LATE).model
     creep = estimate_creep(slow, dynamics).model
-    dynamics = estimate_dynamics(quick, creep).model
+    dynamics = estimate_dynamics(quick, creep, delay=ROWS_LATE).model
     return StageModel(estimate_hysteresis(harmonics, creep, dynamics), creep, dynamics)
 
 

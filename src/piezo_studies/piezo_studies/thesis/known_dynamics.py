@@ -9,7 +9,7 @@ from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, esti
 from piezo_identification.estimators.refinement.sensitivities import sensitivity_systems
 from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh
 from piezo_studies.thesis.known_plant import HIGHEST_V, NOISE_UM, known_plant
-from piezo_studies.thesis.laboratory import record_model
+from piezo_studies.thesis.laboratory import ROWS_LATE, record_model
 from piezo_studies.thesis.table import Row, Study
 
 CREEP_PERIOD_S, CREEP_SAMPLE_S, CREEP_PERIODS = 200.0, 0.02, 2
@@ -59,9 +59,10 @@ def errors_percent(seed):
         "dynamics", plant, square_wave(DYNAMICS_PERIOD_S, DYNAMICS_SAMPLE_S, DYNAMICS_PERIODS),
         DYNAMICS_SAMPLE_S, NOISE_UM, DRAWS + seed,
     )
-    dynamics = estimate_dynamics(quick, estimate_creep(slow, pair_count=2).model).model
+    dynamics = estimate_dynamics(
+        quick, estimate_creep(slow, pair_count=2).model, delay=ROWS_LATE).model
     creep = estimate_creep(slow, dynamics, pair_count=2).model
-    dynamics = estimate_dynamics(quick, creep, mode_count=1).model
+    dynamics = estimate_dynamics(quick, creep, mode_count=1, delay=ROWS_LATE).model
     true, found = plant.creep, creep
     pairs = [
         _percent((found.poles_rad_per_s[i], found.zeros_rad_per_s[i]),

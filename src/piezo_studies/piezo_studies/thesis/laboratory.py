@@ -12,6 +12,9 @@ CLOCK_HZ = 40_000.0
 STAGE_NOISE_UM = 0.009
 """Noise of the thesis' sensor, and of the simulated stage's (1.3)."""
 
+ROWS_LATE = 0.0
+"""Sample periods by which the displacements of these recordings come late: known, so not fitted."""
+
 SAMPLES_AT_ONCE = 400_000
 """Clock samples that are simulated together."""
 

@@ -12,7 +12,7 @@ from piezo_identification.estimators.dynamics.multisine import estimate_dynamics
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
 from piezo_studies.thesis.identified_stage import DYNAMICS, identified_stage
-from piezo_studies.thesis.laboratory import CLOCK_HZ, record_stage
+from piezo_studies.thesis.laboratory import CLOCK_HZ, ROWS_LATE, record_stage
 from piezo_studies.thesis.table import Row, Study
 
 OFFSET_V = 24.0
@@ -43,7 +43,8 @@ def study():
     """
     stage = identified_stage()
     record = record_stage("multisine", multisine_v())
-    dynamics = estimate_dynamics_multisine(record, stage.hysteresis, stage.creep).model
+    dynamics = estimate_dynamics_multisine(
+        record, stage.hysteresis, stage.creep, delay=ROWS_LATE).model
     armax = estimate_dynamics_armax(
         record, stage.creep, stage.hysteresis, orders=(5, 5, 5), mode_count=2
     ).model

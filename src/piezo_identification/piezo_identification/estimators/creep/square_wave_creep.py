@@ -41,7 +41,7 @@ class CreepNotShown(ValueError):
 
 def estimate_creep(
     recording: Recording, dynamics: ElectricVibrationDynamics | None = None,
-    pair_count: int | None = None,
+    pair_count: int | None = None, delay_s: float = 0.0,
 ) -> Estimate:
     """Estimate the creep dynamics (4.4) from a square wave of long period.
 
@@ -65,6 +65,8 @@ def estimate_creep(
     pair_count : int, optional
         Number of pole and zero pairs; by default as many as the Bayesian information criterion
         justifies.
+    delay_s : float
+        Of the measurement, beside the dynamics.
 
     Returns
     -------
@@ -77,10 +79,11 @@ def estimate_creep(
         If the recording has gaps or is no square wave, or the data do not show as many pairs.
     """
     part = square_part(played(recording))
-    record = _CreepRecord(part, dynamics)
+    record = _CreepRecord(part, dynamics, delay_s)
     if record.wave.steps.size < FEWEST_STEPS:
         return _estimate(record, pair_count)
-    cut = _estimate(_CreepRecord(without_first(part, record.wave.steps[0]), dynamics), pair_count)
+    later = without_first(part, record.wave.steps[0])
+    cut = _estimate(_CreepRecord(later, dynamics, delay_s), pair_count)
     whole = _estimate(record, pair_count)
     off_um = record.first_run_off_um(cut.model)
     return whole if off_um == 0.0 else replace(
@@ -110,17 +113,17 @@ def _estimate(record: "_CreepRecord", pair_count: int | None) -> Estimate:
 class _CreepRecord:
     """The averaged record, and the response of creep exponentials to its voltage."""
 
-    def __init__(self, recording, dynamics):
+    def __init__(self, recording, dynamics, delay_s):
         self.path = recording.path
         self.wave = square_wave(recording)
         if self.wave.steps.size == 0:
             raise ValueError(f"{recording.path} has no step of the voltage: record a whole period")
         self.period_s = recording.sample_period_s
         self.mean_samples = samples_per_mean(recording)
-        self.delay_s, self.settling_s = 0.0, USUAL_SETTLING_S
+        self.delay_s, self.settling_s = delay_s, USUAL_SETTLING_S
         if dynamics is not None:
-            self.delay_s = low_frequency_delay_s(dynamics)
-            self.settling_s = max(USUAL_SETTLING_S, settling_time_s(dynamics))
+            self.delay_s += low_frequency_delay_s(dynamics)
+            self.settling_s = max(USUAL_SETTLING_S, settling_time_s(dynamics) + delay_s)
         self.time_s = np.arange(self.wave.level.size) * self.period_s
         self.bins, self.weights = self._logarithmic_bins()
         if not self.weights.any():

@@ -6,36 +6,29 @@ or for two levels by offset and gain (4.5); the measured displacement is fitted 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.waveforms import square_wave
-from piezo_identification.estimators.dynamics.multisine import (
-    LOWEST_LINE,
+from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
+from piezo_identification.estimators.dynamics.fast_signals import (
+    FEWEST_SAMPLES,
+    LATE_ROWS,
     FastSignals,
-    poles_of_lines,
-)
-from piezo_identification.estimators.dynamics.output_error import fit_output_error
-from piezo_identification.estimators.dynamics.square_wave import (
-    WARM_UP_S,
-    drift_basis,
-    dynamics_of_poles,
+    fit_signals,
+    joined_signals,
     played_at_the_clock,
+    through_hysteresis,
 )
+from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH
+from piezo_identification.estimators.dynamics.pole_search import free_fits
+from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.estimate import Estimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
 from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.dynamics import (
-    CreepDynamics,
-    ElectricVibrationDynamics,
-    equilibrium_state,
-    simulate_linear,
-    zoh,
-)
+from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
 TURNS = 4
@@ -44,6 +37,9 @@ known; the phase that one takes from the other is then small."""
 
 LEVELS_IN_TURN, SMOOTHING_IN_TURN = 24, 1e-9
 """Grid and smoothing of a hysteresis that is only to drive the dynamics."""
+
+MODES_IN_TURN = 2
+"""Vibration modes that are fitted then: enough for a delay that the hysteresis does not take."""
 
 AT_REST = 20
 """Samples without a change of the voltage, from which a recording counts as beginning at rest."""
@@ -55,25 +51,11 @@ NEAR_AN_EXTREME = 0.05
 """Once the voltage was within this part of its range from both ends, the past counts for no more
 than an offset."""
 
-LATE_ROWS = 2
-"""Rows at the end that are left out, as what follows them is not known."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Entering:
-    """What enters the dynamics, and what is measured behind them, recordings one after another."""
-
-    entering: FloatArray
-    displacement_um: FloatArray
-    fixed: FloatArray
-    kept: NDArray[np.intp]
-    sample_period_s: float
-    longest: slice
-
 
 def estimate_dynamics_any(
     recordings: Sequence[Recording], creep: CreepDynamics,
     hysteresis: PreisachModel | None = None, mode_count: int | None = None,
+    delay: float | None = None,
 ) -> Estimate:
     """Estimate electric lag and vibration modes (4.3) from recordings of any fast input.
 
@@ -88,6 +70,8 @@ def estimate_dynamics_any(
         estimated in turn with the dynamics; of two levels, an offset and a gain.
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
+    delay : float, optional
+        Of the rows, in sample periods; by default it is estimated beside.
 
     Returns
     -------
@@ -105,33 +89,20 @@ def estimate_dynamics_any(
             f"{parts[0].path} and {parts[1].path} differ in their sample periods: give recordings "
             "of the dynamics of one sample period")
     if all(_has_two_levels(part) for part in parts):
-        fits = [_fit(parts, inputs, creep, mode_count) for inputs in _two_level_inputs(parts)]
-        return min(fits, key=lambda fit: min(trial.information for trial in fit.trials))
+        signals = min((_signals(parts, inputs, creep) for inputs in _two_level_inputs(parts)),
+                      key=_left_by_free_residues)
+        return fit_signals(signals, mode_count, delay)
     if hysteresis is not None:
-        _check_range(parts, hysteresis)
-        return _fit(parts, _through(hysteresis, parts), creep, mode_count)
-    estimate = _fit(parts, [part.voltage_v for part in parts], creep, mode_count)
+        entering_um = [through_hysteresis(recording, part, hysteresis)
+                       for recording, part in zip(recordings, parts, strict=True)]
+        return fit_signals(_signals(parts, entering_um, creep), mode_count, delay)
+    entering = [np.asarray(part.voltage_v, dtype=float) for part in parts]
     for _ in range(TURNS):
+        estimate = fit_signals(_signals(parts, entering, creep), MODES_IN_TURN, 0.0)
         density = estimate_density(
-            parts, creep, estimate.model, LEVELS_IN_TURN, 1, SMOOTHING_IN_TURN, 0.0)
-        estimate = _fit(parts, _through(density.model(), parts), creep, mode_count)
-    return estimate
-
-
-def _through(hysteresis: PreisachModel, parts: Sequence[Recording]) -> list[FloatArray]:
-    return [hysteresis.simulate(part.voltage_v) for part in parts]
-
-
-def _check_range(parts: Sequence[Recording], hysteresis: PreisachModel) -> None:
-    slack_v = 1e-6 * (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
-    for part in parts:
-        low_v, high_v = part.voltage_v.min(), part.voltage_v.max()
-        if low_v < hysteresis.voltage_min_v - slack_v or (
-                high_v > hysteresis.voltage_max_v + slack_v):
-            raise ValueError(
-                f"{part.path} goes from {low_v:g} to {high_v:g} V, the hysteresis is known from "
-                f"{hysteresis.voltage_min_v:g} to {hysteresis.voltage_max_v:g} V: identify it over "
-                "a wider range")
+            parts, creep, estimate.model, LEVELS_IN_TURN, 1, SMOOTHING_IN_TURN, 0.0).model()
+        entering = [density.simulate(part.voltage_v) for part in parts]
+    return fit_signals(_signals(parts, entering, creep), mode_count, delay)
 
 
 def _has_two_levels(part: Recording) -> bool:
@@ -183,58 +154,24 @@ def free_running_level(
     return result
 
 
-def _fit(
+def _signals(
     parts: Sequence[Recording], inputs: Sequence[FloatArray], creep: CreepDynamics,
-    mode_count: int | None,
-) -> Estimate:
-    """Fit the dynamics of least output error behind known inputs."""
-    signals = _joined(parts, inputs, creep)
-    kept = signals.kept
-
-    def respond(dynamics: ElectricVibrationDynamics) -> FloatArray:
-        system = dynamics.state_space()
-        initial = equilibrium_state(system, signals.entering[0])
-        response = simulate_linear(
-            zoh(system, signals.sample_period_s), signals.entering, initial)
-        return response[kept]
-
-    longest = FastSignals(
-        signals.entering, signals.displacement_um, signals.fixed, signals.longest,
-        signals.sample_period_s)
-
-    def start(count: int) -> ElectricVibrationDynamics:
-        return dynamics_of_poles(poles_of_lines(longest, 2 * count + 1, parts[0].path))
-
-    return fit_output_error(
-        respond, signals.displacement_um[kept], signals.fixed[kept], start, mode_count)
-
-
-def _joined(
-    parts: Sequence[Recording], inputs: Sequence[FloatArray], creep: CreepDynamics,
-) -> _Entering:
-    first, kept, blocks, longest = 0, [], [], slice(0, 0)
-    for part in parts:
-        begin, end = _first_kept(part), part.voltage_v.size - LATE_ROWS
-        if end - begin < 20 * LOWEST_LINE:
+) -> FastSignals:
+    """Join recordings with known inputs, from where the past of each no longer counts."""
+    first_kept = [_first_kept(part) for part in parts]
+    for part, first in zip(parts, first_kept, strict=True):
+        left = part.voltage_v.size - LATE_ROWS - first
+        if left < FEWEST_SAMPLES:
             raise ValueError(
-                f"{part.path} leaves {max(end - begin, 0)} samples after its start has settled, "
-                f"fewer than {20 * LOWEST_LINE}: record the dynamics longer or faster")
-        kept.append(np.arange(first + begin, first + end))
-        blocks.append(drift_basis(part.time_s, creep))
-        if end - begin > longest.stop - longest.start:
-            longest = slice(first + begin, first + end)
-        first += part.voltage_v.size
-    width = blocks[0].shape[1]
-    fixed = np.zeros((first, width * len(blocks)))
-    row = 0
-    for index, block in enumerate(blocks):
-        fixed[row : row + len(block), index * width : (index + 1) * width] = block
-        row += len(block)
-    return _Entering(
-        np.concatenate([np.asarray(each, dtype=float) for each in inputs]),
-        np.concatenate([
-            remove_creep(part.displacement_um, creep, part.sample_period_s) for part in parts]),
-        fixed, np.concatenate(kept), parts[0].sample_period_s, longest)
+                f"{part.path} leaves {max(left, 0)} samples after its start has settled, "
+                f"fewer than {FEWEST_SAMPLES}: record the dynamics longer or faster")
+    return joined_signals(parts, inputs, first_kept, creep)
+
+
+def _left_by_free_residues(signals: FastSignals) -> float:
+    """Sum of the squared residual that poles with free residues leave at most."""
+    return min(fit.cost for fit in free_fits(
+        signals.record().thinned(ROWS_OF_SEARCH), MODES_IN_TURN))
 
 
 def _first_kept(part: Recording) -> int:
@@ -248,5 +185,6 @@ def _first_kept(part: Recording) -> int:
     high = int(np.argmax(voltage_v >= voltage_v.max() - near_v))
     low = int(np.argmax(voltage_v <= voltage_v.min() + near_v))
     most = int(MOST_LEFT_OUT * voltage_v.size)
-    past = max(high, low) - AT_REST
+    # The way to the second of them began where the past had left the stage.
+    past = max(high, low) + round(USUAL_SETTLING_S / part.sample_period_s)
     return max(min(warm, most), past if 0 < past <= most else 0)

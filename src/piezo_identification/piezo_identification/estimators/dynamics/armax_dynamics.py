@@ -10,14 +10,10 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.dynamics.armax import Armax, fit_armax
+from piezo_identification.estimators.dynamics.fast_signals import drift_basis, played_at_the_clock
 from piezo_identification.estimators.dynamics.multisine import hysteresis_and_displacement
-from piezo_identification.estimators.dynamics.output_error import MOST_MODES
-from piezo_identification.estimators.dynamics.square_wave import (
-    WARM_UP_S,
-    drift_basis,
-    dynamics_of_poles,
-    played_at_the_clock,
-)
+from piezo_identification.estimators.dynamics.pole_search import dynamics_of_poles
+from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.estimate import (
     Estimate,
     dynamics_vector,
@@ -27,6 +23,10 @@ from piezo_identification.estimators.estimate import (
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
+
+MOST_MODES = 4
+"""Vibration modes beyond which the search for their number ends: polynomials of more coefficients
+hold no more at fast sampling."""
 
 
 def estimate_dynamics_armax(
@@ -86,8 +86,8 @@ def _signals(
     """Input, output, drift, and the sample period."""
     if hysteresis is not None:
         signals = hysteresis_and_displacement(recording, hysteresis, creep)
-        part = signals.fast
-        return (signals.hysteresis_um[part], signals.displacement_um[part], signals.drift[part],
+        part = signals.longest
+        return (signals.entering_um[part], signals.displacement_um[part], signals.drift[part],
                 signals.sample_period_s)
     record = played_at_the_clock(recording)
     begin = round(WARM_UP_S / record.sample_period_s)

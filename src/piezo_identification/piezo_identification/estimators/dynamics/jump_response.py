@@ -2,6 +2,7 @@
 """Vibration from a single jump of the voltage, for recordings that hold no square wave."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -11,6 +12,7 @@ from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.dynamics.square_wave import free_decay_poles
 from piezo_identification.estimators.estimate import (
     Estimate,
+    OrderTrial,
     dynamics_of_vector,
     dynamics_vector,
     order_trial,
@@ -154,12 +156,14 @@ def estimate_jump_dynamics(response: JumpResponse, mode_count: int | None = None
     )
 
 
-def _fit(response, start):
+def _fit(
+    response: JumpResponse, start: ElectricVibrationDynamics,
+) -> tuple[ElectricVibrationDynamics, dict[str, Any], OrderTrial]:
     """Dynamics of least output error, their standard deviations, and the trial."""
     modes = len(start.mode_frequencies_rad_per_s)
     antiresonances = len(start.antiresonance_frequencies_rad_per_s)
 
-    def residual(logarithms):
+    def residual(logarithms: FloatArray) -> FloatArray:
         basis = response.basis(dynamics_of_vector(np.exp(logarithms), modes, antiresonances))
         coefficients = np.linalg.lstsq(basis, response.displacement_um, rcond=1e-12)[0]
         return response.displacement_um - basis @ coefficients

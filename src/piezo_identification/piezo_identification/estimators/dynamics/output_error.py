@@ -1,25 +1,47 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Electric lag, vibration modes and antiresonances of least output error."""
+"""Electric lag, vibration modes, antiresonances, sensor lag and delay of least output error."""
 
-from dataclasses import dataclass, replace
-from itertools import combinations
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from itertools import combinations, product
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from piezo_common.cancellation import check_cancelled
+from piezo_common.arrays import FloatArray
+from piezo_identification.estimators.dynamics.fast_dynamics import (
+    ModeOrder,
+    ascending_places,
+    fast_dynamics_of,
+    split_deviations,
+    values_of,
+)
+from piezo_identification.estimators.dynamics.fast_record import (
+    EARLIEST,
+    FastFit,
+    FastRecord,
+    FreeFit,
+)
+from piezo_identification.estimators.dynamics.physical_standing import lack_of_standing
+from piezo_identification.estimators.dynamics.pole_search import QUICK_EVALUATIONS, free_fits
 from piezo_identification.estimators.estimate import (
+    DelayEstimate,
     Estimate,
-    dynamics_of_vector,
-    dynamics_vector,
+    OrderTrial,
     order_trial,
     parameter_covariance,
-    split_dynamics_vector,
 )
-from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
-MOST_MODES = 4
+MOST_MODES = 8
 """Vibration modes beyond which the search for their number ends."""
+
+ROWS_OF_SEARCH = 3000
+"""Rows of a longer record in which starts are sought; the fits that follow take all rows."""
+
+LAST_EVALUATIONS = 4
+"""Steps with all rows of poles that were found in some."""
+
+POLISHING, ROUNDING = 200, 1e-12
+"""Steps, and relative change of the cost, of the fit of the order that is taken."""
 
 PATIENCE = 2
 """Numbers of modes in succession that may bring no gain before the search ends."""
@@ -28,197 +50,347 @@ MODES_LEFT_OUT = 2
 """Dynamics richer by up to so many modes are fitted, and the modes taken that explain most: those
 that ring longest are not those that move a stage most."""
 
-SEARCH_WIDTH = np.log(3.0)
-"""Factor by which the fit may leave its start, as a logarithm."""
+MOST_IN_SERIES = 2
+"""Modes one after the other where others stand beside them; more are the same in other words."""
 
 ANTIRESONANCE_SPAN = 3.0
 """Factor beyond the modes within which an antiresonance is taken for one."""
 
-COLLINEAR = 1e-9
-"""Singular value, of the largest one, below which columns that are fitted linearly count as one:
-far above rounding, far below what the noise of any record leaves of them."""
+NEAR_DELAYS = (0.0, -3.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 3.0)
+"""Sample periods by which a form may be better delayed than the fit with free residues."""
+
+USUAL_DELAYS = (-1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0)
+"""Sample periods that are tried whatever the fit with free residues says: it may take the waiting
+of slow modes for a delay."""
+
+FOLLOWED = 3
+"""Starts of a form that are followed by quick fits."""
+
+ENDED = 2
+"""Of those, the best are followed to their end."""
+
+LAGGING_FORMS = 2
+"""Forms, the best of as many modes, that are tried with a sensor's lag."""
+
+SENSOR_LAGS = (0.3, 1.0, 4.0)
+"""In sample periods, from which a sensor's lag is sought."""
+
+WORTHWHILE = 10.0
+"""Information that forms with modes beside others have to be able to gain before they are tried:
+most often the same response can be told by modes in series with antiresonances (4.3)."""
+
+IDLE, IDLE_DAMPING = 25.0, 0.1
+"""Frequency over half the sample rate, and damping ratio, of a mode that adds nothing, from which a
+larger order begins that is to make what a smaller one makes: it is at rest within a sample period,
+and delays by a four-hundredth of it."""
+
+NESTED_ROUNDS = 3
+"""Passes over the orders in which one that leaves more than a smaller one begins from that one."""
 
 
-@dataclass(frozen=True)
-class ModeOrder:
-    """Numbers of components.
+def fit_output_error(
+    record: FastRecord, mode_count: int | None = None, delay: float | None = None,
+) -> Estimate:
+    """Electric and vibration dynamics (4.3) and a delay of least output error.
+
+    Poles with free residues come first, for more and more modes. From them begin the physical
+    forms: modes one after the other, as in (4.3); the same with the antiresonances that modes
+    which move side by side leave between them; modes that add their part of the displacement; and
+    each of these with a sensor that lags. A larger order that leaves more than a smaller one begins
+    from that one again. A form is refused whose numbers have no physical standing, see
+    `physical_standing.lack_of_standing`; of the others, that of the least Bayesian information
+    criterion is taken.
 
     Parameters
     ----------
-    modes, antiresonances : int
-    """
-
-    modes: int
-    antiresonances: int = 0
-
-    def __str__(self):
-        return f"{self.modes}-{self.antiresonances}" if self.antiresonances else f"{self.modes}"
-
-
-def fit_output_error(respond, measured_um, fixed, start, mode_count=None):
-    """Electric and vibration dynamics (4.3) of least output error.
-
-    Modes that move side by side leave antiresonances between them, which a product of modes (4.3)
-    lacks: every number of modes is also tried with those that the response to its poles shows.
-
-    Parameters
-    ----------
-    respond : callable
-        Response (N,) of dynamics to the input of the record.
-    measured_um : ndarray, shape (N,)
-        Creep removed.
-    fixed : ndarray, shape (N, K)
-        What else the output may hold, such as an offset; fitted linearly, as is the gain.
-    start : callable
-        Dynamics of a number of modes from which to begin.
+    record : FastRecord
     mode_count : int, optional
-        Number of modes, without antiresonances; by default as many of both as the Bayesian
-        information criterion justifies.
+        Number of modes, one after the other and without antiresonances; by default as many of
+        both as the criterion justifies.
+    delay : float, optional
+        In sample periods, where it is known; by default it is fitted beside, and left out if it
+        does not differ significantly from none.
 
     Returns
     -------
     Estimate
         Its order is a `ModeOrder`.
     """
-    record = _Record(respond, measured_um, fixed)
-    if mode_count is not None:
-        fit = min((record.fit(begin) for begin in record.starts(start, mode_count)),
-                  key=lambda fit: fit.trial.information)
-        return fit.estimate((fit.trial,), True)
-    best, trials, without_gain = None, [], 0
-    for count in range(MOST_MODES + 1):
-        begin = start(count)
-        fits = [record.fit(begin)]
-        zeros = record.antiresonances(begin)
-        if zeros.antiresonance_damping_ratios:
-            fits.append(record.fit(zeros))
-        trials += [fit.trial for fit in fits]
-        better = min(fits, key=lambda fit: fit.trial.information)
-        if best is None or better.trial.information < best.trial.information:
-            best, without_gain = better, 0
-        else:
-            without_gain += 1
-        if without_gain == PATIENCE:
-            break
-    return best.estimate(tuple(trials), False)
+    search = _Search(record, delay)
+    if mode_count is None:
+        search.try_all_orders()
+    else:
+        search.try_modes_in_series(mode_count)
+    search.begin_again_from_smaller_orders()
+    return search.estimate(mode_count is not None)
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    model: ElectricVibrationDynamics
-    standard_deviations: dict
-    trial: object
-
-    def estimate(self, trials, order_given):
-        return Estimate(
-            self.model, self.standard_deviations, self.trial.order, trials, order_given
-        )
+_Start = tuple[FloatArray, float]
+"""Vector and delay from which a fit begins."""
 
 
-class _Record:
-    """An output, and the response of models to its input."""
+class _Search:
+    """Fits of a record by order."""
 
-    def __init__(self, respond, measured_um, fixed):
-        self._respond, self._measured_um = respond, measured_um
-        self._fixed = independent(fixed)
+    def __init__(self, record: FastRecord, delay: float | None) -> None:
+        self._record, self._known_delay = record, delay
+        self._coarse = record.thinned(ROWS_OF_SEARCH)
+        self._fits: dict[ModeOrder, FastFit] = {}
+        self._trials: dict[ModeOrder, OrderTrial] = {}
 
-    def fit(self, start):
-        """Fit the dynamics of least output error near others, with as many modes and zeros."""
-        counts = len(start.damping_ratios), len(start.antiresonance_damping_ratios)
-        logarithms = np.log(dynamics_vector(start))
-        solution = least_squares(
-            lambda logarithms: self._left([self._respond(
-                dynamics_of_vector(np.exp(logarithms), *counts))])[0],
-            logarithms, xtol=1e-10, ftol=1e-12, max_nfev=40,
-            bounds=(logarithms - SEARCH_WIDTH, logarithms + SEARCH_WIDTH),
-        )
-        parameters = solution.x.size + 1 + self._fixed.shape[1]
-        covariance = parameter_covariance(solution.jac, solution.fun, parameters)
-        vector = np.exp(solution.x)
-        return _Fit(
-            dynamics_of_vector(vector, *counts),
-            split_dynamics_vector(vector * np.sqrt(np.diag(covariance)), *counts),
-            order_trial(ModeOrder(*counts), solution.fun, parameters),
-        )
-
-    def starts(self, start, count):
-        """Yield the start with so many modes, and the best choice from those with more."""
-        yield start(count)
-        choices = []
-        for left_out in range(1, MODES_LEFT_OUT + 1):
-            try:
-                richer = start(count + left_out)
-            except ValueError:
-                # The record is too short for as many.
+    def try_all_orders(self) -> None:
+        """Fit every order until more modes bring no gain."""
+        without_gain, before = 0, np.inf
+        for free in self._free_fits(MOST_MODES):
+            if self._could_gain(free):
+                self._try_forms(free)
+            least = self._best_trial()
+            information = np.inf if least is None else least.information
+            without_gain = 0 if information < before else without_gain + 1
+            before = information
+            if without_gain == PATIENCE:
                 break
-            modes = zip(richer.mode_frequencies_rad_per_s, richer.damping_ratios, strict=True)
-            for chosen in combinations(modes, count):
-                frequencies, dampings = zip(*chosen, strict=True) if chosen else ((), ())
-                choices.append(ElectricVibrationDynamics(
-                    richer.time_constant_s, frequencies, dampings))
-        if choices:
-            yield min(choices, key=lambda model: np.sum(
-                self._left([self._respond(model)])[0] ** 2))
 
-    def antiresonances(self, model):
-        """Add to the poles of a model the antiresonances of modes that respond side by side.
+    def try_modes_in_series(self, count: int) -> None:
+        """Fit a number of modes in series, begun from those that explain most of richer ones."""
+        order = ModeOrder(count)
+        for free in self._free_fits(count + MODES_LEFT_OUT):
+            if free.modes < count:
+                continue
+            choices = [(_chosen(free.vector, modes)) for modes in _subsets(free.modes, count)]
+            best = min(choices, key=lambda vector: self._coarse.parts(
+                [(order, vector)], free.delay)[1])
+            self._keep(order, [(best, free.delay)])
 
-        The lag and every mode answer the input side by side, with gains that fit best: the zeros
-        of their sum are those of the stage.
-        """
-        modes = list(zip(model.mode_frequencies_rad_per_s, model.damping_ratios, strict=True))
-        if not modes:
-            return model
-        parts, numerators = [], []
-        for frequency, damping in modes:
-            mode = ElectricVibrationDynamics(model.time_constant_s, (frequency,), (damping,))
-            parts.append(self._respond(mode))
-            numerators.append([
-                [1.0] if other == (frequency, damping)
-                else [other[0] ** -2, 2.0 * other[1] / other[0], 1.0] for other in modes
-            ])
-        gains = self._left(parts)[1][: len(parts)]
-        numerator = np.zeros(1)
-        for gain, factors in zip(gains, numerators, strict=True):
-            product = np.array([gain])
-            for factor in factors:
-                product = np.polymul(product, factor)
-            numerator = np.polyadd(numerator, product)
-        zeros = np.roots(numerator)
-        frequencies = np.abs(zeros)
-        low, high = min(modes)[0], max(modes)[0]
-        zeros = zeros[(zeros.imag > 0.0) & (frequencies > low / ANTIRESONANCE_SPAN)
-                      & (frequencies < high * ANTIRESONANCE_SPAN)]
-        # Zeros on the right are no antiresonances of stable damping: start from the axis.
-        dampings = np.maximum(-zeros.real / np.abs(zeros), 1e-3)
-        return replace(
-            model, antiresonance_frequencies_rad_per_s=tuple(np.abs(zeros).tolist()),
-            antiresonance_damping_ratios=tuple(dampings.tolist()),
-        )
+    def begin_again_from_smaller_orders(self) -> None:
+        """Begin orders that leave more than a smaller one from that one."""
+        for _ in range(NESTED_ROUNDS):
+            changed = False
+            for order, fit in list(self._fits.items()):
+                smaller = [other for other in self._fits.values()
+                           if other.order != order and order.holds(other.order)]
+                least = min(smaller, key=lambda other: other.cost, default=fit)
+                if least.cost < fit.cost:
+                    self._keep(order, self._embedded(least, order))
+                    changed = changed or self._fits[order].cost < fit.cost
+            if not changed:
+                break
 
-    def _left(self, parts):
-        """Fit parts and fixed columns to the measured output; return the residual and the gains."""
-        check_cancelled()
-        basis = np.column_stack([*parts, self._fixed])
-        gains = np.linalg.lstsq(basis, self._measured_um, rcond=COLLINEAR)[0]
-        return self._measured_um - basis @ gains, gains
+    def estimate(self, order_given: bool) -> Estimate:
+        """Return the best order, its delay left out if it is not significant."""
+        trials = tuple(self._trials.values())
+        chosen = self._best_trial() or min(trials, key=lambda trial: trial.information)
+        fit = self._polished(self._fits[chosen.order])
+        deviations, delay = self._deviations(fit), None
+        if self._known_delay is None:
+            period_s = self._record.input.sample_period_s
+            delay = DelayEstimate(fit.delay * period_s, deviations[-1] * period_s, period_s)
+            if not delay.is_significant:
+                fit = self._record.fit(fit.order, fit.vector, 0.0, is_delay_free=False)
+                deviations = self._deviations(fit)
+        places = ascending_places(fit.vector, fit.order)
+        model = fast_dynamics_of(fit.vector, fit.order)
+        spread = deviations[: places.size] * np.where(
+            np.arange(places.size) < places.size - fit.order.beside,
+            values_of(fit.vector, fit.order), 1.0)
+        of_dynamics, of_effects = split_deviations(spread[places], fit.order)
+        return Estimate(
+            model.dynamics, of_dynamics, chosen.order, trials, order_given,
+            effects=model.effects(), effect_deviations=of_effects, delay=delay)
+
+    def _free_fits(self, most_modes: int) -> Iterator[FreeFit]:
+        for free in free_fits(self._coarse, most_modes):
+            yield free if self._coarse is self._record else self._record.fit_free(
+                free.vector, free.delay, LAST_EVALUATIONS)
+
+    def _polished(self, fit: FastFit) -> FastFit:
+        return self._record.fit(
+            fit.order, fit.vector, fit.delay, POLISHING, self._known_delay is None, ROUNDING)
+
+    def _best_trial(self) -> OrderTrial | None:
+        """Trial of the least information among those with physical standing."""
+        return min((trial for trial in self._trials.values() if not trial.refusal),
+                   key=lambda trial: trial.information, default=None)
+
+    def _could_gain(self, free: FreeFit) -> bool:
+        """Whether a mode, two numbers, could pay with the least that any form leaves."""
+        best = self._best_trial()
+        if best is None:
+            return True
+        samples = free.residual.size
+        gain = samples * np.log(samples * best.residual_rms**2 / free.cost)
+        return bool(gain > 2.0 * np.log(samples))
+
+    def _try_forms(self, free: FreeFit) -> None:
+        """Fit the physical forms with as many modes as a free fit, and the best with a lag."""
+        found = [self._keep(order, starts) for order, starts in self._with_antiresonances(free)]
+        standing = self._best_trial()
+        known = [self._fits[standing.order]] if standing else []
+        # No form leaves less than free residues: what modes beside others could gain at most.
+        gain = free.residual.size * np.log(
+            min(fit.cost for fit in [*found, *known]) / free.cost)
+        if gain > WORTHWHILE:
+            found += [self._keep(order, starts) for order, starts in self._with_modes_beside(free)]
+            found.sort(key=lambda fit: self._trials[fit.order].information)
+            for fit in found[:LAGGING_FORMS]:
+                self._try_sensor_lag(fit)
+
+    def _try_sensor_lag(self, fit: FastFit) -> None:
+        order = replace(fit.order, sensor_lags=1)
+        period_s = self._record.input.sample_period_s
+        place = fit.vector.size - fit.order.beside
+        self._keep(order, [
+            (np.insert(fit.vector, place, np.log(lag * period_s)), fit.delay - lag)
+            for lag in SENSOR_LAGS])
+
+    def _with_antiresonances(self, free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
+        """Modes in series, with none and more and more of the zeros of the free fit."""
+        zeros = _antiresonances(free)
+        # Between modes there is one antiresonance fewer than there are modes.
+        for count in range(min(zeros.shape[1], max(free.modes - 1, 0)) + 1):
+            order = ModeOrder(free.modes, count)
+            choices = [np.concatenate([free.vector, *np.log(zeros[:, list(chosen)])])
+                       for chosen in combinations(range(zeros.shape[1]), count)]
+            yield order, self._best_starts([
+                (self._coarse.parts([(order, choice)], delay)[1], choice, delay)
+                for choice in choices for delay in self._delays_near(free.delay)])
+
+    def _with_modes_beside(self, free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
+        """Few modes in series, and the others beside them."""
+        for count in range(min(MOST_IN_SERIES, free.modes - 1) + 1):
+            rated = []
+            for chosen, delay in product(
+                    _subsets(free.modes, count), self._delays_near(free.delay)):
+                others = [_chosen(free.vector, (i,)) for i in range(free.modes) if i not in chosen]
+                rated.append(self._side_by_side(_chosen(free.vector, chosen), others, delay))
+            rated += self._with_one_more_beside(free, count)
+            yield ModeOrder(count, 0, free.modes - count), self._best_starts(rated)
+
+    def _with_one_more_beside(
+        self, free: FreeFit, count: int,
+    ) -> list[tuple[float, FloatArray, float]]:
+        """Put a mode of the free fit beside those of the form with one mode fewer."""
+        order = ModeOrder(count, 0, free.modes - count - 1)
+        smaller = self._fits.get(order)
+        if smaller is None:
+            return []
+        main, frequencies, dampings, _ = np.split(
+            smaller.vector, np.cumsum([1 + 2 * count, order.beside, order.beside]))
+        beside = [np.array([main[0], *mode])
+                  for mode in zip(frequencies, dampings, strict=True)]
+        modes = [_chosen(free.vector, (i,)) for i in range(free.modes)]
+        return [self._side_by_side(main, [*beside, np.append(main[0], mode[1:])], smaller.delay)
+                for mode in modes]
+
+    def _side_by_side(
+        self, main: FloatArray, beside: list[FloatArray], delay: float,
+    ) -> tuple[float, FloatArray, float]:
+        """Rate lag and modes in series, and others beside, by the parts that explain most."""
+        gains, cost = self._coarse.parts(
+            [(ModeOrder(main.size // 2), main), *((ModeOrder(1), each) for each in beside)], delay)
+        numbers = np.array(beside)
+        return cost, np.concatenate([
+            main, numbers[:, 1], numbers[:, 2], gains[1:] / (gains.sum() or 1.0)]), delay
+
+    def _delays_near(self, delay: float) -> list[float]:
+        if self._known_delay is not None:
+            return [self._known_delay]
+        delays = {delay + by for by in NEAR_DELAYS} | set(USUAL_DELAYS)
+        return sorted(each for each in delays if each >= EARLIEST)
+
+    @staticmethod
+    def _best_starts(rated: list[tuple[float, FloatArray, float]]) -> list[_Start]:
+        """Return the starts of least cost, with different delays."""
+        best: dict[float, _Start] = {}
+        for _, vector, delay in sorted(rated, key=lambda entry: entry[0]):
+            best.setdefault(delay, (vector, delay))
+        return list(best.values())[:FOLLOWED]
+
+    def _keep(self, order: ModeOrder, starts: Iterable[_Start]) -> FastFit:
+        """Fit an order from the best of several starts, and keep it if it leaves less."""
+        is_free = self._known_delay is None
+        quick = [
+            self._coarse.fit(order, vector, delay if self._known_delay is None
+                             else self._known_delay, QUICK_EVALUATIONS, is_free)
+            for vector, delay in starts]
+        quick.sort(key=lambda fit: fit.cost)
+        best = min(
+            (self._record.fit(order, fit.vector, fit.delay, is_delay_free=is_free)
+             for fit in quick[:ENDED]), key=lambda fit: fit.cost)
+        if order not in self._fits or best.cost < self._fits[order].cost:
+            self._fits[order], self._trials[order] = best, self._trial(best)
+        return self._fits[order]
+
+    def _embedded(self, smaller: FastFit, order: ModeOrder) -> list[_Start]:
+        """Begin an order where it makes what a smaller one makes."""
+        period_s = self._record.input.sample_period_s
+        fast, delay = np.log(IDLE * np.pi / period_s), smaller.delay
+        model = fast_dynamics_of(smaller.vector, smaller.order)
+        dynamics = model.dynamics
+        w, zeta = (list(np.log(values)) for values in (
+            dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios))
+        wz, zetaz = (list(np.log(values)) for values in (
+            dynamics.antiresonance_frequencies_rad_per_s, dynamics.antiresonance_damping_ratios))
+        middle = float(np.log(0.3 * np.pi / period_s))
+        for _ in range(min(order.modes - len(w), order.antiresonances - len(wz))):
+            # They cancel each other.
+            for values, value in ((w, middle), (wz, middle), (zeta, -1.0), (zetaz, -1.0)):
+                values.append(value)
+        for frequencies, dampings, count in ((w, zeta, order.modes),
+                                             (wz, zetaz, order.antiresonances)):
+            while len(frequencies) < count:
+                frequencies.append(fast)
+                dampings.append(np.log(IDLE_DAMPING))
+        more = order.beside - len(model.beside)
+        lags = [model.sensor_lag_s] * smaller.order.sensor_lags
+        lags += [1e-2 * period_s] * (order.sensor_lags - smaller.order.sensor_lags)
+        vector = np.concatenate([
+            [np.log(dynamics.time_constant_s)], w, zeta, wz, zetaz,
+            np.log([mode.frequency_rad_per_s for mode in model.beside]), [middle] * more,
+            np.log([mode.damping_ratio for mode in model.beside]), [-1.0] * more,
+            np.log(lags), [mode.participation for mode in model.beside], [0.0] * more])
+        return [(vector, delay)]
+
+    def _parameters(self, order: ModeOrder) -> int:
+        return order.parameters + self._record.linear_parameters + (self._known_delay is None)
+
+    def _trial(self, fit: FastFit) -> OrderTrial:
+        parameters = self._parameters(fit.order)
+        covariance = parameter_covariance(fit.jacobian, fit.residual, parameters)
+        refusal = lack_of_standing(
+            fit.vector, fit.order, covariance, self._record.input.sample_period_s)
+        return order_trial(fit.order, fit.residual, parameters, refusal)
+
+    def _deviations(self, fit: FastFit) -> FloatArray:
+        """Standard deviations of the vector, and of the delay where it was fitted."""
+        parameters = fit.jacobian.shape[1] + self._record.linear_parameters
+        covariance = parameter_covariance(fit.jacobian, fit.residual, parameters)
+        deviations: FloatArray = np.sqrt(np.diag(covariance))
+        return deviations
 
 
-def independent(columns):
-    """Return orthonormal columns of the same span, without what only rounding tells apart.
+def _subsets(count: int, size: int) -> Iterator[tuple[int, ...]]:
+    return combinations(range(count), size)
 
-    Slow exponentials look alike in a short record. Were they kept as they are, the least error
-    would be as rough as the rounding of the processor, and a search would end anywhere on it.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (N, K)
+def _chosen(vector: FloatArray, modes: tuple[int, ...]) -> FloatArray:
+    """Lag and some of the modes of a vector of modes in series."""
+    lag, frequencies, dampings = np.split(vector, [1, 1 + vector.size // 2])
+    return np.concatenate([lag, frequencies[list(modes)], dampings[list(modes)]])
 
-    Returns
-    -------
-    ndarray, shape (N, L)
-        With L up to K.
-    """
-    left, values, _ = np.linalg.svd(
-        columns / np.linalg.norm(columns, axis=0), full_matrices=False)
-    return left[:, values > COLLINEAR * values[0]]
+
+def _antiresonances(free: FreeFit) -> FloatArray:
+    """Frequencies and dampings (2, k) of the zeros among the modes of a free fit."""
+    modes = free.poles[1:]
+    if not modes.size:
+        return np.empty((2, 0))
+    scale = np.abs(free.poles).max()
+    poles, numerator = free.poles / scale, np.zeros(1, dtype=complex)
+    for i, residue in enumerate(free.residues):
+        numerator = np.polyadd(numerator, residue * np.poly(np.delete(poles, i)))
+    zeros = np.roots(numerator.real) * scale
+    low, high = np.abs(modes).min(), np.abs(modes).max()
+    zeros = zeros[(zeros.imag > 0.0) & (np.abs(zeros) > low / ANTIRESONANCE_SPAN)
+                  & (np.abs(zeros) < high * ANTIRESONANCE_SPAN)][: free.modes]
+    # Zeros on the right are no antiresonances of stable damping: start from the axis.
+    return np.array([np.abs(zeros), np.maximum(-zeros.real / np.abs(zeros), 1e-3)])

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Creep, electric and vibration dynamics and a delay from a measured frequency response."""
 
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.estimate import (
     Estimate,
@@ -15,15 +18,26 @@ from piezo_identification.estimators.estimate import (
     parameter_covariance,
     split_dynamics_vector,
 )
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.estimators.frequency_response.response_growth import embedded, holds
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
+from piezo_identification.estimators.frequency_response.response_model import (
+    ANY_ORDER,
+    ResponseModel,
+    ResponseOrder,
+)
+from piezo_identification.estimators.frequency_response.response_standing import (
+    FASTEST,
+    lack_of_standing,
+)
 from piezo_identification.estimators.frequency_response.vector_fitting import (
     residues_error,
     vector_fit,
 )
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
-MOST_STATES = 12
-"""States beyond which the search for the order ends."""
+MOST_STATES = 20
+"""States beyond which the search for the order ends: a lag, three pairs of creep, eight modes."""
 
 MOST_CREEP_PAIRS = 3
 """Pairs of creep poles and zeros up to which every number is tried."""
@@ -31,7 +45,10 @@ MOST_CREEP_PAIRS = 3
 SEARCH_CREEP_PAIRS = 1
 """Pairs with which the modes are sought: enough that no mode is spent on creep."""
 
-SPARE_POLES = 24
+PATIENCE = 2
+"""Numbers of modes in succession that may bring no gain before the search ends."""
+
+SPARE_POLES = 32
 """Poles of the rational fit that finds the resonances, some to be wasted on noise."""
 
 MOST_DAMPED = 0.9
@@ -53,81 +70,9 @@ STRONG = 0.02
 """Part of the largest gain above which a frequency is strong."""
 
 
-@dataclass(frozen=True)
-class ResponseModel:
-    """Displacement over voltage in physical parameters.
-
-    Parameters
-    ----------
-    gain : float
-        Between creep and modes, in the unit of the measured response.
-    delay_s : float
-    creep : CreepDynamics
-    dynamics : ElectricVibrationDynamics
-    """
-
-    gain: float
-    delay_s: float
-    creep: CreepDynamics
-    dynamics: ElectricVibrationDynamics
-
-    @property
-    def states(self):
-        """States of the rational part."""
-        return len(self.creep.poles_rad_per_s) + 1 + 2 * len(self.dynamics.damping_ratios)
-
-    def linear(self):
-        """Continuous `control.StateSpace` without gain and delay."""
-        return self.creep.state_space() * self.dynamics.state_space()
-
-    def response(self, frequency_hz):
-        """Complex response at the given frequencies, in the shape of `frequency_hz`."""
-        delay = np.exp(-2j * np.pi * np.asarray(frequency_hz, dtype=float) * self.delay_s)
-        return (
-            self.gain * delay * self.creep.response(frequency_hz)
-            * self.dynamics.response(frequency_hz)
-        )
-
-    def error(self, measured):
-        """Relative error: the norm of the difference over that of the measured response."""
-        difference = self.response(measured.frequency_hz) - measured.gain
-        return float(np.linalg.norm(difference) / np.linalg.norm(measured.gain))
-
-
-@dataclass(frozen=True)
-class ResponseOrder:
-    """Numbers of components.
-
-    Parameters
-    ----------
-    creep_pairs, modes, antiresonances : int or None
-        None in a request: as many as the data justify.
-    """
-
-    creep_pairs: int | None
-    modes: int | None
-    antiresonances: int | None
-
-    @property
-    def states(self):
-        """States of the rational part, the electric lag among them."""
-        return self.creep_pairs + 1 + 2 * self.modes
-
-    def __str__(self):
-        return f"{self.creep_pairs}+{self.modes}-{self.antiresonances}"
-
-    def grants(self, order):
-        """Whether an order is what this one requests."""
-        return all(
-            wanted is None or wanted == number
-            for wanted, number in zip(astuple(self), astuple(order), strict=True)
-        )
-
-
-ANY_ORDER = ResponseOrder(None, None, None)
-
-
-def estimate_from_response(measured, order=ANY_ORDER, most_states=MOST_STATES):
+def estimate_from_response(
+    measured: FrequencyResponse, order: ResponseOrder = ANY_ORDER, most_states: int = MOST_STATES,
+) -> Estimate:
     """Fit a measured frequency response with creep, a lag, modes, antiresonances and a delay.
 
     Vector fitting with more poles than wanted finds the resonances; the strongest start a
@@ -140,7 +85,8 @@ def estimate_from_response(measured, order=ANY_ORDER, most_states=MOST_STATES):
         Take the part in which the sensor shows more than noise (`between`). The model is that of
         the stage alone: a hold in the response is taken out.
     order : ResponseOrder
-        What it leaves open is what the Bayesian information criterion prefers.
+        What it leaves open is what the Bayesian information criterion prefers, among the orders
+        whose numbers have physical standing (`response_standing.lack_of_standing`).
     most_states : int
         Largest order that is tried.
 
@@ -164,7 +110,9 @@ def estimate_from_response(measured, order=ANY_ORDER, most_states=MOST_STATES):
     return replace(again, trials=estimate.trials, order_given=estimate.order_given)
 
 
-def _estimate(measured, order, most_states):
+def _estimate(
+    measured: FrequencyResponse, order: ResponseOrder, most_states: int,
+) -> Estimate:
     if measured.frequency_hz.size < LEAST_FREQUENCIES:
         raise ValueError(
             f"{measured.path} has {measured.frequency_hz.size} frequencies, too few: measure at "
@@ -182,7 +130,8 @@ def _estimate(measured, order, most_states):
         found: entry for found, entry in fit.search(order, most_states).items()
         if order.grants(found)
     }
-    chosen = min(fits, key=lambda candidate: fits[candidate].trial.information)
+    standing = {found: entry for found, entry in fits.items() if not entry.trial.refusal} or fits
+    chosen = min(standing, key=lambda candidate: fits[candidate].trial.information)
     best = fits[chosen]
     spread = np.sqrt(np.diag(parameter_covariance(best.jacobian, best.residual)))
     ascending = _ascending(best.vector, chosen)
@@ -194,7 +143,7 @@ def _estimate(measured, order, most_states):
     )
 
 
-def _ascending(vector, order):
+def _ascending(vector: FloatArray, order: ResponseOrder) -> FloatArray:
     """List the indices that put the components of every kind into the order of frequency."""
     head, poles, zeros, lag, modes, dampings, antiresonances, their_dampings = np.split(
         np.arange(vector.size), np.cumsum([
@@ -212,20 +161,20 @@ def _ascending(vector, order):
 class _Fit:
     """Parameters of one order: the delay over its longest, and logarithms of the others."""
 
-    vector: np.ndarray
-    residual: np.ndarray
-    jacobian: np.ndarray
+    vector: FloatArray
+    residual: FloatArray
+    jacobian: FloatArray
     trial: OrderTrial
 
     @property
-    def cost(self):
+    def cost(self) -> float:
         return float(self.residual @ self.residual)
 
 
 class _ResponseFit:
     """A measured response, its resonances, and the search for models of it."""
 
-    def __init__(self, measured):
+    def __init__(self, measured: FrequencyResponse) -> None:
         self.measured = measured
         self.rate = 2.0 * np.pi * measured.frequency_hz
         strength = np.abs(measured.gain)
@@ -233,7 +182,7 @@ class _ResponseFit:
         self.longest_delay_s = 1.0 / strong[-1]
         self.delay_s, self.resonances = self._resonances()
 
-    def _resonances(self):
+    def _resonances(self) -> tuple[float, ComplexArray]:
         """Delay of the best rational fit with poles to spare, and its resonant poles."""
         count = min(SPARE_POLES, self.rate.size // 4)
         best = None
@@ -247,19 +196,20 @@ class _ResponseFit:
         pairs = poles[(poles.imag > self.rate[0]) & (poles.imag < self.rate[-1])]
         return delay_s, pairs[-pairs.real < MOST_DAMPED * np.abs(pairs)]
 
-    def search(self, wanted, most_states):
+    def search(self, wanted: ResponseOrder, most_states: int) -> dict[ResponseOrder, _Fit]:
         """Fits by order: modes are added one by one, where they explain most."""
         most_modes = wanted.modes
         if most_modes is None:
             most_modes = max((most_states - 1 - SEARCH_CREEP_PAIRS) // 2,
                              wanted.antiresonances or 0)
         most_modes = min(most_modes, self.resonances.size)
-        fits = {}
+        fits: dict[ResponseOrder, _Fit] = {}
         start = ResponseOrder(SEARCH_CREEP_PAIRS, 0, 0)
         best = {start: self.solve(start, self._plain_start(start))}
         self._keep(fits, best, wanted, most_states)
+        least, without_gain = np.inf, 0
         for modes in range(1, most_modes + 1):
-            grown = {}
+            grown: dict[ResponseOrder, _Fit] = {}
             for (order, fit), more in product(best.items(), (0, 1)):
                 candidate = replace(order, modes=modes, antiresonances=order.antiresonances + more)
                 if self._leads_to(wanted, candidate, most_modes):
@@ -269,16 +219,35 @@ class _ResponseFit:
             self._keep(fits, grown, wanted, most_states)
             promising = sorted(grown, key=lambda order: grown[order].trial.information)[:BEAM]
             best = {order: grown[order] for order in promising}
+            information = min(fit.trial.information for fit in fits.values())
+            without_gain = 0 if information < least else without_gain + 1
+            least = information
+            if wanted.modes is None and without_gain == PATIENCE:
+                break
+        self._begin_again_from_smaller_orders(fits)
         return fits
 
+    def _begin_again_from_smaller_orders(self, fits: dict[ResponseOrder, _Fit]) -> None:
+        """Begin orders that leave more than a smaller one from that one."""
+        for order in sorted(fits, key=lambda order: order.states + 2 * order.antiresonances):
+            smaller = [other for other in fits if other != order and holds(order, other)]
+            least = min(smaller, key=lambda other: fits[other].cost, default=order)
+            if fits[least].cost < fits[order].cost:
+                again = self.solve(
+                    order, embedded(fits[least].vector, least, order, self.rate))
+                fits[order] = min(fits[order], again, key=lambda fit: fit.cost)
+
     @staticmethod
-    def _leads_to(wanted, order, most_modes):
+    def _leads_to(wanted: ResponseOrder, order: ResponseOrder, most_modes: int) -> bool:
         """Whether antiresonances, of which every mode brings one at most, can still be as many."""
         if wanted.antiresonances is None:
             return True
         return 0 <= wanted.antiresonances - order.antiresonances <= most_modes - order.modes
 
-    def _keep(self, fits, found, wanted, most_states):
+    def _keep(
+        self, fits: dict[ResponseOrder, _Fit], found: Mapping[ResponseOrder, _Fit],
+        wanted: ResponseOrder, most_states: int,
+    ) -> None:
         """File fits, and those with other numbers of creep pairs that begin from them."""
         fits |= found
         counts = range(MOST_CREEP_PAIRS + 1) if wanted.creep_pairs is None else [wanted.creep_pairs]
@@ -286,9 +255,13 @@ class _ResponseFit:
             other = replace(order, creep_pairs=count)
             allowed = wanted.modes is not None or other.states <= most_states
             if other != order and allowed and wanted.grants(other):
-                fits[other] = self.solve(other, self._with_creep(fit.vector, order, count))
+                starts = [self._with_creep(fit.vector, order, count)]
+                if count > order.creep_pairs:
+                    starts.append(embedded(fit.vector, order, other, self.rate))
+                fits[other] = min((self.solve(other, start) for start in starts),
+                                  key=lambda entry: entry.cost)
 
-    def _plain_start(self, order):
+    def _plain_start(self, order: ResponseOrder) -> FloatArray:
         """Gain, lag and delay of a response without modes, and a slight creep."""
         level = np.abs(self.measured.gain[: max(1, self.rate.size // 4)]).mean()
         slow = self._slow_rates(order.creep_pairs)
@@ -297,52 +270,62 @@ class _ResponseFit:
             np.log([level, *slow, *(1.1 * slow), 2.0 / self.rate[-1]]),
         ])
 
-    def _slow_rates(self, count):
+    def _slow_rates(self, count: int) -> FloatArray:
         """Rates spread over the lower half of the measured decades."""
         middle = np.sqrt(self.rate[0] * self.rate[-1])
         return np.geomspace(self.rate[0], middle, count + 2)[1:-1]
 
-    def _with_creep(self, vector, order, count):
+    def _with_creep(self, vector: FloatArray, order: ResponseOrder, count: int) -> FloatArray:
         """Return the vector with this number of creep pairs."""
         head, tail = vector[:2], vector[2 + 2 * order.creep_pairs :]
         slow = self._slow_rates(count)
         return np.concatenate([head, np.log(slow), np.log(1.1 * slow), tail])
 
-    def _best_further_mode(self, order, vector, grown):
-        """Fit with one more mode, and maybe antiresonance, begun at every resonance."""
+    def _best_further_mode(
+        self, order: ResponseOrder, vector: FloatArray, grown: ResponseOrder,
+    ) -> _Fit:
+        """Fit with one more mode, and maybe antiresonance, begun at every resonance.
+
+        Begun too where the mode adds nothing: above the band, or with an antiresonance upon it.
+        """
         parts = np.split(vector, 2 + np.cumsum([
             2 * order.creep_pairs + 1, order.modes, order.modes, order.antiresonances]))
-        best = None
-        for pole in self.resonances:
-            frequency, damping = np.abs(pole), max(-pole.real / np.abs(pole), 1e-3)
-            # Just beside the mode: that side of it on which the antiresonance lies is not known.
-            places = (0.95, 1.05) if grown.antiresonances > order.antiresonances else (None,)
-            for place in places:
-                zero = [] if place is None else [place * frequency]
-                start = np.concatenate([
-                    parts[0], parts[1], [np.log(frequency)], parts[2], [np.log(damping)],
-                    parts[3], np.log(zero), parts[4], np.log([damping] * len(zero)),
-                ])
-                fit = self.solve(grown, start, QUICK_EVALUATIONS)
-                if best is None or fit.cost < best.cost:
-                    best = fit
-        return self.solve(grown, best.vector)
+        has_zero = grown.antiresonances > order.antiresonances
+        # Just beside the mode: that side of it on which the antiresonance lies is not known.
+        starts: list[tuple[float, float, list[float]]] = [
+            (abs(pole), max(-pole.real / abs(pole), 1e-3), [place * abs(pole)] * has_zero)
+            for pole in self.resonances for place in ((0.95, 1.05) if has_zero else (1.0,))]
+        idle = float(np.sqrt(self.rate[0] * self.rate[-1])) if has_zero else (
+            0.9 * FASTEST * self.rate[-1])
+        starts.append((idle, 0.7, [idle] * has_zero))
+        quick = []
+        for frequency, damping, zero in starts:
+            start = np.concatenate([
+                parts[0], parts[1], [np.log(frequency)], parts[2], [np.log(damping)],
+                parts[3], np.log(zero), parts[4], np.log([damping] * len(zero)),
+            ])
+            quick.append(self.solve(grown, start, QUICK_EVALUATIONS))
+        return self.solve(grown, min(quick, key=lambda fit: fit.cost).vector)
 
-    def solve(self, order, start, evaluations=200):
+    def solve(
+        self, order: ResponseOrder, start: FloatArray, evaluations: int = 80,
+    ) -> _Fit:
         """Fit of least squares from a start."""
         lower, upper = self._bounds(order)
         solution = least_squares(
             self._residual, np.clip(start, lower + 1e-6, upper - 1e-6), jac=self._jacobian,
             bounds=(lower, upper), args=(order,), x_scale="jac", max_nfev=evaluations,
         )
+        refusal = lack_of_standing(
+            solution.x, order, parameter_covariance(solution.jac, solution.fun), self.rate[-1])
         return _Fit(solution.x, solution.fun, solution.jac,
-                    order_trial(order, solution.fun, solution.x.size))
+                    order_trial(order, solution.fun, solution.x.size, refusal))
 
-    def _bounds(self, order):
+    def _bounds(self, order: ResponseOrder) -> FloatArray:
         """Bound the parameters by what the measured frequencies can show."""
         slowest, fastest = np.log(0.1 * self.rate[0]), np.log(10.0 * self.rate[-1])
         creep = np.log(np.sqrt(self.rate[0] * self.rate[-1]))
-        band = np.log([0.9 * self.rate[0], 1.1 * self.rate[-1]])
+        band = np.log([0.9 * self.rate[0], FASTEST * self.rate[-1]])
         damping = np.log([1e-5, 2.0])
         limits = [[0.0, 2.0], [-46.0, 46.0]]
         limits += 2 * order.creep_pairs * [[slowest, creep]]
@@ -351,13 +334,13 @@ class _ResponseFit:
         limits += order.antiresonances * [band] + order.antiresonances * [damping]
         return np.array(limits).T
 
-    def _residual(self, vector, order):
+    def _residual(self, vector: FloatArray, order: ResponseOrder) -> FloatArray:
         check_cancelled()
         difference = self.model(vector, order).response(self.measured.frequency_hz)
         difference = difference - self.measured.gain
         return np.concatenate([difference.real, difference.imag])
 
-    def _jacobian(self, vector, order):
+    def _jacobian(self, vector: FloatArray, order: ResponseOrder) -> FloatArray:
         """Differentiate the response: its own value times the derivatives of its logarithm."""
         s = 1j * self.rate[:, None]
         model = self.model(vector, order)
@@ -375,7 +358,7 @@ class _ResponseFit:
         ]) * model.response(self.measured.frequency_hz)[:, None]
         return np.vstack([slopes.real, slopes.imag])
 
-    def model(self, vector, order):
+    def model(self, vector: FloatArray, order: ResponseOrder) -> ResponseModel:
         """Model with these parameters."""
         fields = self.fields(np.exp(vector[1:]), vector[0], order)
         return ResponseModel(
@@ -383,7 +366,9 @@ class _ResponseFit:
             ElectricVibrationDynamics(**fields["dynamics"]),
         )
 
-    def fields(self, values, delay, order):
+    def fields(
+        self, values: FloatArray, delay: float, order: ResponseOrder,
+    ) -> dict[str, Any]:
         """Fields of a model, or their standard deviations, from one number for each parameter."""
         gain, poles, zeros, rest = np.split(values, np.cumsum([1, *2 * [order.creep_pairs]]))
         return {
@@ -394,7 +379,9 @@ class _ResponseFit:
         }
 
 
-def _quadratic_slopes(s, frequencies, dampings):
+def _quadratic_slopes(
+    s: ComplexArray, frequencies: tuple[float, ...], dampings: tuple[float, ...],
+) -> tuple[ComplexArray, ComplexArray]:
     """Slopes of the logarithm of s^2 / w^2 + 2 d s / w + 1 by those of w and of d."""
     ratio, damping = s / np.array(frequencies)[None, :], np.array(dampings)[None, :]
     quadratic = ratio**2 + 2.0 * damping * ratio + 1.0

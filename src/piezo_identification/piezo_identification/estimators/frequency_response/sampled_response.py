@@ -78,23 +78,23 @@ def respond(
     samples : int
         As in `leading_lags`.
     delay_s : float
-        Behind the system; exact, whatever part of a sample period it is. Not with means.
+        Behind the system; exact, whatever part of a sample period it is. Where it is negative, the
+        response is read later than the input changes; the last input is held. Not with means.
 
     Returns
     -------
     (N,) array
     """
     late = 0
-    if delay_s > 0.0:
+    if delay_s != 0.0:
         discrete, late = delayed_zoh(system, sample_period_s, delay_s)
     else:
         discrete = mean_zoh(system, sample_period_s, samples)
-    late = min(late, input_um.size)
-    before = np.full(late, input_um[0])
-    return simulate_linear(
-        discrete, np.concatenate([before, input_um[: input_um.size - late]]),
-        equilibrium_state(system, input_um[0]),
-    )
+    late, early = min(max(late, 0), input_um.size), max(-late, 0)
+    played_um = np.concatenate([
+        np.full(late, input_um[0]), input_um[: input_um.size - late],
+        np.full(early, input_um[-1])])
+    return simulate_linear(discrete, played_um, equilibrium_state(system, input_um[0]))[early:]
 
 
 def delayed_zoh(
@@ -112,7 +112,7 @@ def delayed_zoh(
     -------
     discrete : control.StateSpace
     late : int
-        Sample periods by which the output comes later still.
+        Sample periods by which the output comes later still; earlier where negative.
     """
     discrete = zoh(system, sample_period_s)
     late, part = divmod(delay_s / sample_period_s, 1.0)

@@ -6,10 +6,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.estimators.refinement.joint_problem import STRETCHES, RefinementProblem
+from piezo_identification.estimators.refinement.joint_problem import (
+    STRETCHES,
+    RecordingPart,
+    RefinementProblem,
+)
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep
 from piezo_recorder.reading.recording import Recording
@@ -126,17 +132,20 @@ def refine(
 class _Attempt:
     """A fit, and what each recording was before and after it."""
 
-    model: object
-    before: list
-    after: list
-    standard_deviations: dict
+    model: StageModel
+    before: list[RecordingPart]
+    after: list[RecordingPart]
+    standard_deviations: dict[str, Any]
 
     @property
-    def ratio(self):
+    def ratio(self) -> float:
         return _held_out_ratio(self.before, self.after)
 
 
-def _attempt(model, recordings, begun, progress):
+def _attempt(
+    model: StageModel, recordings: Mapping[str, Recording], begun: float,
+    progress: Callable[[float], object] | None,
+) -> _Attempt:
     """Fit from a model; `begun` of the whole work is done before."""
     problem = RefinementProblem(model, recordings)
     vector = problem.start
@@ -153,7 +162,7 @@ def _attempt(model, recordings, begun, progress):
     return _Attempt(problem.model(vector), before, after, problem.standard_deviations(fit, vector))
 
 
-def _held_out_ratio(before, after):
+def _held_out_ratio(before: list[RecordingPart], after: list[RecordingPart]) -> float:
     """Mean over the recordings of the ratios of the mean square errors held out."""
     return float(np.mean([
         np.mean(new.residual_um[~new.fitted] ** 2) / np.mean(old.residual_um[~old.fitted] ** 2)
@@ -161,7 +170,9 @@ def _held_out_ratio(before, after):
     ]))
 
 
-def _with_hysteretic_creep(model, recordings):
+def _with_hysteretic_creep(
+    model: StageModel, recordings: Mapping[str, Recording],
+) -> StageModel | None:
     """Add operators of weight zero to the model; None where no recording would show them."""
     longest_s = max(played(recording).time_s[-1] for recording in recordings.values())
     travel_v = model.hysteresis.voltage_max_v - model.hysteresis.voltage_min_v
@@ -178,25 +189,28 @@ def _with_hysteretic_creep(model, recordings):
 class _Fit:
     """Weighted errors and derivatives of all recordings in the form that the optimiser takes."""
 
-    def __init__(self, problem, vector, parts):
+    def __init__(
+        self, problem: RefinementProblem, vector: FloatArray, parts: list[RecordingPart],
+    ) -> None:
         self.problem, self.vector, self.parts = problem, vector, parts
         self.scales = [part.scale_um for part in parts]
-        self.report, self.steps = None, 0
+        self.report: Callable[[float], object] | None = None
+        self.steps = 0
 
-    def parts_at(self, vector):
-        """Each recording's `_Part`."""
+    def parts_at(self, vector: FloatArray) -> list[RecordingPart]:
+        """Return each recording's `RecordingPart`."""
         if not np.array_equal(vector, self.vector):
             self.vector, self.parts = vector.copy(), self.problem.evaluate(vector)
         return self.parts
 
-    def residual(self, vector):
+    def residual(self, vector: FloatArray) -> FloatArray:
         """Of all fitted rows."""
         if self.report is not None:
             self.report(min(1.0, self.steps / MOST_EVALUATIONS))
         self.steps += 1
         return self._stacked([part.residual_um[part.fitted] for part in self.parts_at(vector)])
 
-    def stretches(self):
+    def stretches(self) -> NDArray[np.intp]:
         """First row of every stretch among the fitted rows."""
         numbers = np.concatenate([
             part.stretch[part.fitted] + STRETCHES * number
@@ -204,11 +218,11 @@ class _Fit:
         ])
         return np.flatnonzero(np.diff(numbers, prepend=-1))
 
-    def jacobian(self, vector):
+    def jacobian(self, vector: FloatArray) -> FloatArray:
         """Of all fitted rows by the unknowns."""
         return self._stacked([part.jacobian[part.fitted] for part in self.parts_at(vector)])
 
-    def _stacked(self, values):
+    def _stacked(self, values: list[FloatArray]) -> FloatArray:
         return np.concatenate(
             [value / scale for value, scale in zip(values, self.scales, strict=True)]
         )

@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What all components make of all recordings: errors, and their derivatives by every unknown."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
+import control
 import numpy as np
+from numpy.typing import NDArray
 
+from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.settling import first_settled
 from piezo_identification.conditioning.waveforms import (
     played,
@@ -21,9 +26,12 @@ from piezo_identification.estimators.refinement.sensitivities import (
     hysteresis_parts,
     sensitivity_systems,
 )
+from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.measures import e_y_percent
+from piezo_recorder.reading.recording import Recording
 
 MOST_ROWS = 20_000
 """A longer recording has neighbouring samples averaged, the measured and the simulated ones."""
@@ -47,13 +55,26 @@ SMALL = 1e-6
 """Step of a numerical derivative, over the travel."""
 
 
+class WeightedErrors(Protocol):
+    """What the standard deviations need of a fit."""
+
+    def residual(self, vector: FloatArray) -> FloatArray:
+        """Return the weighted errors of all fitted rows."""
+
+    def jacobian(self, vector: FloatArray) -> FloatArray:
+        """Return their derivatives by the unknowns."""
+
+    def stretches(self) -> NDArray[np.intp]:
+        """Return the first row of every stretch among the fitted rows."""
+
+
 class RefinementProblem:
     """Vector of unknowns: logarithms of parameters, factors of the density, and weights.
 
     The weights are those of the hysteretic creep, where the model has it.
     """
 
-    def __init__(self, model, recordings):
+    def __init__(self, model: StageModel, recordings: Mapping[str, Recording]) -> None:
         self.first = model
         creep, dynamics = model.creep, model.dynamics
         self.physical = np.concatenate([
@@ -76,19 +97,21 @@ class RefinementProblem:
             _Record(recording, model, self.parts) for recording in recordings.values()
         ]
 
-    def evaluate(self, vector):
-        """Each recording's `_Part`."""
+    def evaluate(self, vector: FloatArray) -> list["RecordingPart"]:
+        """Each recording's `RecordingPart`."""
         creep, dynamics = self.linear(vector)
         return [record.evaluate(creep, dynamics, vector[self.count :]) for record in self.records]
 
-    def linear(self, vector):
+    def linear(
+        self, vector: FloatArray,
+    ) -> tuple[CreepDynamics, ElectricVibrationDynamics]:
         """Creep and dynamics."""
         physical = np.zeros(self.physical.size)
         physical[self.free] = np.exp(vector[: self.count])
         creep, dynamics = self._named(physical)
         return CreepDynamics(**creep), ElectricVibrationDynamics(**dynamics)
 
-    def model(self, vector):
+    def model(self, vector: FloatArray) -> StageModel:
         """Return the stage model with the parameters of a vector."""
         creep, dynamics = self.linear(vector)
         factors, weights = np.split(vector[self.count :], [len(self.parts)])
@@ -107,7 +130,7 @@ class RefinementProblem:
             ),
         )
 
-    def standard_deviations(self, fit, vector):
+    def standard_deviations(self, fit: WeightedErrors, vector: FloatArray) -> dict[str, Any]:
         """Of the physical parameters, with all the others free.
 
         Errors may be alike within a stretch of a recording, where the density is not quite that of
@@ -125,7 +148,7 @@ class RefinementProblem:
         creep, dynamics = self._named(deviations)
         return {"creep": creep, "dynamics": dynamics}
 
-    def _named(self, physical):
+    def _named(self, physical: FloatArray) -> tuple[dict[str, Any], dict[str, Any]]:
         """Fields of creep and of dynamics by name."""
         pairs = len(self.first.creep.poles_rad_per_s)
         dynamics = self.first.dynamics
@@ -139,25 +162,35 @@ class RefinementProblem:
         )
 
 
-def _is_fitted(stretch):
+def _is_fitted(stretch: NDArray[np.intp]) -> BoolArray:
     return stretch % HELD_OUT != HELD_OUT // 2
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
-    """What a vector of unknowns makes of a recording: error, derivatives, and what was fitted."""
+class RecordingPart:
+    """What a vector of unknowns makes of a recording: error, derivatives, and what was fitted.
 
-    measured_um: np.ndarray
-    residual_um: np.ndarray
-    jacobian: np.ndarray
-    stretch: np.ndarray
+    Parameters
+    ----------
+    measured_um, residual_um : ndarray, shape (N,)
+    jacobian : ndarray, shape (N, P)
+        Of the residual.
+    stretch : ndarray of int, shape (N,)
+        Stretch of the recording to which each row belongs.
+    """
+
+    measured_um: FloatArray
+    residual_um: FloatArray
+    jacobian: FloatArray
+    stretch: NDArray[np.intp]
 
     @property
-    def fitted(self):
+    def fitted(self) -> BoolArray:
+        """Return the mask of the rows that are fitted, shape (N,)."""
         return _is_fitted(self.stretch)
 
     @property
-    def scale_um(self):
+    def scale_um(self) -> float:
         """Error of a row, and more where neighbouring rows err alike and count for fewer."""
         error_um = self.residual_um[self.fitted]
         blocks_um = error_um[: error_um.size // CORRELATED * CORRELATED].reshape(-1, CORRELATED)
@@ -165,7 +198,8 @@ class _Part:
         return max(np.sqrt(max(alike, np.mean(error_um**2))), np.finfo(float).tiny)
 
     @property
-    def held_out_percent(self):
+    def held_out_percent(self) -> float:
+        """Return the relative error (4.20) of the rows held out, in percent."""
         held_out = ~self.fitted
         measured_um = self.measured_um[held_out]
         return float(e_y_percent(measured_um, measured_um + self.residual_um[held_out]))
@@ -174,7 +208,9 @@ class _Part:
 class _Record:
     """A recording, and the outputs that factors and weights multiply."""
 
-    def __init__(self, recording, model, parts):
+    def __init__(
+        self, recording: Recording, model: StageModel, parts: list[PreisachModel],
+    ) -> None:
         part = played(recording)
         self.stage = model
         self.period_s, self.samples = part.sample_period_s, samples_per_mean(part)
@@ -211,7 +247,9 @@ class _Record:
         # Two levels show one gain of the hysteresis: free (4.5), it does not bend the density.
         self.free_gain = np.unique(part.voltage_v).size == 2
 
-    def evaluate(self, creep, dynamics, factors):
+    def evaluate(
+        self, creep: CreepDynamics, dynamics: ElectricVibrationDynamics, factors: FloatArray,
+    ) -> "RecordingPart":
         """Error and derivatives with offset and initial creep projected out."""
         linear = replace(self.stage, creep=creep, dynamics=dynamics).linear()
         coefficients = self.mixture @ factors
@@ -232,7 +270,7 @@ class _Record:
             + [displacement_um] * self.free_gain
         )
 
-        def rest(values):
+        def rest(values: FloatArray) -> tuple[FloatArray, FloatArray]:
             """Of the recording, after what offset and initial creep explain; and how much each."""
             coefficients = np.linalg.lstsq(
                 beside[self.fitted], values[self.fitted], rcond=1e-12
@@ -245,15 +283,17 @@ class _Record:
         for i, pole in enumerate(creep.poles_rad_per_s):
             by_logarithm[i] += initial_um[1 + i] * self._rows(pole * self.time_s * decays[i])
         jacobian, _ = rest(np.column_stack([*by_logarithm, by_factor]))
-        return _Part(self.measured_um, residual_um, jacobian, self.stretch)
+        return RecordingPart(self.measured_um, residual_um, jacobian, self.stretch)
 
-    def _response(self, system, input_um):
+    def _response(self, system: control.StateSpace, input_um: FloatArray) -> FloatArray:
         """Displacement, or a derivative of it, of a stage that rested at the first input."""
         return respond(system, input_um, self.period_s, self.samples)
 
-    def _sensed(self, displacement_um, changes):
+    def _sensed(
+        self, displacement_um: FloatArray, changes: list[FloatArray],
+    ) -> tuple[FloatArray, FloatArray]:
         """Rows of what the sensor shows, and of its changes, behind the effects that come last."""
-        def rows(signal):
+        def rows(signal: FloatArray) -> FloatArray:
             return self._rows(self.stage.sensed(signal, self.period_s))
 
         sensed_um = rows(displacement_um)
@@ -265,14 +305,14 @@ class _Record:
             for change, step in zip(changes, steps, strict=True)
         ])
 
-    def _rows(self, signal):
+    def _rows(self, signal: FloatArray) -> FloatArray:
         """Means of neighbouring samples, from when the start has settled."""
         settled = signal[self.begin :]
         whole = settled.size // self.averaged * self.averaged
         return settled[:whole].reshape(-1, self.averaged).mean(axis=1)
 
 
-def _operators(hysteretic_creep):
+def _operators(hysteretic_creep: HystereticCreep | None) -> list[HystereticCreep]:
     """Each operator alone, with unit weight."""
     if hysteretic_creep is None:
         return []

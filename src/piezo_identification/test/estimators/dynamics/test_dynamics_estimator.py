@@ -8,7 +8,6 @@ from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.estimators.dynamics.square_wave import (
     estimate_dynamics,
     free_decay_poles,
-    periodic_response,
 )
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -87,13 +86,6 @@ def test_the_subspace_start_is_exact_without_noise():
     decay = 3.0 + np.real(np.exp(np.outer(time_s, rates)) @ [1.0 - 1.0j, 1.0 + 1.0j, 2.0])
     poles = free_decay_poles(decay, 25e-6, 3)
     np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(rates), rtol=1e-6)
-
-
-def test_the_periodic_response_is_that_after_many_periods(plant):
-    system = zoh(plant.dynamics.state_space(), 1e-4)
-    period = np.random.default_rng(0).normal(size=50)
-    many = simulate_linear(system, np.tile(period, 40))
-    np.testing.assert_allclose(periodic_response(system, period), many[-50:], atol=1e-9)
 
 
 def test_the_inverse_takes_creep_off(plant):

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 
@@ -90,6 +92,37 @@ def test_a_given_order_is_kept_and_an_impossible_one_refused():
     assert len(estimate.model.creep.poles_rad_per_s) == 2
     with pytest.raises(ValueError, match="does not allow order 1[+]40-0"):
         estimate_from_response(measured(3), ResponseOrder(1, 40, 0))
+
+
+@pytest.mark.parametrize("seed", [
+    0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 20))])
+def test_the_error_never_grows_with_the_order(seed):
+    draw = np.random.default_rng(seed)
+    frequencies = np.sort(draw.uniform(1000.0, 10000.0, 3))
+    truth = ResponseModel(
+        0.6, draw.uniform(0.0, 3e-4), CreepDynamics((20.0,), (26.0,)), ElectricVibrationDynamics(
+            3e-4, frequencies, draw.uniform(0.005, 0.2, 3),
+            np.sqrt(frequencies[1:] * frequencies[:-1])[:seed % 3],
+            draw.uniform(0.01, 0.1, seed % 3)))
+    trials = estimate_from_response(measured(seed, model=truth), most_states=10).trials
+    assert len(trials) > 5
+    for small in trials:
+        for large in trials:
+            if all(one <= other for one, other in zip(
+                    astuple(small.order), astuple(large.order), strict=True)):
+                assert large.residual_rms < (1.0 + 1e-3) * small.residual_rms, (
+                    str(small.order), str(large.order))
+
+
+@pytest.mark.long
+def test_eight_modes_of_a_mirror_are_found():
+    frequencies = 2.0 * np.pi * np.array([150.0, 260, 390, 560, 760, 1000, 1300, 1650])
+    mirror = ResponseModel(1.0, 1e-4, CreepDynamics(), ElectricVibrationDynamics(
+        1e-4, frequencies, np.full(8, 0.01),
+        np.sqrt(frequencies[1:] * frequencies[:-1]), np.full(7, 0.012)))
+    estimate = estimate_from_response(measured(4, 1e-4, mirror))
+    assert estimate.order.modes == 8
+    assert estimate.model.error(measured(5, 1e-4, mirror)) < 1e-3
 
 
 def test_vector_fitting_is_exact_for_a_rational_response():

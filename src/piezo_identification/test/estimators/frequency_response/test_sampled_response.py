@@ -47,6 +47,15 @@ def test_a_delay_is_exact_whatever_part_of_a_sample_it_is(plant, levels_um, dela
         respond(system, levels_um, PERIOD_S, 1, delay_s), expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("read_at", [0.37, 1.0, 1.4])
+def test_a_reading_later_than_the_input_is_exact_and_the_last_input_goes_on(
+        plant, levels_um, read_at):
+    held_um = np.append(levels_um, [levels_um[-1]] * 2)
+    expected = finely(plant.linear(), held_um)[round(read_at * FINE) :: FINE][: levels_um.size]
+    np.testing.assert_allclose(
+        respond(plant.linear(), levels_um, PERIOD_S, 1, -read_at * PERIOD_S), expected, atol=1e-9)
+
+
 def test_a_lag_of_the_sensor_is_exact_between_the_samples(plant, levels_um):
     lag = SensorLag(0.2e-3, 0.25)
     system, delay_s = behind_lags(plant.linear(), (lag,))

@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The option that tells when a logger reads the displacement of a row."""
+
+import argparse
+
+READINGS = {"start": 0.0, "end": 1.0}
+"""Instants, in sample periods after the voltage of a row changes."""
+
+
+def add_rows_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--rows-read``."""
+    parser.add_argument(
+        "--rows-read", choices=tuple(READINGS), default="start",
+        help="when the displacement of a row is read: as its voltage changes (default), or at the "
+        "end of the hold, just before the next voltage")

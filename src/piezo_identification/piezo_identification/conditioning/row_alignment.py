@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""When a logger reads the displacement of a row: recordings aligned to the convention of the suite.
+
+A row holds the voltage that is applied from its instant on, and the displacement at that instant.
+Many a logger reads the displacement at the end of the hold instead. That is the logger's habit, and
+not the stage's: it is taken out of the recording, and does not enter the model.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.waveforms import played, samples_per_mean
+from piezo_recorder.reading.recording import Recording
+
+LATEST_READING = 1.5
+"""Sample periods after its voltage at which a row may have been read."""
+
+WHOLE = 1e-9
+"""Of a sample period, within which an instant counts as that of a sample."""
+
+
+@dataclass(frozen=True)
+class RowDelay:
+    """What a recording tells of the delay of its displacement behind its voltage.
+
+    Parameters
+    ----------
+    read_at_samples : float
+        Instant at which the displacement of a row is read, in sample periods after its voltage
+        changes: the habit of the logger, which was taken out of the recording.
+    delay_s : float
+        Of the displacement that is left, beside the dynamics of the model and its delay.
+    standard_deviation_s : float
+    """
+
+    read_at_samples: float
+    delay_s: float
+    standard_deviation_s: float
+
+    def fields(self) -> dict[str, float]:
+        """Return the numbers by their names in a model file."""
+        return {"read_at_samples": self.read_at_samples, "delay_s": self.delay_s,
+                "standard_deviation_s": self.standard_deviation_s}
+
+
+def rows_read_at_start(recording: Recording, read_at_samples: float) -> Recording:
+    """Return a recording whose displacements are those at the instants of its rows.
+
+    Parameters
+    ----------
+    recording : Recording
+        Each displacement was read so many sample periods after the voltage of its row changed.
+    read_at_samples : float
+        1 for the end of the hold.
+
+    Returns
+    -------
+    Recording
+        With as many rows fewer at the start as tell no displacement of theirs. A fraction of a
+        period is interpolated between rows, by cubic splines.
+
+    Raises
+    ------
+    ValueError
+        If a row cannot be read so late, or the recording is too short.
+    """
+    if not abs(read_at_samples) <= LATEST_READING:
+        raise ValueError(
+            f"{recording.path} is said to be read {read_at_samples:g} sample periods after each "
+            f"voltage: give a number from 0, the start of the hold, to {LATEST_READING:g}")
+    if abs(read_at_samples) < WHOLE:
+        return recording
+    rows = np.arange(recording.displacement_um.size)
+    if rows.size < 4:
+        raise ValueError(f"{recording.path} has {rows.size} rows: record longer")
+    instants = rows - read_at_samples
+    known = (instants >= 0.0) & (instants <= rows[-1])
+    aligned = recording.select(known)
+    return replace(aligned, displacement_um=_at(recording.displacement_um, instants[known]))
+
+
+def read_as(recording: Recording, read_at_samples: float) -> float:
+    """Return when rows are read by a logger of this habit; means of samples are read as they are.
+
+    Parameters
+    ----------
+    recording : Recording
+    read_at_samples : float
+
+    Returns
+    -------
+    float
+    """
+    is_means = read_at_samples != 0.0 and samples_per_mean(played(recording)) > 1
+    return 0.0 if is_means else read_at_samples
+
+
+def _at(signal: FloatArray, instants: FloatArray) -> FloatArray:
+    whole = np.round(instants)
+    if np.abs(instants - whole).max() < WHOLE:
+        return signal[whole.astype(int)]
+    aligned: FloatArray = CubicSpline(np.arange(signal.size), signal)(instants)
+    return aligned
+
+
+def remaining_delay(
+    measured_um: FloatArray, simulated_um: FloatArray, sample_period_s: float,
+    nuisance: FloatArray,
+) -> tuple[float, float]:
+    """Estimate by how much a measured signal is later than a simulated one.
+
+    A short delay removes the velocity times it. Errors may be alike within a fiftieth of a
+    recording; from one to the next they count as independent.
+
+    Parameters
+    ----------
+    measured_um, simulated_um : ndarray, shape (N,)
+    sample_period_s : float
+    nuisance : ndarray, shape (N, K)
+        What else the difference may hold, such as an offset.
+
+    Returns
+    -------
+    delay_s, standard_deviation_s : float
+        Infinitely uncertain where nothing moves.
+    """
+    velocity = -np.gradient(simulated_um, sample_period_s)
+    both = np.column_stack([velocity, measured_um - simulated_um])
+    both = both - nuisance @ np.linalg.lstsq(nuisance, both, rcond=1e-12)[0]
+    velocity, difference = both.T
+    energy = velocity @ velocity
+    if energy == 0.0:
+        return 0.0, np.inf
+    delay_s = velocity @ difference / energy
+    pushes = velocity * (difference - delay_s * velocity)
+    stretches = np.add.reduceat(pushes, np.arange(0, pushes.size, -(-pushes.size // 50)))
+    return float(delay_s), float(np.linalg.norm(stretches) / energy)

@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Lag, modes in series and side by side, antiresonances, and a sensor's lag: poles and residues."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.estimators.estimate import (
+    dynamics_of_vector,
+    dynamics_vector,
+    split_dynamics_vector,
+)
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.effect import Effect
+from piezo_models.effects.sensor_lag import SensorLag
+from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
+
+APART = 1e-5
+"""Relative distance that poles keep from each other, so that each has a residue."""
+
+STEP = 1e-6
+"""Step of the derivatives of poles and residues: the root of the rounding, and some more."""
+
+
+@dataclass(frozen=True)
+class ModeOrder:
+    """Numbers of components.
+
+    Parameters
+    ----------
+    modes : int
+        One after the other (4.3).
+    antiresonances : int
+        Between them.
+    beside : int
+        Modes that add a part of the displacement of their own.
+    sensor_lags : int
+    """
+
+    modes: int
+    antiresonances: int = 0
+    beside: int = 0
+    sensor_lags: int = 0
+
+    def __str__(self) -> str:
+        text = f"{self.modes}"
+        if self.antiresonances:
+            text += f"-{self.antiresonances}"
+        if self.beside:
+            text += f"+{self.beside}"
+        return text + " lag" * self.sensor_lags
+
+    @property
+    def all_modes(self) -> int:
+        """Number of modes, in series and side by side."""
+        return self.modes + self.beside
+
+    @property
+    def parameters(self) -> int:
+        """Length of the vector: the lags, two numbers for a mode in series, three beside."""
+        return (1 + 2 * self.modes + 2 * self.antiresonances + 3 * self.beside
+                + self.sensor_lags)
+
+    def holds(self, smaller: "ModeOrder") -> bool:
+        """Whether every model of the smaller order is a limit of those of this one."""
+        return (self.modes >= smaller.modes and self.antiresonances >= smaller.antiresonances
+                and self.beside >= smaller.beside and self.sensor_lags >= smaller.sensor_lags)
+
+
+@dataclass(frozen=True)
+class FastDynamics:
+    """What follows a step of the voltage within a few milliseconds.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics
+        Lag, modes in series and antiresonances.
+    beside : tuple of VibrationMode
+    sensor_lag_s : float
+        0 for none.
+    delay_s : float
+        Of the displacement; negative where a row is read later than its voltage changes.
+    """
+
+    dynamics: ElectricVibrationDynamics
+    beside: tuple[VibrationMode, ...] = ()
+    sensor_lag_s: float = 0.0
+    delay_s: float = 0.0
+
+    @property
+    def order(self) -> ModeOrder:
+        """Numbers of components."""
+        return ModeOrder(
+            len(self.dynamics.damping_ratios), len(self.dynamics.antiresonance_damping_ratios),
+            len(self.beside), int(self.sensor_lag_s > 0.0))
+
+    def vector(self) -> FloatArray:
+        """Logarithms of what is positive, then the participations; without the delay."""
+        positive = [
+            *dynamics_vector(self.dynamics), *(mode.frequency_rad_per_s for mode in self.beside),
+            *(mode.damping_ratio for mode in self.beside),
+            *([self.sensor_lag_s] if self.sensor_lag_s > 0.0 else []),
+        ]
+        return np.concatenate([
+            np.log(positive), [mode.participation for mode in self.beside]])
+
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects of the stage model beside its dynamics; a delay that is negative is none."""
+        return (
+            *self.beside,
+            *([Delay(self.delay_s)] if self.delay_s > 0.0 else []),
+            *([SensorLag(self.sensor_lag_s)] if self.sensor_lag_s > 0.0 else []),
+        )
+
+
+def values_of(vector: FloatArray, order: ModeOrder) -> FloatArray:
+    """Physical numbers of a vector, in its order."""
+    positive = vector.size - order.beside
+    return np.concatenate([np.exp(vector[:positive]), vector[positive:]])
+
+
+def fast_dynamics_of(vector: FloatArray, order: ModeOrder, delay_s: float = 0.0) -> FastDynamics:
+    """Inverse of `FastDynamics.vector`.
+
+    Parameters
+    ----------
+    vector : ndarray, shape (P,)
+    order : ModeOrder
+    delay_s : float
+
+    Returns
+    -------
+    FastDynamics
+        With modes, antiresonances and modes beside them in the order of frequency.
+    """
+    values = values_of(ascending(vector, order), order)
+    main, frequencies, dampings, lag, parts = _split(values, order)
+    return FastDynamics(
+        dynamics_of_vector(main, order.modes, order.antiresonances),
+        tuple(VibrationMode(*numbers) for numbers in zip(
+            frequencies.tolist(), dampings.tolist(), parts.tolist(), strict=True)),
+        float(lag[0]) if lag.size else 0.0, delay_s)
+
+
+def ascending(vector: FloatArray, order: ModeOrder) -> FloatArray:
+    """Reorder a vector: components of every kind in the order of frequency."""
+    return vector[ascending_places(vector, order)]
+
+
+def ascending_places(vector: FloatArray, order: ModeOrder) -> np.ndarray:
+    """Places in a vector that put the components of every kind into the order of frequency."""
+    main, frequencies, dampings, lag, parts = _split(np.arange(vector.size), order)
+    modes, zeros = order.modes, order.antiresonances
+    first, w, zeta, wz, zetaz = np.split(main, np.cumsum([1, modes, modes, zeros]))
+    by_mode, by_zero = np.argsort(vector[w]), np.argsort(vector[wz])
+    by_side = np.argsort(vector[frequencies])
+    return np.concatenate([
+        first, w[by_mode], zeta[by_mode], wz[by_zero], zetaz[by_zero], frequencies[by_side],
+        dampings[by_side], lag, parts[by_side]])
+
+
+def split_deviations(
+    deviations: FloatArray, order: ModeOrder,
+) -> tuple[dict[str, object], tuple[dict[str, float], ...]]:
+    """Split standard deviations in the order of a vector's values.
+
+    Parameters
+    ----------
+    deviations : ndarray, shape (P,)
+    order : ModeOrder
+
+    Returns
+    -------
+    dynamics : dict
+        By the names of the fields of `ElectricVibrationDynamics`.
+    effects : tuple of dict
+        Of the modes beside, then of the sensor's lag, by the names of their parameters.
+    """
+    main, frequencies, dampings, lag, parts = _split(deviations, order)
+    beside = [
+        {"frequency_rad_per_s": float(w), "damping_ratio": float(d), "participation": float(p)}
+        for w, d, p in zip(frequencies, dampings, parts, strict=True)]
+    return split_dynamics_vector(main, order.modes, order.antiresonances), (
+        *beside, *({"time_constant_s": float(value), "roundness": 0.0} for value in lag))
+
+
+def _split(values: np.ndarray, order: ModeOrder) -> list[np.ndarray]:
+    """Part a vector: dynamics, frequencies and dampings beside, sensor lag, participations."""
+    return np.split(values, np.cumsum([
+        1 + 2 * (order.modes + order.antiresonances), order.beside, order.beside,
+        order.sensor_lags]), axis=-1)
+
+
+def poles_and_residues(
+    vectors: FloatArray, order: ModeOrder,
+) -> tuple[ComplexArray, ComplexArray]:
+    """Partial fractions of dynamics with unit gain at rest.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (B, P)
+        Several vectors of `FastDynamics.vector`.
+    order : ModeOrder
+
+    Returns
+    -------
+    poles, residues : ndarray of complex, shape (B, n)
+        Lag, sensor lag, then the modes in pairs. The response is the sum of r / (s - p).
+    """
+    values = np.exp(vectors)
+    values[:, order.parameters - order.beside :] = vectors[:, order.parameters - order.beside :]
+    main, side_w, side_zeta, sensor, parts = _split(values, order)
+    tau, w, zeta, wz, zetaz = np.split(
+        main, np.cumsum([1, order.modes, order.modes, order.antiresonances]), axis=-1)
+    lags = -1.0 / np.concatenate([tau, _away_from(sensor, tau)], axis=-1)
+    series, side = _pairs(w, zeta), _pairs(side_w, side_zeta)
+    poles = np.concatenate([lags.astype(complex), series, side], axis=-1)
+
+    def numerator(s: ComplexArray) -> ComplexArray:
+        ratio = s[..., None] / wz[:, None, :]
+        return np.prod(1.0 + 2.0 * zetaz[:, None, :] * ratio + ratio**2, axis=-1)
+
+    main_gain = 1.0 - parts.sum(axis=-1)[:, None]
+    through_series = main_gain * numerator(poles) * _over(poles, series)
+    through_side = [parts[:, i : i + 1] * _over(poles, side[:, 2 * i : 2 * i + 2])
+                    for i in range(order.beside)]
+    # At the lags' poles the branches add up; at the pole of a branch, that branch is infinite.
+    branch = through_series + sum(through_side, np.zeros_like(poles))
+    first = lags.shape[-1]
+    own = [through_series, *through_side]
+    for part, size in zip(own, [2 * order.modes] + [2] * order.beside, strict=True):
+        branch[:, first : first + size] = part[:, first : first + size]
+        first += size
+    return poles, -poles * branch * _over(poles, lags.astype(complex))
+
+
+def _over(points: ComplexArray, poles: ComplexArray) -> ComplexArray:
+    """Evaluate the product of 1 / (1 - s / p); at one of the poles, without that one."""
+    factors = 1.0 - points[:, :, None] / poles[:, None, :]
+    factors[points[:, :, None] == poles[:, None, :]] = 1.0
+    return 1.0 / np.prod(factors, axis=-1)
+
+
+def _pairs(frequencies: FloatArray, dampings: FloatArray) -> ComplexArray:
+    """Poles of modes, shape (B, 2 m), never quite critically damped."""
+    excess = dampings**2 - 1.0
+    excess = np.where(np.abs(excess) < APART, APART, excess).astype(complex)
+    root = np.sqrt(excess)
+    poles = frequencies[..., None] * np.stack([-dampings + root, -dampings - root], axis=-1)
+    return poles.reshape(len(frequencies), -1)
+
+
+def _away_from(times: FloatArray, others: FloatArray) -> FloatArray:
+    """Times that differ from others."""
+    return np.where(np.abs(times / others - 1.0) < APART, others * (1.0 + APART), times)
+
+
+def differentiated(
+    vector: FloatArray, order: ModeOrder,
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+    """Poles, residues (n,), and their derivatives (n, P) by the vector."""
+    steps = STEP * np.eye(vector.size)
+    poles, residues = poles_and_residues(
+        np.concatenate([vector[None], vector + steps, vector - steps]), order)
+    size = vector.size
+    return (poles[0], residues[0], (poles[1 : size + 1] - poles[size + 1 :]).T / (2.0 * STEP),
+            (residues[1 : size + 1] - residues[size + 1 :]).T / (2.0 * STEP))

@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A fast record and least-squares fits to it: with free residues, and with physical parameters."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.cancellation import check_cancelled
+from piezo_identification.estimators.dynamics.fast_dynamics import (
+    STEP,
+    ModeOrder,
+    differentiated,
+    poles_and_residues,
+)
+from piezo_identification.estimators.dynamics.pole_responses import HeldInput
+
+EARLIEST, LATEST = -1.5, 100.0
+"""Delays in sample periods between which one is sought: the earliest is that of a logger that reads
+the displacement at the end of the hold, and half a period more."""
+
+FASTEST = 30.0
+"""Frequency over half the sample rate up to which a pole may go: beyond it is at rest within a
+sample period, as if it were not there."""
+
+LEAST_DAMPING, MOST_DAMPING = 1e-5, 20.0
+"""Between which a damping ratio is sought."""
+
+BESIDE_DAMPING, PARTICIPATION = (1e-3, 0.4), (-2.0, 3.0)
+"""Of a mode beside others, as `piezo_models.effects.vibration_mode.VibrationMode` admits them."""
+
+COLLINEAR = 1e-9
+"""Singular value, of the largest one, below which columns that are fitted linearly count as one:
+far above rounding, far below what the noise of any record leaves of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class FastFit:
+    """Parameters of one order that leave least.
+
+    Parameters
+    ----------
+    order : ModeOrder
+    vector : ndarray, shape (P,)
+        Of `fast_dynamics.FastDynamics`.
+    delay : float
+        In sample periods.
+    residual : ndarray, shape (N,)
+    jacobian : ndarray, shape (N, P + 1)
+        By the vector and the delay; without the delay where that was given.
+    """
+
+    order: ModeOrder
+    vector: FloatArray
+    delay: float
+    residual: FloatArray
+    jacobian: FloatArray
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squared residual."""
+        return float(self.residual @ self.residual)
+
+
+@dataclass(frozen=True, eq=False)
+class FreeFit:
+    """Poles whose residues are free: no dynamics with as many modes leave less.
+
+    Parameters
+    ----------
+    vector : ndarray, shape (1 + 2 m,)
+        Of dynamics with the lag and m modes in series.
+    delay : float
+        In sample periods.
+    residual : ndarray, shape (N,)
+    poles, residues : ndarray of complex, shape (1 + 2 m,)
+    """
+
+    vector: FloatArray
+    delay: float
+    residual: FloatArray
+    poles: ComplexArray
+    residues: ComplexArray
+
+    @property
+    def modes(self) -> int:
+        """Number of modes."""
+        return self.vector.size // 2
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squared residual."""
+        return float(self.residual @ self.residual)
+
+
+@dataclass(frozen=True, eq=False)
+class FastRecord:
+    """An input, what was measured behind it, and what else that may hold.
+
+    Parameters
+    ----------
+    input : HeldInput
+    kept : ndarray of int, shape (N,)
+        Samples that are fitted. If the input is not periodic, none of the last two.
+    measured_um : ndarray, shape (N,)
+        Of the kept samples, with the creep removed.
+    fixed : ndarray, shape (N, K)
+        What else these may hold, such as an offset; fitted linearly, as is the gain.
+    starts : callable
+        Poles (rad/s) from which fits with a number of modes may begin: a list of arrays.
+    """
+
+    input: HeldInput
+    kept: NDArray[np.intp]
+    measured_um: FloatArray
+    fixed: FloatArray
+    starts: Callable[[int], list[ComplexArray]]
+    _span: FloatArray = field(init=False, repr=False)
+    _target: FloatArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_span", independent(self.fixed))
+        object.__setattr__(self, "_target", self._beside(self.measured_um))
+
+    @property
+    def linear_parameters(self) -> int:
+        """Number of parameters that are fitted linearly: the gain and the fixed columns."""
+        return 1 + self._span.shape[1]
+
+    def thinned(self, most_rows: int) -> "FastRecord":
+        """Return the record with no more rows than given, spread over all of it."""
+        step = -(-self.kept.size // most_rows)
+        if step == 1:
+            return self
+        return FastRecord(self.input, self.kept[::step], self.measured_um[::step],
+                          self.fixed[::step], self.starts)
+
+    def fit(self, order: ModeOrder, vector: FloatArray, delay: float,
+            evaluations: int = 100, is_delay_free: bool = True,
+            tolerance: float = 1e-8) -> FastFit:
+        """Fit the parameters of an order for the least residual, from a start."""
+        lower, upper = self._bounds(order, vector.size)
+
+        def full(unknowns: FloatArray) -> FloatArray:
+            return unknowns if is_delay_free else np.append(unknowns, delay)
+
+        begin = np.append(vector, delay) if is_delay_free else vector
+        lower, upper = lower[: begin.size], upper[: begin.size]
+        problem = _Remembered(lambda unknowns: self.errors(order, full(unknowns)))
+        solution = least_squares(
+            lambda unknowns: problem.at(unknowns)[0], np.clip(begin, lower + 1e-9, upper - 1e-9),
+            lambda unknowns: problem.at(unknowns)[1][:, : begin.size], bounds=(lower, upper),
+            x_scale="jac", xtol=tolerance, ftol=tolerance, gtol=1e-15, max_nfev=evaluations)
+        best = full(solution.x)
+        return FastFit(order, best[:-1], float(best[-1]), solution.fun, solution.jac)
+
+    def errors(self, order: ModeOrder, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residual with the gain that fits best, and its exact Jacobian (N, P + 1)."""
+        check_cancelled()
+        poles, residues, by_pole, by_residue = differentiated(unknowns[:-1], order)
+        answers = self.input.responses(poles, float(unknowns[-1]), self.kept)
+        columns = np.column_stack([
+            (answers.value @ residues).real,
+            (answers.value @ by_residue + (answers.by_pole * residues) @ by_pole).real,
+            (answers.by_delay @ residues).real,
+        ])
+        columns = self._beside(columns)
+        response, slopes = columns[:, 0], columns[:, 1:]
+        energy = response @ response
+        gain = response @ self._target / energy
+        by_gain = (slopes.T @ self._target - 2.0 * gain * (slopes.T @ response)) / energy
+        return (self._target - gain * response,
+                -gain * slopes - np.outer(response, by_gain))
+
+    def fit_free(self, vector: FloatArray, delay: float, evaluations: int = 40) -> FreeFit:
+        """Fit poles and delay with free residues for the least residual, from a start."""
+        order = ModeOrder(vector.size // 2)
+        lower, upper = self._bounds(order, vector.size)
+        problem = _Remembered(lambda unknowns: self._free_errors(order, unknowns)[:2])
+        solution = least_squares(
+            lambda unknowns: problem.at(unknowns)[0],
+            np.clip(np.append(vector, delay), lower + 1e-9, upper - 1e-9),
+            lambda unknowns: problem.at(unknowns)[1], bounds=(lower, upper),
+            x_scale="jac", xtol=1e-8, ftol=1e-8, max_nfev=evaluations)
+        return self.free(solution.x[:-1], float(solution.x[-1]))
+
+    def free(self, vector: FloatArray, delay: float) -> FreeFit:
+        """Residues of least residual for given poles and delay."""
+        order = ModeOrder(vector.size // 2)
+        residual, _, poles, residues = self._free_errors(order, np.append(vector, delay), False)
+        return FreeFit(vector, delay, residual, poles, residues)
+
+    def parts(self, orders_and_vectors: list[tuple[ModeOrder, FloatArray]],
+              delay: float) -> tuple[FloatArray, float]:
+        """Gains of several responses side by side that fit best, and the cost that remains."""
+        columns = []
+        for order, vector in orders_and_vectors:
+            poles, residues = poles_and_residues(vector[None], order)
+            answer = self.input.responses(poles[0], delay, self.kept).value @ residues[0]
+            columns.append(answer.real)
+        basis = self._beside(np.column_stack(columns))
+        gains = np.linalg.lstsq(basis, self._target, rcond=COLLINEAR)[0]
+        return gains, float(np.sum((self._target - basis @ gains) ** 2))
+
+    def _free_errors(
+        self, order: ModeOrder, unknowns: FloatArray, with_slopes: bool = True,
+    ) -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
+        """Residual, its Jacobian (after Kaufman), poles and residues."""
+        check_cancelled()
+        vector, delay = unknowns[:-1], float(unknowns[-1])
+        steps = STEP * np.eye(vector.size)
+        all_poles = poles_and_residues(
+            np.concatenate([vector[None], vector + steps, vector - steps]), order)[0]
+        poles = all_poles[0]
+        answers = self.input.responses(poles, delay, self.kept)
+        one, other = answers.value[:, 1::2], answers.value[:, 2::2]
+        apart = poles[1::2] - poles[2::2]
+        scale = np.abs(poles[1::2])
+        # Real for conjugate poles, and for two real ones.
+        basis = np.column_stack([
+            answers.value[:, :1], one + other, (one - other) * (scale / apart)]).real
+        basis = self._beside(basis)
+        norms = np.linalg.norm(basis, axis=0)
+        left, values, right = np.linalg.svd(basis / norms, full_matrices=False)
+        told = values > COLLINEAR * values[0]
+        left = left[:, told]
+        projected = left.T @ self._target
+        gains = right[told].T @ (projected / values[told]) / norms
+        residual = self._target - left @ projected
+        count = apart.size
+        even, odd = gains[1 : 1 + count], gains[1 + count :] * scale / apart
+        residues = np.empty(poles.size, dtype=complex)
+        residues[0], residues[1::2], residues[2::2] = gains[0], even + odd, even - odd
+        if not with_slopes:
+            return residual, np.empty((residual.size, 0)), poles, residues
+        by_vector = (all_poles[1 : vector.size + 1] - all_poles[vector.size + 1 :]).T / (2.0 * STEP)
+        slopes = np.column_stack([
+            ((answers.by_pole * residues) @ by_vector).real, (answers.by_delay @ residues).real])
+        slopes = self._beside(slopes)
+        return residual, left @ (left.T @ slopes) - slopes, poles, residues
+
+    def _bounds(self, order: ModeOrder, size: int) -> tuple[FloatArray, FloatArray]:
+        """Bound the vector and the delay by what the samples can show."""
+        period_s = self.input.sample_period_s
+        duration_s = self.input.samples.size * period_s
+        lag = np.log([1e-3 * period_s, duration_s])
+        rate = np.log([1.0 / duration_s, FASTEST * np.pi / period_s])
+        damping = np.log([LEAST_DAMPING, MOST_DAMPING])
+        limits = [lag, *[rate] * order.modes, *[damping] * order.modes]
+        limits += [*[rate] * order.antiresonances, *[damping] * order.antiresonances]
+        limits += [*[rate] * order.beside, *[np.log(BESIDE_DAMPING)] * order.beside]
+        limits += [*[lag] * order.sensor_lags, *[np.array(PARTICIPATION)] * order.beside]
+        limits += [np.array([EARLIEST, min(LATEST, 0.25 * self.input.samples.size)])]
+        lower, upper = np.array(limits).T
+        return lower, upper
+
+    def _beside(self, columns: FloatArray) -> FloatArray:
+        """What the fixed columns leave of others."""
+        return columns - self._span @ (self._span.T @ columns)
+
+
+class _Remembered:
+    """A residual and its Jacobian, evaluated together and once for each point."""
+
+    def __init__(self, evaluate: Callable[[FloatArray], tuple[FloatArray, FloatArray]]) -> None:
+        self._evaluate = evaluate
+        self._point: FloatArray | None = None
+        self._value: tuple[FloatArray, FloatArray] | None = None
+
+    def at(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residual and Jacobian at a point."""
+        if self._value is None or self._point is None or not np.array_equal(point, self._point):
+            self._point, self._value = point.copy(), self._evaluate(point)
+        return self._value
+
+
+def independent(columns: FloatArray) -> FloatArray:
+    """Return orthonormal columns of the same span, without what only rounding tells apart.
+
+    Slow exponentials look alike in a short record. Were they kept as they are, the least error
+    would be as rough as the rounding of the processor, and a search would end anywhere on it.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (N, K)
+
+    Returns
+    -------
+    ndarray, shape (N, L)
+        With L up to K.
+    """
+    left, values, _ = np.linalg.svd(
+        columns / np.linalg.norm(columns, axis=0), full_matrices=False)
+    return left[:, values > COLLINEAR * values[0]]

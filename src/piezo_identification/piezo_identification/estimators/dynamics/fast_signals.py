@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Input and output of the electric and vibration dynamics, of one recording or several."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.conditioning.creep_removal import remove_creep
+from piezo_identification.conditioning.waveforms import played, samples_per_mean
+from piezo_identification.estimators.dynamics.fast_record import FastRecord
+from piezo_identification.estimators.dynamics.output_error import fit_output_error
+from piezo_identification.estimators.dynamics.pole_responses import HeldInput
+from piezo_identification.estimators.estimate import Estimate
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics
+from piezo_recorder.reading.recording import Recording
+
+LINE_THRESHOLD = 0.02
+"""Spectral lines weaker than this part of the strongest do not count as excited."""
+
+LOWEST_LINE = 8
+"""First line of a windowed spectrum that the slow parts do not reach."""
+
+FEWEST_SAMPLES = 20 * LOWEST_LINE
+"""Samples of a fast input from which a spectrum is taken."""
+
+LATE_ROWS = 2
+"""Rows at the end that are left out: a row may be read up to so much later, under a voltage that is
+not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class FastSignals:
+    """What enters the dynamics, and what is measured behind them, recordings one after another.
+
+    Parameters
+    ----------
+    entering_um, displacement_um : ndarray, shape (N,)
+        What the hysteresis puts in, and the displacement without creep.
+    drift : ndarray, shape (N, K)
+        Offset and what may be left of earlier creep, for each recording its own.
+    kept : ndarray of int
+        Samples in which the input is fast and the start has settled.
+    longest : slice
+        The longest stretch of them.
+    begins : tuple of int
+        First sample of each recording.
+    sample_period_s : float
+    path : str
+        Of the first recording.
+    """
+
+    entering_um: FloatArray
+    displacement_um: FloatArray
+    drift: FloatArray
+    kept: NDArray[np.intp]
+    longest: slice
+    begins: tuple[int, ...]
+    sample_period_s: float
+    path: str
+
+    def record(self) -> FastRecord:
+        """Return the record that is fitted, begun from poles of the spectral lines."""
+        return FastRecord(
+            HeldInput(self.entering_um, self.sample_period_s, False, self.begins),
+            self.kept, self.displacement_um[self.kept], self.drift[self.kept], self._starts)
+
+    def _starts(self, mode_count: int) -> list[ComplexArray]:
+        try:
+            return [poles_of_lines(self, 2 * mode_count + 1)]
+        except ValueError:
+            # The lines are too few for as many poles.
+            return []
+
+
+def joined_signals(
+    parts: Sequence[Recording], inputs_um: Sequence[FloatArray], first_kept: Sequence[int],
+    creep: CreepDynamics,
+) -> FastSignals:
+    """Put recordings one after another, each with an offset and an initial creep of its own.
+
+    Parameters
+    ----------
+    parts : sequence of Recording
+        Of `played_at_the_clock`, of one sample period.
+    inputs_um : sequence of ndarray
+        What enters the dynamics in each, in any unit.
+    first_kept : sequence of int
+        Samples of each before which it is not fitted.
+    creep : CreepDynamics
+        Is removed.
+
+    Returns
+    -------
+    FastSignals
+    """
+    sizes = [part.voltage_v.size for part in parts]
+    begins = np.cumsum([0, *sizes])
+    stretches = [slice(begin + first, begin + size - LATE_ROWS)
+                 for begin, first, size in zip(begins, first_kept, sizes, strict=False)]
+    blocks = [drift_basis(part.time_s, creep) for part in parts]
+    width = blocks[0].shape[1]
+    drift = np.zeros((begins[-1], width * len(blocks)))
+    for index, block in enumerate(blocks):
+        drift[begins[index] : begins[index + 1], index * width : (index + 1) * width] = block
+    return FastSignals(
+        np.concatenate([np.asarray(each, dtype=float) for each in inputs_um]),
+        np.concatenate([
+            remove_creep(part.displacement_um, creep, part.sample_period_s) for part in parts]),
+        drift, np.concatenate([np.arange(each.start, each.stop) for each in stretches]),
+        max(stretches, key=lambda each: each.stop - each.start),
+        tuple(begins[:-1].tolist()), parts[0].sample_period_s, str(parts[0].path))
+
+
+def fit_signals(
+    signals: FastSignals, mode_count: int | None = None, delay: float | None = None,
+) -> Estimate:
+    """Fit the dynamics of least output error behind a known input.
+
+    Parameters
+    ----------
+    signals : FastSignals
+    mode_count : int, optional
+        By default as many as the Bayesian information criterion justifies.
+    delay : float, optional
+        Of the rows, in sample periods; by default it is estimated beside.
+
+    Returns
+    -------
+    Estimate
+    """
+    return fit_output_error(signals.record(), mode_count, delay)
+
+
+def played_at_the_clock(recording: Recording) -> Recording:
+    """Part of a recording in which a waveform plays, not averaged.
+
+    Raises
+    ------
+    ValueError
+        If samples are missing, or are means over several.
+    """
+    part = played(recording)
+    if samples_per_mean(part) > 1:
+        raise ValueError(
+            f"{recording.path} has means over {part.sample_period_s:g} s: "
+            "record the dynamics at the full sample clock"
+        )
+    return part
+
+
+def through_hysteresis(
+    recording: Recording, part: Recording, hysteresis: PreisachModel,
+) -> FloatArray:
+    """Return what enters the dynamics, through a hysteresis that saw the recording from its start.
+
+    Parameters
+    ----------
+    recording : Recording
+    part : Recording
+        What plays in it.
+    hysteresis : PreisachModel
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Of the part.
+
+    Raises
+    ------
+    ValueError
+        If the voltage leaves the range of the hysteresis.
+    """
+    low_v, high_v = part.voltage_v.min(), part.voltage_v.max()
+    slack_v = 1e-6 * (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
+    if low_v < hysteresis.voltage_min_v - slack_v or high_v > hysteresis.voltage_max_v + slack_v:
+        raise ValueError(
+            f"{recording.path} goes from {low_v:g} to {high_v:g} V, the hysteresis is known from "
+            f"{hysteresis.voltage_min_v:g} to {hysteresis.voltage_max_v:g} V: identify it over a "
+            "wider range")
+    memory = hysteresis.memory()
+    hysteresis.simulate(
+        recording.select(recording.sample_index <= part.sample_index[0]).voltage_v, memory)
+    return hysteresis.simulate(part.voltage_v, memory)
+
+
+def drift_basis(time_s: FloatArray, creep: CreepDynamics) -> FloatArray:
+    """Columns (N, K) of what a record without creep may still hold: offset and initial creep."""
+    return np.column_stack(
+        [np.ones_like(time_s), *(np.exp(-zero * time_s) for zero in creep.zeros_rad_per_s)]
+    )
+
+
+def poles_of_lines(signals: FastSignals, order: int) -> ComplexArray:
+    """Poles (rad/s) of a response without zeros through the excited spectral lines.
+
+    Parameters
+    ----------
+    signals : FastSignals
+    order : int
+        Number of poles.
+
+    Returns
+    -------
+    ndarray of complex, shape (order,)
+
+    Raises
+    ------
+    ValueError
+        If the lines are too few.
+    """
+    fast = signals.longest
+    window = np.hanning(fast.stop - fast.start)
+    inputs, outputs = (
+        np.fft.rfft(window * (signal[fast] - signal[fast].mean()))[LOWEST_LINE:]
+        for signal in (signals.entering_um, signals.displacement_um)
+    )
+    lines = np.flatnonzero(np.abs(inputs) > LINE_THRESHOLD * np.abs(inputs).max())
+    if 2 * lines.size <= order:
+        raise ValueError(
+            f"{signals.path} has {lines.size} spectral lines, too few for {order} poles: use more "
+            "tones")
+    inputs, outputs = inputs[lines], outputs[lines]
+    rates = 2.0 * np.pi * (lines + LOWEST_LINE) / (window.size * signals.sample_period_s)
+    # Held input: half a sample of delay.
+    outputs = outputs * np.exp(0.5j * rates * signals.sample_period_s)
+    powers = (1j * rates[:, None] / rates[-1]) ** np.arange(order + 1)
+    weights = np.ones(lines.size)
+    for _ in range(4):
+        # The output's noise comes in multiplied by the polynomial, which the weights undo.
+        columns, target = (weights * outputs)[:, None] * powers, weights * inputs
+        polynomial = np.linalg.lstsq(
+            np.vstack([columns.real, columns.imag]),
+            np.concatenate([target.real, target.imag]), rcond=None,
+        )[0]
+        weights = 1.0 / np.abs(powers @ polynomial)
+    return np.roots(polynomial[::-1]) * rates[-1]

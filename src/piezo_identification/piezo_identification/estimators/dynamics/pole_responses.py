@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Responses of single poles to a held input, at any fraction of a sample period."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from piezo_common.arrays import ComplexArray, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PoleResponses:
+    """Responses of 1 / (s - p) to an input, and their derivatives.
+
+    Parameters
+    ----------
+    value : ndarray of complex, shape (N, n)
+        One column for each pole.
+    by_pole : ndarray of complex, shape (N, n)
+        Derivatives by the pole.
+    by_delay : ndarray of complex, shape (N, n)
+        Derivatives by the delay in sample periods.
+    """
+
+    value: ComplexArray
+    by_pole: ComplexArray
+    by_delay: ComplexArray
+
+
+@dataclass(frozen=True, eq=False)
+class HeldInput:
+    """An input whose samples are held for a sample period each.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (N,)
+    sample_period_s : float
+    is_periodic : bool
+        The samples are one period of what has gone on for ever; otherwise the first of them was
+        held for ever before, and the last one will be.
+    begins : tuple of int
+        Samples at which inputs begin that have nothing to do with each other. Not if periodic.
+    """
+
+    samples: FloatArray
+    sample_period_s: float
+    is_periodic: bool
+    begins: tuple[int, ...] = (0,)
+
+    def responses(
+        self, poles: ComplexArray, delay: float, rows: NDArray[np.intp] | None = None,
+    ) -> PoleResponses:
+        """Respond to the input by every pole.
+
+        Parameters
+        ----------
+        poles : ndarray of complex, shape (n,)
+            In rad/s, stable.
+        delay : float
+            In sample periods: output sample n is the response at n less the delay. Where it is
+            negative, the output is read later than the input changes.
+        rows : ndarray of int, shape (K,), optional
+            Output samples that are wanted; by default all.
+
+        Returns
+        -------
+        PoleResponses
+        """
+        scaled = poles * self.sample_period_s
+        state, slope = self._states(scaled)
+        ahead = int(np.floor(-delay))
+        part = -delay - ahead
+        rows = self._places(ahead, rows)
+        state, slope, held = state[rows], slope[rows], self.samples[rows, None]
+        decay = np.exp(scaled * part)
+        gain = (decay - 1.0) / scaled
+        gain_slope = (part * decay - gain) / scaled
+        value = decay * state + gain * held
+        by_pole = decay * (slope + part * state) + gain_slope * held
+        # Time is counted in sample periods, and 1 / (s - p) has the unit of a time.
+        period_s = self.sample_period_s
+        return PoleResponses(
+            value * period_s, by_pole * period_s**2, -(scaled * value + held) * period_s)
+
+    def _states(self, scaled: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """States at the samples, shape (N, n), and their derivatives by the scaled poles."""
+        decay = np.exp(scaled)
+        gain = (decay - 1.0) / scaled
+        gain_slope = (decay - gain) / scaled
+        if self.is_periodic:
+            nothing = np.zeros_like(decay)
+            _, _, state, slope = _run(decay, gain, gain_slope, self.samples, nothing, nothing)
+            rest = 1.0 - decay ** self.samples.size
+            start = state / rest
+            start_slope = (slope + self.samples.size * (1.0 - rest) * start) / rest
+            states, slopes, _, _ = _run(decay, gain, gain_slope, self.samples, start, start_slope)
+            return states, slopes
+        ends = [*self.begins[1:], self.samples.size]
+        parts = [self.samples[begin:end] for begin, end in zip(self.begins, ends, strict=True)]
+        runs = [_run(decay, gain, gain_slope, part, -part[0] / scaled, part[0] / scaled**2)
+                for part in parts]
+        return np.concatenate([run[0] for run in runs]), np.concatenate([run[1] for run in runs])
+
+    def _places(self, ahead: int, rows: NDArray[np.intp] | None) -> NDArray[np.intp]:
+        """Samples so many ahead of some; at rest before an input, unknown after it."""
+        size = self.samples.size
+        wanted: NDArray[np.intp] = np.arange(size) if rows is None else rows
+        if self.is_periodic:
+            return (wanted + ahead) % size
+        first, last = np.array(self.begins), np.array([*self.begins[1:], size]) - 1
+        number = np.searchsorted(first, wanted, side="right") - 1
+        return np.clip(wanted + ahead, first[number], last[number])
+
+
+@njit(cache=True)
+def _run(
+    decay: ComplexArray, gain: ComplexArray, gain_slope: ComplexArray, samples: FloatArray,
+    start: ComplexArray, start_slope: ComplexArray,
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+    """States and their derivatives at the samples, and those after the last one."""
+    states = np.empty((samples.size, decay.size), dtype=np.complex128)
+    slopes = np.empty((samples.size, decay.size), dtype=np.complex128)
+    last, last_slope = start.copy(), start_slope.copy()
+    for i in range(decay.size):
+        state, slope = start[i], start_slope[i]
+        for n in range(samples.size):
+            states[n, i], slopes[n, i] = state, slope
+            slope = decay[i] * (slope + state) + gain_slope[i] * samples[n]
+            state = decay[i] * state + gain[i] * samples[n]
+        last[i], last_slope[i] = state, slope
+    return states, slopes, last, last_slope

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""When the rows of every recording are read, and what delay the model leaves in it."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from piezo_identification.conditioning.row_alignment import RowDelay, read_as, remaining_delay
+from piezo_identification.conditioning.waveforms import played
+from piezo_identification.estimators.estimate import DelayEstimate
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.identification.given_data import Data, of_kind
+from piezo_identification.identification.linear_dynamics import LinearDynamics, aligned_density
+from piezo_identification.prediction.model_run import ModelRun
+from piezo_models.cascade import StageModel
+
+
+def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> dict[str, float]:
+    """Tell when the rows of every recording are read: as those of the dynamics.
+
+    Loops may be of another logger. They are read as the dynamics only if that explains them better.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+    linear : LinearDynamics
+
+    Returns
+    -------
+    dict of str to float
+        In sample periods after the voltage, by the name of the recording; 0 for means.
+    """
+    loops_read_at = linear.read_at_samples
+    loops = of_kind(recordings, "hysteresis")
+    if loops and any(read_as(each, loops_read_at) for each in loops):
+        loops_read_at = aligned_density(loops, linear)[1]
+    return {name: 0.0 if isinstance(data, FrequencyResponse)
+            else read_as(data, loops_read_at if name.split()[0] == "hysteresis"
+                         else linear.read_at_samples)
+            for name, data in recordings.items()}
+
+
+def delays_of_rows_s(
+    recordings: Mapping[str, Data], read_at: Mapping[str, float],
+) -> dict[str, float]:
+    """Return the delays of recordings that are not aligned, negative where rows are read late.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+    read_at : dict of str to float
+        Of `found_readings`.
+
+    Returns
+    -------
+    dict of str to float
+        Without those that are read with their voltage.
+    """
+    return {name: -late * played(recordings[name]).sample_period_s
+            for name, late in read_at.items() if late}
+
+
+def row_delays(
+    model: StageModel, recordings: Mapping[str, Data], found: Mapping[str, float],
+    read_at_samples: float, linear: LinearDynamics,
+) -> dict[str, RowDelay]:
+    """Estimate what is left of the delay of every recording.
+
+    Parameters
+    ----------
+    model : StageModel
+    recordings : dict of str to Recording or FrequencyResponse
+        Aligned.
+    found : dict of str to float
+        Of `found_readings`.
+    read_at_samples : float
+        What was said of them before.
+    linear : LinearDynamics
+
+    Returns
+    -------
+    dict of str to RowDelay
+        Of the recordings of samples.
+    """
+    rows = {}
+    for name, recording in recordings.items():
+        if isinstance(recording, FrequencyResponse):
+            continue
+        read_at = read_as(recording, read_at_samples + found[name])
+        estimate = linear.estimates.get(name.split()[0])
+        if estimate is not None and estimate.delay is not None:
+            delay = estimate.delay
+            left_s = 0.0 if delay.is_significant else delay.delay_s
+            rows[name] = RowDelay(read_at, left_s, delay.standard_deviation_s)
+            continue
+        run = ModelRun(model, recording)
+        good = run.good
+        rows[name] = RowDelay(read_at, *remaining_delay(
+            run.measured_um[good], run.simulated_um(())[good], run.part.sample_period_s,
+            np.ones((np.count_nonzero(good), 1))))
+    return rows
+
+
+def tell_row_delays(rows: Mapping[str, RowDelay], tell: Callable[[str], object]) -> None:
+    """Tell when the rows of each recording are read, and what delay is left in it."""
+    for name, row in rows.items():
+        delay = DelayEstimate(row.delay_s, row.standard_deviation_s, 1.0)
+        verdict = "significant" if delay.is_significant else "not significant"
+        tell(f"rows of the {name}: read {row.read_at_samples:.4g} sample periods after their "
+             f"voltage; a delay of {1e6 * row.delay_s:.4g} +- "
+             f"{1e6 * row.standard_deviation_s:.2g} us is left, which is {verdict}")

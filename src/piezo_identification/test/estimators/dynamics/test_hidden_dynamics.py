@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Dynamics of a stage that shares no code with the model, with what nobody told of."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from independent_stage import IndependentStage, square_wave_v
+
+from piezo_identification.estimators.dynamics.output_error import _Search, fit_output_error
+from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics, mean_period
+from piezo_models.linear.dynamics import CreepDynamics
+
+PERIOD_S = 25e-6
+NOISE_UM = 0.009
+PERIODS = 30
+FOLDED_NOISE_UM = NOISE_UM / np.sqrt(PERIODS - 15)
+MODES = ((2846.0, 0.685, 0.7), (4909.0, 0.082, 0.3))
+
+
+def record(stage, seed=1, noise_um=NOISE_UM):
+    return stage.record(square_wave_v(periods=PERIODS), PERIOD_S, noise_um, seed)
+
+
+def estimated(stage, seed=1):
+    return estimate_dynamics(record(stage, seed), CreepDynamics())
+
+
+def drawn_stage(seed):
+    """A lag and two or three modes of either sign, and one thing that nobody told of."""
+    draw = np.random.default_rng(seed)
+    second = draw.uniform(0.1, 0.4) * draw.choice([1.0, 1.0, -0.5])
+    third = draw.uniform(0.03, 0.1) * draw.choice([0.0, 1.0, 1.0, -1.0])
+    first_rad_per_s = draw.uniform(2000.0, 4000.0)
+    modes = [
+        (first_rad_per_s, draw.uniform(0.05, 0.7), 1.0 - second - third),
+        (first_rad_per_s * draw.uniform(1.5, 2.5), draw.uniform(0.02, 0.1), second)]
+    if third:
+        modes.append((2.0 * np.pi * draw.uniform(1100.0, 1900.0), draw.uniform(0.005, 0.02), third))
+    hidden = (
+        {}, {"delay_s": draw.uniform(0.2, 8.0) * PERIOD_S}, {"read_at": 1.0},
+        {"sensor_lag_s": draw.uniform(0.5, 5.0) * PERIOD_S}, {"read_at": draw.uniform(0.2, 1.5)},
+    )[draw.integers(5)]
+    lag_s = np.exp(draw.uniform(np.log(1e-4), np.log(8e-4)))
+    return IndependentStage(float(lag_s), tuple(modes), **hidden)
+
+
+def normalised_errors(stage, estimate):
+    """Errors over their standard deviations: of all numbers, infinite where one is missing."""
+    found, spread = estimate.model, estimate.standard_deviations
+    modes = list(zip(found.mode_frequencies_rad_per_s, found.damping_ratios,
+                     spread["mode_frequencies_rad_per_s"], spread["damping_ratios"], strict=True))
+    lags = []
+    for effect, deviation in zip(estimate.effects, estimate.effect_deviations, strict=True):
+        if effect.name == "vibration_mode":
+            modes.append((effect.frequency_rad_per_s, effect.damping_ratio,
+                          deviation["frequency_rad_per_s"], deviation["damping_ratio"]))
+        else:
+            lags.append((effect.time_constant_s, deviation["time_constant_s"]))
+    if len(modes) != len(stage.modes) or len(lags) != bool(stage.sensor_lag_s):
+        return np.array([np.inf])
+    errors = [(found.time_constant_s - stage.lag_s) / spread["time_constant_s"],
+              (estimate.delay.samples - stage.delay_s / PERIOD_S + stage.read_at)
+              / (estimate.delay.standard_deviation_s / PERIOD_S)]
+    errors += [(lag_s - stage.sensor_lag_s) / deviation for lag_s, deviation in lags]
+    for (frequency, damping, of_frequency, of_damping), truth in zip(
+            sorted(modes), sorted(stage.modes), strict=True):
+        errors += [(frequency - truth[0]) / of_frequency, (damping - truth[1]) / of_damping]
+    return np.array(errors)
+
+
+def growing_residuals(trials):
+    """Pairs of orders of which the larger one leaves more."""
+    return [(str(small.order), str(large.order)) for small in trials for large in trials
+            if small.order != large.order and large.order.holds(small.order)
+            and large.residual_rms > (1.0 + 1e-3) * small.residual_rms]
+
+
+@pytest.mark.parametrize(("hidden", "samples"), [
+    pytest.param({"delay_s": 1e-4}, 4.0, id="delay"),
+    pytest.param({"read_at": 1.0}, -1.0, id="end of hold"),
+    pytest.param({"read_at": 0.4}, -0.4, id="within the hold", marks=pytest.mark.long),
+    pytest.param({"sensor_lag_s": 1e-4}, 0.0, id="sensor lag")])
+def test_what_hides_behind_the_dynamics_is_found_and_does_not_bend_them(hidden, samples):
+    stage = IndependentStage(4.9e-4, MODES, **hidden)
+    estimate = estimated(stage)
+    assert estimate.residual_rms < 1.2 * FOLDED_NOISE_UM
+    assert estimate.delay.samples == pytest.approx(samples, abs=0.02)
+    assert estimate.delay.is_significant == bool(samples)
+    assert np.abs(normalised_errors(stage, estimate)).max() < 4.0
+
+
+@pytest.mark.parametrize("hertz", [1100.0, pytest.param(1900.0, marks=pytest.mark.long)])
+def test_a_third_mode_that_rings_long_is_found_and_does_not_bend_the_others(hertz):
+    stage = IndependentStage(
+        4.9e-4, ((2846.0, 0.3, 0.65), (4909.0, 0.082, 0.3), (2.0 * np.pi * hertz, 0.01, 0.05)))
+    estimate = estimated(stage)
+    assert estimate.residual_rms < 1.2 * FOLDED_NOISE_UM
+    assert np.abs(normalised_errors(stage, estimate)).max() < 4.0
+
+
+@pytest.mark.long
+@pytest.mark.xfail(reason="an open fault: of some such stages the form with the right number of "
+                   "modes does not converge, and one with a mode more is taken")
+def test_modes_of_opposite_sign_are_found_beside_each_other():
+    """Their zeros lie on the right, where no antiresonance can stand for them."""
+    stage = IndependentStage(
+        3e-4, ((3200.0, 0.5, 0.85), (5400.0, 0.025, 0.19), (8300.0, 0.015, -0.04)))
+    estimate = estimated(stage)
+    assert [effect.name for effect in estimate.effects] == ["vibration_mode"] * 2
+    assert np.abs(normalised_errors(stage, estimate)).max() < 4.0
+
+
+@pytest.mark.parametrize("seed", [
+    0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 100))])
+def test_the_residual_never_grows_with_the_order(seed):
+    estimate = estimated(drawn_stage(seed), seed)
+    assert len(estimate.trials) > 3
+    assert growing_residuals(estimate.trials) == []
+
+
+@pytest.mark.long
+def test_the_numbers_are_within_three_deviations_in_nineteen_of_twenty_stages():
+    worst = np.array([
+        np.abs(normalised_errors(stage, estimated(stage, seed))).max()
+        for seed, stage in ((seed, drawn_stage(seed)) for seed in range(100))])
+    # The largest of eight or nine numbers: three deviations of each are 3.5 of the largest.
+    assert np.mean(worst < 3.5) >= 0.95, np.flatnonzero(worst >= 3.5)
+
+
+@pytest.mark.long
+def test_eight_modes_of_a_structure_are_found():
+    frequencies = 2.0 * np.pi * np.array([300.0, 520, 800, 1150, 1600, 2200, 2900, 3700])
+    parts = np.array([0.4, 0.2, 0.1, 0.1, 0.06, 0.06, 0.05, 0.03])
+    stage = IndependentStage(1e-4, tuple((w, 0.02, part) for w, part in zip(
+        frequencies.tolist(), parts.tolist(), strict=True)))
+    estimate = estimated(stage)
+    assert estimate.order.all_modes == 8
+    assert estimate.residual_rms < 1.2 * FOLDED_NOISE_UM
+
+
+def test_what_cannot_be_a_mode_of_a_stage_is_refused_and_not_reported():
+    """A stiffening spring leaves what no order explains: more modes would stand for nothing."""
+    stage = IndependentStage(4.9e-4, MODES, stiffening_per_um2=1e-5)
+    estimate = estimated(stage)
+    assert estimate.order.all_modes == 2
+    refused = {trial.refusal for trial in estimate.trials} - {""}
+    assert refused
+    # What is left is a hundred times the noise: the test of adequacy has to say so.
+    assert estimate.residual_rms > 30.0 * FOLDED_NOISE_UM
+
+
+def test_a_known_delay_is_not_fitted():
+    stage = IndependentStage(4.9e-4, MODES, delay_s=2.0 * PERIOD_S)
+    estimate = fit_output_error(mean_period(record(stage), CreepDynamics()), 2, delay=2.0)
+    assert estimate.delay is None
+    assert str(estimate.order) == "2"
+
+
+def test_an_order_that_left_more_than_a_smaller_one_begins_from_it_again():
+    search = _Search(mean_period(record(IndependentStage(4.9e-4, MODES)), CreepDynamics()), None)
+    search.try_all_orders()
+    order = max(search._fits, key=lambda order: order.parameters)
+    smaller = next(other for other in search._fits if other != order and order.holds(other))
+    fit = search._fits[order]
+    # A fit that went astray.
+    search._fits[order] = type(fit)(order, fit.vector, fit.delay, 1e3 * fit.residual, fit.jacobian)
+    search.begin_again_from_smaller_orders()
+    assert search._fits[order].cost <= search._fits[smaller].cost

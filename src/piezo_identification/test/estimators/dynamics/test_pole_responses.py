@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Responses of poles against SciPy's solver of differential equations, and their derivatives."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from piezo_identification.estimators.dynamics.fast_dynamics import (
+    FastDynamics,
+    differentiated,
+    fast_dynamics_of,
+    poles_and_residues,
+)
+from piezo_identification.estimators.dynamics.pole_responses import HeldInput
+from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
+
+PERIOD_S = 1e-3
+POLES = np.array([-300.0, -80.0 + 900.0j, -80.0 - 900.0j])
+WHOLE = FastDynamics(
+    ElectricVibrationDynamics(4e-4, (2000.0, 5000.0), (1.4, 0.08), (3500.0,), (0.05,)),
+    (VibrationMode(7000.0, 0.02, -0.07), VibrationMode(9000.0, 0.01, 0.05)), 1e-4)
+
+
+@pytest.fixture
+def samples():
+    return np.random.default_rng(1).normal(size=12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3, 2.6, -0.4, -1.5])
+def test_a_held_input_is_answered_as_by_the_differential_equation(samples, delay):
+    found = HeldInput(samples, PERIOD_S, is_periodic=False).responses(POLES, delay).value
+    for column, pole in zip(found.T, POLES, strict=True):
+        state, ends = -samples[0] / pole, []
+        for value in samples:
+            solved = solve_ivp(
+                lambda _, x, pole=pole, value=value: pole * x + value, (0.0, PERIOD_S),
+                [complex(state)], rtol=1e-10, atol=1e-13, dense_output=True)
+            ends.append(solved.sol)
+            state = solved.y[0, -1]
+        for n in range(3, 10):
+            hold, part = divmod(n - delay, 1.0)
+            assert column[n] == pytest.approx(ends[int(hold)](part * PERIOD_S)[0], rel=1e-6)
+
+
+def test_a_periodic_input_is_answered_as_after_many_periods(samples):
+    once = HeldInput(samples, PERIOD_S, is_periodic=True).responses(POLES, 0.7).value
+    many = HeldInput(np.tile(samples, 40), PERIOD_S, is_periodic=False).responses(POLES, 0.7).value
+    np.testing.assert_allclose(once, many[-samples.size :], rtol=1e-9)
+
+
+@pytest.mark.parametrize("delay", [2.6, -1.5])
+def test_inputs_one_after_another_do_not_reach_into_each_other(samples, delay):
+    other = np.random.default_rng(2).normal(size=9) + 5.0
+    joined = HeldInput(np.concatenate([samples, other]), PERIOD_S, False, (0, samples.size))
+    apart = [HeldInput(each, PERIOD_S, False).responses(POLES, delay) for each in (samples, other)]
+    found = joined.responses(POLES, delay)
+    for name in ("value", "by_pole", "by_delay"):
+        np.testing.assert_array_equal(
+            getattr(found, name), np.concatenate([getattr(each, name) for each in apart]))
+    rows = np.array([samples.size - 3, samples.size])
+    np.testing.assert_array_equal(joined.responses(POLES, delay, rows).value, found.value[rows])
+
+
+@pytest.mark.parametrize("is_periodic", [True, False])
+def test_the_derivatives_are_those_of_differences(samples, is_periodic):
+    held = HeldInput(samples, PERIOD_S, is_periodic)
+    answers, step = held.responses(POLES, -0.4), 1e-5
+    by_delay = (held.responses(POLES, -0.4 + step).value
+                - held.responses(POLES, -0.4 - step).value) / (2.0 * step)
+    by_pole = (held.responses(POLES + step, -0.4).value
+               - held.responses(POLES - step, -0.4).value) / (2.0 * step)
+    inner = slice(1, -2)
+    np.testing.assert_allclose(answers.by_delay[inner], by_delay[inner], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(answers.by_pole, by_pole, rtol=1e-4, atol=1e-12)
+
+
+def test_poles_and_residues_make_the_response_of_the_model():
+    poles, residues, _, _ = differentiated(WHOLE.vector(), WHOLE.order)
+    frequency_hz = np.geomspace(1.0, 5000.0, 60)
+    s = 2j * np.pi * frequency_hz
+    found = np.sum(residues / (s[:, None] - poles), axis=1)
+    wanted = WHOLE.dynamics.response(frequency_hz, WHOLE.beside) / (1.0 + WHOLE.sensor_lag_s * s)
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
+
+
+def test_a_vector_holds_all_of_the_dynamics():
+    again = fast_dynamics_of(WHOLE.vector(), WHOLE.order)
+    assert again.order == WHOLE.order
+    np.testing.assert_allclose(again.vector(), WHOLE.vector())
+    assert str(WHOLE.order) == "2-1+2 lag"
+
+
+def test_equal_lags_have_a_response_too():
+    twice = FastDynamics(ElectricVibrationDynamics(1e-4), (), 1e-4)
+    poles, residues = poles_and_residues(twice.vector()[None], twice.order)
+    s = 2j * np.pi * 800.0
+    assert np.sum(residues / (s - poles)) == pytest.approx((1.0 + 1e-4 * s) ** -2, rel=1e-4)
