@@ -10,9 +10,10 @@ import pytest
 
 PACKAGES = sorted(path.parent for path in Path(__file__).parents[1].glob("src/*/setup.py"))
 # What rosdep knows, by its key; what comes from PyPI is named in a comment.
-ROSDEP = {name: f"python3-{name}" for name in ("matplotlib", "numba", "numpy", "scipy", "yaml")}
+ROSDEP = {name: f"python3-{name}"
+          for name in ("matplotlib", "numba", "numpy", "scipy", "sklearn", "yaml")}
 PYPI = {"control", "dask", "distributed", "h5py", "mcap", "nidaqmx", "nptdms", "pandas",
-        "pyarrow", "pydantic", "rosbags", "slycot"}
+        "pyarrow", "pydantic", "rosbags", "slycot", "threadpoolctl"}
 ROS = re.compile(r"rclpy|ament_index_python|launch(_ros)?|\w+_(msgs|interfaces)|std_srvs|piezo_\w+")
 
 

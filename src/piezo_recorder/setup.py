@@ -23,9 +23,9 @@ setup(
     entry_points={
         "console_scripts": [
             "recorder = piezo_recorder.node.start:main",
-            "convert = piezo_recorder.writing.convert:main",
-            "repair = piezo_recorder.writing.repair:main",
-            "report = piezo_recorder.reading.sample_account:main",
+            "convert = piezo_recorder.commands.convert_command:main",
+            "repair = piezo_recorder.commands.repair_command:main",
+            "report = piezo_recorder.commands.report_command:main",
         ],
     },
 )

@@ -18,8 +18,8 @@ setup(
     license="BSD-3-Clause",
     entry_points={
         "console_scripts": [
-            "demo = piezo_studies.demo.demo_node:main",
-            "diagnose_suite = piezo_studies.diagnosis_benchmark.command:main",
+            "demo = piezo_studies.demo.demo_command:main",
+            "diagnose_suite = piezo_studies.diagnosis_benchmark.suite_command:main",
             "measured = piezo_studies.measured_devices.measured_command:main",
         ],
     },

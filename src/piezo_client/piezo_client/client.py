@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import rclpy
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment, Track
-from piezo_interfaces.msg import Reference
+from piezo_interfaces.msg import Reference, StageDescription
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.experimental import EventsExecutor
@@ -21,8 +21,10 @@ from piezo_ros.calls import number_request
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.messages import Message, MessageType
+from piezo_ros.stage_runs.described_stage import DescribedStage
 
 SERVER_TIMEOUT_S = 30.0
+"""A stage that is being started has some of its nodes before the others."""
 LOST_RESPONSE_S = 10.0
 # So often a goal is asked for: a node that designs a controller answers late on a busy machine.
 MOST_ASKS = 6
@@ -62,6 +64,12 @@ class ServiceFailed(GoalFailed):
         self.result = None
 
 
+def nobody_serves(namespace: str) -> ServiceFailed:
+    """Return the failure that says how to start the stage of a namespace."""
+    return ServiceFailed(f"nobody serves {namespace.rstrip('/')}/stage: start it with "
+                         "`./run piezo_bringup suite`, or check --namespace")
+
+
 class StoodStill(ServiceFailed):
     """Tell that the nodes gave this process up, as it did nothing for so long, and ended its goals.
 
@@ -84,9 +92,13 @@ class Client:
         Of the stage that is meant.
     name : str
         Of the node.
+    wait_s : float
+        How long to look for anybody in the namespace; whoever is found gets `SERVER_TIMEOUT_S`.
     """
 
-    def __init__(self, namespace: str = "", name: str = "client") -> None:
+    def __init__(self, namespace: str = "", name: str = "client",
+                 wait_s: float = SERVER_TIMEOUT_S) -> None:
+        self._wait_s = wait_s
         prepare_discovery()
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
@@ -214,9 +226,7 @@ class Client:
         """
         action_type, topic = ACTIONS[name]
         client = self._actions[name]
-        if not self.spin_until(client.server_is_ready, SERVER_TIMEOUT_S):
-            raise GoalFailed(name, action_type.Result(
-                message=f"nobody serves {topic}: start its node"))
+        self._await(client.server_is_ready, topic)
         goal = action_type.Goal(
             **{"client": self.node.get_fully_qualified_name(), **with_absolute_paths(fields)})
         number = UUID(uuid=list(uuid.uuid4().bytes))
@@ -284,8 +294,7 @@ class Client:
         """
         client = self.node.create_client(service_type, name)
         try:
-            if not self.spin_until(client.service_is_ready, SERVER_TIMEOUT_S):
-                raise ServiceFailed(f"nobody serves {name}: start its node")
+            self._await(client.service_is_ready, name)
             return self._answer(
                 client, name, service_type.Request(**with_absolute_paths(fields)))
         finally:
@@ -310,6 +319,30 @@ class Client:
                 sent_at = time.monotonic()
                 answers.append(client.call_async(request))
         return next(answer for answer in answers if answer.done()).result()
+
+    def _await(self, ready: Callable[[], bool], name: str) -> None:
+        """Wait for who serves a name, long only where there is somebody in the namespace."""
+        if self.spin_until(ready, min(self._wait_s, SERVER_TIMEOUT_S)):
+            return
+        if not self.neighbours():
+            raise nobody_serves(self.node.get_namespace())
+        if not self.spin_until(ready, max(SERVER_TIMEOUT_S - self._wait_s, 0.0)):
+            raise ServiceFailed(f"nobody serves {name}: start its node")
+
+    def description(self, stage: DescribedStage) -> StageDescription:
+        """Return what a stage says of itself; wait for it as for one that serves."""
+        self._await(lambda: stage.description is not None, f"the stage on {stage.topic}")
+        description = stage.description
+        if description is None:
+            raise ServiceFailed(f"the stage that {stage.topic} described is gone: start it again")
+        return description
+
+    def neighbours(self) -> set[str]:
+        """Return the names of the nodes that are seen in the namespace, clients left out."""
+        own = self.node.get_namespace()
+        return {name for name, namespace in self.node.get_node_names_and_namespaces()
+                if namespace == own and not name.startswith(("_", "client"))
+                and name != self.node.get_name()}
 
     def wait(self, future: Future) -> Message:
         """Spin until a future is done; return its result."""

@@ -16,7 +16,7 @@ from piezo_interfaces.msg import StageDescription
 from piezo_interfaces.srv import StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
-from piezo_client.client import SERVER_TIMEOUT_S, Client, GoalFailed, ServiceFailed
+from piezo_client.client import SERVER_TIMEOUT_S, Client, GoalFailed
 from piezo_client.paths import AnyPath
 from piezo_client.results import Diagnosis, Experiment, Identification, Played, Tracking
 from piezo_ros.messages import Message, MessageType
@@ -39,15 +39,23 @@ class Stage:
     progress : callable, optional
         Called as ``progress(step, fraction, seconds_left)`` while something runs, such as
         ``ProgressLine().show``.
+    wait_s : float
+        How long to look for any of the nodes.
+
+    Attributes
+    ----------
+    client : piezo_client.client.Client
+        What the calls are made with.
     """
 
     def __init__(self, namespace: str = "",
-                 progress: Callable[[str, float, float], object] | None = None) -> None:
+                 progress: Callable[[str, float, float], object] | None = None,
+                 wait_s: float = SERVER_TIMEOUT_S) -> None:
         # A name of its own: the stage stops when the node of this name is gone.
-        self._client = Client(namespace, f"client_{os.getpid()}_{next(_numbers)}")
-        self._name = self._client.node.get_fully_qualified_name()
-        self._news = RecorderNews(self._client.node)
-        self._stage = DescribedStage(self._client.node)
+        self.client = Client(namespace, f"client_{os.getpid()}_{next(_numbers)}", wait_s)
+        self._name = self.client.node.get_fully_qualified_name()
+        self._news = RecorderNews(self.client.node)
+        self._stage = DescribedStage(self.client.node)
         self._progress = progress
 
     def __enter__(self) -> Self:
@@ -58,17 +66,12 @@ class Stage:
 
     def close(self) -> None:
         """Leave ROS; the nodes stay."""
-        self._client.close()
+        self.client.close()
 
     @property
     def description(self) -> StageDescription:
         """Limits, clock and rates, as the stage tells them."""
-        self._client.spin_until(lambda: self._stage.description is not None, SERVER_TIMEOUT_S)
-        description = self._stage.description
-        if description is None:
-            raise ServiceFailed(f"nobody serves the stage on {self._stage.topic}: start its node, "
-                                "and configure it")
-        return description
+        return self.client.description(self._stage)
 
     def play(self, voltage_v: ArrayLike, sample_period_s: float | None = None, repeats: int = 1,
              directory: AnyPath = "runs", name: str = "waveform") -> Played:
@@ -132,7 +135,7 @@ class Stage:
         -------
         piezo_client.results.Experiment
         """
-        result = self._client.run_experiment(name, directory, on_feedback=self._shown(""))
+        result = self.client.run_experiment(name, directory, on_feedback=self._shown(""))
         return Experiment(Path(result.recording), result.summary)
 
     def identify(self, directory: AnyPath = "", recordings: Sequence[AnyPath] = (),
@@ -155,7 +158,7 @@ class Stage:
         -------
         Identification
         """
-        result = self._client.identify(
+        result = self.client.identify(
             directory, recordings=recordings, creep_pairs=creep_pairs, modes=modes,
             probe_first=probe_first, on_feedback=self._shown(""))
         return Identification(
@@ -184,7 +187,7 @@ class Stage:
         -------
         Tracking
         """
-        result = self._client.track(
+        result = self.client.track(
             reference, model, mode, duration_s, directory,
             on_feedback=self._shown(f"track, {mode}: "))
         return Tracking(Path(result.recording), result.e_rms_percent, result.largest_error_um,
@@ -209,7 +212,7 @@ class Stage:
         -------
         piezo_client.results.Diagnosis
         """
-        result = self._client.diagnose(
+        result = self.client.diagnose(
             model, recordings, directory, holdout, on_feedback=self._shown("diagnose: "))
         return Diagnosis(result.verdict, result.sentence, tuple(result.effects),
                          Path(result.extended_model), Path(result.report),
@@ -225,13 +228,13 @@ class Stage:
 
     def _play(self, step: str, voltage_v: ArrayLike, sample_period_s: float, repeats: int = 1,
               why_stop: Callable[[], str] | None = None) -> PlayWaveform.Result:
-        return self._client.goal(
+        return self.client.goal(
             "play_waveform", self._shown(step), why_stop=why_stop,
             sample_period_s=float(sample_period_s),
             voltage_v=_doubles(voltage_v), repeats=repeats)
 
     def _call(self, name: str, service_type: MessageType, /, **fields: Any) -> Message:
-        response = self._client.call(service_type, name, **fields)
+        response = self.client.call(service_type, name, **fields)
         if not response.success:
             raise GoalFailed(name, response)
         return response

@@ -2,25 +2,20 @@
 """`stage`: run experiments, identify, track and diagnose from the command line."""
 
 import argparse
-import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import TypeAlias
 
-from rclpy.utilities import remove_ros_args
+from piezo_ros.starting import without_ros_arguments
 
-from piezo_client.client import GoalFailed
-from piezo_client.references import harmonic, triangle
-from piezo_client.stage import Stage
-from piezo_common.progress_line import ProgressLine
-
-FAILED, INTERRUPTED = 1, 130
+BAD_INPUT = 2
+WAIT_S = 3.0
+"""Nodes that run are seen within a second."""
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-Run = Callable[[Stage, argparse.Namespace], list[str]]
-"""Does what a command is for; returns the lines to print."""
-
-SHAPES = {"harmonic": harmonic, "triangle": triangle}
+INPUTS = "model", "file", "waveform", "controller", "data", "holdout", "recordings"
+SHAPES = "harmonic", "triangle"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -34,69 +29,69 @@ def main(arguments: list[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0, 1 if the stage's nodes refuse or fail, 130 after Ctrl-C.
+        Exit status: 0, 1 if the stage's nodes refuse or fail, 2 for input that cannot be used, 130
+        after Ctrl-C.
     """
-    given = sys.argv if arguments is None else [sys.argv[0], *arguments]
-    options = _parser().parse_args(remove_ros_args(given)[1:])  # which a launch file adds
-    for number in signal.SIGINT, signal.SIGTERM:
-        signal.signal(number, signal.default_int_handler)
-    progress = ProgressLine()
-    try:
-        with Stage(options.namespace, progress.show) as stage:
-            lines = options.run(stage, options)
-    except GoalFailed as failure:
-        progress.clear()
-        print(f"stage: {failure}", file=sys.stderr)
-        return FAILED
-    except KeyboardInterrupt:
-        progress.clear()
-        print("stage: interrupted; the goal was cancelled, the stage returns to rest",
-              file=sys.stderr)
-        return INTERRUPTED
-    progress.clear()
-    print("\n".join(lines))
-    return 0
+    given = sys.argv[1:] if arguments is None else arguments
+    options = _parser().parse_args(without_ros_arguments(given))  # which a launch file adds
+    for path in _inputs(options):
+        if not path.exists():
+            print(f"stage: {path} does not exist: check the path", file=sys.stderr)
+            return BAD_INPUT
+    return import_module("piezo_client.stage_work").drive(options)
+
+
+def _inputs(options: argparse.Namespace) -> Iterator[Path]:
+    for given in filter(None, (getattr(options, name, None) for name in INPUTS)):
+        yield from given if isinstance(given, list) else [given]
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="stage", description="Drive a stage whose nodes run; a line on stderr shows progress.")
     parser.add_argument("--namespace", default="", help="of the stage's nodes")
-    commands = parser.add_subparsers(title="what to do", required=True, metavar="COMMAND")
+    parser.add_argument("--wait-s", type=float, default=WAIT_S, metavar="NUMBER",
+                        help="how long to look for any of these nodes (default: %(default)g)")
+    commands = parser.add_subparsers(title="what to do", required=True, metavar="COMMAND",
+                                     dest="command")
+    for name, text in (
+            ("list", "list the stages that can be seen, with their nodes"),
+            ("status", "tell how the stage is, what runs on it, and which nodes are there")):
+        commands.add_parser(name, help=text, description=text)
     _add_experiment(commands)
     _add_probe(commands)
     _add_identify(commands)
     _add_track(commands)
+    _add_play(commands)
     _add_diagnose(commands)
-    for name, run, text in (
-            ("settle", _settle, "go to the lowest voltage, then rest until the creep is over"),
-            ("stop", _stop, "ramp to rest and stay there until reset"),
-            ("reset", _reset, "release a latched stop")):
-        commands.add_parser(name, help=text, description=text).set_defaults(run=run)
+    for name, text in (
+            ("settle", "go to the lowest voltage, then rest until the creep is over"),
+            ("stop", "ramp to rest and stay there until reset"),
+            ("reset", "release a latched stop")):
+        commands.add_parser(name, help=text, description=text)
     return parser
 
 
-def _add(commands: Commands, name: str, run: Run, text: str) -> argparse.ArgumentParser:
+def _add(commands: Commands, name: str, text: str) -> argparse.ArgumentParser:
     parser = commands.add_parser(name, help=text, description=text)
-    parser.set_defaults(run=run)
     parser.add_argument("--output", type=Path, metavar="DIR", required=True,
                         help="directory for what it makes")
     return parser
 
 
 def _add_experiment(commands: Commands) -> None:
-    parser = _add(commands, "experiment", _experiment, "run and record one experiment")
+    parser = _add(commands, "experiment", "run and record one experiment")
     parser.add_argument("experiment", metavar="NAME", help="creep, dynamics, multisine, relay, "
                         "hysteresis, validation or diagnostic")
 
 
 def _add_probe(commands: Commands) -> None:
-    _add(commands, "probe", _probe, "measure an unknown stage, and fit the experiments to it")
+    _add(commands, "probe", "measure an unknown stage, and fit the experiments to it")
 
 
 def _add_identify(commands: Commands) -> None:
-    parser = _add(commands, "identify", _identify, "run all experiments and estimate the model")
-    parser.add_argument("--recordings", type=Path, nargs=4, default=(),
+    parser = _add(commands, "identify", "run all experiments and estimate the model")
+    parser.add_argument("--recordings", type=Path, nargs=4, default=[],
                         metavar=("CREEP", "DYNAMICS", "HYSTERESIS", "VALIDATION"),
                         help="take these instead of running experiments")
     parser.add_argument("--probe-first", action="store_true",
@@ -104,7 +99,7 @@ def _add_identify(commands: Commands) -> None:
 
 
 def _add_track(commands: Commands) -> None:
-    parser = _add(commands, "track", _track, "track a periodic reference and record the run")
+    parser = _add(commands, "track", "track a periodic reference and record the run")
     parser.add_argument("--model", type=Path, required=True, help="model file")
     parser.add_argument("--mode", default="composite",
                         help="such as open_loop, feedforward or composite (default: %(default)s)")
@@ -121,62 +116,21 @@ def _add_track(commands: Commands) -> None:
                             help=f"{text} (default: %(default)s)")
 
 
+def _add_play(commands: Commands) -> None:
+    parser = _add(commands, "play", "play a voltage of your own and record it")
+    parser.add_argument("waveform", type=Path, metavar="FILE",
+                        help="CSV time_s,voltage_v of uniform samples; a recording as CSV will do")
+    parser.add_argument("--repeats", type=int, default=1, metavar="NUMBER",
+                        help="how often (default: %(default)s)")
+
+
 def _add_diagnose(commands: Commands) -> None:
-    parser = _add(commands, "diagnose", _diagnose, "find what a model lacks, and extend it")
+    parser = _add(commands, "diagnose", "find what a model lacks, and extend it")
     parser.add_argument("--model", type=Path, required=True, help="model file")
     parser.add_argument("--data", type=Path, nargs="+", required=True, metavar="FILE",
                         help="recordings to explain")
     parser.add_argument("--holdout", type=Path, default="", metavar="FILE",
                         help="recording on which the errors are measured")
-
-
-def _experiment(stage: Stage, options: argparse.Namespace) -> list[str]:
-    experiment = stage.run_experiment(options.experiment, options.output)
-    return [experiment.summary, f"recorded {experiment.path}"]
-
-
-def _probe(stage: Stage, options: argparse.Namespace) -> list[str]:
-    probed = stage.run_experiment("probe", options.output)
-    return [probed.summary, f"recorded {probed.path}", f"written {options.output / 'probe.json'}"]
-
-
-def _identify(stage: Stage, options: argparse.Namespace) -> list[str]:
-    identification = stage.identify(
-        options.output, options.recordings, probe_first=options.probe_first)
-    return [*(f"{name} {value:.4g}" for name, value in identification.errors.items()),
-            *(" ".join([name, part["verdict"], part.get("left", "")]).rstrip()
-              for name, part in identification.components.items()),
-            f"written {identification.path}"]
-
-
-def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
-    reference = (
-        {"kind": "file", "file": str(options.file)} if options.file else
-        SHAPES[options.shape](options.frequency_hz, options.amplitude_um, options.centre_um))
-    run = stage.track(reference, options.model, options.mode, options.duration_s, options.output)
-    return [f"e_rms_percent {run.e_rms_percent:.4g}",
-            f"largest_error_um {run.largest_error_um:.4g}",
-            *filter(None, [run.message]), f"recorded {run.path}"]
-
-
-def _diagnose(stage: Stage, options: argparse.Namespace) -> list[str]:
-    diagnosis = stage.diagnose(options.model, options.data, options.output, options.holdout)
-    return [f"{diagnosis.verdict}: {diagnosis.sentence}", f"written {diagnosis.report}"]
-
-
-def _settle(stage: Stage, _: argparse.Namespace) -> list[str]:
-    stage.settle()
-    return ["the stage has settled"]
-
-
-def _stop(stage: Stage, _: argparse.Namespace) -> list[str]:
-    stage.emergency_stop()
-    return ["the stage ramps to rest and stays there until reset"]
-
-
-def _reset(stage: Stage, _: argparse.Namespace) -> list[str]:
-    stage.reset()
-    return ["the stage is released"]
 
 
 if __name__ == "__main__":

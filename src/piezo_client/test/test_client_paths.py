@@ -70,6 +70,7 @@ def test_every_goal_of_the_client_is_sent_with_absolute_paths(here, send, name, 
             return "/client"
 
     client = Client.__new__(Client)  # without a node
+    client._wait_s = 0.0
     client.node = Node()
     client._actions = dict.fromkeys(
         ("run_experiment", "identify", "diagnose", "track"), Action())

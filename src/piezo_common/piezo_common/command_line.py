@@ -1,37 +1,121 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How the offline commands run, and how they refuse what they cannot use."""
+"""How the offline commands run: options that cost nothing to read, then the work behind them."""
 
 import argparse
+import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
-BAD_INPUT = 2
+BAD_INPUT, INTERRUPTED = 2, 130
+UMBRELLA = "piezo"
+"""The command that has all offline commands as its subcommands."""
 
 
-def run_command(parser: argparse.ArgumentParser, work: Callable[[argparse.Namespace], object],
-                arguments: Sequence[str] | None = None) -> int:
-    """Run a command; input that cannot be used becomes one line on stderr.
+@dataclass(frozen=True)
+class Command:
+    """An offline command; input that it cannot use becomes one line on stderr.
+
+    The module that makes it imports nothing but what reads options: the libraries behind the work
+    take seconds to import, and neither help nor a mistyped option or path has to wait for them.
+
+    Attributes
+    ----------
+    name, description : str
+    add_options : callable
+        Adds its options to a parser.
+    work : str
+        ``module:function``, imported and called with the parsed options. What it returns is the
+        exit status, 0 if that is nothing.
+    epilog : str
+    inputs : tuple of str
+        Names of the options that are given files to read.
+    check : callable, optional
+        Raises ValueError for options that cannot be used together, before the work is imported.
+    interrupted : str
+        What Ctrl-C leaves behind, a part of a sentence.
+    """
+
+    name: str
+    description: str
+    add_options: Callable[[argparse.ArgumentParser], None]
+    work: str
+    epilog: str = ""
+    inputs: tuple[str, ...] = ()
+    check: Callable[[argparse.Namespace], None] | None = None
+    interrupted: str = "nothing was written"
+
+    def parser(self, prog: str = "") -> argparse.ArgumentParser:
+        """Return the parser of the command when it is typed by its own name."""
+        return self.fill(argparse.ArgumentParser(prog=prog or self.name))
+
+    def fill(self, parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
+        """Make a parser, such as that of a subcommand, the one of this command; return it."""
+        parser.description, parser.epilog = self.description, self.epilog
+        self.add_options(parser)
+        parser.set_defaults(prog=parser.prog)
+        return parser
+
+    def main(self, arguments: Sequence[str] | None = None) -> int:
+        """Run the command.
+
+        Parameters
+        ----------
+        arguments : list of str, optional
+            The command line's by default.
+
+        Returns
+        -------
+        int
+            Exit status: that of the work, 2 for input that cannot be used, 130 after Ctrl-C.
+        """
+        return self.carry_out(self.parser().parse_args(arguments))
+
+    def carry_out(self, options: argparse.Namespace) -> int:
+        """Do the work for options that a parser of `fill` read; return the exit status."""
+        try:
+            for path in self._inputs(options):
+                if not path.exists():
+                    raise FileNotFoundError(f"{path} does not exist: check the path")
+            if self.check:
+                self.check(options)
+            return self._load()(options) or 0
+        except (ValueError, OSError) as error:
+            print(f"{options.prog}: {error}", file=sys.stderr)
+            return BAD_INPUT
+        except KeyboardInterrupt:
+            print(f"{options.prog}: interrupted; {self.interrupted}", file=sys.stderr)
+            return INTERRUPTED
+
+    def _inputs(self, options: argparse.Namespace) -> Iterator[Path]:
+        for name in self.inputs:
+            given = getattr(options, name)
+            yield from [] if given is None else given if isinstance(given, list) else [given]
+
+    def _load(self) -> Callable[[argparse.Namespace], Any]:
+        module, _, function = self.work.partition(":")
+        return getattr(import_module(module), function)
+
+
+def print_next(options: argparse.Namespace, package: str, name: str, *arguments: object) -> None:
+    """Print the command that a user may type next, as this one was typed.
 
     Parameters
     ----------
-    parser : argparse.ArgumentParser
-    work : callable
-        Called with the parsed options.
-    arguments : list of str, optional
-        The command line's by default.
-
-    Returns
-    -------
-    int
-        Exit status: 0, or 2 for input that cannot be used.
+    options : argparse.Namespace
+        Of a parser of `Command.fill`.
+    package, name : str
+        Of the next command.
+    *arguments
+        Those that begin with ``<`` are for the user to fill in.
     """
-    options = parser.parse_args(arguments)
-    try:
-        work(options)
-    except (ValueError, OSError) as error:
-        print(f"{parser.prog}: {error}", file=sys.stderr)
-        return BAD_INPUT
-    return 0
+    umbrella = options.prog.startswith(f"{UMBRELLA} ")
+    words = [UMBRELLA, name] if umbrella else ["./run", package, name]
+    typed = [word if word.startswith("<") else shlex.quote(word) for word in map(str, arguments)]
+    print("next:", *words, *typed)
 
 
 def print_progress(stage: str, fraction: float) -> None:

@@ -8,6 +8,7 @@ import control
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_controller.feedback.design_choices import METHODS, SCALINGS
 from piezo_controller.feedback.loop_measures import measure_loop
 from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
 from piezo_controller.feedback.synthesis.dk_iteration import iterate, scale, tick_frequencies
@@ -30,9 +31,6 @@ from piezo_controller.feedback.synthesis.ziegler_nichols import (
     ultimate_point_by_response,
 )
 from piezo_models.cascade import StageModel
-
-METHODS = ("h_infinity", "pid", "pi")
-SCALINGS = ("constant", "dynamic")
 
 # Damps the controller's resonance at 270 Hz, and lowers the sensitivity's peak.
 SLACK = 0.1

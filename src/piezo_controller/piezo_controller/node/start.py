@@ -3,4 +3,6 @@
 
 from piezo_ros.starting import node_entry
 
-main = node_entry("piezo_controller.node.controller_node")
+main = node_entry(
+    "piezo_controller.node.controller_node",
+    "Track references with the stage: feedforward and feedback for a model.")

@@ -6,10 +6,11 @@ from typing import Protocol
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.controller_file import load_stabilising_controller
+from piezo_controller.feedback.design_choices import DEFAULT_WEIGHTS
 from piezo_controller.feedback.feedback_before_inverse import FeedbackBeforeInverse
 from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
-from piezo_controller.feedback.synthesis.weights import DEFAULT, load_weights
+from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedforward.periodic import FeedforwardPlan
 from piezo_controller.tracking.plan import TrackingPlan
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock, feedback_room_v
@@ -109,7 +110,8 @@ class Feedbacks:
     def _design(self, method: str, model: StageModel, model_sha256: str) -> FeedbackController:
         key = model_sha256, method
         if key not in self._designs:
-            weights = load_weights(self._settings.weights or DEFAULT).at_tick(self._stage.tick_s)
+            weights = load_weights(
+                self._settings.weights or DEFAULT_WEIGHTS).at_tick(self._stage.tick_s)
             self._designs[key] = design_feedback(
                 model, weights, self._stage.sample_period_s, model_sha256, method)
         return self._designs[key]

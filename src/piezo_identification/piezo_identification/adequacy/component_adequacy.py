@@ -127,6 +127,8 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
     elif component == "creep":
         steps.append("record the creep longer")
         steps.append(f"ask for --creep-pairs {len(model.creep.poles_rad_per_s) + 1}")
+    elif "hysteresis" not in recordings and model.hysteresis.density_um_per_v2.any():
+        steps.append("give a recording for --hysteresis, which was taken from the fast one alone")
     elif location.band_is_narrow:
         steps.append(f"ask for --modes {len(model.dynamics.mode_frequencies_rad_per_s) + 1}")
     steps.append(f"let diagnose name the cause from {path}")

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.conditioning.generator_edges import free_running_level
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
@@ -123,8 +124,6 @@ def _of_square_wave(
     samples = samples_per_mean(part)
     lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), samples)
     system, behind_s = behind_lags(model.linear(), lags)
-    response = respond(
-        system, wave.level, part.sample_period_s, samples, behind_s + delay_s)
     first = first_settled(model.dynamics, time_s)
     if component == "dynamics":
         first = max(first, min(int(np.searchsorted(time_s, WARM_UP_S)), time_s.size // 2))
@@ -136,14 +135,27 @@ def _of_square_wave(
         since = np.arange(time_s.size) - np.concatenate([[0], wave.steps])[
             np.searchsorted(wave.steps, np.arange(time_s.size), side="right")]
         good = good & (since[first:] * part.sample_period_s >= USUAL_SETTLING_S)
-    columns = np.column_stack(
-        [response, np.ones_like(time_s),
-         *(np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])[first:]
+        # A free-running generator steps between this row and the next.
+        good[wave.steps[wave.steps > first] - first - 1] = False
     measured_um = part.displacement_um[first:]
-    fitted = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
+    beside = np.column_stack([
+        np.ones_like(time_s), *(np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
+
+    def left_um(level: FloatArray) -> FloatArray:
+        response = respond(system, level, part.sample_period_s, samples, behind_s + delay_s)
+        columns = np.column_stack([response, beside])[first:]
+        fitted = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
+        return np.asarray(measured_um - columns @ fitted)
+
+    residual_um = left_um(wave.level)
+    own = free_running_level(wave)
+    if own is not None:
+        own_um = left_um(own)
+        if np.sum(own_um[good] ** 2) < np.sum(residual_um[good] ** 2):
+            residual_um = own_um
     voltage_v = np.asarray(part.voltage_v)[first:]
     return ComponentResidual(
-        str(part.path), time_s[first:], voltage_v, measured_um, measured_um - columns @ fitted,
+        str(part.path), time_s[first:], voltage_v, measured_um, residual_um,
         good, repeated_period(wave.level[first:]), wave.steps[wave.steps >= first] - first)
 
 

@@ -5,76 +5,29 @@ import argparse
 import sys
 from pathlib import Path
 
-import numpy as np
-
-from piezo_common.command_line import run_command
-from piezo_identification.estimators.frequency_response.response_file import (
-    is_frequency_response,
-    read_frequency_response,
-)
-from piezo_identification.recording_check.check import check_recording
-from piezo_identification.recording_check.check_picture import draw_check
-from piezo_identification.recording_check.check_report import check_table
-from piezo_identification.recording_check.suitability import suitability
-from piezo_recorder.reading.data_options import FILE_HELP, add_columns_option, read_all_given
-from piezo_recorder.reading.recording import Recording
+from piezo_common.command_line import Command
+from piezo_recorder.commands.data_flags import FILE_HELP, add_columns_option
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command.
+    """Run the command; see `piezo_common.command_line.Command.main`."""
+    return COMMAND.main(arguments)
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        The command line's by default.
 
-    Returns
-    -------
-    int
-        Exit status: 0 whatever a recording is good for, or 2 for input that cannot be used.
-    """
-    parser = argparse.ArgumentParser(
-        prog="check", description="Say what recordings are good for.",
-        epilog="Prints sample period, jitter, noise, drift, ranges, waveform, state at the start, "
-        "the visited part of the Preisach plane, and which experiment each can stand for.")
+def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="FILE", type=Path, required=True, nargs="+",
                         help=FILE_HELP)
     parser.add_argument("--output", metavar="DIR", type=Path, default=Path(),
                         help="directory for the pictures, NAME_check.png; by default the current")
     add_columns_option(parser)
-    return run_command(parser, _check, arguments)
 
 
-def _check(options: argparse.Namespace) -> None:
-    options.output.mkdir(parents=True, exist_ok=True)
-    for path in options.data:
-        if is_frequency_response(path):
-            _print_response(path)
-            continue
-        recordings = read_all_given(path, options)
-        for number, recording in enumerate(recordings, start=1):
-            several = len(recordings) > 1
-            print(f"{path}" + (f", recording {recording.title}" if several else ""))
-            _check_one(recording, options.output / (
-                f"{path.stem}{f'_{number}' if several else ''}_check.png"))
-
-
-def _check_one(recording: Recording, picture: Path) -> None:
-    check = check_recording(recording)
-    print("\n".join(check_table(check, suitability(check))))
-    draw_check(picture, check)
-    print(f"drawn {picture}")
-
-
-def _print_response(path: Path) -> None:
-    response = read_frequency_response(path)
-    gain = np.abs(response.gain)
-    peak = int(np.argmax(gain))
-    print(f"{path}: a frequency response of {gain.size} points, "
-          f"{response.frequency_hz[0]:.5g} to {response.frequency_hz[-1]:.5g} Hz, largest gain "
-          f"{gain[peak]:.4g} at {response.frequency_hz[peak]:.5g} Hz; it can stand for the "
-          "dynamics")
-
+COMMAND = Command(
+    "check", "Say what recordings are good for.", _add_options,
+    "piezo_identification.commands.check_work:check_files",
+    epilog="Prints sample period, jitter, noise, drift, ranges, waveform, state at the start, "
+    "the visited part of the Preisach plane, and which experiment each can stand for.",
+    inputs=("data",), interrupted="what it printed holds, and so do the pictures that it named")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -4,43 +4,18 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
 
-from piezo_common.command_line import print_progress, run_command
-from piezo_identification.commands.response_options import (
-    add_response_options,
-    hold_s_of,
-    useless_response_options,
-)
-from piezo_identification.conditioning.sensor_sign import sign_text
-from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
-from piezo_identification.diagnosis.report.results import diagnose_files
-from piezo_identification.diagnosis.response.response_results import (
-    diagnose_response_file,
-    response_sentence,
-)
-from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
-from piezo_recorder.reading.data_options import add_columns_option, read_all_given
+from piezo_common.command_line import Command
+from piezo_identification.commands.response_options import add_response_options
+from piezo_recorder.commands.data_flags import add_columns_option
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command.
+    """Run the command; see `piezo_common.command_line.Command.main`."""
+    return COMMAND.main(arguments)
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        The command line's by default.
 
-    Returns
-    -------
-    int
-        Exit status: 0 whatever the verdict, or 2 for input that cannot be used.
-    """
-    parser = argparse.ArgumentParser(
-        prog="diagnose", description="Find the effect that a model lacks to explain recordings.",
-        epilog="Writes verdict.json, extended_model.json and report.html. Effects are fitted on "
-        "two thirds of the recordings and compared on the rest, the validation set.",
-    )
+def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
     parser.add_argument("--data", metavar="FILE", type=Path, required=True, nargs="+",
                         help="recordings or tables of samples (CSV, .mat, .h5, .npz, .tdms, "
@@ -52,50 +27,15 @@ def main(arguments: list[str] | None = None) -> int:
                         help="directory for the results; made if it is missing")
     add_columns_option(parser)
     add_response_options(parser)
-    return run_command(parser, _diagnose, arguments)
 
 
-def _diagnose(options: argparse.Namespace) -> None:
-    if is_frequency_response(options.data[0]):
-        if len(options.data) > 1 or options.holdout:
-            raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
-        diagnosis = diagnose_response_file(
-            options.model, options.data[0], options.output, hold_s_of(options))
-        _print_table(diagnosis, response_sentence(diagnosis))
-        print(f"written to {options.output}")
-        return
-    for option in (name for name, given in useless_response_options(options).items() if given):
-        raise ValueError(f"{option} has nothing to act on: leave it out, or give a frequency "
-                         "response as --data")
-    results = diagnose_files(
-        options.model, options.data, options.holdout, options.output, print_progress,
-        lambda path: read_all_given(path, options))
-    _print_table(results.diagnosis, verdict_sentence(results.diagnosis))
-    for sentence in results.outside:
-        print(sentence)
-    print(f"written to {options.output}")
-
-
-def _print_table(diagnosis: Any, sentence: str) -> None:
-    for path in diagnosis.reversed:
-        print(sign_text(path))
-    for text in diagnosis.left_out:
-        print(text)
-    print(f"verdict: {diagnosis.verdict}. {sentence}")
-    print(f"{'':28}{'before':>12}{'after':>12}")
-    for name in ("rms_um", "e_y_percent"):
-        print(f"{name:28}{diagnosis.before[name]:12.4g}{diagnosis.after[name]:12.4g}")
-    print(f"{'noise_floor_um':28}{diagnosis.noise_floor_um:12.4g}")
-    for entry in diagnosis.effects:
-        print(f"{entry['name']:28}{entry['error_reduction_percent']:11.1f} % of the error")
-        for name, value in entry["parameters"].items():
-            numbers = value if isinstance(value, (list, tuple)) else [value]
-            print(f"  {name:26}{', '.join(f'{number:.5g}' for number in numbers):>12}")
-    for name, reason in diagnosis.not_decidable.items():
-        print(f"not decidable: {name}: {reason}")
-    if diagnosis.left:
-        print(diagnosis.left)
-
+COMMAND = Command(
+    "diagnose", "Find the effect that a model lacks to explain recordings.", _add_options,
+    "piezo_identification.commands.diagnose_work:diagnose_given",
+    epilog="Writes verdict.json, extended_model.json and report.html. Effects are fitted on "
+    "two thirds of the recordings and compared on the rest, the validation set.",
+    inputs=("model", "data", "holdout"),
+    interrupted="results in --output, if there are any, are of an earlier run")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -2,17 +2,17 @@
 """From a model and recordings to a verdict: what the model lacks, and how much better it gets.
 
 `diagnose` reads from top to bottom. Each step takes what the steps before have returned:
-recordings, conditioned, simulated, residual, candidates, fits, comparison, verdict. The report of
-it is written by `piezo_identification.diagnosis.report.results`.
+recordings, conditioned, simulated, residual, candidates, fits, comparison, decision, ceiling,
+verdict. The report of it is written by `piezo_identification.diagnosis.report.results`.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from piezo_identification.diagnosis.comparison.criteria import CRITERIA
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_noise
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
 from piezo_identification.diagnosis.comparison.selection import (
     Selection,
@@ -28,11 +28,14 @@ from piezo_identification.diagnosis.evidence.found_outliers import (
 )
 from piezo_identification.diagnosis.evidence.residual_description import describe_residual
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.regression import Fit, first_regression
+from piezo_identification.diagnosis.residual.regression import Fit, Regression, first_regression
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.prediction import PastSearchSettings, conditioned
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
+
+if TYPE_CHECKING:
+    from piezo_identification.diagnosis.evidence.ceiling import Ceiling
 
 Progress = Callable[[str, float], None]
 
@@ -136,7 +139,8 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     selection = compare_effects(model, given.recordings, progress)
     validation = Validation(selection.regression, given.holdout)
     decision = decide(selection, validation)
-    return tell(model, given, selection, validation, decision)
+    predictable = ceiling_of(selection, decision)
+    return tell(model, given, selection, validation, decision, predictable)
 
 
 def condition(model: StageModel, recordings: Sequence[Recording],
@@ -224,8 +228,29 @@ def decide(selection: Selection, validation: Validation) -> Decision:
     return Decision(verdict, fit, outliers, refused)
 
 
+def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
+    """Ask how much of what is left any learner could predict, where it is more than noise.
+
+    Parameters
+    ----------
+    selection : Selection
+    decision : Decision
+
+    Returns
+    -------
+    Ceiling or None
+        None where what is left passes for noise.
+    """
+    if is_noise(selection.regression, decision.fit):
+        return None
+    # Its library takes a second to import, and most verdicts do not ask.
+    from piezo_identification.diagnosis.evidence.ceiling import ceiling
+
+    return ceiling(selection.regression, decision.fit)
+
+
 def tell(model: StageModel, given: Conditioned, selection: Selection, validation: Validation,
-         decision: Decision) -> Diagnosis:
+         decision: Decision, predictable: "Ceiling | None") -> Diagnosis:
     """Put the verdict together with its numbers and reasons.
 
     Parameters
@@ -235,6 +260,7 @@ def tell(model: StageModel, given: Conditioned, selection: Selection, validation
     selection : Selection
     validation : Validation
     decision : Decision
+    predictable : Ceiling or None
 
     Returns
     -------
@@ -255,10 +281,20 @@ def tell(model: StageModel, given: Conditioned, selection: Selection, validation
         before=errors.before, after=errors.after,
         noise_floor_um=float(np.median(regression.noise.noise_um)), holdout=errors.where,
         not_decidable=_not_decidable(selection, decision, effects),
-        left=describe_residual(regression, fit) if decision.verdict == "unexplained" else "",
+        left=_left(regression, decision, predictable),
         reversed=given.reversed, left_out=[*left_out(regression), *validation.left_out()],
-        selection=selection,
+        ceiling=None if predictable is None else asdict(predictable), selection=selection,
     )
+
+
+def _left(regression: Regression, decision: Decision, predictable: "Ceiling | None") -> str:
+    """Describe what an unexplained recording leaves, and how much of it repeats."""
+    if decision.verdict != "unexplained":
+        return ""
+    told = [describe_residual(regression, decision.fit)]
+    if predictable is not None:
+        told.append(predictable.sentence())
+    return " ".join(told)
 
 
 def _not_decidable(selection: Selection, decision: Decision,

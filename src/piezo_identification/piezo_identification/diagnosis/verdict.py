@@ -39,6 +39,9 @@ class Verdict:
         Recordings whose sign was changed: their sensor counts against the model.
     left_out : list of str
         Sentences on the samples that were left out as outliers.
+    ceiling : dict of str to float or None
+        How much of what is left a learner without any knowledge of stages predicts; None where
+        what is left passes for noise, or was not asked. See `evidence.ceiling.Ceiling`.
     """
 
     verdict: str
@@ -52,6 +55,7 @@ class Verdict:
     left: str
     reversed: list[str]
     left_out: list[str]
+    ceiling: dict[str, float] | None
 
     def document(self) -> dict[str, Any]:
         """Return the content of `verdict.json`."""
@@ -67,6 +71,7 @@ class Verdict:
             "left": self.left,
             "reversed": self.reversed,
             "outliers_left_out": self.left_out,
+            "ceiling": self.ceiling,
         }
 
 

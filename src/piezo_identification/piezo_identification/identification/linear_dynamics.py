@@ -25,6 +25,7 @@ from piezo_identification.estimators.frequency_response.response_fit import (
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.identification.dynamics_methods import METHODS
 from piezo_identification.prediction.model_run import ModelRun
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
@@ -32,9 +33,6 @@ from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
-
-METHODS = ("output-error", "armax")
-"""Each estimates electric and vibration dynamics from samples."""
 
 
 @dataclass(frozen=True)

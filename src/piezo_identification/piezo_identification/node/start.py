@@ -3,4 +3,6 @@
 
 from piezo_ros.starting import node_entry
 
-main = node_entry("piezo_identification.node.identification_node")
+main = node_entry(
+    "piezo_identification.node.identification_node",
+    "Run experiments on the stage, identify models and diagnose them.")

@@ -3,4 +3,6 @@
 
 from piezo_ros.starting import node_entry
 
-main = node_entry("piezo_recorder.node.recorder_node")
+main = node_entry(
+    "piezo_recorder.node.recorder_node",
+    "Record the stage's samples to MCAP.")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How the commands read the data that they are given: the option ``--columns``, notes, progress."""
+"""How the commands read the data that they are given: columns, notes, progress."""
 
 import argparse
 from os import PathLike
@@ -13,19 +13,6 @@ from piezo_recorder.reading.tables.table import no_progress
 
 WORTH_A_LINE_BYTES = 30_000_000
 """Smaller files are read in about a second."""
-
-FILE_HELP = "recording or table of samples (CSV, .mat, .h5, .npz, .tdms, .parquet and others)"
-
-
-def add_columns_option(parser: argparse.ArgumentParser) -> None:
-    """Add ``--columns``."""
-    parser.add_argument(
-        "--columns", metavar="WORD", nargs="+",
-        help="columns and units of tables of samples, where their labels do not tell them: "
-        "time=t[ms] voltage=Vpiezo[V] displacement=pos[nm], with a factor as in voltage=CH1[20V]; "
-        "rate=10[kHz] without a time; recording=run[2] for one of several; or a YAML file of the "
-        "same, which may also lie beside the data as NAME.columns.yaml")
-
 
 def read_all_given(path: str | PathLike[str], options: argparse.Namespace) -> list[Recording]:
     """Read all recordings of a file, and print what there is to say of them.

@@ -21,6 +21,8 @@ class UsualStage:
         Of the voltage: amplifiers for piezos end at 3 kV.
     least_gain_um_per_v, largest_gain_um_per_v : float
         Range over swing: a stack for 1 kV moves a few nm/V, a bender at 60 V some tens of um/V.
+    shortest_period_s : float
+        Of the samples; no sensor of displacement is faster.
     fewest_rows : int
         With fewer there is nothing to fit.
     least_clipped : float
@@ -40,6 +42,7 @@ class UsualStage:
     largest_voltage_v: float = 3000.0
     least_gain_um_per_v: float = 0.002
     largest_gain_um_per_v: float = 40.0
+    shortest_period_s: float = 1e-7
     fewest_rows: int = 20
     least_clipped: float = 1e-3
     shortest_clip: int = 5
@@ -66,6 +69,10 @@ def implausible(recording: Recording) -> list[str]:
     said = []
     if len(voltage_v) < USUAL.fewest_rows:
         said.append(f"there are only {len(voltage_v)} rows: nothing can be identified from them")
+    period_s = float(recording.sample_periods_s[0])
+    if period_s < USUAL.shortest_period_s:
+        said.append(f"a sample every {period_s:.3g} s is faster than any sensor: is the time in "
+                    "days, as spreadsheets keep it, or in minutes?")
     swing_v, range_um = float(np.ptp(voltage_v)), float(np.ptp(displacement_um))
     if swing_v == 0.0:
         said.append(f"the voltage is {voltage_v[0]:g} V throughout: only noise and drift show")

@@ -2,8 +2,6 @@
 """Account for the samples of a recording: ``report RECORDING``."""
 
 import argparse
-import sys
-from pathlib import Path
 
 import numpy as np
 
@@ -11,7 +9,6 @@ from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import Recording
 
 GAPS_STATUS = 1
-BAD_INPUT_STATUS = 2
 
 
 def report(recording: Recording) -> list[str]:
@@ -43,21 +40,8 @@ def report(recording: Recording) -> list[str]:
     return lines
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; return the exit status, 1 where samples are missing."""
-    parser = argparse.ArgumentParser(
-        prog="report", description="Account for the samples of a recording.",
-        epilog="The status is 1 where samples are missing, 2 where it cannot be read.")
-    parser.add_argument("recording", type=Path, help="directory, MCAP file or table")
-    options = parser.parse_args(arguments)
-    try:
-        recording = read_recording(options.recording)
-    except (ValueError, OSError) as error:
-        print(f"report: {error}", file=sys.stderr)
-        return BAD_INPUT_STATUS
+def report_file(options: argparse.Namespace) -> int:
+    """Print the account of the recording of the options; return 1 where samples are missing."""
+    recording = read_recording(options.recording)
     print("\n".join(report(recording)))
     return GAPS_STATUS if recording.gaps else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

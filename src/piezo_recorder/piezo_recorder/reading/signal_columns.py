@@ -151,6 +151,10 @@ def _only(table: Table, signal: str, best: list[str]) -> str:
         raise RecordingError(
             f"{table.header_place}: {listing(best)} may each be the {signal}: say which, as in "
             f"--columns {signal}=NAME[{own.rpartition('_')[2].replace('v', 'V')}]")
+    for label in guessed_labels(table, signal, table.left_out):
+        raise RecordingError(
+            f"{table.header_place}: '{label}' has {table.left_out[label]} values where other "
+            f"columns have {table.rows}: save all of them with one length")
     raise RecordingError(
         f"{table.header_place}: the column {own} is missing, and none of {labels} is plainly the "
         f"{signal}: say which they are, as in {EXAMPLE}"

@@ -17,13 +17,19 @@ from piezo_recorder.reading.signal_columns import (
 )
 from piezo_recorder.reading.tables.file_kinds import read_tables
 from piezo_recorder.reading.tables.table import Progress, Table, no_progress
-from piezo_recorder.reading.time_axis import TimeAxis, restarts, time_axis
+from piezo_recorder.reading.time_axis import TimeAxis, repeated_rows, restarts, time_axis
 from piezo_recorder.sample_block import Flag
 
 HOLDING = 0.5
 """Part of the voltages that equal the one before, from which on a voltage is held between rows."""
 
 MOST_RECORDINGS = 1000
+
+MOST_MISSING = 0.05
+"""Part of the rows that may lack a value; with more of them the column is another one."""
+
+SCPI_MISSING = 9.91e37
+"""What instruments by the standard SCPI send for "not a number"."""
 
 
 def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
@@ -111,12 +117,13 @@ def _recording(table: Table, said: ColumnsDocument, several: bool) -> Recording:
         raise RecordingError(
             f"{table.path} has fewer than two rows of samples{of_part}: give more of them")
     sources = needed_columns(table, said)
-    axis = _axis(table, sources, said)
-    signals = {signal: _finite(table, source) for signal, source in sources.items()
-               if signal != "time"}
+    signals = {signal: _in_unit(table, source) for signal, source in sources.items()}
+    rows, row_notes = _rows_of_samples(table, sources, signals)
+    axis = _axis(table, sources, signals, rows, said)
     used = {source.label for source in sources.values()}
-    further = {label: values for label, values in table.columns.items() if label not in used}
-    voltage_v, displacement_um = signals["voltage"], signals["displacement"]
+    further = {label: values[rows] for label, values in table.columns.items()
+               if label not in used}
+    voltage_v, displacement_um = signals["voltage"][rows], signals["displacement"][rows]
     if axis.at_rows is not None:
         displacement_um = _at_rows(displacement_um, axis.at_rows)
         holds = np.mean(np.diff(voltage_v) == 0.0) > HOLDING
@@ -132,29 +139,61 @@ def _recording(table: Table, said: ColumnsDocument, several: bool) -> Recording:
         title=table.title if several else "")
     where = f"{table.path}: " + (f"recording {table.title}: " if several else "")
     notes = [*table.notes, *(source.note for source in sources.values() if source.note),
-             *(where + note for note in (*axis.notes, *implausible(recording)))]
+             *(where + note for note in (*row_notes, *axis.notes, *implausible(recording)))]
     return replace(recording, notes=notes)
 
 
-def _axis(table: Table, sources: dict[str, SignalSource], said: ColumnsDocument) -> TimeAxis:
+def _axis(table: Table, sources: dict[str, SignalSource], signals: dict[str, np.ndarray],
+          rows: np.ndarray, said: ColumnsDocument) -> TimeAxis:
+    def place(row: int) -> str:
+        return table.place(int(rows[row]))
+
     if "time" in sources:
-        source = sources["time"]
-        return time_axis(_finite(table, source), table.place, source.label)
+        return time_axis(signals["time"][rows], place, sources["time"].label)
     rate_hz = rate_hz_of(table, said)
     assert rate_hz is not None  # or the time would be needed
-    return TimeAxis(1.0 / rate_hz, np.arange(table.rows), notes=[
-        f"there is no time; {rate_hz:g} rows a second are assumed as told"])
+    axis = time_axis(rows / rate_hz, place, "the number of the row")
+    return replace(axis, period_s=1.0 / rate_hz, notes=[
+        f"there is no time; {rate_hz:g} rows a second are assumed as told", *axis.notes])
 
 
-def _finite(table: Table, source: SignalSource) -> np.ndarray:
-    """Return a signal in s, V or um."""
+def _in_unit(table: Table, source: SignalSource) -> np.ndarray:
+    """Return a signal in s, V or um, with nan where the file has no value."""
     values = table.columns[source.label]
-    wrong = np.flatnonzero(~np.isfinite(values))
-    if wrong.size:
-        raise RecordingError(f"{table.place(int(wrong[0]))}: {source.label} is "
-                             f"'{values[wrong[0]]:g}', no finite number: mend the value or cut the "
-                             "file there")
+    values = np.where(np.abs(values) == SCPI_MISSING, np.nan, values)
     return values if source.scale == 1.0 else values * source.scale
+
+
+def _rows_of_samples(table: Table, sources: dict[str, SignalSource],
+                     signals: dict[str, np.ndarray]) -> tuple[np.ndarray, list[str]]:
+    """Return the rows with all signals, each of them once, and notes on the others."""
+    good = np.ones(table.rows, dtype=bool)
+    for values in signals.values():
+        good &= np.isfinite(values)
+    missing = np.flatnonzero(~good)
+    infinite = any(np.isinf(values).any() for values in signals.values())
+    if missing.size and (infinite or missing.size > MOST_MISSING * table.rows):
+        row = int(missing[0])
+        label, value = next((sources[signal].label, values[row])
+                            for signal, values in signals.items() if not np.isfinite(values[row]))
+        what = (f"is missing, as values are in {missing.size} of {table.rows} rows"
+                if np.isnan(value) else f"is '{value:g}', no finite number")
+        raise RecordingError(
+            f"{table.place(row)}: {label} {what}: mend the value or cut the file there")
+    notes = []
+    if missing.size:
+        notes.append(f"{missing.size} rows lack a value, the first of them "
+                     f"{table.place(int(missing[0])).rpartition(', ')[2]}: they are left out")
+    rows = np.flatnonzero(good)
+    if "time" in signals and rows.size:
+        others = [values[rows] for signal, values in signals.items() if signal != "time"]
+        twice = repeated_rows(signals["time"][rows], others)
+        if twice.any():
+            notes.append(f"{int(twice.sum())} rows are there twice, the first of them "
+                         f"{table.place(int(rows[twice][0])).rpartition(', ')[2]}: one of each is "
+                         "left out")
+        rows = rows[~twice]
+    return rows, notes
 
 
 def _at_rows(values: np.ndarray, at_rows: np.ndarray) -> np.ndarray:

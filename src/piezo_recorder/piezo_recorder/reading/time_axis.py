@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """From the times of rows to samples of one period: jitter, rounding, lost rows and gaps."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_recorder.reading.recording import RecordingError
@@ -28,6 +29,10 @@ class TimeSettings:
         that was lost; at this spread 1.5 periods are five standard deviations away.
     most_gaps : float
         Part of the rows that may end at a gap; more of them mean that there is no period.
+    anew : float
+        Of the duration of a recording: the time begins anew if it falls to this part of it.
+    most_repeated : float
+        Part of the rows that may repeat the row above by a fault of the logger.
     most_ticks : int
         Different distances, in ticks of a clock that rounds, up to which it is seen as one.
     """
@@ -37,6 +42,8 @@ class TimeSettings:
     longest_gap: float = 1e10
     even: float = 0.1
     most_gaps: float = 0.05
+    anew: float = 0.05
+    most_repeated: float = 0.05
     most_ticks: int = 12
 
 
@@ -75,18 +82,40 @@ def first_decrease(time_s: FloatArray) -> int | None:
 
 
 def restarts(time_s: FloatArray) -> list[int]:
-    """Return the rows at which the time begins anew where it began before, if that is all.
+    """Return the rows at which the time begins anew near where it began before, if that is all.
 
     Returns
     -------
     list of int
         Empty where the time decreases in another way, too.
     """
-    steps_s = np.diff(time_s)
-    rows = np.flatnonzero(steps_s < 0.0) + 1
-    usual_s = np.median(steps_s[steps_s > 0.0]) if (steps_s > 0.0).any() else 0.0
-    anew = np.abs(time_s[rows] - time_s[0]) <= 0.5 * usual_s
-    return rows.tolist() if anew.all() else []
+    rows = (np.flatnonzero(np.diff(time_s) < 0.0) + 1).tolist()
+    for begin, row in zip([0, *rows], rows, strict=False):
+        first_s, last_s = time_s[begin], time_s[row - 1]
+        if time_s[row] - first_s > SETTINGS.anew * (last_s - first_s):
+            return []
+    return rows
+
+
+def repeated_rows(time_s: FloatArray, signals: Sequence[FloatArray]) -> NDArray[np.bool_]:
+    """Mark the rows that a logger wrote twice: with all the numbers of the row above.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (N,)
+    signals : sequence of ndarray, shape (N,)
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+        None where the time stands in many rows: its clock is rounded, or does not run.
+    """
+    stands = np.diff(time_s, prepend=-np.inf) == 0.0
+    if np.mean(stands) > SETTINGS.most_repeated:
+        return np.zeros(time_s.size, dtype=bool)
+    for values in signals:
+        stands &= np.diff(values, prepend=np.nan) == 0.0
+    return stands
 
 
 def time_axis(time_s: FloatArray, place: Callable[[int], str], label: str) -> TimeAxis:

@@ -9,15 +9,21 @@ SIGNALS = ("time", "voltage", "displacement")
 
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "sek": 1.0, "sekunden": 1.0,
-             "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
-    "voltage": {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "uv": 1e-6, "kv": 1e3},
+             "ms": 1e-3, "msec": 1e-3, "millisecond": 1e-3, "milliseconds": 1e-3,
+             "us": 1e-6, "usec": 1e-6, "microsecond": 1e-6, "microseconds": 1e-6, "ns": 1e-9,
+             "min": 60.0, "minutes": 60.0, "h": 3600.0, "hours": 3600.0,
+             "d": 86400.0, "day": 86400.0, "days": 86400.0},
+    "voltage": {"v": 1.0, "volt": 1.0, "volts": 1.0,
+                "mv": 1e-3, "millivolt": 1e-3, "millivolts": 1e-3, "uv": 1e-6, "kv": 1e3},
     "displacement": {"um": 1.0, "micron": 1.0, "microns": 1.0, "micrometer": 1.0,
-                     "micrometers": 1.0, "nm": 1e-3, "pm": 1e-6, "mm": 1e3, "m": 1e6,
-                     "angstrom": 1e-4},
+                     "micrometers": 1.0, "micrometre": 1.0, "micrometres": 1.0,
+                     "mikrometer": 1.0, "nm": 1e-3, "nanometer": 1e-3, "nanometers": 1e-3,
+                     "nanometre": 1e-3, "nanometres": 1e-3, "pm": 1e-6, "mm": 1e3,
+                     "millimeter": 1e3, "millimetre": 1e3, "m": 1e6, "angstrom": 1e-4},
 }
 """What one of the unit is in s, V and um; all in small letters."""
 
-SHOWN = {"time": "s, ms, us, ns, min or h", "voltage": "V, mV, uV or kV",
+SHOWN = {"time": "s, ms, us, ns, min, h or d", "voltage": "V, mV, uV or kV",
          "displacement": "um, nm, pm, mm or m"}
 SUFFIXES = {"s", "ms", "us", "ns", "v", "mv", "kv", "um", "nm", "pm", "mm", "m"}
 """Units that may end a name behind an underscore or a space: ``v_min`` is no time."""

@@ -4,17 +4,15 @@
 import argparse
 import json
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from piezo_common.command_line import run_command
-from piezo_recorder.reading.data_options import FILE_HELP, add_columns_option, read_all_given
+from piezo_recorder.reading.data_options import read_all_given
 from piezo_recorder.reading.reader import sha256_of
-from piezo_recorder.reading.recording import Recording, RecordingError
+from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import TYPE_NAME
 from piezo_recorder.writing.message_definition import installed_definition
 from piezo_recorder.writing.writer import RecordingWriter
@@ -100,24 +98,9 @@ def _blocks(recording: Recording) -> Iterator[slice]:
             yield slice(first, min(first + BLOCK_SAMPLES, end))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; return the exit status, 2 for input that cannot be used."""
-    parser = argparse.ArgumentParser(
-        prog="convert", description="Write a table of samples or a recording in our formats.",
-        epilog="Several recordings of one file become NEW_1, NEW_2 and so on, by their titles.")
-    parser.add_argument("recording", metavar="FILE", type=Path, help=FILE_HELP)
-    parser.add_argument("output", metavar="NEW", type=Path,
-                        help="file to make if it ends in .csv, else the directory of a recording")
-    add_columns_option(parser)
-    return run_command(parser, _convert, arguments)
-
-
-def _convert(options: argparse.Namespace) -> None:
+def convert_file(options: argparse.Namespace) -> None:
+    """Write the recordings of the file of the options as the new ones."""
     output: Path = options.output
-    if output.exists():
-        raise RecordingError(f"{output} exists already and is not overwritten: choose another name")
-    if not output.absolute().parent.is_dir():
-        raise RecordingError(f"{output} is in no existing directory: make it first")
     found = read_all_given(options.recording, options)
     for recording in found:
         # Titles come from the file: they may hold anything.
@@ -129,7 +112,3 @@ def _convert(options: argparse.Namespace) -> None:
         print(f"{len(recording.voltage_v)} samples written to {path}")
         if recording.columns and not is_csv:
             print(f"not written: {', '.join(recording.columns)}, for which only a CSV has room")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

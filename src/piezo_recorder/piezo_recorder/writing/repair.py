@@ -2,7 +2,6 @@
 """Make a whole recording of what a killed recorder left: ``repair RECORDING NEW``."""
 
 import argparse
-import sys
 from os import PathLike
 from pathlib import Path
 
@@ -98,21 +97,7 @@ class _Copy:
             profiles_from_text(channel.metadata.get("offered_qos_profiles", "")))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; return the exit status, 2 for input that cannot be used."""
-    parser = argparse.ArgumentParser(
-        prog="repair", description="Make a whole recording of what a killed recorder left.")
-    parser.add_argument("recording", type=Path, help="directory or MCAP file; it stays as it is")
-    parser.add_argument("output", type=Path, help="directory to make")
-    options = parser.parse_args(arguments)
-    try:
-        messages = repair(options.recording, options.output)
-    except (ValueError, OSError) as error:
-        print(f"repair: {error}", file=sys.stderr)
-        return 2
+def repair_given(options: argparse.Namespace) -> None:
+    """Make a whole recording of that of the options, and print what was kept."""
+    messages = repair(options.recording, options.output)
     print(f"{messages} messages kept in {options.output}")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -32,6 +32,11 @@ def write_mat(path):
     scipy.io.savemat(path, {"t": TIME_S, "u_V": VOLTAGE_V, "pos_nm": 1e3 * DISPLACEMENT_UM})
 
 
+def write_mat_v4(path):
+    scipy.io.savemat(path, {"t": TIME_S, "u_V": VOLTAGE_V, "pos_nm": 1e3 * DISPLACEMENT_UM},
+                     format="4")
+
+
 def write_struct_mat(path):
     scipy.io.savemat(path, {"remark": "made by hand", "data": {
         "time_s": TIME_S, "Vpiezo": VOLTAGE_V, "y_um": DISPLACEMENT_UM}})
@@ -91,7 +96,7 @@ def write_feather(path):
 WRITERS = {"a.npz": write_npz, "b.npy": write_structured_npy, "c.mat": write_mat,
            "d.mat": write_struct_mat, "e.mat": write_mat_with_rate, "f.h5": write_hdf5,
            "g.mat": write_mat_v73, "h.tdms": write_tdms, "i.parquet": write_parquet,
-           "j.feather": write_feather}
+           "j.feather": write_feather, "k.mat": write_mat_v4}
 
 
 @pytest.mark.parametrize("name", WRITERS)

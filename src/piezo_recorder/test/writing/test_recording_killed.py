@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from piezo_recorder.commands.repair_command import main as repair_command
+from piezo_recorder.commands.report_command import main as report_command
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import RecordingError
-from piezo_recorder.reading.sample_account import main as report_command
-from piezo_recorder.writing.repair import main as repair_command
 from piezo_recorder.writing.writer import RecordingWriter
 
 TOPIC = "/stage/samples"

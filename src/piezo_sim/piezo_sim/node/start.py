@@ -3,4 +3,6 @@
 
 from piezo_ros.starting import node_entry
 
-main = node_entry("piezo_sim.node.stage_sim_node")
+main = node_entry(
+    "piezo_sim.node.stage_sim_node",
+    "Run a stage node whose stage is simulated.")

@@ -53,12 +53,9 @@ from piezo_sim.faults.sensor_faults import NoisySensor, OffScaleSensor, SilentSe
 from piezo_sim.plant.amplifier import VoltageAmplifier
 from piezo_sim.plant.continuous_preisach import PreisachHysteresis
 from piezo_sim.plant.linear_effects import Creep, ElectricLag, VibrationMode
+from piezo_sim.plant.named_plants import PLANTS
 from piezo_sim.plant.plant_effect import Effect, PlantConfigError
 from piezo_sim.plant.sensor import DisplacementSensor
-
-PLANTS = {"default": "plant.yaml", "undeclared": "undeclared.yaml", "beam": "beam.yaml"}
-"""Plants that come with this package, by name: that of thesis chapter 4, the same with two effects
-that no model is told of, and one of another mathematical form than any model."""
 
 GROUP = "piezo_sim.effects"
 """Entry points by which other packages offer effects of the plant."""

@@ -3,4 +3,6 @@
 
 from piezo_ros.starting import node_entry
 
-main = node_entry("piezo_stage_driver.node.stage_node")
+main = node_entry(
+    "piezo_stage_driver.node.stage_node",
+    "Run a stage behind a backend, such as a card with amplifier and sensor.")

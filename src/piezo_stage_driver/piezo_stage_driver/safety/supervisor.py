@@ -33,7 +33,7 @@ class Goal(Protocol):
     """Who waits for the end of a waveform; all is called from the thread that ticks."""
 
     def attend(self, engine: StageEngine) -> None:
-        """Look how far it is."""
+        """Look how far it is; called after a tick that leaves something of its program."""
 
     @property
     def cancelled(self) -> bool:
@@ -273,7 +273,7 @@ class StageSupervisor:
         with self._lock:
             if not self.active:
                 return None
-            if self._goal:
+            if self._goal and not self.engine.idle:  # its program is over in the closing ticks
                 self._goal.attend(self.engine)
             self._idle_ticks = self._idle_ticks + 1 if was_idle else 0
             self._follow()
@@ -298,8 +298,9 @@ class StageSupervisor:
                 value = getattr(self.engine.commands, name)(*command.arguments)
                 if event is Event.TRACK:
                     value = self._gate.begin(), value
-                if event is Event.PLAY:
+                if event in (Event.PLAY, Event.TRACK):  # another program begins
                     self._end_goal()
+                if event is Event.PLAY:
                     self._goal, self._idle_ticks = command.goal, 0
                 self._go(event)
         except ValueError as error:

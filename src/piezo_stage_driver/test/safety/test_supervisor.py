@@ -41,10 +41,11 @@ class Goal:
     cancelled = False
 
     def __init__(self):
-        self.looks, self.ends = 0, []
+        self.phases, self.ends = [], []
 
     def attend(self, engine):
-        self.looks += 1
+        assert not self.ends and 0.0 <= engine.fraction <= 1.0
+        self.phases.append(engine.phase_name)
 
     def end(self, cause, last_sample):
         self.ends.append((cause, last_sample))
@@ -91,7 +92,8 @@ def test_waveform_plays_returns_and_its_client_is_told_of_its_end_once(stage):
     stage.ask("play", np.full(400, 60.0), PERIOD_S, goal=goal)
     stage.supervisor.tick()
     (first, samples), = stage.told
-    assert samples == 400 and stage.supervisor.state is State.PLAYING and goal.looks == 1
+    assert samples == 400 and stage.supervisor.state is State.PLAYING
+    assert goal.phases == ["approach"]
     assert stage.supervisor.has_work and not stage.supervisor.at_rest
     stage.tick_until(State.STOPPING)
     assert stage.supervisor.engine.next_sample == first + samples
@@ -170,6 +172,32 @@ def test_client_of_a_waveform_is_told_its_end_before_the_next_waveform_and_befor
     stage.supervisor.leave("the node was deactivated")
     stage.tick_until(State.INACTIVE)
     assert [cause for cause, _ in second.ends] == ["the node was deactivated"]
+
+
+@pytest.mark.parametrize("closing_ticks", [0, 5])
+@pytest.mark.parametrize("hold_at_end", [False, True])
+@pytest.mark.parametrize("ends_by", ["itself", "cancel", "stop", "leave", "tracking"])
+def test_client_of_a_waveform_is_told_of_its_own_phases_alone_whenever_it_ends(
+        ends_by, hold_at_end, closing_ticks):
+    for ticks in range(1, 20):  # an approach, a waveform and a return of three ticks each
+        stage, goal = Stage(closing_ticks), Goal()
+        stage.ask("load_feedforward", np.full(400, 60.0 * hold_at_end), [], False)
+        stage.ask("play", np.full(120, 60.0), PERIOD_S, 1, hold_at_end, goal=goal)
+        for _ in range(ticks):
+            stage.supervisor.tick()
+        if ends_by == "cancel":
+            goal.cancelled = True
+        elif ends_by == "stop":
+            stage.supervisor.stop("somebody stopped it")
+        elif ends_by == "leave":
+            stage.supervisor.leave("the stage was deactivated")
+        elif ends_by == "tracking":
+            stage.ask("start_tracking", False, 3)
+        for _ in range(20):
+            stage.supervisor.tick()
+        assert len(goal.ends) == 1
+        assert set(goal.phases) <= {"approach", "play", "return"}
+        assert goal.phases == sorted(goal.phases)  # which is also the order of the alphabet
 
 
 def test_stage_that_is_left_comes_to_rest_and_takes_nothing_more(stage):

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The demo: identify a simulated stage, track, find what the model lacks, track again, report."""
 
-import argparse
 import json
 import os
 import random
@@ -20,8 +19,8 @@ from piezo_common.progress_line import ProgressLine
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import read_recording
 from piezo_sim.plant.plant_effect import PlantConfigError
-from piezo_sim.plant.plant_file import PLANTS
-from piezo_studies.demo.demo_plant import USUAL, demo_plant
+from piezo_studies.demo.demo_command import USUAL
+from piezo_studies.demo.demo_plant import demo_plant
 from piezo_studies.demo.demo_report import render_report
 from piezo_studies.demo.extended_model_section import ExtendedModel
 from piezo_studies.demo.run_directory import claim_directory
@@ -238,20 +237,11 @@ def _blaming(processes, name):
         raise DemoFailed(str(failure), processes.log(name)) from None
 
 
-def main(args=None):
-    """Run the demo from the command line."""
-    parser = argparse.ArgumentParser(
-        prog="demo", description="Identify a simulated stage, track with the model, find what the "
-        "model lacks, track again with the extended model, and report.")
-    parser.add_argument("--plant", default=USUAL, metavar="PLANT",
-                        help=f"the stage: {', '.join(PLANTS)}, or a plant file "
-                             "(default: %(default)s)")
-    parser.add_argument("--output", type=Path, metavar="DIRECTORY",
-                        help="gets all results (default: runs/demo, and runs/demo-PLANT for any "
-                             "other stage than the usual one); an earlier run there is moved aside")
-    options = parser.parse_args(args)
-    command = shlex.join(["./run", "piezo_studies", "demo", *(sys.argv[1:] if args is None
-                                                              else args)])
+def run_given(options):
+    """Run the demo of the options, and print its results."""
+    command = shlex.join(["./run", "piezo_studies", "demo",
+                          *(["--plant", options.plant] if options.plant != USUAL else []),
+                          *(["--output", str(options.output)] if options.output else [])])
     try:
         plant = demo_plant(options.plant)
     except PlantConfigError as error:
@@ -308,7 +298,3 @@ def _interrupt(*_):
 def _fail(status, message):
     print(f"demo: {message}", file=sys.stderr)
     sys.exit(status)
-
-
-if __name__ == "__main__":
-    main()

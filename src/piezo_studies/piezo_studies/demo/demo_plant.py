@@ -4,10 +4,11 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from piezo_sim.plant.plant_file import PLANTS, read_plant
+from piezo_sim.plant.named_plants import PLANTS
+from piezo_sim.plant.plant_file import read_plant
+from piezo_studies.demo.demo_command import USUAL
 
-# The demo's own, and what the identification is told of each plant as if it were known.
-USUAL = "undeclared"
+# What the identification is told of each plant as if it were known.
 DECLARED = {"undeclared": {"modes": 2}}
 SENTENCES = {
     "default": "The stage has the form of the model: a Preisach hysteresis, creep by poles and "

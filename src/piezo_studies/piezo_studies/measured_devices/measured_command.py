@@ -2,129 +2,29 @@
 """`measured`: our error on measured data of other stages beside the figures in its note."""
 
 import argparse
-import json
 import sys
-from dataclasses import asdict
 from pathlib import Path
 
-from piezo_common.command_line import run_command
-from piezo_studies.measured_devices import measured, measured_pictures
-from piezo_studies.measured_devices.measured_diagnosis import findings
+from piezo_common.command_line import Command
 
 
 def main(arguments=None):
-    """Run the command.
+    """Run the command; see `piezo_common.command_line.Command.main`."""
+    return COMMAND.main(arguments)
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        The command line's by default.
 
-    Returns
-    -------
-    int
-        Exit status: 0, or 2 for input that cannot be used.
-    """
-    parser = argparse.ArgumentParser(
-        prog="measured", description="Identify stages from measured data, and print the error on "
-        "data that was not fitted beside the figures in the data's note.",
-    )
+def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="DIR", type=Path, required=True,
                         help="directory of the measured sets")
     parser.add_argument("--output", metavar="DIR", type=Path, default=Path("runs/measured"),
                         help="directory for table.json and pictures (default: %(default)s)")
-    return run_command(parser, _measured, arguments)
 
 
-def _measured(options):
-    data, output = options.data, options.output
-    output.mkdir(parents=True, exist_ok=True)
-    figures = []
-    for name, run in SETS.items():
-        print(f"fitting {name}", flush=True)
-        figures += run(data, output)
-    print("diagnosing poor models", flush=True)
-    found = list(findings(data))
-    rows = [asdict(figure) | {"reached": figure.is_reached} for figure in figures]
-    (output / "table.json").write_text(json.dumps(
-        {"rows": rows, "findings": [asdict(finding) for finding in found]}, indent=1) + "\n")
-    print()
-    print(table(figures))
-    print()
-    for finding in found:
-        print(finding.text())
-    print(f"\ntable and pictures in {output}")
-
-
-def _scanner(data, output):
-    figures, predictions = measured.scanner(data)
-    for figure, (title, prediction) in zip(figures, predictions.items(), strict=True):
-        name = f"scanner_{figure.tested_on.replace(' ', '_')}.png"
-        measured_pictures.draw_loops_and_difference(
-            output / name, f"{title}: {figure.ours:.2f} %", prediction
-        )
-    return figures
-
-
-def _cantilever(data, output):
-    figures, prediction, ringing = measured.cantilever(data)
-    cycles = figures[0]
-    measured_pictures.draw_loops_and_difference(
-        output / "cantilever_cycles.png",
-        f"cantilever, fitted on {cycles.fitted_on}, tested on {cycles.tested_on}: "
-        f"{cycles.ours:.3f} %", prediction,
-    )
-    measured_pictures.draw_ringing(
-        output / "cantilever_ringing.png", "cantilever, ringing after the jump", ringing,
-        measured.RINGING_FITTED_S,
-    )
-    return figures
-
-
-def _nanopositioner(data, output):
-    figures, response, modelled, predicted = measured.nanopositioner(data)
-    measured_pictures.draw_frequency_response(
-        output / "nanopositioner.png",
-        f"nanopositioner, frequencies predicted by fits without them: {figures[0].ours:.2g} %",
-        response.frequency_hz, response.gain, modelled, predicted,
-    )
-    return figures
-
-
-SETS = {"scanner": _scanner, "cantilever": _cantilever, "nanopositioner": _nanopositioner}
-
-
-def table(figures):
-    """Return the lines of text with a row for each figure.
-
-    Parameters
-    ----------
-    figures : list of Figure
-
-    Returns
-    -------
-    str
-    """
-    head = ("set", "fitted on", "tested on", "error", "in the note", "ours", "at most", "")
-    rows = [head] + [
-        (figure.data, figure.fitted_on, figure.tested_on, figure.quantity,
-         f"{figure.note:.3g} {figure.unit}", f"{figure.ours:.3g} {figure.unit}",
-         f"{figure.bound:.3g} {figure.unit}", _verdict(figure))
-        for figure in figures
-    ]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )
-
-
-def _verdict(figure):
-    if figure.is_reached:
-        return figure.remark
-    missed = f"missed by {figure.ours - figure.bound:.3g} {figure.unit}"
-    return f"{missed}; {figure.remark}" if figure.remark else missed
-
+COMMAND = Command(
+    "measured", "Identify stages from measured data, and print the error on data that was not "
+    "fitted beside the figures in the data's note.", _add_options,
+    "piezo_studies.measured_devices.measured_work:measure_devices", inputs=("data",),
+    interrupted="table.json, if it is there, is of an earlier run")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from piezo_sim.plant.plant_file import PLANTS
-from piezo_studies.demo import demo_node
+from piezo_studies.demo.demo_command import main as demo_main
 from piezo_studies.demo.demo_plant import DECLARED, SENTENCES, demo_plant
 
 
@@ -40,7 +40,7 @@ def test_plant_file_is_given_to_the_node_by_its_absolute_path(tmp_path, monkeypa
 def test_plant_that_is_none_ends_the_demo_before_anything_is_made(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as ended:
-        demo_node.main(["--plant", "cantilever"])
+        demo_main(["--plant", "cantilever"])
     assert ended.value.code == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "give a file or one of default, undeclared, beam" in said

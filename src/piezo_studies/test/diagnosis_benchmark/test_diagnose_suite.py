@@ -9,10 +9,10 @@ from collections import Counter
 import pytest
 from distributed import Client
 
-from piezo_studies.diagnosis_benchmark import command
+from piezo_studies.diagnosis_benchmark import run_suite as command
 from piezo_studies.diagnosis_benchmark.cases import draw_cases
-from piezo_studies.diagnosis_benchmark.command import main, run_suite
 from piezo_studies.diagnosis_benchmark.outcome import as_text, outcome, refused, summary
+from piezo_studies.diagnosis_benchmark.suite_command import main
 
 COUNT, SEED = 2, 190
 
@@ -114,9 +114,9 @@ def scheduler(tmp_path):
 def test_the_table_is_the_same_in_this_process_and_on_a_cluster(scheduler, count):
     with Client(processes=False, n_workers=1, threads_per_worker=1,
                 dashboard_address=None) as client:
-        here = run_suite(client, count, SEED)
+        here = command.run_suite(client, count, SEED)
     with Client(scheduler) as client:
-        there = run_suite(client, count, SEED)
+        there = command.run_suite(client, count, SEED)
     assert there == here
     assert [entry["number"] for entry in here["results"]] == list(range(count))
 
@@ -134,6 +134,6 @@ def test_a_case_that_is_refused_does_not_end_the_suite(monkeypatch):
 
 
 def test_a_scheduler_that_is_not_there_is_told_in_one_line(capsys, monkeypatch):
-    monkeypatch.setattr("piezo_studies.diagnosis_benchmark.command.CONNECT_S", 1)
+    monkeypatch.setattr("piezo_studies.diagnosis_benchmark.run_suite.CONNECT_S", 1)
     assert main(["--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "no scheduler at tcp://127.0.0.1:9" in capsys.readouterr().err

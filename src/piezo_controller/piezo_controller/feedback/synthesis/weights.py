@@ -12,13 +12,10 @@ import control
 from scipy.signal import zpk2ss
 
 from piezo_common.schema import SchemaError, load_document, parsed
+from piezo_controller.feedback.design_choices import DEFAULT_WEIGHTS, DISTURBANCE_HZ
 from piezo_controller.feedback.synthesis.weights_document import WeightEntry, WeightsDocument
 
-DISTURBANCE_HZ = 20.0
-"""Bandwidth of the disturbances that the weights are made for, section 5.3.1."""
-
-DEFAULT = "default"
-BUILT_IN = {DEFAULT: files("piezo_controller") / "weights.yaml",
+BUILT_IN = {DEFAULT_WEIGHTS: files("piezo_controller") / "weights.yaml",
             "thesis": files("piezo_controller") / "weights_thesis.yaml"}
 
 
@@ -108,7 +105,7 @@ class DesignWeights:
                 for name, value in asdict(self).items()}
 
 
-def load_weights(path: str | Path = DEFAULT) -> DesignWeights:
+def load_weights(path: str | Path = DEFAULT_WEIGHTS) -> DesignWeights:
     """Read a weights file.
 
     Parameters

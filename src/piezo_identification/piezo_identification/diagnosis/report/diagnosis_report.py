@@ -75,12 +75,19 @@ def _found(diagnosis: Diagnosis) -> Section:
     where = "{samples} samples of {source}".format(**diagnosis.holdout)
     told = [f"Held out: {where}.", *(f"{text}." for text in diagnosis.left_out),
             *(f"{sign_text(path)}." for path in diagnosis.reversed)]
-    return Section("What was found", tuple(told), [
+    rows = [
         ("error on held-out data", "before", "after"),
         ("RMS (nm)", *(f"{1e3 * errors['rms_um']:.4g}" for errors in (before, after))),
         ("e_y (%)", *(f"{errors['e_y_percent']:.4g}" for errors in (before, after))),
         ("noise of the sensor (nm)", f"{1e3 * diagnosis.noise_floor_um:.4g}", ""),
-    ])
+    ]
+    if diagnosis.ceiling is not None:
+        rows += [
+            (f"{what} (nm)", "", f"{1e3 * diagnosis.ceiling[name]:.4g}") for what, name in (
+                ("of what is left, predictable by a learner", "predictable_um"),
+                ("the same from the voltage alone", "from_voltage_um"),
+                ("random", "random_um"))]
+    return Section("What was found", tuple(told), rows)
 
 
 def _effects(effects: list[dict[str, Any]]) -> list[tuple[str, ...]]:

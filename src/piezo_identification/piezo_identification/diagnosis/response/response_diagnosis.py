@@ -203,6 +203,7 @@ def _told(problem: ResponseProblem, selection: ResponseSelection,
                  "samples": int(np.sum(~problem.estimation))},
         not_decidable=selection.not_decidable, left=left,
         reversed=[str(problem.measured.path)] if is_reversed else [], left_out=[],
+        ceiling=None,
         tried=selection.tried, measured=problem.measured,
         before_gain=problem.gain(given), after_gain=problem.gain(final),
     )

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Creep from a long square wave, by output-error fit."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from piezo_common.cancellation import check_cancelled
+from piezo_identification.conditioning.generator_edges import free_running_level
 from piezo_identification.conditioning.recording_start import square_part, without_first
 from piezo_identification.conditioning.settling import low_frequency_delay_s, settling_time_s
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
@@ -92,6 +94,16 @@ def estimate_creep(
 
 
 def _estimate(record: "_CreepRecord", pair_count: int | None) -> Estimate:
+    """Estimate with the steps where the samples show them, or a generator's between the samples."""
+    estimate = _estimate_as_held(record, pair_count)
+    own = free_running_level(record.wave)
+    if own is None:
+        return estimate
+    between = _estimate_as_held(record.as_held(own), pair_count)
+    return min(estimate, between, key=lambda each: each.residual_rms)
+
+
+def _estimate_as_held(record: "_CreepRecord", pair_count: int | None) -> Estimate:
     rates = np.empty(0)
     best, trials = rates, [record.trial(rates)]
     for _ in range(MOST_PAIRS if pair_count is None else pair_count):
@@ -124,6 +136,7 @@ class _CreepRecord:
         if dynamics is not None:
             self.delay_s += low_frequency_delay_s(dynamics)
             self.settling_s = max(USUAL_SETTLING_S, settling_time_s(dynamics) + delay_s)
+        self.held = self.wave.level
         self.time_s = np.arange(self.wave.level.size) * self.period_s
         self.bins, self.weights = self._logarithmic_bins()
         if not self.weights.any():
@@ -134,6 +147,12 @@ class _CreepRecord:
         self.displacement = self._average(recording.displacement_um)
         self.fastest = 1.0 / max(self.period_s, self.settling_s / 3.0)
         self.bounds = np.log([0.3 / self.time_s[-1], self.fastest])
+
+    def as_held(self, level):
+        """Return the same record of a voltage whose mean in each sample period is this level."""
+        result = copy(self)
+        result.held = level
+        return result
 
     def _logarithmic_bins(self):
         """List the starts of the bins, alternating with the settling samples that are left out."""
@@ -169,7 +188,7 @@ class _CreepRecord:
         for rate in rates:
             decay = np.exp(-rate * self.period_s)
             # Deviation from the held level, at the sample instant and in the mean over the sample.
-            lagging = lfilter([0.0, 1.0 - decay], [1.0, -decay], level, zi=[level[0]])[0]
+            lagging = lfilter([0.0, 1.0 - decay], [1.0, -decay], self.held, zi=[level[0]])[0]
             clock_decay = np.expm1(-rate * self.period_s / self.mean_samples)
             mean = np.expm1(-rate * self.period_s) / (self.mean_samples * clock_decay)
             columns.append(level + (lagging - level) * mean * np.exp(rate * self.delay_s))

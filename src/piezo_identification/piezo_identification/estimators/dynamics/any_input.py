@@ -8,9 +8,10 @@ or for two levels by offset and gain (4.5); the measured displacement is fitted 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.creep_removal import remove_creep
+from piezo_identification.conditioning.generator_edges import free_running_level
 from piezo_identification.conditioning.settling import slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
@@ -18,6 +19,7 @@ from piezo_identification.estimators.dynamics.fast_signals import (
     FEWEST_SAMPLES,
     LATE_ROWS,
     FastSignals,
+    drift_basis,
     fit_signals,
     joined_signals,
     played_at_the_clock,
@@ -27,20 +29,16 @@ from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH
 from piezo_identification.estimators.dynamics.pole_search import free_fits
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.estimate import Estimate
-from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.estimators.hysteresis.beside_dynamics import (
+    FastLoops,
+    hysteresis_beside_dynamics,
+)
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
-TURNS = 4
-"""Times that hysteresis and dynamics of the same recordings are fitted in turn, where neither is
-known; the phase that one takes from the other is then small."""
-
-LEVELS_IN_TURN, SMOOTHING_IN_TURN = 24, 1e-9
-"""Grid and smoothing of a hysteresis that is only to drive the dynamics."""
-
-MODES_THAT_TELL = 2
-"""Modes with which it is told whether a generator runs freely: edges off by half a sample show."""
+MODES_IN_TURN = 2
+"""Vibration modes of the first fit, from which hysteresis and dynamics are fitted together."""
 
 AT_REST = 20
 """Samples without a change of the voltage, from which a recording counts as beginning at rest."""
@@ -68,7 +66,7 @@ def estimate_dynamics_any(
     creep : CreepDynamics
     hysteresis : PreisachModel, optional
         If known, over the voltages of the recordings. By default that of the recordings, which is
-        estimated in turn with the dynamics; of two levels, an offset and a gain.
+        estimated together with the dynamics; of two levels, an offset and a gain.
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
     delay : float, optional
@@ -97,16 +95,29 @@ def estimate_dynamics_any(
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(recordings, parts, strict=True)]
         return fit_signals(_signals(parts, entering_um, creep), mode_count, delay)
-    inputs = [part.voltage_v for part in parts]
-    estimate = fit_signals(_signals(parts, inputs, creep), mode_count, delay)
-    for _ in range(TURNS):
-        density = estimate_density(
-            parts, creep, slow_dynamics(estimate.model, estimate.effects), LEVELS_IN_TURN, 1,
-            SMOOTHING_IN_TURN, 0.0,
-            estimate.delay_s + slow_delay_s(estimate.model, estimate.effects)).model()
-        inputs = [density.simulate(part.voltage_v) for part in parts]
-        estimate = fit_signals(_signals(parts, inputs, creep), mode_count, delay)
-    return estimate
+    entering = [np.asarray(part.voltage_v, dtype=float) for part in parts]
+    linear = fit_signals(_signals(parts, entering, creep), MODES_IN_TURN, 0.0)
+    estimate = _beside_hysteresis(parts, creep, linear, mode_count, delay)
+    if estimate.order.all_modes <= MODES_IN_TURN:
+        return estimate
+    return _beside_hysteresis(parts, creep, estimate, mode_count, delay)
+
+
+def _beside_hysteresis(
+    parts: Sequence[Recording], creep: CreepDynamics, start: Estimate, mode_count: int | None,
+    delay: float | None,
+) -> Estimate:
+    """Fit the dynamics behind the hysteresis that the recordings themselves show."""
+    loops = [
+        FastLoops(np.asarray(part.voltage_v, dtype=float),
+                  remove_creep(part.displacement_um, creep, part.sample_period_s),
+                  drift_basis(part.time_s, creep), _first_kept(part), part.sample_period_s)
+        for part in parts]
+    hysteresis, _ = hysteresis_beside_dynamics(
+        loops, slow_dynamics(start.model, start.effects),
+        start.delay_s + slow_delay_s(start.model, start.effects))
+    entering = [hysteresis.simulate(each.voltage_v) for each in loops]
+    return fit_signals(_signals(parts, entering, creep), mode_count, delay)
 
 
 def _has_two_levels(part: Recording) -> bool:
@@ -120,42 +131,10 @@ def _two_level_inputs(parts: Sequence[Recording]) -> list[list[FloatArray]]:
     """Levels as sampled, and where a free-running generator explains them, with its own edges."""
     waves = [square_wave(part) for part in parts]
     sampled = [wave.level for wave in waves]
-    own = [free_running_level(wave.level, wave.steps) for wave in waves]
+    own = [free_running_level(wave) for wave in waves]
     if any(level is None for level in own):
         return [sampled]
     return [sampled, [level for level in own if level is not None]]
-
-
-def free_running_level(
-    level: FloatArray, steps: NDArray[np.intp],
-) -> FloatArray | None:
-    """Return the mean level in each sample period, of a generator that does not know the samples.
-
-    Parameters
-    ----------
-    level : ndarray, shape (N,)
-        0 or 1, as sampled.
-    steps : ndarray of int
-        Samples at which it changes.
-
-    Returns
-    -------
-    ndarray, shape (N,), or None
-        None where one period and one duty do not explain the steps within a sample, or the period
-        is a whole number of samples.
-    """
-    if steps.size < 6 or np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]):
-        return None
-    turn = np.arange(steps.size)
-    columns = np.column_stack([turn // 2, turn % 2 == 0, turn % 2 == 1]).astype(float)
-    edges = columns @ np.linalg.lstsq(columns, steps.astype(float), rcond=None)[0]
-    if np.abs(edges - steps).max() > 1.0:
-        return None
-    # A step that is seen at a sample happened within the sample period before, half of it ago.
-    earlier = np.clip(steps - (edges - 0.5), 0.0, 1.0)
-    result = level.copy()
-    result[steps - 1] += earlier * (level[steps] - level[steps - 1])
-    return result
 
 
 def _signals(
@@ -173,9 +152,9 @@ def _signals(
 
 
 def _left_by_free_residues(signals: FastSignals) -> float:
-    """Sum of the squared residual that a few poles with free residues leave."""
+    """Sum of the squared residual that poles with free residues leave at most."""
     return min(fit.cost for fit in free_fits(
-        signals.record().thinned(ROWS_OF_SEARCH), MODES_THAT_TELL))
+        signals.record().thinned(ROWS_OF_SEARCH), MODES_IN_TURN))
 
 
 def _first_kept(part: Recording) -> int:

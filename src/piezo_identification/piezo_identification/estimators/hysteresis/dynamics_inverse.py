@@ -65,15 +65,14 @@ def remove_dynamics(
     -------
     ndarray, shape (N,)
     """
-    added = max(2, int(TAPER_SHARE * voltage_v.size))
+    added = samples_added(voltage_v.size)
     frequency_hz = np.fft.rfftfreq(voltage_v.size + added, sample_period_s)
-    forward = _held_response(dynamics, frequency_hz, sample_period_s)
-    forward = forward * np.exp(-2j * np.pi * frequency_hz * delay_s)
+    forward = held_response(dynamics, frequency_hz, sample_period_s, delay_s)
     through = np.fft.irfft(
-        np.fft.rfft(_closed(voltage_v, added)) * forward, voltage_v.size + added)
+        np.fft.rfft(closed_signal(voltage_v)) * forward, voltage_v.size + added)
     basis = np.column_stack([through[: voltage_v.size], np.ones(voltage_v.size)])
     slope, offset = np.linalg.lstsq(basis, displacement_um, rcond=None)[0]
-    rest_um = _closed(displacement_um - basis @ [slope, offset], added)
+    rest_um = closed_signal(displacement_um - basis @ [slope, offset])
     inverse = np.conj(forward) / (np.abs(forward) ** 2 + LEAST_GAIN**2)
     # One more turn makes 1 - (e^2 / (|D|^2 + e^2))^2 of the loop: nothing is lost where D is 1.
     inverse = inverse * (2.0 - inverse * forward)
@@ -81,15 +80,47 @@ def remove_dynamics(
     return slope * voltage_v + offset + before_um
 
 
-def _held_response(
+def held_response(
     dynamics: ElectricVibrationDynamics, frequency_hz: FloatArray, sample_period_s: float,
+    delay_s: float = 0.0,
 ) -> ComplexArray:
-    """Response from held values to samples, as far as the hold's images are small."""
+    """Response from held values to samples, as far as the hold's images are small.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics
+    frequency_hz : ndarray, shape (N,)
+    sample_period_s : float
+    delay_s : float
+        Further delay of the samples.
+
+    Returns
+    -------
+    ndarray of complex, shape (N,)
+    """
     turn = frequency_hz * sample_period_s
-    return dynamics.response(frequency_hz) * np.sinc(turn) * np.exp(-1j * np.pi * turn)
+    return dynamics.response(frequency_hz) * np.sinc(turn) * np.exp(
+        -1j * np.pi * (turn + 2.0 * frequency_hz * delay_s))
 
 
-def _closed(signal: FloatArray, added: int) -> FloatArray:
-    """Signal with a smooth way back from its end to its beginning."""
+def samples_added(count: int) -> int:
+    """Return by how many samples `closed_signal` is longer than a signal of so many."""
+    return max(2, int(TAPER_SHARE * count))
+
+
+def closed_signal(signal: FloatArray) -> FloatArray:
+    """Add a smooth way back from the end of a signal to its beginning.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,) or (N, K)
+
+    Returns
+    -------
+    ndarray, shape (M,) or (M, K)
+        M is N and `samples_added`.
+    """
+    added = samples_added(len(signal))
     way = 0.5 - 0.5 * np.cos(np.pi * (np.arange(added) + 1.0) / (added + 1.0))
+    way = way.reshape(-1, *[1] * (signal.ndim - 1))
     return np.concatenate([signal, signal[-1] + (signal[0] - signal[-1]) * way])

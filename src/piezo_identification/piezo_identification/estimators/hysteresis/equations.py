@@ -102,7 +102,7 @@ class Equations:
         self, penalties: Penalties, multiplier: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return unknowns, coefficients of the other columns, and forces of the bounds."""
-        roughness = penalties.smoothing * _bending(self.size)
+        roughness = penalties.smoothing * bending_operator(self.size)
         if penalties.translation:
             roughness = roughness + penalties.translation * _sliding(self.size)
         return nonnegative_minimum(
@@ -129,18 +129,10 @@ class Equations:
             + beside @ (self.corner @ beside - 2.0 * self.border_linear)
         ))
 
-    def unseen_misfit(
-        self, fitted: "Equations", unknowns: FloatArray, beside: FloatArray,
-    ) -> float:
-        """Misfit of what was fitted to other samples; an offset that those lack is fitted here."""
-        missing = np.diag(fitted.corner) == 0.0
-        if missing.any():
-            right = (self.border_linear - self.border.T @ unknowns - self.corner @ np.where(
-                missing, 0.0, beside))[missing]
-            beside = beside.copy()
-            beside[missing] = np.linalg.lstsq(
-                self.corner[np.ix_(missing, missing)], right, rcond=1e-12)[0]
-        return self.misfit(unknowns, beside)
+    def beside(self, unknowns: FloatArray) -> FloatArray:
+        """Return the coefficients of the other columns that fit best beside given unknowns."""
+        right = self.border_linear - self.border.T @ unknowns
+        return np.asarray(np.linalg.lstsq(self.corner, right, rcond=1e-13)[0])
 
 
 def line_unknowns(size: int) -> FloatArray:
@@ -216,7 +208,7 @@ def _bounded(size: int) -> csr_array:
 
 
 @lru_cache(maxsize=8)
-def _bending(size: int) -> csr_array:
+def bending_operator(size: int) -> csr_array:
     """Integral of the squares of the second derivatives; of a density over the squared range.
 
     The powers of the size turn differences into derivatives and the sum into the integral.

@@ -20,7 +20,11 @@ from piezo_identification.estimators.hysteresis.equations import (
 )
 from piezo_identification.estimators.hysteresis.everett_regression import visited_cells
 from piezo_identification.estimators.hysteresis.penalties import bounded_operator
-from piezo_identification.estimators.hysteresis.smoothing_choice import choose_penalties
+from piezo_identification.estimators.hysteresis.smoothing_choice import (
+    PenaltyChoice,
+    choose_penalties,
+    refine_smoothing,
+)
 
 CELLS_FOR_THE_WEIGHT = 30
 """Cells along a threshold on which the weights are chosen: they mean the same on any grid."""
@@ -120,18 +124,8 @@ def density_of_segments(
     if is_line:
         penalties = Penalties(0.0)
     elif smoothing_weight is None:
-        coarse = min(size, CELLS_FOR_THE_WEIGHT)
-        coarse_v = np.linspace(levels_v[0], levels_v[-1], coarse + 1)
-        choice = choose_penalties(segments, coarse_v, translation_weight)
-        penalties, forces, is_line = choice.penalties, choice.forces, choice.is_line
-        # The bounds that hold are found on grids twice as fine each time, where that costs little.
-        while 2 * coarse < size and not is_line:
-            finer = 2 * coarse
-            finer_v = np.linspace(levels_v[0], levels_v[-1], finer + 1)
-            [equations] = equations_of_folds(segments, finer_v)
-            *_, forces = equations.solve(penalties, _on_finer_grid(forces, coarse, finer))
-            coarse = finer
-        multiplier = _on_finer_grid(forces, coarse, size)
+        choice = _penalties_for(segments, levels_v, translation_weight)
+        penalties, multiplier, is_line = choice.penalties, choice.forces, choice.is_line
     else:
         penalties = Penalties(smoothing_weight, translation_weight or 0.0)
     [equations] = equations_of_folds(segments, levels_v)
@@ -141,7 +135,7 @@ def density_of_segments(
         unknowns, beside, _ = equations.solve(penalties, multiplier)
         if translation_weight is None and penalties.translation:
             # Loops that were alike on the coarse grid need not be on the fine one.
-            free = replace(penalties, translation=0.0)
+            free = choice.without_translation
             others = equations.solve(free, multiplier)[:2]
             if equations.misfit(unknowns, beside) > (
                     LARGEST_TRANSLATION_COST * equations.misfit(*others)):
@@ -163,6 +157,30 @@ def density_of_segments(
         smoothing_weight=penalties.smoothing, reversible_um_per_v=reversible / width_v,
         translation_weight=penalties.translation,
     )
+
+
+def _penalties_for(
+    segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None,
+) -> PenaltyChoice:
+    """Choose the weights on few cells, and the smoothing anew on twice as many.
+
+    The bounds that hold are then found on grids twice as fine each time, where that costs little.
+    """
+    size = levels_v.size - 1
+    cells = min(size, CELLS_FOR_THE_WEIGHT)
+    choice = choose_penalties(
+        segments, np.linspace(levels_v[0], levels_v[-1], cells + 1), translation)
+    while 2 * cells < size and not choice.is_line:
+        finer_v = np.linspace(levels_v[0], levels_v[-1], 2 * cells + 1)
+        forces = _on_finer_grid(choice.forces, cells, 2 * cells)
+        if cells == CELLS_FOR_THE_WEIGHT:
+            choice = refine_smoothing(segments, finer_v, choice, forces)
+        else:
+            [equations] = equations_of_folds(segments, finer_v)
+            *_, forces = equations.solve(choice.penalties, forces)
+            choice = replace(choice, forces=forces)
+        cells *= 2
+    return replace(choice, forces=_on_finer_grid(choice.forces, cells, size))
 
 
 def _on_finer_grid(forces: FloatArray, coarse: int, fine: int) -> FloatArray:

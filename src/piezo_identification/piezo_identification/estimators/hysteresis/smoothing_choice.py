@@ -43,6 +43,8 @@ class PenaltyChoice:
     Parameters
     ----------
     penalties : Penalties
+    without_translation : Penalties
+        Those to take where the density's change along the diagonal is not to be charged.
     forces : ndarray
         Of the bounds, on the grid on which the weights were chosen.
     is_line : bool
@@ -50,6 +52,7 @@ class PenaltyChoice:
     """
 
     penalties: Penalties
+    without_translation: Penalties
     forces: FloatArray
     is_line: bool
 
@@ -112,7 +115,7 @@ def choose_penalties(
     PenaltyChoice
     """
     trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments)))
-    penalties = trials.best(
+    penalties = free = trials.best(
         Penalties(weight, translation or 0.0) for weight in SMOOTHING_WEIGHTS)
     if translation is None:
         penalties = trials.best(
@@ -120,13 +123,54 @@ def choose_penalties(
             for weight in (0.0, *reversed(TRANSLATION_WEIGHTS)))
         penalties = trials.best(
             replace(penalties, smoothing=weight) for weight in SMOOTHING_WEIGHTS)
-    return PenaltyChoice(penalties, trials.forces(penalties), trials.line_predicts(penalties))
+    return PenaltyChoice(
+        penalties, free, trials.forces(penalties), trials.line_predicts(penalties))
+
+
+def refine_smoothing(
+    segments: Sequence[HysteresisSegment], levels_v: FloatArray, choice: PenaltyChoice,
+    forces: FloatArray,
+) -> PenaltyChoice:
+    """Go on from weights that were chosen on few cells to a smoothing for more of them.
+
+    What few cells cannot follow hides from them how much the density may bend. From the chosen
+    smoothing on, weaker ones are tried as long as they predict the branches held out better; if the
+    first does not, stronger ones are.
+
+    Parameters
+    ----------
+    segments : sequence of HysteresisSegment
+    levels_v : ndarray, shape (n + 1,)
+        Of the finer grid.
+    choice : PenaltyChoice
+    forces : ndarray
+        Of the bounds on the finer grid, about.
+
+    Returns
+    -------
+    PenaltyChoice
+    """
+    trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments)), forces)
+    first = SMOOTHING_WEIGHTS.index(choice.penalties.smoothing)
+    tried = [choice.penalties]
+    for weights in (SMOOTHING_WEIGHTS[first + 1 :], SMOOTHING_WEIGHTS[:first][::-1]):
+        for weight in weights:
+            least = min(trials.misfits(each).sum() for each in tried)
+            tried.append(replace(choice.penalties, smoothing=weight))
+            if trials.misfits(tried[-1]).sum() >= least:
+                break
+        if len(tried) > 2:
+            break
+    penalties = trials.best(sorted(tried, key=lambda each: -each.smoothing))
+    return replace(choice, penalties=penalties, forces=trials.forces(penalties))
 
 
 class _Trials:
     """Misfits of the folds held out, by the penalties."""
 
-    def __init__(self, folds: Sequence[Equations]) -> None:
+    def __init__(
+        self, folds: Sequence[Equations], forces: FloatArray | None = None,
+    ) -> None:
         self._unseen = [fold for fold in folds if fold.count]
         whole = self._unseen[0]
         for fold in self._unseen[1:]:
@@ -136,16 +180,15 @@ class _Trials:
                         for fold in self._unseen]
         self._counts = np.array([fold.count for fold in self._unseen])
         self._misfits: dict[Penalties, FloatArray] = {}
-        self._forces: list[FloatArray | None] = [None] * len(self._unseen)
+        self._forces: list[FloatArray | None] = [forces] * len(self._unseen)
 
     def misfits(self, penalties: Penalties) -> FloatArray:
         """Sum of the squared errors of each fold."""
         if penalties not in self._misfits:
             result = []
             for index, (fitted, unseen) in enumerate(zip(self._fitted, self._unseen, strict=True)):
-                unknowns, beside, self._forces[index] = fitted.solve(
-                    penalties, self._forces[index])
-                result.append(unseen.unseen_misfit(fitted, unknowns, beside))
+                unknowns, _, self._forces[index] = fitted.solve(penalties, self._forces[index])
+                result.append(self._unseen_misfit(unseen, unknowns))
             self._misfits[penalties] = np.array(result)
         return self._misfits[penalties]
 
@@ -162,10 +205,18 @@ class _Trials:
     def line_predicts(self, penalties: Penalties) -> bool:
         """Tell whether a line predicts as well as a density with these penalties."""
         misfits = np.array([
-            unseen.unseen_misfit(fitted, *fitted.solve_line())
+            self._unseen_misfit(unseen, fitted.solve_line()[0])
             for fitted, unseen in zip(self._fitted, self._unseen, strict=True)
         ])
         return self._as_well(misfits, penalties)
+
+    def _unseen_misfit(self, unseen: Equations, unknowns: FloatArray) -> float:
+        """Sum of the squared errors of a fold.
+
+        Offsets and transients of the start are no part of the hysteresis: they are those of all
+        samples. A transient may lie in one fold alone, and the others tell nothing of it.
+        """
+        return unseen.misfit(unknowns, self._whole.beside(unknowns))
 
     def _as_well(self, misfits: FloatArray, least: Penalties) -> bool:
         best = self.misfits(least)

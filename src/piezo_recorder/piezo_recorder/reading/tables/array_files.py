@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Arrays under names: NumPy's .npy and .npz, MATLAB's .mat of both kinds, HDF5."""
+"""Arrays under names: NumPy's .npy and .npz, sound, HDF5 and what MATLAB writes as such."""
 
 import warnings
 import zipfile
@@ -48,7 +48,10 @@ class Group:
 
     def table(self, path: Path) -> Table:
         """Return the columns of one length as a table."""
-        return Table(path, equal_length(self.columns), self.units, self.scalars, self.title)
+        columns = equal_length(self.columns)
+        left_out = {name: len(values) for name, values in self.columns.items()
+                    if name not in columns}
+        return Table(path, columns, self.units, self.scalars, self.title, left_out=left_out)
 
 
 def tables_of(path: Path, groups: list[Group]) -> list[Table]:
@@ -120,38 +123,16 @@ def read_npz(path: Path, progress: Progress) -> list[Table]:
     return tables_of(path, [group])
 
 
-def read_matlab(path: Path, progress: Progress) -> list[Table]:
-    """Read the variables of a MATLAB file of version 5 to 7; a structure is a group."""
-    from scipy.io import loadmat
+def read_wav(path: Path, progress: Progress) -> list[Table]:
+    """Read the channels of a sound file in counts, and its rate."""
+    from scipy.io import wavfile
 
-    with damage_told(path, "MATLAB file"):
-        variables = loadmat(path, squeeze_me=True, struct_as_record=False)
-        groups = [Group("")]
-        for name, value in variables.items():
-            if not name.startswith("__"):
-                _take_matlab(groups, groups[0], name, value)
-        tables = tables_of(path, groups)
-    if not tables:
-        raise RecordingError(
-            f"{path} holds no numeric arrays ({', '.join(variables) or 'nothing'}): save time, "
-            "voltage and displacement as vectors, not as a table or timetable")
-    return tables
-
-
-def _take_matlab(groups: list[Group], group: Group, name: str, value: Any) -> None:
-    """Take a variable; the fields of a structure are a group of its name."""
-    fields = getattr(value, "_fieldnames", None)
-    if fields is not None:
-        inner = Group(joined(group.title, name))
-        groups.append(inner)
-        for part in fields:
-            _take_matlab(groups, inner, part, getattr(value, part))
-    elif isinstance(value, np.ndarray) and value.dtype == object and value.size:
-        if all(hasattr(each, "_fieldnames") for each in value.flat):
-            for number, each in enumerate(value.flat, start=1):
-                _take_matlab(groups, group, f"{name}.{number}", each)
-    elif isinstance(value, (np.ndarray, float, int)):
-        group.take(name, value)
+    group = Group("")
+    with damage_told(path, "WAV file"):
+        rate_hz, values = wavfile.read(path)
+        group.take("channel", values)
+        group.scalars["rate"] = float(rate_hz)
+    return tables_of(path, [group])
 
 
 def read_hdf5(path: Path, progress: Progress) -> list[Table]:

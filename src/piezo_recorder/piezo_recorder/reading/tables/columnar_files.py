@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Columns of measuring programs and data frames: TDMS, Parquet and Arrow."""
 
-from collections.abc import Iterable
+import logging
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,16 @@ from piezo_recorder.reading.tables.table import Progress, Table
 WAVEFORM_TIME = "time [s]"
 """Label of the time that the increment of a TDMS waveform tells."""
 
+MOST_OF_WARNING = 120
+"""Characters; the library quotes the bytes that it cannot read."""
+
 
 def read_tdms(path: Path, progress: Progress) -> list[Table]:
     """Read the channels of a TDMS file; each of its groups is a table."""
     nptdms = library("nptdms", path)
     groups = []
-    with damage_told(path, "TDMS file"), nptdms.TdmsFile.open(path) as file:
+    with (damage_told(path, "TDMS file"), _warnings_of_tdms() as warned,
+          nptdms.TdmsFile.open(path) as file):
         channels = sum(len(group.channels()) for group in file.groups())
         for found in file.groups():
             group = Group(found.name)
@@ -27,7 +33,29 @@ def read_tdms(path: Path, progress: Progress) -> list[Table]:
             for channel in found.channels():
                 _take_channel(group, channel)
                 progress(f"read {path.name}", len(group.columns) / max(channels, 1))
-        return [table for table in tables_of(path, groups) if table.rows]
+        tables = [table for table in tables_of(path, groups) if table.rows]
+    for table in tables:
+        table.notes += [f"{path} is damaged or cut short ({text}): the rest of it is read"
+                        for text in dict.fromkeys(warned)]
+    return tables
+
+
+@contextmanager
+def _warnings_of_tdms() -> Iterator[list[str]]:
+    """Collect what the library would print of a file that it can read in part."""
+    from nptdms.log import log_manager
+
+    found: list[str] = []
+
+    def collect(record: logging.LogRecord) -> bool:
+        found.append(" ".join(record.getMessage().split())[:MOST_OF_WARNING])
+        return False
+
+    log_manager.console_handler.addFilter(collect)
+    try:
+        yield found
+    finally:
+        log_manager.console_handler.removeFilter(collect)
 
 
 def _take_channel(group: Group, channel: Any) -> None:

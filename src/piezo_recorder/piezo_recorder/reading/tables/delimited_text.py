@@ -3,27 +3,30 @@
 
 import io
 import math
+import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from piezo_recorder.reading.recording import RecordingError
-from piezo_recorder.reading.tables.dialect import (
-    Dialect,
-    clock_seconds,
-    dialect_of,
-    is_comment,
-)
+from piezo_recorder.reading.tables.cells import across_midnight, clock_seconds, is_time_of_day
+from piezo_recorder.reading.tables.dialect import DELIMITERS, Dialect, dialect_of, is_comment
+from piezo_recorder.reading.tables.footer import footer_lines, without_last
+from piezo_recorder.reading.tables.labview_text import TIME, LabviewPreamble, labview_preamble
 from piezo_recorder.reading.tables.table import Progress, Table
+from piezo_recorder.reading.units import name_and_unit
 
 HEAD_BYTES = 1 << 18
 HEAD_LINES = 400
 CHUNK_LINES = 100_000
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+
+_NUMBER_AND_UNIT = re.compile(r"\s*[-+]?[\d.,]+(?:[eE][-+]?\d+)?\s*[^\W\d]{1,7}\s*")
 
 Needed = Callable[[Table], Sequence[str]]
 """Tells by its labels alone which columns of a table must be there in every row."""
@@ -53,18 +56,40 @@ def read_text_table(path: Path, needed: Needed, progress: Progress) -> Table:
         head = file.read(HEAD_BYTES)
     encoding = _encoding(path, head)
     lines = head.decode(encoding, errors="replace").lstrip("\ufeff").splitlines()[:HEAD_LINES]
-    dialect = dialect_of(lines)
+    labview = labview_preamble(lines)
+    dialect = dialect_of(lines, [labview.delimiter] if labview else DELIMITERS)
     if dialect is None:
         return _without_rows(path, lines, needed)
     labels = _labels(path, dialect, lines)
-    clocks = {label: "s" for label, kind in zip(labels, dialect.kinds, strict=True)
-              if kind == "clock"}
     empty = Table(path, {label: np.empty(0) for label in labels if label},
-                  dict(zip(labels, dialect.units, strict=False)) | clocks,
-                  header_line=dialect.header_line)
+                  _units(labels, dialect), header_line=dialect.header_line)
+    if labview:
+        _take_preamble(empty, labview)
     wanted = set(needed(empty))
     reading = _Reading(path, dialect, labels, wanted, encoding, progress)
-    return reading.table(empty.units)
+    return replace(reading.table(), units=empty.units, scalars=empty.scalars)
+
+
+def _units(labels: Sequence[str], dialect: Dialect) -> dict[str, str]:
+    """Return the units that do not stand in the labels of the columns themselves."""
+    clocks = {label: "s" for label, kind in zip(labels, dialect.kinds, strict=True)
+              if kind == "clock"}
+    numbered = {label: name_and_unit(written)[1]
+                for label, written in zip(labels, dialect.header, strict=False)
+                if label != written}
+    return numbered | dict(zip(labels, dialect.units, strict=False)) | clocks
+
+
+def _take_preamble(table: Table, labview: LabviewPreamble) -> None:
+    """Complete a table without rows by the units and the time that LabVIEW tells above it."""
+    channels = [label for label in table.columns if label != TIME]
+    table.units |= {label: unit for label, unit in zip(channels, labview.units, strict=False)
+                    if unit}
+    table.units[TIME] = "s"
+    if not labview.has_time:
+        table.columns.pop(TIME, None)
+        if labview.period_s > 0.0:
+            table.scalars["dt"] = labview.period_s
 
 
 def _encoding(path: Path, head: bytes) -> str:
@@ -86,7 +111,12 @@ def _without_rows(path: Path, lines: Sequence[str], needed: Needed) -> Table:
     """Return a table of a header alone, or say that there is none."""
     for number, line in enumerate(lines):
         for delimiter in "\t;,":
-            labels = [label.strip(' "#%') for label in line.split(delimiter)]
+            cells = line.split(delimiter)
+            if len(cells) > 1 and all(_NUMBER_AND_UNIT.fullmatch(cell) for cell in cells):
+                raise RecordingError(
+                    f"{path}, row {number + 1}: '{cells[0].strip()[:40]}' is no number: write the "
+                    "units into the header, not into the rows")
+            labels = [label.strip(' "#%') for label in cells]
             if len(labels) < 3 or len(set(labels)) < len(labels):
                 continue
             table = Table(path, {label: np.empty(0) for label in labels}, header_line=number)
@@ -101,7 +131,10 @@ def _without_rows(path: Path, lines: Sequence[str], needed: Needed) -> Table:
 
 
 def _labels(path: Path, dialect: Dialect, lines: Sequence[str]) -> list[str]:
-    """Return the labels of the columns; their numbers from 1 where there is no header."""
+    """Return the labels of the columns; their numbers from 1 where there is no header.
+
+    Of labels that are there twice, the first one becomes LABEL.1.
+    """
     if not dialect.header:
         above = dialect.first_line - 1
         names = dialect.split(lines[above]) if above >= 0 else []
@@ -114,11 +147,9 @@ def _labels(path: Path, dialect: Dialect, lines: Sequence[str]) -> list[str]:
                    if dialect.delimiter == "," else ""))
         return [str(number) if kind != "empty" or number < dialect.cells else ""
                 for number, kind in enumerate(dialect.kinds, start=1)]
-    for label in dialect.header:
-        if label and dialect.header.count(label) > 1:
-            raise RecordingError(f"{path}, row {dialect.header_line + 1}: the column '{label}' is "
-                                 "there twice: rename one of them")
-    return list(dialect.header)
+    twice = {label for label in dialect.header if label and dialect.header.count(label) > 1}
+    return [f"{label}.{dialect.header[:column].count(label) + 1}" if label in twice else label
+            for column, label in enumerate(dialect.header)]
 
 
 class _Reading:
@@ -132,10 +163,13 @@ class _Reading:
                       or label and dialect.kinds[column] in ("number", "clock")]
         self._dropped: dict[str, str] = {}
 
-    def table(self, units: dict[str, str]) -> Table:
+    def table(self) -> Table:
         while True:
             self._skipped = [(0, self._dialect.first_line)]
             self._parts: list[int] = []
+            self._times_of_day: set[str] = set()
+            self._midnight_s: dict[str, float] = {}
+            self._footer = self._grouped = ""
             try:
                 chunks = list(self._chunks())
             except _UnusableColumn as found:
@@ -147,15 +181,22 @@ class _Reading:
                    for place, column in enumerate(self._used)}
         notes = [f"{self._path}: the column '{label}' is left out: {what}"
                  for label, what in self._dropped.items()]
-        return Table(self._path, columns, units, parts=self._parts, skipped=self._skipped,
+        notes += [f"{self._path}: {note}" for note in (self._footer, self._grouped) if note]
+        for label in self._times_of_day:
+            columns[label] = across_midnight(columns[label])
+        return Table(self._path, columns, parts=self._parts, skipped=self._skipped,
                      header_line=self._dialect.header_line, notes=notes)
 
     def _chunks(self) -> Iterator[np.ndarray]:
+        footer = footer_lines(self._path, self._encoding, self._dialect)
+        if footer:
+            self._footer = (f"the file ends with {len(footer)} lines that are no rows; they are "
+                            f"left out, from '{footer[0][:40]}' on")
         with self._lines() as (stream, share):
             for _ in range(self._dialect.first_line):
                 next(stream)
-            rows = 0
-            while lines := list(islice(stream, CHUNK_LINES)):
+            rows, kept = 0, without_last(stream, len(footer))
+            while lines := list(islice(kept, CHUNK_LINES)):
                 values = self._values(lines, rows)
                 rows += len(values)
                 yield values
@@ -182,6 +223,8 @@ class _Reading:
         if not lines or "clock" in self._dialect.kinds:
             return None
         if self._dialect.decimal == ",":
+            if any("." in line for line in lines):
+                return None  # it may mark thousands
             lines = [line.replace(",", ".") for line in lines]
         every = len(self._used) == len(self._labels)
         try:
@@ -235,13 +278,12 @@ class _Reading:
     def _number(self, cell: str, column: int, place: str) -> float:
         dialect, label = self._dialect, self._labels[column]
         kind = dialect.kind(cell)
-        if kind == "clock":
-            value = clock_seconds(cell)
-        elif kind == "number":
-            value = float(cell.replace(",", ".") if dialect.decimal == "," else cell)
-        else:
-            value = math.nan
+        if kind == "empty":
+            return math.nan
+        value = self._clock(cell, label) if kind == "clock" else dialect.number(cell)
         if math.isfinite(value):
+            if not self._grouped and dialect.is_grouped(cell):
+                self._grouped = f"'{cell}' in {place.rsplit(', ', 1)[1]} is read as {value:g}"
             return value
         if label in self._needed:
             raise RecordingError(f"{place}: {label} is '{cell[:40]}', no finite number: mend the "
@@ -249,6 +291,13 @@ class _Reading:
         if kind == "text":
             raise _UnusableColumn(column, f"it is '{cell[:40]}' in {place.rsplit(', ', 1)[1]}")
         return value
+
+    def _clock(self, cell: str, label: str) -> float:
+        """Return a time in seconds since the midnight before the first row."""
+        if is_time_of_day(cell):
+            self._times_of_day.add(label)
+        midnight_s, seconds = clock_seconds(cell)
+        return midnight_s - self._midnight_s.setdefault(label, midnight_s) + seconds
 
 
 class _UnusableColumn(Exception):

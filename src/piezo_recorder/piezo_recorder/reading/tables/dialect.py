@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How a text file writes its table: delimiter, decimal mark, header, and where the rows begin."""
 
-import math
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -9,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezo_recorder.reading.tables.cells import is_grouped, kind_of, number_of
 from piezo_recorder.reading.units import signal_of_unit
 
 DELIMITERS = ("\t", ";", ",", "|", None)
@@ -21,7 +21,6 @@ HEADER_WITHIN = 3
 """Lines above the first row in which its header is looked for: names, units, an empty one."""
 
 _GLUED = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
-_CLOCK = re.compile(r"(?:(\d{4}-\d\d-\d\d)[ T])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)Z?")
 
 
 @dataclass(frozen=True)
@@ -34,6 +33,8 @@ class Dialect:
         None for any white space.
     decimal : str
         ``.`` or ``,``.
+    grouped : bool
+        Whether the file shows its decimal mark, so that the other one marks thousands.
     cells : int
         In a row.
     kinds : tuple of str
@@ -56,6 +57,7 @@ class Dialect:
     units: tuple[str, ...] = ()
     header_line: int = -1
     first_line: int = 0
+    grouped: bool = False
 
     def split(self, line: str) -> list[str]:
         """Return the cells of a line, without quotes and white space around them."""
@@ -63,7 +65,15 @@ class Dialect:
 
     def kind(self, cell: str) -> str:
         """Return what a cell holds: ``number``, ``clock``, ``text`` or ``empty``."""
-        return kind_of(cell, self.decimal)
+        return kind_of(cell, self.decimal, self.grouped)
+
+    def number(self, cell: str) -> float:
+        """Return the number in a cell; nan where there is none."""
+        return number_of(cell, self.decimal, self.grouped)
+
+    def is_grouped(self, cell: str) -> bool:
+        """Tell whether a cell holds a number whose thousands are marked."""
+        return is_grouped(cell, self.decimal)
 
 
 def split_cells(line: str, delimiter: str | None) -> list[str]:
@@ -76,41 +86,14 @@ def split_cells(line: str, delimiter: str | None) -> list[str]:
     return [cell.strip().strip('"').strip() for cell in cells]
 
 
-def kind_of(cell: str, decimal: str) -> str:
-    """Return what a cell holds: ``number``, ``clock``, ``text`` or ``empty``."""
-    if not cell:
-        return "empty"
-    if _CLOCK.fullmatch(cell):
-        return "clock"
-    text = cell if decimal == "." else cell.replace(",", ".")
-    try:
-        float(text)
-    except ValueError:
-        return "text"
-    return "text" if "_" in text else "number"
-
-
-def clock_seconds(cell: str) -> float:
-    """Return a date with time, or a time of the day, in seconds; nan where it is neither."""
-    found = _CLOCK.fullmatch(cell)
-    if not found:
-        return math.nan
-    day = found[1]
-    try:
-        midnight_s = float(np.datetime64(day, "s").astype(int)) if day else 0.0
-    except ValueError:
-        return math.nan
-    return (midnight_s + 3600.0 * int(found[2]) + 60.0 * int(found[3])
-            + float(found[4].replace(",", ".")))
-
-
 def is_comment(line: str) -> bool:
     """Tell whether a line is empty or a comment, so that it holds no row."""
     text = line.lstrip("\ufeff \t\r\n")
     return not text or text.startswith(COMMENTS)
 
 
-def dialect_of(lines: Sequence[str]) -> Dialect | None:
+def dialect_of(lines: Sequence[str],
+               delimiters: Sequence[str | None] = DELIMITERS) -> Dialect | None:
     """Find how the first lines of a file write a table.
 
     Rows are lines of as many cells, of which at least one is a number and none is text; where a
@@ -119,20 +102,24 @@ def dialect_of(lines: Sequence[str]) -> Dialect | None:
     Parameters
     ----------
     lines : sequence of str
+    delimiters : sequence of (str or None)
+        Those that may stand between cells; all that are known by default.
 
     Returns
     -------
     Dialect or None
         None where no line is a row.
     """
-    found = _best(lines, text_allowed=False) or _best(lines, text_allowed=True)
+    found = (_best(lines, delimiters, text_allowed=False)
+             or _best(lines, delimiters, text_allowed=True))
     return _with_header(found, lines) if found else None
 
 
-def _best(lines: Sequence[str], text_allowed: bool) -> Dialect | None:
+def _best(lines: Sequence[str], delimiters: Sequence[str | None],
+          text_allowed: bool) -> Dialect | None:
     best, best_score = None, 0.0
     for decimal in ".,":
-        for delimiter in DELIMITERS:
+        for delimiter in delimiters:
             if delimiter == decimal:
                 continue
             rows = _rows(lines, delimiter, decimal, text_allowed)
@@ -147,18 +134,43 @@ def _best(lines: Sequence[str], text_allowed: bool) -> Dialect | None:
                 first = min(of_count)
                 best, best_score = Dialect(
                     delimiter, decimal, cells, of_count[first], first_line=first), score
-    return best
+    if best is not None and _shows_decimal_mark(best, lines):
+        rows = _rows(lines, best.delimiter, best.decimal, text_allowed, grouped=True)
+        first = min(line for line, kinds in rows.items() if len(kinds) == best.cells)
+        best = replace(best, kinds=rows[first], first_line=first, grouped=True)
+    return best and replace(best, first_line=_first_line(best, lines))
 
 
-def _rows(lines: Sequence[str], delimiter: str | None, decimal: str,
-          text_allowed: bool) -> dict[int, tuple[str, ...]]:
+def _first_line(found: Dialect, lines: Sequence[str]) -> int:
+    """Return the first row, also where other columns hold remarks beside the first rows."""
+    first = found.first_line
+    while first > 0:
+        cells = found.split(lines[first - 1])
+        numbers = [cell for cell, kind in zip(cells, found.kinds, strict=False)
+                   if kind == "number"]
+        if len(cells) != found.cells or any(found.kind(cell) != "number" for cell in numbers):
+            break
+        first -= 1
+    return first
+
+
+def _shows_decimal_mark(found: Dialect, lines: Sequence[str]) -> bool:
+    """Tell whether a cell has a decimal mark that cannot be one of thousands."""
+    thousands = re.compile(rf"[-+]?[1-9]\d{{0,2}}(?:{re.escape(found.decimal)}\d{{3}})+")
+    cells = (cell for line in lines[found.first_line:] for cell in found.split(line))
+    return any(found.decimal in cell and found.kind(cell) == "number"
+               and not thousands.fullmatch(cell) for cell in cells)
+
+
+def _rows(lines: Sequence[str], delimiter: str | None, decimal: str, text_allowed: bool,
+          grouped: bool = False) -> dict[int, tuple[str, ...]]:
     """Return the kinds of the cells of every line that looks like a row."""
     found = {}
     for number, line in enumerate(lines):
         if is_comment(line):
             continue
         cells = split_cells(line, delimiter)
-        kinds = tuple(kind_of(cell, decimal) for cell in cells)
+        kinds = tuple(kind_of(cell, decimal, grouped) for cell in cells)
         numbers = kinds.count("number")
         fits = (numbers >= 2 if text_allowed else numbers >= 1 and "text" not in kinds)
         if len(cells) >= 2 and fits:

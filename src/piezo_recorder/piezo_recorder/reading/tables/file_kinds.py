@@ -7,12 +7,13 @@ from pathlib import Path
 from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.reading.tables.array_files import (
     read_hdf5,
-    read_matlab,
     read_npy,
     read_npz,
+    read_wav,
 )
 from piezo_recorder.reading.tables.columnar_files import read_arrow, read_parquet, read_tdms
 from piezo_recorder.reading.tables.delimited_text import Needed, read_text_table
+from piezo_recorder.reading.tables.matlab_files import is_version_4, read_matlab
 from piezo_recorder.reading.tables.table import Progress, Table
 
 TableReader = Callable[[Path, Progress], list[Table]]
@@ -21,7 +22,7 @@ HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 READERS: tuple[tuple[bytes, TableReader], ...] = (
     (HDF5_MAGIC, read_hdf5), (b"\x93NUMPY", read_npy), (b"PK\x03\x04", read_npz),
     (b"MATLAB 5.0", read_matlab), (b"TDSm", read_tdms), (b"PAR1", read_parquet),
-    (b"ARROW1", read_arrow))
+    (b"ARROW1", read_arrow), (b"RIFF", read_wav))
 """The bytes that a file begins with tell its reader."""
 
 FOREIGN = {
@@ -61,6 +62,8 @@ def read_tables(path: Path, needed: Needed, progress: Progress) -> list[Table]:
         head = file.read(MATLAB_HDF5_OFFSET + len(HDF5_MAGIC))
     if head[MATLAB_HDF5_OFFSET:] == HDF5_MAGIC:
         return read_hdf5(path, progress)
+    if is_version_4(head):
+        return read_matlab(path, progress)
     for magic, read in READERS:
         if head.startswith(magic):
             return read(path, progress)

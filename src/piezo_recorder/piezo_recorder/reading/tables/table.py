@@ -42,6 +42,8 @@ class Table:
         Line of the file with the labels, from 0; -1 where no line has them.
     notes : list of str
         What was left out, for people.
+    left_out : dict of str to int
+        Columns of the file that are of another length than these, and that length.
     """
 
     path: Path
@@ -53,6 +55,7 @@ class Table:
     skipped: list[tuple[int, int]] = field(default_factory=lambda: [(0, 0)])
     header_line: int = -1
     notes: list[str] = field(default_factory=list)
+    left_out: dict[str, int] = field(default_factory=dict)
 
     @property
     def header_place(self) -> str:

@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Run the cases through Dask, print the confusion table and write it."""
 
-import argparse
 import json
-import sys
-from pathlib import Path
 
 from distributed import Client, LocalCluster, as_completed
 
@@ -53,16 +50,8 @@ def _result(case, future):
     return refused(case, future.exception())
 
 
-def main(arguments=None):
-    """Run the command; the exit status is 0 whatever the figures are."""
-    parser = argparse.ArgumentParser(prog="diagnose_suite", description=__doc__)
-    parser.add_argument("--cases", type=int, default=260, help="how many (%(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="of everything random (%(default)s)")
-    parser.add_argument("--scheduler", metavar="ADDRESS",
-                        help="of a Dask scheduler, as tcp://host:8786; local processes by default")
-    parser.add_argument("--output", type=Path, default=Path("runs/diagnose-suite"),
-                        help="directory of table.json (%(default)s)")
-    options = parser.parse_args(arguments)
+def diagnose_cases(options):
+    """Run the suite of the options; the exit status is 0 whatever the figures are."""
     line = ProgressLine()
 
     def show(done):
@@ -74,8 +63,7 @@ def main(arguments=None):
         else:
             client = Client(LocalCluster(threads_per_worker=1, dashboard_address=None))
     except OSError as error:
-        print(f"diagnose_suite: no scheduler at {options.scheduler}: {error}", file=sys.stderr)
-        return 2
+        raise ValueError(f"no scheduler at {options.scheduler}: {error}") from None
     with client:
         document = run_suite(client, options.cases, options.seed, show)
         if client.cluster is not None:
@@ -87,7 +75,3 @@ def main(arguments=None):
     print(as_text(document))
     print(f"{options.cases} cases of seed {options.seed}: {path}")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

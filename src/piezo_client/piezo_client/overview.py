@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tell which stages can be seen, and how one of them is."""
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.srv import GetState
+
+from piezo_client.client import Client, nobody_serves
+from piezo_ros.stage_runs.described_stage import DescribedStage
+
+NODES = ("stage", "recorder", "identification", "controller")
+DIAGNOSTICS_S = 5.0
+"""Every node that has something to tell does so each second."""
+
+
+def stages_seen(client: Client, wait_s: float) -> list[str]:
+    """Return a line for each stage that any namespace has, with the nodes beside it.
+
+    Parameters
+    ----------
+    client : Client
+    wait_s : float
+        How long to look where none is seen.
+
+    Raises
+    ------
+    ServiceFailed
+        If there is none.
+    """
+    client.spin_until(lambda: bool(_namespaces(client)), wait_s)
+    found = _namespaces(client)
+    if not found:
+        raise nobody_serves("")
+    return [f"{namespace.rstrip('/')}/stage: {', '.join(sorted(found[namespace]))}"
+            for namespace in sorted(found)]
+
+
+def _namespaces(client: Client) -> dict[str, set[str]]:
+    """Return the nodes of each namespace that has a stage."""
+    seen: dict[str, set[str]] = {}
+    for name, namespace in client.node.get_node_names_and_namespaces():
+        if name in NODES:
+            seen.setdefault(namespace, set()).add(name)
+    return {namespace: names for namespace, names in seen.items() if "stage" in names}
+
+
+def status_lines(client: Client) -> list[str]:
+    """Return what is to be said of the stage of a client's namespace.
+
+    Raises
+    ------
+    ServiceFailed
+        If nobody serves it.
+    """
+    heard: dict[str, DiagnosticStatus] = {}
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message: heard.update(
+        {status.name: status for status in message.status}), 10)
+    described = DescribedStage(client.node)
+    namespace = client.node.get_namespace().rstrip("/")
+    state = client.call(GetState, "stage/get_state").current_state.label
+    lines = [f"{namespace}/stage is {state}"]
+    if state == "unconfigured":
+        lines.append(f"configure and activate it: ros2 lifecycle set {namespace}/stage configure, "
+                     "then activate; or start it with -p autostart:=true")
+    else:
+        lines += _description(client.description(described))
+    name = f"{namespace}/stage: stage"
+    if client.spin_until(lambda: name in heard, DIAGNOSTICS_S):
+        lines += _present(heard[name])
+    lines += [f"{status.name.partition(': ')[0]}: {status.message}"
+              for key, status in sorted(heard.items())
+              if key.startswith(f"{namespace}/") and key.endswith(": goal")]
+    missing = [name for name in NODES if name not in client.neighbours()]
+    return [*lines, f"not there: {', '.join(missing)}" if missing else "all nodes are there"]
+
+
+def _description(told: Any) -> list[str]:
+    return [
+        f"backend {told.backend}, {told.timing}, {told.sample_rate_hz:g} Hz, feedback every "
+        f"{told.samples_per_tick} samples",
+        f"voltage {told.minimum_voltage_v:g} to {told.maximum_voltage_v:g} V, at rest "
+        f"{told.rest_voltage_v:g} V, at most {told.slew_limit_v_per_s:g} V/s"]
+
+
+def _present(status: DiagnosticStatus) -> list[str]:
+    values = {entry.key: entry.value for entry in status.values}
+    client = f" for {values['client']}" if values.get("client") else ""
+    voltage = f", {values['voltage_v']} V" if "voltage_v" in values else ""
+    return [f"now: {status.message}{client}{voltage}"]

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The work of the command `stage`: a function for each of its subcommands."""
+
+import argparse
+import shlex
+import signal
+import sys
+from collections.abc import Callable
+
+from piezo_client.client import GoalFailed
+from piezo_client.overview import stages_seen, status_lines
+from piezo_client.references import harmonic, triangle
+from piezo_client.stage import Stage
+from piezo_client.waveform_file import read_waveform
+from piezo_common.progress_line import ProgressLine
+
+FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+SHAPES = {"harmonic": harmonic, "triangle": triangle}
+
+
+def drive(options: argparse.Namespace) -> int:
+    """Do what the options of `piezo_client.stage_command` ask for; return the exit status."""
+    for number in signal.SIGINT, signal.SIGTERM:
+        signal.signal(number, signal.default_int_handler)
+    progress = ProgressLine()
+    try:
+        with Stage(options.namespace, progress.show, options.wait_s) as stage:
+            lines = WORK[options.command](stage, options)
+    except (GoalFailed, ValueError, OSError) as failure:
+        progress.clear()
+        print(f"stage: {failure}", file=sys.stderr)
+        return FAILED if isinstance(failure, GoalFailed) else BAD_INPUT
+    except KeyboardInterrupt:
+        progress.clear()
+        print(f"stage: interrupted; {_what_stays(options)}", file=sys.stderr)
+        return INTERRUPTED
+    progress.clear()
+    print("\n".join(lines))
+    return 0
+
+
+def _what_stays(options: argparse.Namespace) -> str:
+    output = getattr(options, "output", None)
+    if output is None and options.command != "settle":
+        return "the nodes go on as they are"
+    rest = "the goal was cancelled, the stage returns to rest"
+    return rest if output is None else f"{rest}; what was recorded until then is in {output}"
+
+
+def _next(options: argparse.Namespace, *arguments: object) -> str:
+    """Return the line that says which command may follow."""
+    namespace = ["--namespace", options.namespace] if options.namespace else []
+    return "next: " + " ".join(
+        word if word.startswith("<") else shlex.quote(word) for word in map(
+            str, ["./run", "piezo_client", "stage", *namespace, *arguments]))
+
+
+def _experiment(stage: Stage, options: argparse.Namespace) -> list[str]:
+    experiment = stage.run_experiment(options.experiment, options.output)
+    return [experiment.summary, f"recorded {experiment.path}",
+            f"next: ./run piezo_identification check --data {shlex.quote(str(experiment.path))}"]
+
+
+def _probe(stage: Stage, options: argparse.Namespace) -> list[str]:
+    probed = stage.run_experiment("probe", options.output)
+    return [probed.summary, f"recorded {probed.path}", f"written {options.output / 'probe.json'}",
+            _next(options, "identify", "--output", options.output)]
+
+
+def _identify(stage: Stage, options: argparse.Namespace) -> list[str]:
+    identification = stage.identify(
+        options.output, options.recordings, probe_first=options.probe_first)
+    return [*(f"{name} {value:.4g}" for name, value in identification.errors.items()),
+            *(" ".join([name, part["verdict"], part.get("left", "")]).rstrip()
+              for name, part in identification.components.items()),
+            f"written {identification.path}",
+            _next(options, "settle"),
+            _next(options, "track", "--model", identification.path, "--output", options.output)]
+
+
+def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
+    reference = (
+        {"kind": "file", "file": str(options.file)} if options.file else
+        SHAPES[options.shape](options.frequency_hz, options.amplitude_um, options.centre_um))
+    run = stage.track(reference, options.model, options.mode, options.duration_s, options.output)
+    return [f"e_rms_percent {run.e_rms_percent:.4g}",
+            f"largest_error_um {run.largest_error_um:.4g}",
+            *filter(None, [run.message]), f"recorded {run.path}",
+            _next(options, "diagnose", "--model", options.model, "--data", run.path,
+                  "--output", options.output / "diagnosis")]
+
+
+def _play(stage: Stage, options: argparse.Namespace) -> list[str]:
+    voltage_v, sample_period_s = read_waveform(options.waveform)
+    played = stage.play(voltage_v, sample_period_s, options.repeats, options.output,
+                        options.waveform.stem)
+    return [f"recorded {played.path}",
+            f"next: ./run piezo_identification check --data {shlex.quote(str(played.path))}"]
+
+
+def _diagnose(stage: Stage, options: argparse.Namespace) -> list[str]:
+    diagnosis = stage.diagnose(options.model, options.data, options.output, options.holdout)
+    return [f"{diagnosis.verdict}: {diagnosis.sentence}", f"written {diagnosis.report}",
+            _next(options, "track", "--model", diagnosis.path, "--output", options.output)]
+
+
+def _settle(stage: Stage, _: argparse.Namespace) -> list[str]:
+    stage.settle()
+    return ["the stage has settled"]
+
+
+def _stop(stage: Stage, _: argparse.Namespace) -> list[str]:
+    stage.emergency_stop()
+    return ["the stage ramps to rest and stays there until reset"]
+
+
+def _reset(stage: Stage, _: argparse.Namespace) -> list[str]:
+    stage.reset()
+    return ["the stage is released"]
+
+
+def _list(stage: Stage, options: argparse.Namespace) -> list[str]:
+    return stages_seen(stage.client, options.wait_s)
+
+
+def _status(stage: Stage, options: argparse.Namespace) -> list[str]:
+    return status_lines(stage.client)
+
+
+WORK: dict[str, Callable[[Stage, argparse.Namespace], list[str]]] = {
+    "list": _list, "status": _status, "experiment": _experiment, "probe": _probe,
+    "identify": _identify, "track": _track, "play": _play, "diagnose": _diagnose,
+    "settle": _settle, "stop": _stop, "reset": _reset}
+"""By the subcommand: does what it is for, and returns the lines to print."""

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The work of `check`: print and draw what each recording is good for."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from piezo_identification.estimators.frequency_response.response_file import (
+    is_frequency_response,
+    read_frequency_response,
+)
+from piezo_identification.recording_check.check import check_recording
+from piezo_identification.recording_check.check_picture import draw_check
+from piezo_identification.recording_check.check_report import check_table
+from piezo_identification.recording_check.suitability import suitability
+from piezo_recorder.reading.data_options import read_all_given
+from piezo_recorder.reading.recording import Recording
+
+
+def check_files(options: argparse.Namespace) -> None:
+    """Print and draw what each recording of the options is good for."""
+    options.output.mkdir(parents=True, exist_ok=True)
+    for path in options.data:
+        if is_frequency_response(path):
+            _print_response(path)
+            continue
+        recordings = read_all_given(path, options)
+        for number, recording in enumerate(recordings, start=1):
+            several = len(recordings) > 1
+            print(f"{path}" + (f", recording {recording.title}" if several else ""))
+            _check_one(recording, options.output / (
+                f"{path.stem}{f'_{number}' if several else ''}_check.png"))
+
+
+def _check_one(recording: Recording, picture: Path) -> None:
+    check = check_recording(recording)
+    print("\n".join(check_table(check, suitability(check))))
+    draw_check(picture, check)
+    print(f"drawn {picture}")
+
+
+def _print_response(path: Path) -> None:
+    response = read_frequency_response(path)
+    gain = np.abs(response.gain)
+    peak = int(np.argmax(gain))
+    print(f"{path}: a frequency response of {gain.size} points, "
+          f"{response.frequency_hz[0]:.5g} to {response.frequency_hz[-1]:.5g} Hz, largest gain "
+          f"{gain[peak]:.4g} at {response.frequency_hz[peak]:.5g} Hz; it can stand for the "
+          "dynamics")

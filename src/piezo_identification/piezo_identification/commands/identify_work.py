@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The work of `identify`: read the recordings, estimate the model, write and print it."""
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from piezo_common.command_line import print_progress
+from piezo_identification.adequacy.component_adequacy import adequacy_table
+from piezo_identification.commands.identify_command import EXPERIMENTS
+from piezo_identification.commands.response_options import (
+    hold_s_of,
+    useless_response_options,
+)
+from piezo_identification.commands.row_options import READINGS
+from piezo_identification.conditioning.segments import Recordings
+from piezo_identification.conditioning.sensor_sign import displacement_falls
+from piezo_identification.estimators.frequency_response.response_file import (
+    FrequencyResponse,
+    is_frequency_response,
+    read_frequency_response,
+)
+from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
+from piezo_identification.identification.dynamics_methods import METHODS
+from piezo_identification.identification.given_data import given_data, slowest_recording
+from piezo_identification.identification.given_hysteresis import DensityOptions
+from piezo_identification.identification.identify import identify
+from piezo_identification.recording_check.check import check_recording
+from piezo_identification.recording_check.suitability import suitability
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_file import save_model
+from piezo_recorder.reading.data_options import read_given
+
+
+def identify_files(options: argparse.Namespace) -> None:
+    """Identify a model from the files of the options; write it, and print what was found."""
+    paths = {name: getattr(options, name) for name in EXPERIMENTS}
+    data = {name: _read(name, listed, options)
+            for name, listed in paths.items() if listed is not None}
+    _tell_unfit(data)
+    _check_options(data.get("dynamics"), options)
+    if options.band is not None:
+        data["dynamics"] = data["dynamics"].between(*options.band)
+    if isinstance(data.get("dynamics"), FrequencyResponse):
+        data["dynamics"] = data["dynamics"].held(hold_s_of(options))
+    slowest = slowest_recording(given_data(
+        data.get("creep"), data.get("dynamics"), data.get("hysteresis"), None, False))
+    if slowest is not None and displacement_falls(slowest):
+        print("the displacement falls as the voltage rises: its sign is changed throughout")
+    identified = identify(
+        **data, progress=print_progress, refine=options.refine, note=print,
+        method=options.method, read_at_samples=READINGS[options.rows_read],
+        order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances),
+        density=DensityOptions(options.grid, options.smoothing, options.translation_weight))
+    save_model(options.output, identified)
+    _print_summary(identified)
+    print(f"model written to {options.output}")
+
+
+def _tell_unfit(data: Mapping[str, Any]) -> None:
+    """Print which recordings can hardly stand for the experiment that they were given as."""
+    for name, given in data.items():
+        for each in given if isinstance(given, list) else [given]:
+            if isinstance(each, FrequencyResponse):
+                continue
+            fit = suitability(check_recording(each))[name]
+            if fit.verdict == "no":
+                print(f"{each.path} can hardly stand for the {name}: {fit.reason}")
+
+
+def _read(name: str, paths: Path | Sequence[Path], options: argparse.Namespace) -> Any:
+    """Read the files of an option: one recording or response, or a list of recordings."""
+    listed = [paths] if isinstance(paths, Path) else paths
+    read: list[Any] = []
+    for path in listed:
+        print(f"reading {path}", flush=True)
+        of_response = name == "dynamics" and is_frequency_response(path)
+        read.append(read_frequency_response(path) if of_response else read_given(path, options))
+        if of_response and len(listed) > 1:
+            raise ValueError(f"{path} is a frequency response: give no other file to --dynamics")
+    return read[0] if len(read) == 1 else read
+
+
+def _check_options(
+    dynamics: Recordings | FrequencyResponse | None, options: argparse.Namespace,
+) -> None:
+    """Refuse options that what was given for the dynamics has no use for."""
+    is_response = isinstance(dynamics, FrequencyResponse)
+    useless = {
+        "--method": options.method != METHODS[0] and (dynamics is None or is_response),
+        "--modes": options.modes is not None and dynamics is None,
+        "--antiresonances": options.antiresonances is not None and not is_response,
+        "--band": options.band is not None and not is_response,
+        **{option: value is not None and isinstance(dynamics, FrequencyResponse)
+           and options.creep is None and options.hysteresis is None
+           for option, value in (("--grid", options.grid), ("--smoothing", options.smoothing),
+                                 ("--translation-weight", options.translation_weight))},
+        "--creep-pairs": options.creep_pairs is not None and options.creep is None
+        and not is_response,
+        **({} if is_response else useless_response_options(options)),
+    }
+    for option, weight in (("--smoothing", options.smoothing),
+                           ("--translation-weight", options.translation_weight)):
+        if weight is not None and not (np.isfinite(weight) and weight >= 0.0):
+            raise ValueError(f"{option} is {weight:g}: give a number from 0 up")
+    for option in (option for option, is_useless in useless.items() if is_useless):
+        raise ValueError(f"{option} has nothing to act on: leave it out, or give the data it is of")
+
+
+def _print_summary(identified: IdentifiedModel) -> None:
+    model = identified.model
+    low_um, high_um = model.hysteresis.output_range_um
+    rows = [
+        ("voltage range", "{:g} to {:g} V".format(*identified.voltage_range_v)),
+        ("hysteresis range", f"{high_um - low_um:.3f} um"),
+        ("creep poles", _listing(model.creep.poles_rad_per_s, "rad/s")),
+        ("creep zeros", _listing(model.creep.zeros_rad_per_s, "rad/s")),
+        ("electric time constant", f"{1e3 * model.dynamics.time_constant_s:.5g} ms"),
+        ("mode frequencies", _listing(model.dynamics.mode_frequencies_rad_per_s, "rad/s")),
+        ("damping ratios", _listing(model.dynamics.damping_ratios, "")),
+        *((f"effect {effect.name}", str(effect.parameters())) for effect in model.effects),
+        *((f"rows of the {name}", "read {read_at_samples:.4g} sample periods late, delay left "
+           "{delay_s:.2g} s +- {standard_deviation_s:.1g} s".format(**row))
+          for name, row in identified.rows.items()),
+        *_error_rows(identified.errors),
+    ]
+    for name, value in rows:
+        print(f"{name:24}{value}" if len(name) < 24 else f"{name}  {value}")
+    print(adequacy_table(identified.adequacy))
+
+
+def _error_rows(errors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Name and value of every error, those in groups under the name of their group."""
+    for name, value in errors.items():
+        if isinstance(value, dict):
+            yield from _error_rows(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", f"{value:.3g}"
+
+
+def _listing(values: Sequence[float], unit: str) -> str:
+    return f"{', '.join(f'{value:.5g}' for value in values) or 'none'} {unit}".rstrip()

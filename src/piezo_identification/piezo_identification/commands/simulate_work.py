@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The work of `simulate`: set the model beside the recording."""
+
+import argparse
+
+import numpy as np
+
+from piezo_identification.commands.row_options import READINGS
+from piezo_identification.conditioning.outlier_samples import outlier_text
+from piezo_identification.conditioning.row_alignment import rows_read_at_start
+from piezo_identification.conditioning.sensor_sign import sign_text
+from piezo_identification.prediction import predict
+from piezo_identification.prediction.outside_identified import outside_identified
+from piezo_identification.prediction.prediction_pictures import draw_displacement, draw_loops
+from piezo_models.model_file import load_model
+from piezo_recorder.reading.data_options import read_given
+
+
+def simulate_file(options: argparse.Namespace) -> None:
+    """Simulate the model of the options under a recording; print the error and draw both."""
+    model_path, data_path, directory = options.model, options.data, options.output
+    identified = load_model(model_path)
+    recording = rows_read_at_start(read_given(data_path, options), READINGS[options.rows_read])
+    prediction = predict(identified.model, recording)
+    if prediction.reversed:
+        print(sign_text(data_path))
+    if not prediction.good.all():
+        print(outlier_text(data_path, ~prediction.good, prediction.time_s))
+    if prediction.past_v:
+        print("the recording does not begin saturated: taken to have come from {:.4g} V by way of "
+              "{:.4g} V".format(*prediction.past_v))
+    print(f"e_y_percent {prediction.e_y_percent():.4g}")
+    found = outside_identified(identified, prediction.voltage_v, prediction.past_v)
+    for sentence in found.sentences():
+        print(sentence)
+    inside = ~found.outside & prediction.good
+    if found.outside.any() and np.unique(prediction.measured_um[inside]).size > 1:
+        print(f"e_y_percent_inside {prediction.e_y_percent(inside):.4g}")
+    if directory is None:
+        return
+    directory.mkdir(parents=True, exist_ok=True)
+    draw_displacement(directory / "displacement.png", prediction, found.deviation_um)
+    draw_loops(directory / "loops.png", prediction)
+    for name in ("displacement.png", "loops.png"):
+        print(f"drawn {directory / name}")

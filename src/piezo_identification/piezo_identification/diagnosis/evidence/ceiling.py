@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How much of what is left any learner could predict, whatever its cause.
+
+A learner that knows nothing of stages is trained on what the named effects leave. What it predicts
+of the held-out stretches has a cause that repeats; what it does not predict is taken for random.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from sklearn.base import RegressorMixin
+from sklearn.ensemble import HistGradientBoostingRegressor
+from sklearn.linear_model import RidgeCV
+from sklearn.model_selection import GroupKFold
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import MinMaxScaler
+from threadpoolctl import threadpool_limits
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA
+from piezo_identification.diagnosis.comparison.measures_of_fits import significance
+from piezo_identification.diagnosis.residual.dataset import SPLIT
+from piezo_identification.diagnosis.residual.noise_estimate import residual_um
+from piezo_identification.diagnosis.residual.regression import Fit, Regression
+
+
+@dataclass(frozen=True)
+class CeilingSettings:
+    """What the learner is given, and how it learns.
+
+    Attributes
+    ----------
+    most_rows : int
+        Samples that it is trained and tried on.
+    near_lags : int
+        Samples of the past that are all given; further back their distances double.
+    furthest_share : float
+        Part of a recording that the furthest of them lies back.
+    low_passes : int
+        Low-passed signals, with time constants from some samples to a quarter of the recording.
+    play_widths : tuple of float
+        Widths of play operators over the range of the voltage: the memory of a hysteresis.
+    folds : int
+        Into which the stretches are put to choose the penalty of the ridge regression.
+    trees, leaves, samples_per_leaf : int
+        Of the boosted trees.
+    """
+
+    most_rows: int = 6_000
+    near_lags: int = 12
+    furthest_share: float = 0.125
+    low_passes: int = 5
+    play_widths: tuple[float, ...] = (0.03, 0.1, 0.2, 0.4, 0.7)
+    folds: int = 4
+    trees: int = 80
+    leaves: int = 15
+    samples_per_leaf: int = 40
+
+
+SETTINGS = CeilingSettings()
+
+
+@dataclass(frozen=True)
+class Ceiling:
+    """What is left on held-out stretches, and how much of it can be predicted.
+
+    The squares of `predictable_um` and `random_um` add up to that of `left_um`.
+
+    Attributes
+    ----------
+    left_um : float
+        RMS of what the model leaves with its effects.
+    predictable_um : float
+        RMS of the part that a learner predicts from voltage, displacement and their past.
+    from_voltage_um : float
+        The same from the voltage and its past alone.
+    random_um : float
+        RMS of what it cannot predict.
+    noise_um : float
+        RMS of the sensor's noise in these samples.
+    """
+
+    left_um: float
+    predictable_um: float
+    from_voltage_um: float
+    random_um: float
+    noise_um: float
+
+    def sentence(self) -> str:
+        """Tell which part of what is left repeats, and which is random."""
+        left, told, voltage, other = (
+            f"{1e3 * value:.3g} nm" for value in (self.left_um, self.predictable_um,
+                                                  self.from_voltage_um, self.random_um))
+        if self.predictable_um == 0.0:
+            return (f"Of the {left} left on held-out stretches no learner predicts any: it is "
+                    "random, or has a cause that voltage and displacement do not show.")
+        return (f"Of the {left} left on held-out stretches a learner predicts {told} from voltage, "
+                f"displacement and their past ({voltage} from the voltage alone): this part "
+                f"repeats and has no name yet. {other} are random.")
+
+
+def ceiling(regression: Regression, fit: Fit) -> Ceiling:
+    """Return how much of what a fit leaves can be predicted by a learner that knows no effects.
+
+    Ridge regression and gradient-boosted trees behind it learn from the stretches that fits may
+    use, and predict those held out. A prediction that does not beat chance counts as none.
+
+    Parameters
+    ----------
+    regression : Regression
+    fit : Fit
+
+    Returns
+    -------
+    Ceiling
+    """
+    held_out = regression.validation
+    noise_um = regression.dataset.of_each(regression.noise.noise_um)[held_out]
+
+    def square_um2(residual: FloatArray) -> float:
+        return float(np.mean((residual * regression.tolerance_um)[held_out] ** 2))
+
+    whole = square_um2(fit.residual)
+    # The trees' threads would wait for each other in a loop that keeps both cores busy.
+    with threadpool_limits(1):
+        from_voltage, from_all = (
+            max(0.0, whole - square_um2(_unpredicted(regression, fit, with_past)))
+            for with_past in (False, True))
+    predictable = max(from_voltage, from_all)
+    return Ceiling(*(float(np.sqrt(square)) for square in (
+        whole, predictable, from_voltage, whole - predictable, np.mean(noise_um**2))))
+
+
+def _features(regression: Regression, fit: Fit, *, with_past: bool) -> FloatArray:
+    """Return what the learner sees at each row, (r, n)."""
+    dataset = regression.dataset
+    lags = _lags(min(part.time_s.size for part in dataset.simulated))
+    blocks = []
+    for index, (part, rows) in enumerate(zip(dataset.simulated, dataset.rows, strict=True)):
+        columns = [*_of_voltage(part.voltage_v, part.simulate(fit.effects), rows, lags)]
+        if with_past:
+            left = residual_um(dataset, index, fit.effects, regression.noise)
+            left = np.where(regression.noise.outliers[index], 0.0, left)
+            columns += [_before(left, rows, lag) for lag in lags]
+        blocks.append(np.column_stack(columns))
+    return np.vstack(blocks)
+
+
+def _of_voltage(voltage_v: FloatArray, simulated_um: FloatArray,
+                rows: NDArray[np.intp], lags: Sequence[int]) -> Iterator[FloatArray]:
+    """Yield signals that follow from the voltage: the model's displacement is one of them."""
+    yield voltage_v[rows]
+    yield simulated_um[rows]
+    slowest = simulated_um.size / 4.0
+    for samples in np.geomspace(min(4.0, slowest), slowest, SETTINGS.low_passes):
+        kept = float(np.exp(-1.0 / samples))
+        slow = lfilter([1.0 - kept], [1.0, -kept], simulated_um - simulated_um[0])
+        yield (simulated_um - simulated_um[0] - slow)[rows]
+    span = float(np.ptp(voltage_v))
+    for width in SETTINGS.play_widths:
+        yield _play(voltage_v, 0.5 * width * span)[rows]
+    for lag in lags:
+        for signal in (voltage_v, simulated_um):
+            yield signal[rows] - _before(signal, rows, lag)
+
+
+@njit(cache=True)
+def _play(voltage_v: FloatArray, half_width_v: float) -> FloatArray:
+    """Return the output of a play operator, (N,)."""
+    output = np.empty_like(voltage_v)
+    state = voltage_v[0]
+    for number in range(voltage_v.size):
+        state = min(max(state, voltage_v[number] - half_width_v), voltage_v[number] + half_width_v)
+        output[number] = state
+    return output
+
+
+def _lags(samples: int) -> list[int]:
+    """Return how many samples each given one lies back: all of the nearest, then fewer."""
+    lags = list(range(1, SETTINGS.near_lags + 1))
+    while 2 * lags[-1] <= SETTINGS.furthest_share * samples:
+        lags.append(2 * lags[-1])
+    return lags
+
+
+def _before(signal: FloatArray, rows: NDArray[np.intp], lag: int) -> FloatArray:
+    """Return a signal some samples before the rows; its first value stands for what was before."""
+    return signal[np.maximum(rows - lag, 0)]
+
+
+def _unpredicted(regression: Regression, fit: Fit, with_past: bool) -> FloatArray:
+    """Return what a learner leaves of what a fit leaves, in tolerances, (r,)."""
+    features = _features(regression, fit, with_past=with_past)
+    rows = np.flatnonzero(regression.estimation)
+    rows = rows[:: max(1, rows.size // SETTINGS.most_rows)]
+    given = features[rows], fit.residual[rows], regression.dataset.stretch[rows]
+    learners = _trained(*given)[: _how_many(*given)]
+    residual = fit.residual.copy()
+    held_out = regression.validation
+    residual[held_out] -= _sum_of(learners, features[held_out])
+    is_sure = significance(regression, fit, replace(fit, residual=residual)) > CRITERIA.significant
+    return residual if is_sure else fit.residual
+
+
+def _how_many(features: FloatArray, left: FloatArray, stretch: NDArray[np.intp]) -> int:
+    """Return how many of the learners predict best what they were not trained on."""
+    half = stretch // SPLIT.held_out % 2 == 0
+    squares = np.zeros(len(LEARNERS) + 1)
+    for seen in (half, ~half):
+        learners = _trained(features[seen], left[seen], stretch[seen])
+        for count in range(squares.size):
+            error = left[~seen] - _sum_of(learners[:count], features[~seen])
+            squares[count] += error @ error
+    return int(np.argmin(squares))
+
+
+def _trained(features: FloatArray, left: FloatArray,
+             stretch: NDArray[np.intp]) -> list[RegressorMixin]:
+    """Return the learners, each trained on what those before it leave."""
+    learners: list[RegressorMixin] = []
+    for learner in LEARNERS:
+        target = left - _sum_of(learners, features)
+        learners.append(learner(features, stretch).fit(features, target))
+    return learners
+
+
+def _linear(features: FloatArray, stretch: NDArray[np.intp]) -> RegressorMixin:
+    # Neighbouring samples are alike: the penalty is chosen on stretches that were not fitted.
+    folds = list(GroupKFold(SETTINGS.folds).split(features, groups=stretch))
+    # What was never seen is taken for the nearest that was: a line would leave all bounds.
+    return make_pipeline(MinMaxScaler(clip=True),
+                         RidgeCV(alphas=np.logspace(-5.0, 4.0, 10), cv=folds))
+
+
+def _trees(features: FloatArray, stretch: NDArray[np.intp]) -> RegressorMixin:
+    del features, stretch
+    return HistGradientBoostingRegressor(
+        max_iter=SETTINGS.trees, max_leaf_nodes=SETTINGS.leaves,
+        min_samples_leaf=SETTINGS.samples_per_leaf, early_stopping=False, random_state=0)
+
+
+LEARNERS = (_linear, _trees)
+"""Make a learner for samples of some stretches; the second learns what the first leaves."""
+
+
+def _sum_of(learners: Sequence[RegressorMixin], features: FloatArray) -> FloatArray:
+    return sum((learner.predict(features) for learner in learners), np.zeros(len(features)))

@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Options of the commands that read data; `piezo_recorder.reading.data_options` obeys them."""
+
+import argparse
+
+FILE_HELP = "recording or table of samples (CSV, .mat, .h5, .npz, .tdms, .parquet and others)"
+
+
+def add_columns_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--columns``."""
+    parser.add_argument(
+        "--columns", metavar="WORD", nargs="+",
+        help="columns and units of tables of samples, where their labels do not tell them: "
+        "time=t[ms] voltage=Vpiezo[V] displacement=pos[nm], with a factor as in voltage=CH1[20V]; "
+        "rate=10[kHz] without a time; recording=run[2] for one of several; or a YAML file of the "
+        "same, which may also lie beside the data as NAME.columns.yaml")

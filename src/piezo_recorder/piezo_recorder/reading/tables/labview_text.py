@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the preamble of a LabVIEW measurement file (.lvm) says of the table below it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+FIRST_LINE = "LabVIEW Measurement"
+TIME = "X_Value"
+
+_SEPARATORS = {"Tab": "\t", "Comma": ","}
+
+
+@dataclass(frozen=True)
+class LabviewPreamble:
+    """Parts of a preamble that a table needs.
+
+    Attributes
+    ----------
+    delimiter : str
+        Between cells.
+    units : tuple of str
+        Of the channels, in their order.
+    period_s : float
+        Distance of rows; 0 where it is not said.
+    has_time : bool
+        Whether the first column holds the time of each row; it is empty otherwise.
+    """
+
+    delimiter: str
+    units: tuple[str, ...]
+    period_s: float
+    has_time: bool
+
+
+def labview_preamble(lines: Sequence[str]) -> LabviewPreamble | None:
+    """Read the preamble of a LabVIEW measurement file.
+
+    Parameters
+    ----------
+    lines : sequence of str
+        The first ones of the file.
+
+    Returns
+    -------
+    LabviewPreamble or None
+        None of any other file.
+    """
+    if not lines or not lines[0].startswith(FIRST_LINE):
+        return None
+    rest = lines[0][len(FIRST_LINE):]
+    delimiter = "," if rest.startswith(",") else "\t"
+    said: dict[str, list[str]] = {}
+    for line in lines[1:]:
+        name, *values = [cell.strip() for cell in line.split(delimiter)]
+        if name == TIME:
+            break
+        said[name] = values
+    delimiter = _SEPARATORS.get(_first(said, "Separator"), delimiter)
+    period = _first(said, "Delta_X").replace(",", ".")
+    try:
+        period_s = float(period or 0.0)
+    except ValueError:
+        period_s = 0.0
+    return LabviewPreamble(delimiter, tuple(said.get("Y_Unit_Label", ())), period_s,
+                           _first(said, "X_Columns") != "No")
+
+
+def _first(said: dict[str, list[str]], name: str) -> str:
+    return next(iter(said.get(name, ())), "")

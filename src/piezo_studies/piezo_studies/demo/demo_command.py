@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`demo`: identify a simulated stage, track, diagnose, track again, and report."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from piezo_common.command_line import Command
+from piezo_sim.plant.named_plants import PLANTS
+
+USUAL = "undeclared"
+"""The demo's own plant."""
+
+
+def main(arguments=None):
+    """Run the command; see `piezo_common.command_line.Command.main`."""
+    return COMMAND.main(arguments)
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--plant", default=USUAL, metavar="PLANT",
+                        help=f"the stage: {', '.join(PLANTS)}, or a plant file "
+                             "(default: %(default)s)")
+    parser.add_argument("--output", type=Path, metavar="DIRECTORY",
+                        help="gets all results (default: runs/demo, and runs/demo-PLANT for any "
+                             "other stage than the usual one); an earlier run there is moved aside")
+
+
+COMMAND = Command(
+    "demo", "Identify a simulated stage, track with the model, find what the model lacks, track "
+    "again with the extended model, and report.", _add_options,
+    "piezo_studies.demo.demo_node:run_given")
+
+if __name__ == "__main__":
+    sys.exit(main())

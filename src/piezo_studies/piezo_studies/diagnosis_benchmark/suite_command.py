@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`diagnose_suite`: diagnose hidden effects by the dozen, and count what was found."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from piezo_common.command_line import Command
+
+
+def main(arguments=None):
+    """Run the command; see `piezo_common.command_line.Command.main`."""
+    return COMMAND.main(arguments)
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--cases", type=int, default=260, help="how many (%(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="of everything random (%(default)s)")
+    parser.add_argument("--scheduler", metavar="ADDRESS",
+                        help="of a Dask scheduler, as tcp://host:8786; local processes by default")
+    parser.add_argument("--output", type=Path, default=Path("runs/diagnose-suite"),
+                        help="directory of table.json (%(default)s)")
+
+
+COMMAND = Command(
+    "diagnose_suite", "Run the cases through Dask, print the confusion table and write it.",
+    _add_options, "piezo_studies.diagnosis_benchmark.run_suite:diagnose_cases",
+    interrupted="table.json, if it is there, is of an earlier run")
+
+if __name__ == "__main__":
+    sys.exit(main())
