@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeGuard
 
 import numpy as np
 
@@ -15,6 +16,10 @@ from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 NEGLIGIBLE = 1e-5
 """Part of a step below which what is left of its ringing does not count."""
+
+SMALL_PART = 0.01
+"""Part of the displacement below which a mode beside others rings too little to wait for: it rings
+about a mean that is right."""
 
 MOST_OF_RECORDING = 0.25
 """Part of a recording that is given away to settle, however slowly a mode decays."""
@@ -47,19 +52,19 @@ def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
 def slow_dynamics(
     dynamics: ElectricVibrationDynamics, effects: Sequence[Effect],
 ) -> ElectricVibrationDynamics:
-    """Return the dynamics with all modes among those in series, as each of them has to settle.
+    """Return the dynamics with all modes that have to settle among those in series.
 
     Parameters
     ----------
     dynamics : ElectricVibrationDynamics
     effects : sequence of Effect
-        Modes beside those of the dynamics; others are left out.
+        Of them, modes beside those of the dynamics are taken, unless their part is small.
 
     Returns
     -------
     ElectricVibrationDynamics
     """
-    beside = [effect for effect in effects if isinstance(effect, VibrationMode)]
+    beside = [effect for effect in effects if _has_to_settle(effect)]
     return replace(
         dynamics,
         mode_frequencies_rad_per_s=dynamics.mode_frequencies_rad_per_s + tuple(
@@ -90,8 +95,13 @@ def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect])
             delay_s += effect.time_constant_s
         elif isinstance(effect, VibrationMode):
             own_s = 2.0 * effect.damping_ratio / effect.frequency_rad_per_s
-            delay_s += effect.participation * (own_s - in_series_s) - own_s
+            delay_s += effect.participation * (own_s - in_series_s)
+            delay_s -= own_s if _has_to_settle(effect) else 0.0
     return delay_s
+
+
+def _has_to_settle(effect: Effect) -> TypeGuard[VibrationMode]:
+    return isinstance(effect, VibrationMode) and abs(effect.participation) > SMALL_PART
 
 
 def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:

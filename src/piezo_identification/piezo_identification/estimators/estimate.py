@@ -23,6 +23,9 @@ SIGNIFICANT = 3.0
 """Standard deviations by which a delay has to differ from none, and a mode from an antiresonance
 that would cancel it."""
 
+LEAST_DELAY = 0.01
+"""Sample periods below which a delay is of no account: clocks jitter by as much."""
+
 UNTOLD_SHARE = 1e-3
 """A parameter that has this share in a direction that is rounding is not told either."""
 
@@ -76,8 +79,9 @@ class DelayEstimate:
 
     @property
     def is_significant(self) -> bool:
-        """Whether it differs from none by more than chance lets it."""
-        return abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s
+        """Whether it differs from none by more than chance, and a clock, let it."""
+        return (abs(self.samples) > LEAST_DELAY
+                and abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s)
 
     def __str__(self) -> str:
         verdict = "significant" if self.is_significant else "not significant, left out"

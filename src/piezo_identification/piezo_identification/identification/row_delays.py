@@ -7,7 +7,7 @@ import numpy as np
 
 from piezo_identification.conditioning.row_alignment import RowDelay, read_as, remaining_delay
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.estimators.estimate import DelayEstimate
+from piezo_identification.estimators.estimate import SIGNIFICANT
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.identification.given_data import Data, of_kind
 from piezo_identification.identification.linear_dynamics import LinearDynamics, aligned_density
@@ -104,8 +104,8 @@ def row_delays(
 def tell_row_delays(rows: Mapping[str, RowDelay], tell: Callable[[str], object]) -> None:
     """Tell when the rows of each recording are read, and what delay is left in it."""
     for name, row in rows.items():
-        delay = DelayEstimate(row.delay_s, row.standard_deviation_s, 1.0)
-        verdict = "significant" if delay.is_significant else "not significant"
+        is_significant = abs(row.delay_s) > SIGNIFICANT * row.standard_deviation_s
+        verdict = "significant" if is_significant else "not significant"
         tell(f"rows of the {name}: read {row.read_at_samples:.4g} sample periods after their "
              f"voltage; a delay of {1e6 * row.delay_s:.4g} +- "
              f"{1e6 * row.standard_deviation_s:.2g} us is left, which is {verdict}")

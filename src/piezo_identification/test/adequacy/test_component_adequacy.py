@@ -88,6 +88,17 @@ def test_what_the_dynamics_lack_is_told_with_its_size_and_place(plant, play, hid
     assert "let diagnose name the cause" in part.advice
 
 
+def test_rows_that_are_read_late_are_no_lack_of_the_dynamics(plant, play):
+    period_s = 25e-6
+    late = play(experiments.dynamics(), 1, stage=replace(plant, effects=(Delay(0.6 * period_s),)))
+    # Of a row on, that is read two fifths of a period after the voltage.
+    read = replace(late, displacement_um=np.roll(late.displacement_um, -1)).select(
+        np.arange(late.voltage_v.size) < late.voltage_v.size - 1)
+    verdicts = [adequacy_of(plant, {"dynamics": read}, delays)["dynamics"].verdict
+                for delays in ({}, {"dynamics": -0.4 * period_s})]
+    assert verdicts == ["inadequate", "adequate"]
+
+
 def test_a_mode_is_found_at_its_frequency_and_more_modes_are_advised(plant, play):
     stage = replace(plant, dynamics=ElectricVibrationDynamics(
         0.00049, (2846.0, 4909.0), (0.685, 0.02)))

@@ -39,6 +39,9 @@ from piezo_recorder.reading.recording import Recording
 MODES_IN_TURN = 2
 """Vibration modes of the first fit, from which hysteresis and dynamics are fitted together."""
 
+MODES_THAT_TELL = 2
+"""Modes with which it is told whether a generator runs freely: edges off by half a sample show."""
+
 AT_REST = 20
 """Samples without a change of the voltage, from which a recording counts as beginning at rest."""
 
@@ -149,9 +152,9 @@ def _signals(
 
 
 def _left_by_free_residues(signals: FastSignals) -> float:
-    """Sum of the squared residual that poles with free residues leave at most."""
+    """Sum of the squared residual that a few poles with free residues leave."""
     return min(fit.cost for fit in free_fits(
-        signals.record().thinned(ROWS_OF_SEARCH), MODES_IN_TURN))
+        signals.record().thinned(ROWS_OF_SEARCH), MODES_THAT_TELL))
 
 
 def _first_kept(part: Recording) -> int:

@@ -32,6 +32,9 @@ LEAST_DAMPING, MOST_DAMPING = 1e-5, 20.0
 BESIDE_DAMPING, PARTICIPATION = (1e-3, 0.4), (-2.0, 3.0)
 """Of a mode beside others, as `piezo_models.effects.vibration_mode.VibrationMode` admits them."""
 
+ANTIRESONANCE_SPAN = 3.0
+"""Factor beyond the modes within which an antiresonance is taken for one."""
+
 COLLINEAR = 1e-9
 """Singular value, of the largest one, below which columns that are fitted linearly count as one:
 far above rounding, far below what the noise of any record leaves of them."""
@@ -94,6 +97,22 @@ class FreeFit:
     def cost(self) -> float:
         """Sum of the squared residual."""
         return float(self.residual @ self.residual)
+
+    def antiresonances(self) -> FloatArray:
+        """Return frequencies (rad/s) and damping ratios, shape (2, k), of the zeros among modes."""
+        modes = self.poles[1:]
+        if not modes.size:
+            return np.empty((2, 0))
+        scale = np.abs(self.poles).max()
+        poles, numerator = self.poles / scale, np.zeros(1, dtype=complex)
+        for i, residue in enumerate(self.residues):
+            numerator = np.polyadd(numerator, residue * np.poly(np.delete(poles, i)))
+        zeros = np.roots(numerator.real) * scale
+        low, high = np.abs(modes).min(), np.abs(modes).max()
+        zeros = zeros[(zeros.imag > 0.0) & (np.abs(zeros) > low / ANTIRESONANCE_SPAN)
+                      & (np.abs(zeros) < high * ANTIRESONANCE_SPAN)][: self.modes]
+        # Zeros on the right are no antiresonances of stable damping: start from the axis.
+        return np.array([np.abs(zeros), np.maximum(-zeros.real / np.abs(zeros), 1e-3)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,11 +34,12 @@ from piezo_identification.estimators.estimate import (
 MOST_MODES = 8
 """Vibration modes beyond which the search for their number ends."""
 
-ROWS_OF_SEARCH = 3000
-"""Rows of a longer record in which starts are sought; the fits that follow take all rows."""
+ROWS_OF_SEARCH, ROWS_OF_TRIALS = 3000, 10_000
+"""Rows of a longer record in which starts are sought, and in which orders are compared; the fit of
+the order that is taken has all rows."""
 
 LAST_EVALUATIONS = 4
-"""Steps with all rows of poles that were found in some."""
+"""Steps in the rows of the trials of poles that were found in fewer."""
 
 POLISHING, ROUNDING = 200, 1e-12
 """Steps, and relative change of the cost, of the fit of the order that is taken."""
@@ -52,9 +53,6 @@ that ring longest are not those that move a stage most."""
 
 MOST_IN_SERIES = 2
 """Modes one after the other where others stand beside them; more are the same in other words."""
-
-ANTIRESONANCE_SPAN = 3.0
-"""Factor beyond the modes within which an antiresonance is taken for one."""
 
 NEAR_DELAYS = (0.0, -3.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 3.0)
 """Sample periods by which a form may be better delayed than the fit with free residues."""
@@ -83,6 +81,9 @@ IDLE, IDLE_DAMPING = 25.0, 0.1
 """Frequency over half the sample rate, and damping ratio, of a mode that adds nothing, from which a
 larger order begins that is to make what a smaller one makes: it is at rest within a sample period,
 and delays by a four-hundredth of it."""
+
+MOST_ALIKE = 0.98
+"""Correlation of neighbouring samples of a residual up to which it counts."""
 
 NESTED_ROUNDS = 3
 """Passes over the orders in which one that leaves more than a smaller one begins from that one."""
@@ -133,8 +134,9 @@ class _Search:
     """Fits of a record by order."""
 
     def __init__(self, record: FastRecord, delay: float | None) -> None:
-        self._record, self._known_delay = record, delay
-        self._coarse = record.thinned(ROWS_OF_SEARCH)
+        self._whole, self._known_delay = record, delay
+        self._record, self._coarse = (
+            record.thinned(rows) for rows in (ROWS_OF_TRIALS, ROWS_OF_SEARCH))
         self._fits: dict[ModeOrder, FastFit] = {}
         self._trials: dict[ModeOrder, OrderTrial] = {}
 
@@ -186,7 +188,7 @@ class _Search:
             period_s = self._record.input.sample_period_s
             delay = DelayEstimate(fit.delay * period_s, deviations[-1] * period_s, period_s)
             if not delay.is_significant:
-                fit = self._record.fit(fit.order, fit.vector, 0.0, is_delay_free=False)
+                fit = self._whole.fit(fit.order, fit.vector, 0.0, is_delay_free=False)
                 deviations = self._deviations(fit)
         places = ascending_places(fit.vector, fit.order)
         model = fast_dynamics_of(fit.vector, fit.order)
@@ -204,7 +206,7 @@ class _Search:
                 free.vector, free.delay, LAST_EVALUATIONS)
 
     def _polished(self, fit: FastFit) -> FastFit:
-        return self._record.fit(
+        return self._whole.fit(
             fit.order, fit.vector, fit.delay, POLISHING, self._known_delay is None, ROUNDING)
 
     def _best_trial(self) -> OrderTrial | None:
@@ -223,7 +225,7 @@ class _Search:
 
     def _try_forms(self, free: FreeFit) -> None:
         """Fit the physical forms with as many modes as a free fit, and the best with a lag."""
-        found = [self._keep(order, starts) for order, starts in self._with_antiresonances(free)]
+        found = [self._keep(order, starts) for order, starts in self._withfree.antiresonances()]
         standing = self._best_trial()
         known = [self._fits[standing.order]] if standing else []
         # No form leaves less than free residues: what modes beside others could gain at most.
@@ -245,7 +247,7 @@ class _Search:
 
     def _with_antiresonances(self, free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
         """Modes in series, with none and more and more of the zeros of the free fit."""
-        zeros = _antiresonances(free)
+        zeros = free.antiresonances()
         # Between modes there is one antiresonance fewer than there are modes.
         for count in range(min(zeros.shape[1], max(free.modes - 1, 0)) + 1):
             order = ModeOrder(free.modes, count)
@@ -362,10 +364,14 @@ class _Search:
         return order_trial(fit.order, fit.residual, parameters, refusal)
 
     def _deviations(self, fit: FastFit) -> FloatArray:
-        """Standard deviations of the vector, and of the delay where it was fitted."""
-        parameters = fit.jacobian.shape[1] + self._record.linear_parameters
+        """Standard deviations of the vector, and of the delay where it was fitted.
+
+        What a form cannot explain is no white noise: neighbours are alike, and tell less.
+        """
+        parameters = fit.jacobian.shape[1] + self._whole.linear_parameters
         covariance = parameter_covariance(fit.jacobian, fit.residual, parameters)
-        deviations: FloatArray = np.sqrt(np.diag(covariance))
+        alike = float(np.clip(fit.residual[1:] @ fit.residual[:-1] / fit.cost, 0.0, MOST_ALIKE))
+        deviations: FloatArray = np.sqrt(np.diag(covariance) * (1.0 + alike) / (1.0 - alike))
         return deviations
 
 
@@ -377,20 +383,3 @@ def _chosen(vector: FloatArray, modes: tuple[int, ...]) -> FloatArray:
     """Lag and some of the modes of a vector of modes in series."""
     lag, frequencies, dampings = np.split(vector, [1, 1 + vector.size // 2])
     return np.concatenate([lag, frequencies[list(modes)], dampings[list(modes)]])
-
-
-def _antiresonances(free: FreeFit) -> FloatArray:
-    """Frequencies and dampings (2, k) of the zeros among the modes of a free fit."""
-    modes = free.poles[1:]
-    if not modes.size:
-        return np.empty((2, 0))
-    scale = np.abs(free.poles).max()
-    poles, numerator = free.poles / scale, np.zeros(1, dtype=complex)
-    for i, residue in enumerate(free.residues):
-        numerator = np.polyadd(numerator, residue * np.poly(np.delete(poles, i)))
-    zeros = np.roots(numerator.real) * scale
-    low, high = np.abs(modes).min(), np.abs(modes).max()
-    zeros = zeros[(zeros.imag > 0.0) & (np.abs(zeros) > low / ANTIRESONANCE_SPAN)
-                  & (np.abs(zeros) < high * ANTIRESONANCE_SPAN)][: free.modes]
-    # Zeros on the right are no antiresonances of stable damping: start from the axis.
-    return np.array([np.abs(zeros), np.maximum(-zeros.real / np.abs(zeros), 1e-3)])

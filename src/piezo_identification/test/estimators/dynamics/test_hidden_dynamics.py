@@ -10,8 +10,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from independent_stage import IndependentStage, square_wave_v
 
+from piezo_identification.adequacy.component_adequacy import INADEQUATE, adequacy_of
 from piezo_identification.estimators.dynamics.output_error import _Search, fit_output_error
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics, mean_period
+from piezo_identification.identification.linear_dynamics import LinearDynamics
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
 
 PERIOD_S = 25e-6
@@ -29,7 +33,7 @@ def estimated(stage, seed=1):
     return estimate_dynamics(record(stage, seed), CreepDynamics())
 
 
-def drawn_stage(seed):
+def drawn_stage(seed, with_stiffening=False):
     """A lag and two or three modes of either sign, and one thing that nobody told of."""
     draw = np.random.default_rng(seed)
     second = draw.uniform(0.1, 0.4) * draw.choice([1.0, 1.0, -0.5])
@@ -43,7 +47,8 @@ def drawn_stage(seed):
     hidden = (
         {}, {"delay_s": draw.uniform(0.2, 8.0) * PERIOD_S}, {"read_at": 1.0},
         {"sensor_lag_s": draw.uniform(0.5, 5.0) * PERIOD_S}, {"read_at": draw.uniform(0.2, 1.5)},
-    )[draw.integers(5)]
+        {"stiffening_per_um2": np.exp(draw.uniform(np.log(1e-6), np.log(2e-5)))},
+    )[draw.integers(6 if with_stiffening else 5)]
     lag_s = np.exp(draw.uniform(np.log(1e-4), np.log(8e-4)))
     return IndependentStage(float(lag_s), tuple(modes), **hidden)
 
@@ -102,6 +107,14 @@ def test_a_third_mode_that_rings_long_is_found_and_does_not_bend_the_others(hert
     assert np.abs(normalised_errors(stage, estimate)).max() < 4.0
 
 
+def test_a_mode_that_may_not_be_fitted_is_not_taken_for_a_delay():
+    stage = IndependentStage(4.9e-4, (
+        (2846.0, 0.685, 0.696), (4909.0, 0.082, 0.3), (8796.0, 0.01, 0.004)))
+    estimate = estimate_dynamics(record(stage), CreepDynamics(), mode_count=2)
+    assert estimate.residual_rms > 2.0 * FOLDED_NOISE_UM
+    assert not estimate.delay.is_significant
+
+
 @pytest.mark.long
 @pytest.mark.xfail(reason="an open fault: of some such stages the form with the right number of "
                    "modes does not converge, and one with a mode more is taken")
@@ -122,13 +135,33 @@ def test_the_residual_never_grows_with_the_order(seed):
     assert growing_residuals(estimate.trials) == []
 
 
-@pytest.mark.long
-def test_the_numbers_are_within_three_deviations_in_nineteen_of_twenty_stages():
-    worst = np.array([
-        np.abs(normalised_errors(stage, estimated(stage, seed))).max()
-        for seed, stage in ((seed, drawn_stage(seed)) for seed in range(100))])
-    # The largest of eight or nine numbers: three deviations of each are 3.5 of the largest.
-    assert np.mean(worst < 3.5) >= 0.95, np.flatnonzero(worst >= 3.5)
+def adequacy(recording, estimate):
+    """Verdict on the dynamics, their delay told apart as in a model."""
+    found = LinearDynamics().with_dynamics(estimate)
+    line = PreisachModel(20.0, 80.0, np.zeros((1, 1)), 0.0, np.array([1.0]))
+    model = StageModel(line, CreepDynamics(), found.dynamics, effects=found.all_effects)
+    return adequacy_of(model, {"dynamics": recording}, {
+        "dynamics": -found.read_at_samples * PERIOD_S})["dynamics"]
+
+
+def is_right_or_inadequate(seed):
+    """Whether no number is off by more than chance makes the largest of nine, or it is said.
+
+    The largest of eight or nine numbers: three deviations of each are 3.5 of the largest.
+    """
+    stage = drawn_stage(seed, with_stiffening=True)
+    recording = record(stage, seed)
+    estimate = estimate_dynamics(recording, CreepDynamics())
+    return (not stage.stiffening_per_um2 and np.abs(normalised_errors(stage, estimate)).max() < 3.5
+            or adequacy(recording, estimate).verdict == INADEQUATE)
+
+
+@pytest.mark.parametrize("seeds", [
+    pytest.param(range(1), id="one"),
+    pytest.param(range(100), id="many", marks=pytest.mark.long)])
+def test_numbers_are_within_three_deviations_or_the_dynamics_are_called_inadequate(seeds):
+    right = np.array([is_right_or_inadequate(seed) for seed in seeds])
+    assert right.mean() >= 0.95, np.array(seeds)[~right]
 
 
 @pytest.mark.long
