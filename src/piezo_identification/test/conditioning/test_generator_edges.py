@@ -27,11 +27,14 @@ def test_the_edges_of_a_generator_are_found_between_the_samples(period, duty):
     edges = edges_of(period, duty, 20.7, 12_000)
     wave = sampled(edges, 12_000)
     level = free_running_level(wave)
-    # The mean level of the period before each step tells how long ago it was.
-    held = np.abs(level[wave.steps - 1] - wave.level[wave.steps - 1])
-    np.testing.assert_allclose(held, wave.steps - edges, atol=0.06)
-    np.testing.assert_array_equal(np.delete(level, wave.steps - 1),
-                                  np.delete(wave.level, wave.steps - 1))
+    added = np.abs(level - wave.level)
+    before, after = added[wave.steps - 1], added[wave.steps]
+    earlier = wave.steps - edges
+    np.testing.assert_allclose(before + after, earlier, atol=0.06)
+    # The centre of what is added is that of the part of a period by which the step was earlier.
+    np.testing.assert_allclose(before - after, earlier**2, atol=0.06)
+    beside = np.append(wave.steps, wave.steps - 1)
+    np.testing.assert_array_equal(np.delete(level, beside), np.delete(wave.level, beside))
 
 
 def test_no_edges_are_sought_where_the_period_is_whole_or_there_is_none():
