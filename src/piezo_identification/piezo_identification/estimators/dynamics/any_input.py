@@ -100,7 +100,7 @@ def estimate_dynamics_any(
     entering = [np.asarray(part.voltage_v, dtype=float) for part in parts]
     linear = fit_signals(_signals(parts, entering, creep), MODES_IN_TURN, 0.0)
     estimate = _beside_hysteresis(parts, creep, linear, mode_count, delay)
-    if estimate.order <= MODES_IN_TURN:
+    if len(estimate.model.mode_frequencies_rad_per_s) <= MODES_IN_TURN:
         return estimate
     return _beside_hysteresis(parts, creep, estimate, mode_count, delay)
 
