@@ -15,7 +15,12 @@ from numpy.typing import ArrayLike
 
 from piezo_common.arrays import FloatArray
 from piezo_models.hysteresis.preisach_inversion import invert
-from piezo_models.hysteresis.preisach_kernels import everett_table, everett_values, simulate
+from piezo_models.hysteresis.preisach_kernels import (
+    Table,
+    everett_table,
+    everett_values,
+    simulate,
+)
 
 
 @dataclass(frozen=True)
@@ -154,7 +159,7 @@ class PreisachModel:
         return bool(np.any(self.density_um_per_v2 < 0) or np.any(self.reversible_um_per_v < 0))
 
     @cached_property
-    def _table(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _table(self) -> Table:
         return everett_table(
             self.density_um_per_v2, self.reversible_um_per_v, self.cell_width_v
         )

@@ -34,24 +34,19 @@ def _fall_to(row: FloatArray, x: float, j: int) -> float:
 
 
 @njit(cache=True)
-def _last_row_below(column: FloatArray, y: float, corner: float, goal: float, i: int) -> int:
+def _further_cells(rest: float, way: float, most: int) -> int:
+    """Return how many whole cells lie in a rest, if each rises by `way` as the last one does."""
+    return int(rest / way) if 0.0 < way < np.inf and rest < most * way else 0
+
+
+@njit(cache=True)
+def _last_row_below(column: FloatArray, y: float, corner: float, goal: float, i: int,
+                    guess: int) -> int:
     """Return the last row from i on at whose lower edge the function is below `goal`, or i.
 
-    The next row is most often the one; else a line through the last two tells where to look.
+    It is looked for at `guess` first, at growing distances from there, then by halving.
     """
     last = column.shape[0] - 1
-    if i == last:
-        return i
-    next_edge = _rise_to(column, y, i + 1) + corner
-    if next_edge >= goal or i + 1 == last:
-        return i + 1 if next_edge < goal else i
-    further_edge = _rise_to(column, y, i + 2) + corner
-    if further_edge >= goal:
-        return i + 1
-    low = i + 2
-    rise = further_edge - next_edge
-    way = (goal - further_edge) / rise if rise > 0.0 else np.inf
-    guess = low + int(way) if way < last - low else last
     step = 1
     if _rise_to(column, y, guess) + corner < goal:
         low = guess
@@ -60,10 +55,11 @@ def _last_row_below(column: FloatArray, y: float, corner: float, goal: float, i:
             step *= 2
         high = min(low + step - 1, last)
     else:
-        high = guess - 1
-        while high - step > low and _rise_to(column, y, high - step) + corner >= goal:
-            high -= step + 1
+        low, high = i, max(guess - 1, i)
+        while high - step >= low and _rise_to(column, y, high - step + 1) + corner >= goal:
+            high -= step
             step *= 2
+        low = max(high - step + 1, low)
     while low < high:
         middle = (low + high + 1) // 2
         if _rise_to(column, y, middle) + corner < goal:
@@ -74,20 +70,9 @@ def _last_row_below(column: FloatArray, y: float, corner: float, goal: float, i:
 
 
 @njit(cache=True)
-def _first_column_below(row: FloatArray, x: float, corner: float, goal: float, j: int) -> int:
+def _first_column_below(row: FloatArray, x: float, corner: float, goal: float, j: int,
+                        guess: int) -> int:
     """Return the first column, down from j, at whose upper edge it is below `goal`, or j."""
-    if j == 0:
-        return j
-    next_edge = _fall_to(row, x, j - 1) + corner
-    if next_edge >= goal or j == 1:
-        return j - 1 if next_edge < goal else j
-    further_edge = _fall_to(row, x, j - 2) + corner
-    if further_edge >= goal:
-        return j - 1
-    high = j - 2
-    rise = further_edge - next_edge
-    way = (goal - further_edge) / rise if rise > 0.0 else np.inf
-    guess = high - int(way) if way < high else 0
     step = 1
     if _fall_to(row, x, guess) + corner < goal:
         high = guess
@@ -96,10 +81,11 @@ def _first_column_below(row: FloatArray, x: float, corner: float, goal: float, j
             step *= 2
         low = max(high - step + 1, 0)
     else:
-        low = guess + 1
-        while low + step < high and _fall_to(row, x, low + step) + corner >= goal:
-            low += step + 1
+        low, high = min(guess + 1, j), j
+        while low + step <= high and _fall_to(row, x, low + step - 1) + corner >= goal:
+            low += step
             step *= 2
+        high = min(low + step - 1, high)
     while low < high:
         middle = (low + high) // 2
         if _fall_to(row, x, middle) + corner < goal:
@@ -138,14 +124,14 @@ def _along_rise(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
     v : float
     """
     voltage_min, _, cell_width = grid
-    cells, diagonal, reversible = table
+    columns, _, diagonal, reversible = table
     size = diagonal.size
     beta = (start_v - voltage_min) * (1.0 / cell_width)
     j = cell_of(beta, size)
     y = j + 1 - beta
     own_diagonal, own_reversible = diagonal[j], reversible[j]
     corner = y * (own_reversible + own_diagonal * y)
-    column = cells[:, j]
+    column = columns[j]
     i = j + 1
     curve = slope = below = 0.0
     # The function at the lower and at the upper edge of row i; -inf before the first search.
@@ -162,7 +148,8 @@ def _along_rise(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
             alpha = float(size)
         else:
             if above < target - rounding_um:
-                i = _last_row_below(column, y, corner, target - rounding_um, i)
+                guess = i + _further_cells(target - below, above - below, size - 1 - i)
+                i = _last_row_below(column, y, corner, target - rounding_um, i, guess)
                 below = _rise_to(column, y, i) + corner
                 above = _rise_to(column, y, i + 1) + corner if i + 1 < size else np.inf
                 slope = column[i, 1] + reversible[i] + y * column[i, 3]
@@ -184,13 +171,13 @@ def _along_fall(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
     The start is the maximum, the limit the remembered minimum; the rest is as for `_along_rise`.
     """
     voltage_min, _, cell_width = grid
-    cells, diagonal, reversible = table
+    _, rows, diagonal, reversible = table
     alpha = (start_v - voltage_min) * (1.0 / cell_width)
     i = cell_of(alpha, diagonal.size)
     x = alpha - i
     own_diagonal, own_reversible = diagonal[i], reversible[i]
     corner = x * (own_reversible + own_diagonal * x)
-    row = cells[i]
+    row = rows[i]
     j = i - 1
     curve = slope = above = 0.0
     # The function at the upper and at the lower edge of column j; -inf before the first search.
@@ -207,7 +194,8 @@ def _along_fall(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
             beta = 0.0
         else:
             if below < target - rounding_um:
-                j = _first_column_below(row, x, corner, target - rounding_um, j)
+                guess = j - _further_cells(target - above, below - above, j)
+                j = _first_column_below(row, x, corner, target - rounding_um, j, guess)
                 above = _fall_to(row, x, j) + corner
                 below = _fall_to(row, x, j - 1) + corner if j > 0 else np.inf
                 slope = row[j, 2] + reversible[j] + x * row[j, 3]

@@ -12,7 +12,7 @@ from numba import njit
 from piezo_common.arrays import FloatArray
 
 Grid = tuple[float, float, float]
-Table = tuple[FloatArray, FloatArray, FloatArray]
+Table = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Past = tuple[FloatArray, FloatArray, FloatArray, int]
 """What a simulation or an inversion returns: its result, and the memory to go on from."""
 
@@ -22,10 +22,11 @@ def everett_table(density: FloatArray, reversible: FloatArray, cell_width: float
 
     Returns
     -------
-    cells : (L, L, 4) array
-        For cell (i, j) with i > j: the Everett function at (level i, level j + 1); integral of the
-        full squares of row i between the columns j and i; the same of column j between the rows;
-        integral of the square itself.
+    columns, rows : (L, L, 4) array
+        `columns[j, i]` is `rows[i, j]`: a branch, on which one of the two stays, finds its
+        neighbours side by side. For cell (i, j) with i > j: the Everett function at (level i,
+        level j + 1); integral of the full squares of row i between the columns j and i; the same
+        of column j between the rows; integral of the square itself.
     diagonal : (L,) array
         Integrals of the triangles on the diagonal.
     reversible : (L,) array
@@ -44,7 +45,7 @@ def everett_table(density: FloatArray, reversible: FloatArray, cell_width: float
     cells[:, :-1, 1] = np.cumsum(squares[:, ::-1], axis=1)[:, ::-1][:, 1:]
     cells[1:, :, 2] = np.cumsum(squares, axis=0)[:-1]
     cells[:, :, 3] = squares
-    return cells, diagonal, reversible
+    return cells.transpose(1, 0, 2).copy(), cells, diagonal, reversible
 
 
 @njit(cache=True)
@@ -88,7 +89,7 @@ def everett_values(alpha_v: FloatArray, beta_v: FloatArray, grid: Grid,
         In um; zero where `alpha_v` <= `beta_v`.
     """
     voltage_min, _, cell_width = grid
-    cells, diagonal, reversible = table
+    _, cells, diagonal, reversible = table
     values = np.zeros(alpha_v.size)
     for n in range(alpha_v.size):
         if alpha_v[n] > beta_v[n]:
@@ -151,7 +152,7 @@ def along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: float
     present_v : float
     """
     voltage_min, voltage_max, cell_width = grid
-    cells, diagonal, reversible = table
+    columns, _, diagonal, reversible = table
     scale = 1.0 / cell_width
     size = diagonal.size
     # Only what depends on alpha is left in the loop; the order of the sums is that of `_everett`.
@@ -159,7 +160,7 @@ def along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: float
     y = j + 1 - beta
     own_diagonal, own_reversible = diagonal[j], reversible[j]
     y_diagonal = y * own_diagonal
-    column = cells[:, j]
+    column = columns[j]
     present = voltage_min
     while n < voltage_v.size:
         v = min(max(voltage_v[n], voltage_min), voltage_max)
@@ -190,14 +191,14 @@ def along_fall(voltage_v: FloatArray, output_um: FloatArray, n: int, alpha: floa
     `alpha` is the maximum, `limit_v` the remembered minimum; the rest is as for `along_rise`.
     """
     voltage_min, voltage_max, cell_width = grid
-    cells, diagonal, reversible = table
+    _, rows, diagonal, reversible = table
     scale = 1.0 / cell_width
     size = diagonal.size
     i = cell_of(alpha, size)
     x = alpha - i
     own_diagonal, own_reversible = diagonal[i], reversible[i]
     x_diagonal = x * own_diagonal
-    row = cells[i]
+    row = rows[i]
     present = voltage_max
     while n < voltage_v.size:
         v = min(max(voltage_v[n], voltage_min), voltage_max)
