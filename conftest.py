@@ -20,6 +20,13 @@ from matplotlib.figure import Figure
 
 LONG = bool(os.environ.get("LONG_TESTS"))
 DOCS = Path(__file__).parent / "docs"
+OF_THE_SUITE = {
+    "test_client_library", "test_diagnose_action", "test_examples", "test_experiments_recorded",
+    "test_general_references", "test_identify_and_track", "test_impossible_transitions",
+    "test_long_streams", "test_node_parameters", "test_probe", "test_run_supervision",
+    "test_stage_faults", "test_stage_tracking", "test_stage_waveforms", "test_two_stages",
+}
+"""Files that use the fixture ``suite`` or what is identified on it: both are made once."""
 # A test that draws does not watch the clock.
 settings.register_profile("suite", deadline=None)
 settings.load_profile("suite")
@@ -49,6 +56,26 @@ LEAST_LIGHTNESS_DIFFERENCE = 20.0
 """Of L*, 0 to 100, between lines of the same dashes and marker."""
 COUNTS = re.compile("number|direction|correlation|with the voltage")
 """How labels of plain numbers begin; all others give a unit in brackets."""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give each file to one process, and all files of OF_THE_SUITE to the same one."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            path = nodeid.partition("::")[0]
+            return "suite" if Path(path).stem in OF_THE_SUITE else path
+
+        def schedule(self):
+            super().schedule()
+            # A process that takes over from one that crashed needs more than its first test, or
+            # word that no more comes: it would wait for either for ever.
+            for node in self.nodes:
+                self._reschedule(node)
+
+    return Scheduling(config, log)
 
 
 def pytest_collection_modifyitems(config, items):

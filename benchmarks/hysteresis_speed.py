@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Compare Preisach model and relay grid, forward and inverse, in samples per second."""
+"""Compare the Preisach model with relays and with an Everett look-up, in samples per second."""
 
 import timeit
 
 import numpy as np
+from everett_look_up import invert_look_up, look_up, table_of
 from numba import njit
 from stage_model import VOLTAGE_RANGE_V, preisach_model
 
@@ -28,20 +29,33 @@ def samples_per_s(levels):
     Returns
     -------
     speeds : dict of str to float
-        Keys "forward" and "inverse", and the same by "compiled relays" and "NumPy relays".
+        Keys "forward" and "inverse", and the same by "Everett look-up", "compiled relays" and
+        "NumPy relays".
     """
     model = preisach_model(levels)
     alpha_v, beta_v, weight_um = relays = cell_centre_relays(model)
     many_v, few_v = voltages(SAMPLES), voltages(RELAY_SAMPLES)
     many_um = model.simulate(many_v)
     few_um = simulate_relays(few_v, *relays)
+    tabled = (table_of(model), model.voltage_min_v, model.cell_width_v, model.offset_um)
     return {
         "forward": _speed(model.simulate, many_v),
+        "forward, Everett look-up": _speed(look_up, many_v, *tabled),
         "forward, compiled relays": _speed(simulate_relays, few_v, *relays),
         "forward, NumPy relays": _speed(numpy_relays, few_v, *relays),
         "inverse": _speed(model.invert, many_um),
+        "inverse, Everett look-up": _speed(invert_look_up, look_up(many_v, *tabled), *tabled),
         "inverse, compiled relays": _speed(invert_relays, few_um, alpha_v, beta_v, weight_um),
     }
+
+
+def look_up_error_percent(levels):
+    """Largest difference of the look-up from the model, in percent of the model's span."""
+    model, many_v = preisach_model(levels), voltages(SAMPLES)
+    looked_up_um = look_up(many_v, table_of(model), model.voltage_min_v, model.cell_width_v,
+                           model.offset_um)
+    return 100.0 * np.abs(looked_up_um - model.simulate(many_v)).max() / np.ptp(
+        model.output_range_um)
 
 
 def numpy_relays(voltage_v, alpha_v, beta_v, weight_um):

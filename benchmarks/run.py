@@ -15,7 +15,7 @@ import numpy as np
 import peers
 from computing_time import computing_times_s
 from diagnosis_speed import diagnosis_times_s
-from hysteresis_speed import samples_per_s
+from hysteresis_speed import look_up_error_percent, samples_per_s
 from loop_speed import LOCKSTEP, closed_loop, ping_pong_round_trips, tick_round_trips
 from paced import paced_run
 from stream_length import TARGETS as STREAM_TARGETS
@@ -23,7 +23,8 @@ from stream_length import measure as measure_streams
 from table import Measurements, show, write
 
 OUTPUT = Path(__file__).parents[1] / "runs" / "bench"
-LEVELS = (50, 200)
+LEVELS = (50, 200, 500)
+HYSTERESIS_SAMPLES_PER_S = 5e7
 SIMULATED_S = 20.0
 PACED_S = 5.0
 ROUND_TRIPS = 5000
@@ -41,7 +42,7 @@ LOOPS = {
 
 
 def hysteresis(rows):
-    """Add the Preisach model's speed, and how often that of the relays it is."""
+    """Add the Preisach model's speed, and how often that of its peers it is."""
     for levels in LEVELS:
         speeds = samples_per_s(levels)
         for name, speed in speeds.items():
@@ -51,6 +52,8 @@ def hysteresis(rows):
                 rows[f"{title}: over {peer}", "times"].append(speeds[direction] / speed)
             else:
                 rows[title, "samples/s"].append(speed)
+        rows[f"Preisach, {levels} levels: error of the Everett look-up", "% of span"].append(
+            look_up_error_percent(levels))
 
 
 def loops(rows):
@@ -107,7 +110,8 @@ TARGETS = {
     "loop, stage and controller": {"at_least": 2.0},
     "round trip, p50: tick over ping-pong": {"at_most": 2.0},
     "computing an answer, controller of order 15, p99": {"at_most": 100.0},
-}
+} | {f"Preisach {direction}, {levels} levels": {"at_least": HYSTERESIS_SAMPLES_PER_S}
+     for levels in LEVELS for direction in ("forward", "inverse")}
 
 
 def main():

@@ -10,7 +10,6 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from itertools import count, pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,12 +28,6 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_ros.quality import FEEDBACK, SAMPLES
 
 TIMEOUT_S = 180.0
-OF_THE_SUITE = {
-    "test_client_library", "test_diagnose_action", "test_examples", "test_experiments_recorded",
-    "test_general_references", "test_identify_and_track", "test_impossible_transitions",
-    "test_node_parameters", "test_stage_tracking", "test_stage_waveforms", "test_two_stages",
-}
-"""Files whose tests mostly use the fixture ``suite``; elsewhere it is started once more."""
 DOMAINS = range(1, 100)
 CLAIMS = f"{tempfile.gettempdir()}/piezo_test_domain_{{number}}"
 """Locked by the test process that uses a domain, until it ends."""
@@ -294,19 +287,6 @@ class Nodes:
         for log in directory.glob("*.log"):
             text = log.read_text()
             assert "Traceback" not in text, f"{log.name}: {text}"
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config, log):
-    """Give the files that use the suite of the session to one worker, which starts it once."""
-    from xdist.scheduler import LoadScopeScheduling
-
-    class Scheduling(LoadScopeScheduling):
-        def _split_scope(self, nodeid):
-            name = Path(nodeid.split("::")[0]).stem
-            return "suite" if name in OF_THE_SUITE else name
-
-    return Scheduling(config, log)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -54,8 +54,11 @@ def status_lines(client: Client) -> list[str]:
         If nobody serves it.
     """
     heard: dict[str, DiagnosticStatus] = {}
-    client.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message: heard.update(
-        {status.name: status for status in message.status}), 10)
+
+    def hear(message: DiagnosticArray) -> None:
+        heard.update({status.name: status for status in message.status})
+
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
     described = DescribedStage(client.node)
     namespace = client.node.get_namespace().rstrip("/")
     state = client.call(GetState, "stage/get_state").current_state.label

@@ -83,7 +83,7 @@ def built_model(document: ModelDocument) -> IdentifiedModel:
         recordings=[dict(recording) for recording in document.recordings],
         created=document.created,
         uncertainties=_deviations(document.uncertainties),
-        rows={name: {field: _infinite_where_untold(value) for field, value in part}
+        rows={name: {field: math.inf if value is None else value for field, value in part}
               for name, part in document.rows.items()},
         visited=_visited(document.visited),
         adequacy={component: part.model_dump(exclude_none=True)

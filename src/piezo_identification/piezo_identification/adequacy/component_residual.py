@@ -11,10 +11,10 @@ from piezo_identification.conditioning.generator_edges import free_running_level
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
-from piezo_identification.conditioning.settling import first_settled
+from piezo_identification.conditioning.settling import first_settled, slow_dynamics
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
 from piezo_identification.diagnosis.residual.sensor_noise import repeated_period
-from piezo_identification.estimators.creep.square_wave_creep import FEWEST_STEPS, USUAL_SETTLING_S
+from piezo_identification.estimators.creep.square_wave_creep import FEWEST_STEPS, left_out_s
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
@@ -134,7 +134,8 @@ def _of_square_wave(
         # The fast dynamics are not what this recording shows.
         since = np.arange(time_s.size) - np.concatenate([[0], wave.steps])[
             np.searchsorted(wave.steps, np.arange(time_s.size), side="right")]
-        good = good & (since[first:] * part.sample_period_s >= USUAL_SETTLING_S)
+        settled_s = left_out_s(slow_dynamics(model.dynamics, model.effects), behind_s + delay_s)
+        good = good & (since[first:] * part.sample_period_s >= settled_s)
         # A free-running generator steps between this row and the next.
         good[wave.steps[wave.steps > first] - first - 1] = False
     measured_um = part.displacement_um[first:]

@@ -16,7 +16,11 @@ LATE_EDGE = 0.1
 
 
 def free_running_level(wave: SquareWave) -> FloatArray | None:
-    """Return the mean level in each sample period, of a generator that does not know the samples.
+    """Return levels, held for a sample period each, that act as those of a free-running generator.
+
+    A generator's step comes a part of a sample period before the sample that shows it. The levels
+    held before and after this sample are changed, so that area and centre of what that adds are the
+    same: what follows a step then differs by the third power of the sample period only.
 
     Parameters
     ----------
@@ -35,8 +39,10 @@ def free_running_level(wave: SquareWave) -> FloatArray | None:
     edges = _edges_of_generator(steps)
     if edges is None:
         return None
+    earlier, change = steps - edges, level[steps] - level[steps - 1]
     result = level.copy()
-    result[steps - 1] += (steps - edges) * (level[steps] - level[steps - 1])
+    result[steps - 1] += 0.5 * (earlier + earlier**2) * change
+    result[steps] += 0.5 * (earlier - earlier**2) * change
     return result
 
 

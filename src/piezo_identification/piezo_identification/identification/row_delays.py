@@ -56,8 +56,9 @@ def delays_of_rows_s(
     dict of str to float
         Without those that are read with their voltage.
     """
-    return {name: -late * played(recordings[name]).sample_period_s
-            for name, late in read_at.items() if late}
+    return {name: -read_at[name] * played(data).sample_period_s
+            for name, data in recordings.items()
+            if not isinstance(data, FrequencyResponse) and read_at.get(name)}
 
 
 def row_delays(

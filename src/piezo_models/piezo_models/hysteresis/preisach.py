@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezo_common.arrays import FloatArray
-from piezo_models.hysteresis.preisach_kernels import everett_table, everett_values, invert, simulate
+from piezo_models.hysteresis.preisach_inversion import invert
+from piezo_models.hysteresis.preisach_kernels import (
+    Table,
+    everett_table,
+    everett_values,
+    simulate,
+)
 
 
 @dataclass(frozen=True)
@@ -142,14 +148,18 @@ class PreisachModel:
         size = self.density_um_per_v2.shape[0]
         return np.linspace(self.voltage_min_v, self.voltage_max_v, size + 1)
 
-    @property
+    @cached_property
     def output_range_um(self) -> tuple[float, float]:
         """Return the output at negative and at positive saturation."""
         span = self.everett_um(self.voltage_max_v, self.voltage_min_v)
         return self.offset_um, self.offset_um + float(span)
 
     @cached_property
-    def _table(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _has_negative_cells(self) -> bool:
+        return bool(np.any(self.density_um_per_v2 < 0) or np.any(self.reversible_um_per_v < 0))
+
+    @cached_property
+    def _table(self) -> Table:
         return everett_table(
             self.density_um_per_v2, self.reversible_um_per_v, self.cell_width_v
         )
@@ -259,21 +269,24 @@ class PreisachModel:
             left untouched.
         """
         target = _finite_sequence(hysteresis_um, "hysteresis_um")
-        if np.any(self.density_um_per_v2 < 0) or np.any(self.reversible_um_per_v < 0):
+        if self._has_negative_cells:
             raise ValueError(
                 "the density has negative cells, so the hysteresis has no inverse; "
                 "fit it by non-negative least squares"
             )
         low, high = self.output_range_um
         slack = INVERSION.range_tolerance * (high - low)
-        if target.size and (target.min() < low - slack or target.max() > high + slack):
+        lowest, highest = (target.min(), target.max()) if target.size else (low, high)
+        if lowest < low - slack or highest > high + slack:
             raise ValueError(
-                f"the hysteresis output cannot span {target.min():.6g} to {target.max():.6g} um; "
+                f"the hysteresis output cannot span {lowest:.6g} to {highest:.6g} um; "
                 f"the reachable range is {low:.6g} to {high:.6g} um"
             )
+        if lowest < low or highest > high:
+            target = np.clip(target, low, high)
         memory = self._own(memory)
         voltage, memory.extremes_v, memory.outputs_um, memory.top = invert(
-            np.clip(target, low, high),
+            target,
             INVERSION.rounding * (abs(low) + high - low),
             memory.extremes_v,
             memory.outputs_um,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Kernels of the Preisach hysteresis: the Everett function from tables, wiping out, the inverse.
+"""Kernels of the Preisach hysteresis: the Everett function from tables, and wiping out.
 
 Positions are voltages in cells from the lower end of the grid. A grid is `(voltage_min_v,
 voltage_max_v, cell_width_v)`, a table what `everett_table` returns. The remembered extremes are
@@ -12,7 +12,7 @@ from numba import njit
 from piezo_common.arrays import FloatArray
 
 Grid = tuple[float, float, float]
-Table = tuple[FloatArray, FloatArray, FloatArray]
+Table = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Past = tuple[FloatArray, FloatArray, FloatArray, int]
 """What a simulation or an inversion returns: its result, and the memory to go on from."""
 
@@ -22,10 +22,11 @@ def everett_table(density: FloatArray, reversible: FloatArray, cell_width: float
 
     Returns
     -------
-    cells : (L, L, 4) array
-        For cell (i, j) with i > j: the Everett function at (level i, level j + 1); integral of the
-        full squares of row i between the columns j and i; the same of column j between the rows;
-        integral of the square itself.
+    columns, rows : (L, L, 4) array
+        `columns[j, i]` is `rows[i, j]`: a branch, on which one of the two stays, finds its
+        neighbours side by side. For cell (i, j) with i > j: the Everett function at (level i,
+        level j + 1); integral of the full squares of row i between the columns j and i; the same
+        of column j between the rows; integral of the square itself.
     diagonal : (L,) array
         Integrals of the triangles on the diagonal.
     reversible : (L,) array
@@ -44,7 +45,7 @@ def everett_table(density: FloatArray, reversible: FloatArray, cell_width: float
     cells[:, :-1, 1] = np.cumsum(squares[:, ::-1], axis=1)[:, ::-1][:, 1:]
     cells[1:, :, 2] = np.cumsum(squares, axis=0)[:-1]
     cells[:, :, 3] = squares
-    return cells, diagonal, reversible
+    return cells.transpose(1, 0, 2).copy(), cells, diagonal, reversible
 
 
 @njit(cache=True)
@@ -88,7 +89,7 @@ def everett_values(alpha_v: FloatArray, beta_v: FloatArray, grid: Grid,
         In um; zero where `alpha_v` <= `beta_v`.
     """
     voltage_min, _, cell_width = grid
-    cells, diagonal, reversible = table
+    _, cells, diagonal, reversible = table
     values = np.zeros(alpha_v.size)
     for n in range(alpha_v.size):
         if alpha_v[n] > beta_v[n]:
@@ -128,6 +129,147 @@ def with_room(stack: FloatArray, top: int) -> FloatArray:
 
 
 @njit(cache=True)
+def along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: float,
+               start_um: float, limit_v: float, grid: Grid, table: Table) -> tuple[int, float]:
+    """Play voltages from sample `n` on for as long as they rise from one minimum.
+
+    Parameters
+    ----------
+    voltage_v, output_um : (N,) array
+        What is played, and where the output is written.
+    n : int
+        Its voltage lies above the minimum and below `limit_v`.
+    beta, start_um : float
+        Minimum, in cells, and its output.
+    limit_v : float
+        Remembered maximum, which wipes the minimum out.
+    grid, table : tuple
+
+    Returns
+    -------
+    n : int
+        The first sample that falls or reaches the limit.
+    present_v : float
+    """
+    voltage_min, voltage_max, cell_width = grid
+    columns, _, diagonal, reversible = table
+    scale = 1.0 / cell_width
+    size = diagonal.size
+    # Only what depends on alpha is left in the loop; the order of the sums is that of `_everett`.
+    j = cell_of(beta, size)
+    y = j + 1 - beta
+    own_diagonal, own_reversible = diagonal[j], reversible[j]
+    y_diagonal = y * own_diagonal
+    column = columns[j]
+    present = voltage_min
+    while n < voltage_v.size:
+        v = min(max(voltage_v[n], voltage_min), voltage_max)
+        if v < present or v >= limit_v:
+            break
+        alpha = (v - voltage_min) * scale
+        i = cell_of(alpha, size)
+        if i == j:
+            change = (alpha - beta) * (own_reversible + (alpha - beta) * own_diagonal)
+        else:
+            x = alpha - i
+            change = (
+                column[i, 0]
+                + x * (column[i, 1] + reversible[i] + x * diagonal[i] + y * column[i, 3])
+                + y * (column[i, 2] + own_reversible + y_diagonal)
+            )
+        output_um[n] = start_um + change
+        present = v
+        n += 1
+    return n, present
+
+
+@njit(cache=True)
+def along_fall(voltage_v: FloatArray, output_um: FloatArray, n: int, alpha: float,
+               start_um: float, limit_v: float, grid: Grid, table: Table) -> tuple[int, float]:
+    """Play voltages from sample `n` on for as long as they fall from one maximum.
+
+    `alpha` is the maximum, `limit_v` the remembered minimum; the rest is as for `along_rise`.
+    """
+    voltage_min, voltage_max, cell_width = grid
+    _, rows, diagonal, reversible = table
+    scale = 1.0 / cell_width
+    size = diagonal.size
+    i = cell_of(alpha, size)
+    x = alpha - i
+    own_diagonal, own_reversible = diagonal[i], reversible[i]
+    x_diagonal = x * own_diagonal
+    row = rows[i]
+    present = voltage_max
+    while n < voltage_v.size:
+        v = min(max(voltage_v[n], voltage_min), voltage_max)
+        if v > present or v <= limit_v:
+            break
+        beta = (v - voltage_min) * scale
+        j = cell_of(beta, size)
+        if i == j:
+            change = (alpha - beta) * (own_reversible + (alpha - beta) * own_diagonal)
+        else:
+            y = j + 1 - beta
+            change = (
+                row[j, 0]
+                + x * (row[j, 1] + own_reversible + x_diagonal + y * row[j, 3])
+                + y * (row[j, 2] + reversible[j] + y * diagonal[j])
+            )
+        output_um[n] = start_um - change
+        present = v
+        n += 1
+    return n, present
+
+
+@njit(cache=True)
+def simulate_while_room(voltage_v: FloatArray, output_um: FloatArray, n: int,
+                        extremes: FloatArray, outputs: FloatArray, top: int, grid: Grid,
+                        table: Table) -> tuple[int, int]:
+    """Write the output from sample `n` on, without allocation, until the memory is full.
+
+    Parameters
+    ----------
+    voltage_v, output_um : (N,) array
+    n : int
+    extremes, outputs : array
+        Of the memory; changed in place.
+    top : int
+    grid, table : tuple
+
+    Returns
+    -------
+    n : int
+        N, or the sample whose reversal finds no room.
+    top : int
+    """
+    voltage_min, voltage_max, cell_width = grid
+    scale = 1.0 / cell_width
+    while n < voltage_v.size:
+        v = min(max(voltage_v[n], voltage_min), voltage_max)
+        if v == extremes[top]:
+            output_um[n] = outputs[top]
+            n += 1
+            continue
+        start = branch_start(extremes, top, v)
+        if start < 0:
+            top, extremes[0] = 0, v
+            continue
+        if start + 1 == extremes.size:
+            break
+        top = start + 1
+        turn = (extremes[start] - voltage_min) * scale
+        if top % 2 == 1:
+            limit_v = extremes[start - 1] if start >= 2 else np.inf
+            n, extremes[top] = along_rise(
+                voltage_v, output_um, n, turn, outputs[start], limit_v, grid, table)
+        else:
+            n, extremes[top] = along_fall(
+                voltage_v, output_um, n, turn, outputs[start], extremes[start - 1], grid, table)
+        outputs[top] = output_um[n - 1]
+    return n, top
+
+
+@njit(cache=True)
 def simulate(voltage_v: FloatArray, extremes: FloatArray, outputs: FloatArray, top: int,
              grid: Grid, table: Table) -> Past:
     """Return the hysteresis output for voltages that continue a remembered past.
@@ -147,154 +289,10 @@ def simulate(voltage_v: FloatArray, extremes: FloatArray, outputs: FloatArray, t
     extremes, outputs : array
     top : int
     """
-    voltage_min, voltage_max, cell_width = grid
-    cells, diagonal, reversible = table
     output = np.empty(voltage_v.size)
-    scale = 1.0 / cell_width
-    for n in range(voltage_v.size):
-        v = min(max(voltage_v[n], voltage_min), voltage_max)
-        if v != extremes[top]:
-            start = branch_start(extremes, top, v)
-            top = start + 1
-            if top == extremes.size:
-                extremes, outputs = with_room(extremes, top), with_room(outputs, top)
-            extremes[top] = v
-            if start >= 0:
-                here = (v - voltage_min) * scale
-                there = (extremes[start] - voltage_min) * scale
-                high, low = max(here, there), min(here, there)
-                change = _everett(high, low, cells, diagonal, reversible)
-                outputs[top] = outputs[start] + (change if top % 2 == 1 else -change)
-        output[n] = outputs[top]
+    n, top = simulate_while_room(voltage_v, output, 0, extremes, outputs, top, grid, table)
+    while n < voltage_v.size:
+        extremes = with_room(extremes, extremes.size)
+        outputs = with_room(outputs, outputs.size)
+        n, top = simulate_while_room(voltage_v, output, n, extremes, outputs, top, grid, table)
     return output, extremes, outputs, top
-
-
-@njit(cache=True)
-def _root(quadratic: float, linear: float, value: float) -> float:
-    """Root of quadratic x^2 + linear x = value in [0, 1]; all non-negative, so nothing cancels."""
-    denominator = linear + np.sqrt(linear * linear + 4.0 * quadratic * value)
-    if denominator <= 0.0:
-        return 0.0
-    return min(2.0 * value / denominator, 1.0)
-
-
-@njit(cache=True)
-def _rise(target: float, rounding: float, beta: float, cells: FloatArray,
-          diagonal: FloatArray, reversible: FloatArray) -> float:
-    """Return the lowest position alpha, in cells, at which Everett from `beta` is `target`.
-
-    No flat stretch is crossed for a rest within `rounding`.
-    """
-    size = diagonal.size
-    j = cell_of(beta, size)
-    y = j + 1 - beta
-    corner = y * (reversible[j] + diagonal[j] * y)
-    if target <= corner + rounding:
-        return beta + _root(diagonal[j], reversible[j], min(max(target, 0.0), corner))
-    if j == size - 1:
-        return float(size)
-    low, high = j + 1, size - 1
-    while low < high:
-        middle = (low + high + 1) // 2
-        if cells[middle, j, 0] + y * cells[middle, j, 2] + corner < target - rounding:
-            low = middle
-        else:
-            high = middle - 1
-    rest = max(target - (cells[low, j, 0] + y * cells[low, j, 2] + corner), 0.0)
-    slope = cells[low, j, 1] + reversible[low] + y * cells[low, j, 3]
-    return low + _root(diagonal[low], slope, rest)
-
-
-@njit(cache=True)
-def _fall(target: float, rounding: float, alpha: float, cells: FloatArray,
-          diagonal: FloatArray, reversible: FloatArray) -> float:
-    """Return highest position beta, in cells, at which the Everett function to `alpha` is `target`.
-
-    No flat stretch is crossed for a rest within `rounding`.
-    """
-    size = diagonal.size
-    i = cell_of(alpha, size)
-    x = alpha - i
-    corner = x * (reversible[i] + diagonal[i] * x)
-    if target <= corner + rounding:
-        return alpha - _root(diagonal[i], reversible[i], min(max(target, 0.0), corner))
-    if i == 0:
-        return 0.0
-    low, high = 0, i - 1
-    while low < high:
-        middle = (low + high) // 2
-        if cells[i, middle, 0] + x * cells[i, middle, 1] + corner < target - rounding:
-            high = middle
-        else:
-            low = middle + 1
-    rest = max(target - (cells[i, low, 0] + x * cells[i, low, 1] + corner), 0.0)
-    slope = cells[i, low, 2] + reversible[low] + x * cells[i, low, 3]
-    return low + 1 - _root(diagonal[low], slope, rest)
-
-
-@njit(cache=True)
-def invert(target_um: FloatArray, rounding_um: float, extremes: FloatArray,
-           outputs: FloatArray, top: int, grid: Grid, table: Table) -> Past:
-    """Return the voltages that bring the output to each target, from a remembered past on.
-
-    Parameters
-    ----------
-    target_um : (N,) array
-        Within the output range.
-    rounding_um : float
-        No flat stretch is crossed for a rest within it.
-    extremes, outputs : array
-        Of the memory; changed in place, and left for longer ones where they are full.
-    top : int
-    grid, table : tuple
-
-    Returns
-    -------
-    (N,) array
-        Voltage in V.
-    extremes, outputs : array
-    top : int
-    """
-    voltage_min, voltage_max, cell_width = grid
-    cells, diagonal, reversible = table
-    voltage = np.empty(target_um.size)
-    scale = 1.0 / cell_width
-    for n in range(target_um.size):
-        goal = target_um[n]
-        v = extremes[top]
-        if goal > outputs[top]:
-            if top % 2 == 1:
-                top -= 1
-            while top >= 2 and goal > outputs[top - 1]:
-                v = extremes[top - 1]
-                top -= 2
-            if top >= 2 and goal == outputs[top - 1]:
-                v = extremes[top - 1]
-                top -= 2
-            else:
-                beta = (extremes[top] - voltage_min) * scale
-                alpha = _rise(goal - outputs[top], rounding_um, beta, cells, diagonal, reversible)
-                ceiling = extremes[top - 1] if top >= 2 else voltage_max
-                v = min(max(voltage_min + alpha * cell_width, v), ceiling)
-            top += 1
-        elif goal < outputs[top]:
-            if top % 2 == 0:
-                top -= 1
-            while top >= 3 and goal < outputs[top - 1]:
-                v = extremes[top - 1]
-                top -= 2
-            if top >= 3 and goal == outputs[top - 1]:
-                v = extremes[top - 1]
-                top -= 2
-            else:
-                alpha = (extremes[top] - voltage_min) * scale
-                beta = _fall(outputs[top] - goal, rounding_um, alpha, cells, diagonal, reversible)
-                v = max(min(voltage_min + beta * cell_width, v), extremes[top - 1])
-            top += 1
-        if top == extremes.size:
-            extremes, outputs = with_room(extremes, top), with_room(outputs, top)
-        extremes[top] = v
-        # The target itself is stored, so that a target that stays leaves the voltage where it is.
-        outputs[top] = goal
-        voltage[n] = v
-    return voltage, extremes, outputs, top

@@ -21,13 +21,12 @@ from piezo_common.arrays import FloatArray
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
-from piezo_identification.conditioning.settling import settling_time_s
 from piezo_identification.conditioning.waveforms import samples_per_mean
 from piezo_identification.estimators.creep.square_wave_creep import (
     BINS_PER_DECADE,
     MOST_PAIRS,
-    USUAL_SETTLING_S,
     CreepNotShown,
+    left_out_s,
 )
 from piezo_identification.estimators.estimate import (
     Estimate,
@@ -107,7 +106,7 @@ def estimate_slow_creep(
         many pairs.
     """
     parts = played_segments(recordings)
-    settling_s = max(USUAL_SETTLING_S, settling_time_s(dynamics) if dynamics else 0.0)
+    settling_s = left_out_s(dynamics)
     problem = _Problem(parts, settling_s, drifts=False)
     point, trials = _search(problem, pair_count)
     drifting = _Problem(parts, settling_s, drifts=True)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.generator_edges import free_running_level
@@ -27,7 +26,7 @@ MOST_PAIRS = 6
 """Pairs of pole and zero beyond which the search for their number ends."""
 
 USUAL_SETTLING_S = 0.03
-"""Least time left out after a step, in which electric and vibration dynamics die out."""
+"""Time left out after a step where the electric and vibration dynamics are not known."""
 
 BINS_PER_DECADE = 60
 """Averaging after a step: creep needs no finer view of logarithmic time."""
@@ -93,6 +92,23 @@ def estimate_creep(
         "um off the loop of the later ones: left out")
 
 
+def left_out_s(dynamics: ElectricVibrationDynamics | None, delay_s: float = 0.0) -> float:
+    """Return the time after a step in which the fast motion hides the creep.
+
+    A fast stage may creep within milliseconds, so that no more is left out than its dynamics ask.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics or None
+        None, or static ones: not known, and no less than the usual time is left out.
+    delay_s : float
+        Of the rows of the recording, beside the dynamics.
+    """
+    if dynamics is None or dynamics.is_static:
+        return max(USUAL_SETTLING_S, delay_s)
+    return settling_time_s(dynamics) + max(delay_s, 0.0)
+
+
 def _estimate(record: "_CreepRecord", pair_count: int | None) -> Estimate:
     """Estimate with the steps where the samples show them, or a generator's between the samples."""
     estimate = _estimate_as_held(record, pair_count)
@@ -132,10 +148,10 @@ class _CreepRecord:
             raise ValueError(f"{recording.path} has no step of the voltage: record a whole period")
         self.period_s = recording.sample_period_s
         self.mean_samples = samples_per_mean(recording)
-        self.delay_s, self.settling_s = delay_s, USUAL_SETTLING_S
+        self.delay_s = delay_s
         if dynamics is not None:
             self.delay_s += low_frequency_delay_s(dynamics)
-            self.settling_s = max(USUAL_SETTLING_S, settling_time_s(dynamics) + delay_s)
+        self.settling_s = left_out_s(dynamics, delay_s)
         self.held = self.wave.level
         self.time_s = np.arange(self.wave.level.size) * self.period_s
         self.bins, self.weights = self._logarithmic_bins()
@@ -156,7 +172,8 @@ class _CreepRecord:
 
     def _logarithmic_bins(self):
         """List the starts of the bins, alternating with the settling samples that are left out."""
-        skipped = int(np.ceil(self.settling_s / self.period_s))
+        # In the sample of a step the fast motion has its largest part.
+        skipped = max(1, int(np.ceil(self.settling_s / self.period_s)))
         edges = np.concatenate([[0], self.wave.steps, [self.wave.level.size]])
         starts, weights = [], []
         for begin, end in zip(edges[:-1], edges[1:], strict=True):
@@ -174,26 +191,43 @@ class _CreepRecord:
         return np.concatenate(starts), np.concatenate(weights)
 
     def _average(self, samples):
-        """Means over the bins, weighted to equal variance; (N,) or (N, columns)."""
+        """Means over the bins, weighted to equal variance, (B,)."""
         counts = np.diff(np.append(self.bins, self.time_s.size))
-        shape = (-1,) + (1,) * (samples.ndim - 1)
-        means = np.add.reduceat(samples, self.bins, axis=0) / counts.reshape(shape)
         kept = self.weights > 0.0
-        return means[kept] * self.weights[kept].reshape(shape)
+        return (np.add.reduceat(samples, self.bins) / counts * self.weights)[kept]
+
+    def _decay(self, rate, since=0):
+        """Mean over each bin of an exponential that begins at a sample, (B,)."""
+        kept = self.weights > 0.0
+        counts = np.diff(np.append(self.bins, self.time_s.size))[kept]
+        exponent = rate * self.period_s
+        first = np.exp(-exponent * (self.bins[kept] - since))
+        return first * np.expm1(-exponent * counts) / (counts * np.expm1(-exponent))
+
+    def _deviation(self, rate):
+        """Mean over each bin of what an exponential lag is off the level, none at first, (B,)."""
+        edges = np.concatenate([[0], self.wave.steps])
+        levels = self.wave.level[edges]
+        # What a generator that runs freely had of the next level before the step shows.
+        early = (self.held - self.wave.level)[edges[1:] - 1] * -np.expm1(-rate * self.period_s)
+        deviations = np.zeros(edges.size)
+        for n, decay in enumerate(np.exp(-rate * self.period_s * np.diff(edges))):
+            deviations[n + 1] = deviations[n] * decay + levels[n] - levels[n + 1] + early[n]
+        run = np.searchsorted(edges, self.bins[self.weights > 0.0], side="right") - 1
+        return deviations[run] * self._decay(rate, edges[run])
 
     def _basis(self, rates):
         """Columns: offset, gain, response of each exponential, its free initial state."""
-        level = self.wave.level
+        weights = self.weights[self.weights > 0.0]
+        level = self.wave.level[self.bins[self.weights > 0.0]]
         columns = [np.ones_like(level), level]
         for rate in rates:
-            decay = np.exp(-rate * self.period_s)
             # Deviation from the held level, at the sample instant and in the mean over the sample.
-            lagging = lfilter([0.0, 1.0 - decay], [1.0, -decay], self.held, zi=[level[0]])[0]
             clock_decay = np.expm1(-rate * self.period_s / self.mean_samples)
             mean = np.expm1(-rate * self.period_s) / (self.mean_samples * clock_decay)
-            columns.append(level + (lagging - level) * mean * np.exp(rate * self.delay_s))
-        columns += [np.exp(-rate * self.time_s) for rate in rates]
-        return self._average(np.column_stack(columns))
+            columns.append(level + self._deviation(rate) * mean * np.exp(rate * self.delay_s))
+        columns += [self._decay(rate) for rate in rates]
+        return np.column_stack(columns) * weights[:, None]
 
     def _fit(self, rates):
         check_cancelled()
@@ -235,9 +269,9 @@ class _CreepRecord:
         The creep answers the difference too, and so ends in a decay with free coefficients.
         """
         rates = np.asarray(creep.poles_rad_per_s)
-        first = np.arange(self.wave.level.size) < self.wave.steps[0]
-        of_first = self._average(np.column_stack(
-            [first, *(first * np.exp(-rate * self.time_s) for rate in rates)]))
+        kept = self.weights > 0.0
+        first = (self.bins[kept] < self.wave.steps[0]) * self.weights[kept]
+        of_first = np.column_stack([first, *(first * self._decay(rate) for rate in rates)])
         basis = self._basis(rates)
         own = np.column_stack([basis, of_first])
         coefficients, _, rank, _ = np.linalg.lstsq(own, self.displacement, rcond=1e-12)

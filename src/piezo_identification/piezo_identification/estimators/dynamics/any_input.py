@@ -40,6 +40,9 @@ from piezo_recorder.reading.recording import Recording
 MODES_IN_TURN = 2
 """Vibration modes of the first fit, from which hysteresis and dynamics are fitted together."""
 
+MODES_THAT_TELL = 2
+"""Modes with which it is told whether a generator runs freely: edges off by half a sample show."""
+
 AT_REST = 20
 """Samples without a change of the voltage, from which a recording counts as beginning at rest."""
 

@@ -39,6 +39,13 @@ SMOOTHING = 1e-10
 MOST_SAMPLES = 40_000
 """Samples of the longest recordings that are fitted; further ones would only cost time."""
 
+LEAST = 1e-3
+"""A lag that is shorter than this part of a sample period starts from it, as logarithms need."""
+
+REACH = 3.0
+"""By so much the logarithms of the parameters, and the delay in sample periods, may change: a mode
+that is not there would go on without end."""
+
 MOST_EVALUATIONS = 25
 """Steps of the search for the dynamics."""
 
@@ -98,10 +105,12 @@ def hysteresis_beside_dynamics(
     def of_point(point: FloatArray) -> tuple[ElectricVibrationDynamics, float]:
         return dynamics_of_vector(np.exp(point[:-1]), modes, zeros), float(point[-1]) * period_s
 
+    positive = np.maximum(dynamics_vector(dynamics), LEAST * period_s)
+    start = np.append(np.log(positive), delay_s / period_s)
     solution = least_squares(
-        lambda point: problem.residual(*of_point(point)),
-        np.append(np.log(dynamics_vector(dynamics)), delay_s / period_s),
-        x_scale="jac", xtol=1e-7, ftol=1e-8, max_nfev=MOST_EVALUATIONS)
+        lambda point: problem.residual(*of_point(point)), start,
+        bounds=(start - REACH, start + REACH), x_scale="jac", xtol=1e-7, ftol=1e-8,
+        max_nfev=MOST_EVALUATIONS)
     best, delay_s = of_point(solution.x)
     return problem.hysteresis(best, delay_s), best
 

@@ -124,7 +124,7 @@ def density_of_segments(
     if is_line:
         penalties = Penalties(0.0)
     elif smoothing_weight is None:
-        choice = _penalties_for(segments, levels_v, translation_weight)
+        choice = _penalties_for(segments, levels_v, translation_weight, whole_plane)
         penalties, multiplier, is_line = choice.penalties, choice.forces, choice.is_line
     else:
         penalties = Penalties(smoothing_weight, translation_weight or 0.0)
@@ -161,8 +161,9 @@ def density_of_segments(
 
 def _penalties_for(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None,
+    whole_plane: bool,
 ) -> PenaltyChoice:
-    """Choose the weights on few cells, and the smoothing anew on twice as many.
+    """Choose the weights on few cells; where all are visited, the smoothing anew on twice as many.
 
     The bounds that hold are then found on grids twice as fine each time, where that costs little.
     """
@@ -173,7 +174,7 @@ def _penalties_for(
     while 2 * cells < size and not choice.is_line:
         finer_v = np.linspace(levels_v[0], levels_v[-1], 2 * cells + 1)
         forces = _on_finer_grid(choice.forces, cells, 2 * cells)
-        if cells == CELLS_FOR_THE_WEIGHT:
+        if whole_plane and cells == CELLS_FOR_THE_WEIGHT:
             choice = refine_smoothing(segments, finer_v, choice, forces)
         else:
             [equations] = equations_of_folds(segments, finer_v)

@@ -32,6 +32,10 @@ MOST_ABOVE_THE_LEAST = 0.1
 """Part by which a mean square may exceed the least, however much the folds differ: where some hold
 far more than others, the standard error excuses anything, even a line."""
 
+RISES = 3
+"""So many weights in a row, each of which predicts worse than the one before, end a search: those
+that would follow take most time, as the bounds then hold here and there."""
+
 FEWEST_ROWS = 4
 """Samples to fit in a piece of a branch."""
 
@@ -193,9 +197,15 @@ class _Trials:
         return self._misfits[penalties]
 
     def best(self, candidates: Iterable[Penalties]) -> Penalties:
-        """Return the first candidate that predicts as well as any."""
-        listed = list(candidates)
-        least = min(listed, key=lambda penalties: self.misfits(penalties).sum())
+        """Return the first candidate that predicts as well as any, until they get ever worse."""
+        listed: list[Penalties] = []
+        misfits: list[float] = []
+        for penalties in candidates:
+            listed.append(penalties)
+            misfits.append(float(self.misfits(penalties).sum()))
+            if len(misfits) > RISES and np.all(np.diff(misfits[-RISES - 1 :]) > 0.0):
+                break
+        least = listed[int(np.argmin(misfits))]
         return next(each for each in listed if self._as_well(self.misfits(each), least))
 
     def forces(self, penalties: Penalties) -> FloatArray:

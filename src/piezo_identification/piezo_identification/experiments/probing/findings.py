@@ -2,7 +2,7 @@
 """What a probe has found, and how each of it is measured from what was played."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -30,10 +30,38 @@ class Rest:
         Mean displacement.
     noise_rms_um : float
         Of a sample, without a linear drift; no less than the sensor's resolution gives.
+    resolution_um : float
+        Smallest change of the reading that was seen; 0 where it never changed.
     """
 
     level_um: float
     noise_rms_um: float
+    resolution_um: float = 0.0
+
+    def of_mean_um(self, count: int) -> float:
+        """Return the noise of the mean of samples that were taken at the same motion.
+
+        Where the noise is smaller than half the resolution, the reading is rounded alike each time.
+        """
+        white_um = self.noise_rms_um / np.sqrt(count)
+        rounded_um = self.resolution_um / np.sqrt(12.0)
+        return max(white_um, rounded_um) if self.noise_rms_um < 0.5 * self.resolution_um else (
+            white_um)
+
+    def seen_moving(self, displacement_um: FloatArray) -> "Rest":
+        """Return the same rest with the resolution that a motion shows.
+
+        A converter whose steps are larger than the noise reads the same all the time at rest.
+
+        Parameters
+        ----------
+        displacement_um : ndarray, shape (N,)
+        """
+        finest_um = min(self.resolution_um or np.inf, _smallest_change_um(displacement_um))
+        if not np.isfinite(finest_um):
+            return self
+        return replace(self, resolution_um=finest_um, noise_rms_um=max(
+            self.noise_rms_um, finest_um / np.sqrt(12.0)))
 
 
 @dataclass(frozen=True)
@@ -111,13 +139,17 @@ def measure_rest(displacement_um: FloatArray) -> Rest:
     time = np.arange(displacement_um.size) - 0.5 * (displacement_um.size - 1)
     slope = float(time @ displacement_um / (time @ time))
     level_um = float(displacement_um.mean())
-    steps_um = np.abs(np.diff(displacement_um))
-    # A converter without noise in front of it hides what is smaller than a step of it.
-    resolution_um = float(steps_um[steps_um > 0.0].min(initial=np.inf))
-    least_um = resolution_um / np.sqrt(12.0) if np.isfinite(resolution_um) else 1e-6 * max(
-        1.0, abs(level_um))
+    least_um = 1e-6 * max(1.0, abs(level_um))
     spread_um = float((displacement_um - level_um - slope * time).std())
-    return Rest(level_um, max(spread_um, least_um))
+    # A converter without noise in front of it hides what is smaller than a step of it.
+    return Rest(level_um, max(spread_um, least_um)).seen_moving(displacement_um)
+
+
+def _smallest_change_um(displacement_um: FloatArray) -> float:
+    """Return the smallest change from sample to sample; infinity where there is none."""
+    changes_um = np.abs(np.diff(displacement_um))
+    rounding_um = 1e-9 * float(np.abs(displacement_um).max(initial=0.0))
+    return float(changes_um[changes_um > rounding_um].min(initial=np.inf))
 
 
 def measure_pulse(displacement_um: FloatArray, rise: int, fall: int, noise_um: float) -> Pulse:
@@ -144,7 +176,7 @@ def measure_pulse(displacement_um: FloatArray, rise: int, fall: int, noise_um: f
         abs(top_um - third_um) / max(abs(rise_um), noise_um))
 
 
-def measure_response(displacement_um: FloatArray, rises: Sequence[int], dwell: int, noise_um: float,
+def measure_response(displacement_um: FloatArray, rises: Sequence[int], dwell: int, rest: Rest,
                      sample_period_s: float) -> StepResponse:
     """Average the answers to equal pulses and take them apart.
 
@@ -155,8 +187,8 @@ def measure_response(displacement_um: FloatArray, rises: Sequence[int], dwell: i
         Samples at which the voltage rises; it falls a dwell later.
     dwell : int
         Samples from one change of the voltage to the next.
-    noise_um : float
-        RMS of a sample.
+    rest : Rest
+        Whose noise there is.
     sample_period_s : float
     """
     up_um = np.mean([displacement_um[n:n + dwell] for n in rises], axis=0)
@@ -164,7 +196,7 @@ def measure_response(displacement_um: FloatArray, rises: Sequence[int], dwell: i
     mean_um = 0.5 * (up_um - down_um)
     # The sample at the step is measured before the voltage acts.
     height_um = float(mean_um[-max(1, dwell // 10):].mean() - mean_um[0])
-    noise = noise_um / np.sqrt(2.0 * len(rises)) / abs(height_um)
+    noise = rest.of_mean_um(2 * len(rises)) / abs(height_um)
     return step_response((mean_um - mean_um[0]) / height_um, noise, sample_period_s)
 
 

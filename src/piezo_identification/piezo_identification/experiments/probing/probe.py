@@ -136,13 +136,14 @@ class Probe:
 def _course(limits: StageLimits) -> Course:
     rest = measure_rest(_measured((yield _silence(limits))))
     _check_rest(rest, limits)
-    step = yield from _grow(limits, rest)
+    rest, step = yield from _grow(limits, rest)
     response = yield from _ring(limits, rest, step)
     creep = yield from _creep(limits, rest, step, response.settling_s)
     return Findings(rest, step.size_v, step.gain_um_per_v, step.signal_to_noise, response, creep)
 
 
-def _grow(limits: StageLimits, rest: Rest) -> Generator[Experiment, Recording, Step]:
+def _grow(limits: StageLimits,
+          rest: Rest) -> Generator[Experiment, Recording, tuple[Rest, Step]]:
     """Enlarge a pulse until it stands out of the noise, or what was measured forbids more."""
     upwards = limits.voltage_max_v - limits.rest_voltage_v
     downwards = limits.rest_voltage_v - limits.voltage_min_v
@@ -153,6 +154,7 @@ def _grow(limits: StageLimits, rest: Rest) -> Generator[Experiment, Recording, S
         voltage_v, rises = _pulses(limits, sign * size_v, dwell, 1)
         measured_um = _measured((yield _experiment(
             limits, "pulse", voltage_v, f"pulse of {sign * size_v:g} V from rest")))
+        rest = rest.seen_moving(measured_um)
         pulse = measure_pulse(measured_um, rises[0], rises[0] + dwell, rest.noise_rms_um)
         ratio = abs(pulse.fall_um) / rest.noise_rms_um
         if (ratio > LEAST_SIGNAL_TO_NOISE and pulse.unsettled > SETTLED
@@ -168,7 +170,7 @@ def _grow(limits: StageLimits, rest: Rest) -> Generator[Experiment, Recording, S
             f"a pulse of {sign * size_v:.3g} V moves the sensor by {abs(pulse.fall_um):.3g} um at "
             f"a noise of {rest.noise_rms_um:.3g} um RMS, and a larger one is not safe: look at "
             "the amplifier, the wiring and the limits of the sensor")
-    return Step(sign * size_v, dwell, pulse.rise_um / (sign * size_v), ratio)
+    return rest, Step(sign * size_v, dwell, pulse.rise_um / (sign * size_v), ratio)
 
 
 def _growth(pulse: Pulse, ratio: float, rest: Rest, limits: StageLimits) -> float:
@@ -194,7 +196,7 @@ def _ring(limits: StageLimits, rest: Rest,
         measured_um = _measured((yield _experiment(
             limits, "ringing", voltage_v, f"{AVERAGED_PULSES + 1} pulses of {step.size_v:g} V")))
         response = measure_response(
-            measured_um, rises[1:], dwell, rest.noise_rms_um, 1.0 / limits.sample_rate_hz)
+            measured_um, rises[1:], dwell, rest, 1.0 / limits.sample_rate_hz)
         if (3.0 * response.settling_s * limits.sample_rate_hz <= dwell
                 or dwell >= LONGEST_DWELL_S * limits.sample_rate_hz):
             return response
@@ -222,7 +224,7 @@ def _creep(limits: StageLimits, rest: Rest, step: Step,
         used = (time_s < 0.0) | (time_s > 3.0 * settling_s)
         creep = measure_creep(
             time_s[used], _measured(recording)[:LEAD + count][used],
-            np.append(steps_s, up_s) - up_s, rest.noise_rms_um / np.sqrt(held))
+            np.append(steps_s, up_s) - up_s, rest.of_mean_um(held))
         if creep.ended or hold_s >= LONGEST_HOLD_S:
             return creep
         steps_s = np.append(steps_s, [up_s, down_s])

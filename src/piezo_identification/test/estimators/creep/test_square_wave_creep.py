@@ -4,10 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezo_identification.conditioning.settling import low_frequency_delay_s
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
+from piezo_identification.estimators.creep.square_wave_creep import estimate_creep, left_out_s
+from piezo_identification.estimators.estimate import creep_of_partial_fractions
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
 
 CLOCK_HZ = 2000.0
 FREQUENCY_HZ = np.geomspace(0.002, 10.0, 30)
@@ -58,6 +62,30 @@ def test_ringing_that_outlasts_the_usual_settling_is_not_taken_for_creep(plant, 
     estimate = estimate_creep(recording, ringing).model
     # The fastest pair is over before the ringing is.
     assert estimate.poles_rad_per_s == pytest.approx((0.01419, 0.1684, 1.053), rel=0.01)
+
+
+def test_creep_of_a_fast_stage_is_sought_as_soon_as_its_fast_motion_is_over():
+    fast = ElectricVibrationDynamics(1e-4, (1.2e4,), (0.2,))
+    rates, gains = np.array([0.4, 70.0]), np.array([0.05, 0.05])
+    period_s, time_s = 2.5e-3, 2.5e-3 * np.arange(16_000)
+    half = time_s.size // 2
+    level = np.repeat([1.0, 0.0], half)
+    # In closed form: the lag that low frequencies see puts the creep off.
+    later_s = np.maximum(time_s - 20.0 - low_frequency_delay_s(fast), 0.0)
+    stepped = level + np.sum([
+        gain * np.where(time_s >= 20.0, np.exp(-rate * later_s), 1.0)
+        for rate, gain in zip(rates, gains, strict=True)], axis=0)
+    noise_um = 0.004 * np.random.default_rng(8).normal(size=time_s.size)
+    recording = Recording("closed form", 1.0 / period_s, np.arange(time_s.size),
+                          np.full(time_s.size, period_s), 20.0 + 13.0 * level,
+                          10.0 * stepped + noise_um,
+                          np.full(time_s.size, Flag.PLAYING, dtype=np.uint32))
+    expected = creep_of_partial_fractions(rates, gains)[0]
+    found, as_usual = estimate_creep(recording, fast).model, estimate_creep(recording).model
+    assert found.poles_rad_per_s == pytest.approx(expected.poles_rad_per_s, rel=0.05)
+    assert response_error(found, expected) < 6e-4
+    assert response_error(as_usual, expected) > 1e-3
+    assert left_out_s(fast) < 0.2 * left_out_s(None)
 
 
 def test_fewer_pairs_can_be_asked_for(record):

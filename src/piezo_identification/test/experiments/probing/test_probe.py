@@ -24,8 +24,8 @@ class FilterStage:
     """A vibration and relaxations side by side, played sample by sample."""
 
     def __init__(self, gain=0.8, frequency_hz=150.0, damping=0.05, creep=((0.04, 2.0),),
-                 noise_um=0.01, limits=LIMITS):
-        self.limits, self.noise_um = limits, noise_um
+                 noise_um=0.01, limits=LIMITS, resolution_um=0.0):
+        self.limits, self.noise_um, self.resolution_um = limits, noise_um, resolution_um
         self.played, self.highest_um, self.lowest_um = [], -np.inf, np.inf
         self._random, self._sample = np.random.default_rng(5), 0
         omega = 2.0 * np.pi * frequency_hz
@@ -48,6 +48,8 @@ class FilterStage:
         self.highest_um = max(self.highest_um, displacement_um.max())
         self.lowest_um = min(self.lowest_um, displacement_um.min())
         displacement_um += self.noise_um * self._random.normal(size=voltage_v.size)
+        if self.resolution_um:
+            displacement_um = self.resolution_um * np.round(displacement_um / self.resolution_um)
         index = self._sample + held * np.arange(experiment.voltage_v.size)
         self._sample += voltage_v.size
         return Recording(
@@ -138,6 +140,16 @@ def test_slew_limit_is_kept_by_steps_and_by_the_experiments():
     for name in EXPERIMENTS:
         experiment = named_experiment(name, document.usable(limits), document.fitted(name))
         assert np.abs(np.diff(experiment.voltage_v)).max() <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("noise_um", [0.0, 0.002])
+def test_converter_coarser_than_the_noise_counts_as_noise(noise_um):
+    found = FilterStage(noise_um=noise_um, resolution_um=0.05).probed()
+    assert found.rest.noise_rms_um == pytest.approx(0.05 / np.sqrt(12.0), rel=0.01)
+    assert found.signal_to_noise == pytest.approx(SIGNAL_TO_NOISE, rel=0.5)
+    (found_hz, found_damping, _), = found.response.modes
+    assert found_hz == pytest.approx(150.0, rel=0.01)
+    assert found_damping == pytest.approx(0.05, rel=0.1)
 
 
 def test_stage_that_does_not_move_is_told_and_moved_no_further_than_allowed():

@@ -72,7 +72,7 @@ def is_grouped(cell: str, decimal: str) -> bool:
 def is_time_of_day(cell: str) -> bool:
     """Tell whether a cell holds a time without a date, which begins anew at midnight."""
     found = _CLOCK.fullmatch(cell)
-    return bool(found) and found[1] is None and found[4] is None
+    return found is not None and found[1] is None and found[4] is None
 
 
 def across_midnight(time_s: FloatArray) -> FloatArray:

@@ -1,0 +1,323 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Kernels of the inverse Preisach hysteresis: voltages from outputs, branch by branch.
+
+On a branch one argument of the Everett function is fixed, and the cell of the other moves one way
+alone. Each target therefore searches from the cell of the last one, and solves a quadratic there.
+"""
+
+import numpy as np
+from numba import njit
+
+from piezo_common.arrays import FloatArray
+from piezo_models.hysteresis.preisach_kernels import Grid, Past, Table, cell_of, with_room
+
+
+@njit(cache=True)
+def _root(quadratic: float, linear: float, value: float) -> float:
+    """Root of quadratic x^2 + linear x = value in [0, 1]; all non-negative, so nothing cancels."""
+    denominator = linear + np.sqrt(linear * linear + 4.0 * quadratic * value)
+    if denominator <= 0.0:
+        return 0.0
+    return min(2.0 * value / denominator, 1.0)
+
+
+@njit(cache=True)
+def _rise_to(column: FloatArray, y: float, i: int) -> float:
+    """Return the Everett function at the lower edge of row i without the corner at beta."""
+    return column[i, 0] + y * column[i, 2]
+
+
+@njit(cache=True)
+def _fall_to(row: FloatArray, x: float, j: int) -> float:
+    """Return the Everett function at the upper edge of column j without the corner at alpha."""
+    return row[j, 0] + x * row[j, 1]
+
+
+@njit(cache=True)
+def _further_cells(rest: float, way: float, most: int) -> int:
+    """Return how many whole cells lie in a rest, if each rises by `way` as the last one does."""
+    return int(rest / way) if 0.0 < way < np.inf and rest < most * way else 0
+
+
+@njit(cache=True)
+def _last_row_below(column: FloatArray, y: float, corner: float, goal: float, i: int,
+                    guess: int) -> int:
+    """Return the last row from i on at whose lower edge the function is below `goal`, or i.
+
+    It is looked for at `guess` first, at growing distances from there, then by halving.
+    """
+    last = column.shape[0] - 1
+    step = 1
+    if _rise_to(column, y, guess) + corner < goal:
+        low = guess
+        while low + step <= last and _rise_to(column, y, low + step) + corner < goal:
+            low += step
+            step *= 2
+        high = min(low + step - 1, last)
+    else:
+        low, high = i, max(guess - 1, i)
+        while high - step >= low and _rise_to(column, y, high - step + 1) + corner >= goal:
+            high -= step
+            step *= 2
+        low = max(high - step + 1, low)
+    while low < high:
+        middle = (low + high + 1) // 2
+        if _rise_to(column, y, middle) + corner < goal:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@njit(cache=True)
+def _first_column_below(row: FloatArray, x: float, corner: float, goal: float, j: int,
+                        guess: int) -> int:
+    """Return the first column, down from j, at whose upper edge it is below `goal`, or j."""
+    step = 1
+    if _fall_to(row, x, guess) + corner < goal:
+        high = guess
+        while high - step >= 0 and _fall_to(row, x, high - step) + corner < goal:
+            high -= step
+            step *= 2
+        low = max(high - step + 1, 0)
+    else:
+        low, high = min(guess + 1, j), j
+        while low + step <= high and _fall_to(row, x, low + step - 1) + corner >= goal:
+            low += step
+            step *= 2
+        high = min(low + step - 1, high)
+    while low < high:
+        middle = (low + high) // 2
+        if _fall_to(row, x, middle) + corner < goal:
+            high = middle
+        else:
+            low = middle + 1
+    return high
+
+
+@njit(cache=True)
+def _along_rise(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, start_v: float,
+                start_um: float, limit_v: float, limit_um: float, rounding_um: float,
+                grid: Grid, table: Table) -> tuple[int, float]:
+    """Invert targets from sample `n` on for as long as they rise from one minimum.
+
+    Parameters
+    ----------
+    target_um, voltage_v : (N,) array
+        What is inverted, and where the voltage is written.
+    n : int
+        Its target lies above the minimum's output and below `limit_um`.
+    v : float
+        Present voltage, from which the voltage does not fall.
+    start_v, start_um : float
+        Minimum, and its output.
+    limit_v, limit_um : float
+        Remembered maximum and its output, which wipe the minimum out.
+    rounding_um : float
+        No flat stretch is crossed for a rest within it.
+    grid, table : tuple
+
+    Returns
+    -------
+    n : int
+        The first sample that falls or reaches the limit.
+    v : float
+    """
+    voltage_min, _, cell_width = grid
+    columns, _, diagonal, reversible = table
+    size = diagonal.size
+    beta = (start_v - voltage_min) * (1.0 / cell_width)
+    j = cell_of(beta, size)
+    y = j + 1 - beta
+    own_diagonal, own_reversible = diagonal[j], reversible[j]
+    corner = y * (own_reversible + own_diagonal * y)
+    column = columns[j]
+    i = j + 1
+    curve = slope = below = 0.0
+    # The function at the lower and at the upper edge of row i; -inf before the first search.
+    above = -np.inf if i < size else np.inf
+    present = start_um
+    while n < target_um.size:
+        goal = target_um[n]
+        if goal < present or goal >= limit_um:
+            break
+        target = goal - start_um
+        if target <= corner + rounding_um:
+            alpha = beta + _root(own_diagonal, own_reversible, min(max(target, 0.0), corner))
+        elif j == size - 1:
+            alpha = float(size)
+        else:
+            if above < target - rounding_um:
+                guess = i + _further_cells(target - below, above - below, size - 1 - i)
+                i = _last_row_below(column, y, corner, target - rounding_um, i, guess)
+                below = _rise_to(column, y, i) + corner
+                above = _rise_to(column, y, i + 1) + corner if i + 1 < size else np.inf
+                slope = column[i, 1] + reversible[i] + y * column[i, 3]
+                curve = diagonal[i]
+            alpha = i + _root(curve, slope, max(target - below, 0.0))
+        v = min(max(voltage_min + alpha * cell_width, v), limit_v)
+        voltage_v[n] = v
+        present = goal
+        n += 1
+    return n, v
+
+
+@njit(cache=True)
+def _along_fall(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, start_v: float,
+                start_um: float, limit_v: float, limit_um: float, rounding_um: float,
+                grid: Grid, table: Table) -> tuple[int, float]:
+    """Invert targets from sample `n` on for as long as they fall from one maximum.
+
+    The start is the maximum, the limit the remembered minimum; the rest is as for `_along_rise`.
+    """
+    voltage_min, _, cell_width = grid
+    _, rows, diagonal, reversible = table
+    alpha = (start_v - voltage_min) * (1.0 / cell_width)
+    i = cell_of(alpha, diagonal.size)
+    x = alpha - i
+    own_diagonal, own_reversible = diagonal[i], reversible[i]
+    corner = x * (own_reversible + own_diagonal * x)
+    row = rows[i]
+    j = i - 1
+    curve = slope = above = 0.0
+    # The function at the upper and at the lower edge of column j; -inf before the first search.
+    below = -np.inf
+    present = start_um
+    while n < target_um.size:
+        goal = target_um[n]
+        if goal > present or goal <= limit_um:
+            break
+        target = start_um - goal
+        if target <= corner + rounding_um:
+            beta = alpha - _root(own_diagonal, own_reversible, min(max(target, 0.0), corner))
+        elif i == 0:
+            beta = 0.0
+        else:
+            if below < target - rounding_um:
+                guess = j - _further_cells(target - above, below - above, j)
+                j = _first_column_below(row, x, corner, target - rounding_um, j, guess)
+                above = _fall_to(row, x, j) + corner
+                below = _fall_to(row, x, j - 1) + corner if j > 0 else np.inf
+                slope = row[j, 2] + reversible[j] + x * row[j, 3]
+                curve = diagonal[j]
+            beta = j + 1 - _root(curve, slope, max(target - above, 0.0))
+        v = max(min(voltage_min + beta * cell_width, v), limit_v)
+        voltage_v[n] = v
+        present = goal
+        n += 1
+    return n, v
+
+
+@njit(cache=True)
+def _rise_start(extremes: FloatArray, outputs: FloatArray, top: int,
+                goal: float) -> tuple[int, float]:
+    """Return the minimum from which a rise to `goal` starts, and the highest voltage on the way."""
+    v = extremes[top]
+    start = top - 1 if top % 2 == 1 else top
+    while start >= 2 and goal > outputs[start - 1]:
+        v = extremes[start - 1]
+        start -= 2
+    return start, v
+
+
+@njit(cache=True)
+def _fall_start(extremes: FloatArray, outputs: FloatArray, top: int,
+                goal: float) -> tuple[int, float]:
+    """Return the maximum from which a fall to `goal` starts, and the lowest voltage on the way."""
+    v = extremes[top]
+    start = top - 1 if top % 2 == 0 else top
+    while start >= 3 and goal < outputs[start - 1]:
+        v = extremes[start - 1]
+        start -= 2
+    return start, v
+
+
+@njit(cache=True)
+def invert_while_room(target_um: FloatArray, voltage_v: FloatArray, n: int, rounding_um: float,
+                      extremes: FloatArray, outputs: FloatArray, top: int, grid: Grid,
+                      table: Table) -> tuple[int, int]:
+    """Write the voltage from sample `n` on, without allocation, until the memory is full.
+
+    Parameters
+    ----------
+    target_um, voltage_v : (N,) array
+    n : int
+    rounding_um : float
+    extremes, outputs : array
+        Of the memory; changed in place.
+    top : int
+    grid, table : tuple
+
+    Returns
+    -------
+    n : int
+        N, or the sample whose reversal finds no room.
+    top : int
+    """
+    while n < target_um.size:
+        goal = target_um[n]
+        if goal == outputs[top]:
+            voltage_v[n] = extremes[top]
+            n += 1
+            continue
+        rises = goal > outputs[top]
+        if rises:
+            start, v = _rise_start(extremes, outputs, top, goal)
+            remembered = start >= 2
+        else:
+            start, v = _fall_start(extremes, outputs, top, goal)
+            remembered = start >= 3
+        if remembered and goal == outputs[start - 1]:
+            top = start - 1
+            continue
+        if start + 1 == extremes.size:
+            break
+        top = start + 1
+        if rises:
+            limit_v = extremes[start - 1] if remembered else grid[1]
+            limit_um = outputs[start - 1] if remembered else np.inf
+            n, extremes[top] = _along_rise(
+                target_um, voltage_v, n, v, extremes[start], outputs[start], limit_v, limit_um,
+                rounding_um, grid, table)
+        else:
+            limit_um = outputs[start - 1] if remembered else -np.inf
+            n, extremes[top] = _along_fall(
+                target_um, voltage_v, n, v, extremes[start], outputs[start], extremes[start - 1],
+                limit_um, rounding_um, grid, table)
+        # The target itself is stored, so that a target that stays leaves the voltage where it is.
+        outputs[top] = target_um[n - 1]
+    return n, top
+
+
+@njit(cache=True)
+def invert(target_um: FloatArray, rounding_um: float, extremes: FloatArray,
+           outputs: FloatArray, top: int, grid: Grid, table: Table) -> Past:
+    """Return the voltages that bring the output to each target, from a remembered past on.
+
+    Parameters
+    ----------
+    target_um : (N,) array
+        Within the output range.
+    rounding_um : float
+        No flat stretch is crossed for a rest within it.
+    extremes, outputs : array
+        Of the memory; changed in place, and left for longer ones where they are full.
+    top : int
+    grid, table : tuple
+
+    Returns
+    -------
+    (N,) array
+        Voltage in V.
+    extremes, outputs : array
+    top : int
+    """
+    voltage = np.empty(target_um.size)
+    n, top = invert_while_room(
+        target_um, voltage, 0, rounding_um, extremes, outputs, top, grid, table)
+    while n < target_um.size:
+        extremes = with_room(extremes, extremes.size)
+        outputs = with_room(outputs, outputs.size)
+        n, top = invert_while_room(
+            target_um, voltage, n, rounding_um, extremes, outputs, top, grid, table)
+    return voltage, extremes, outputs, top
