@@ -157,7 +157,7 @@ def _signals(
 def _left_by_free_residues(signals: FastSignals) -> float:
     """Sum of the squared residual that poles with free residues leave at most."""
     return min(fit.cost for fit in free_fits(
-        signals.record().thinned(ROWS_OF_SEARCH), MODES_IN_TURN))
+        signals.record().thinned(ROWS_OF_SEARCH), MODES_THAT_TELL))
 
 
 def _first_kept(part: Recording) -> int:
