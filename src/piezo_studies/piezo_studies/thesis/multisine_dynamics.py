@@ -44,7 +44,7 @@ def study():
     stage = identified_stage()
     record = record_stage("multisine", multisine_v())
     dynamics = estimate_dynamics_multisine(
-        record, stage.hysteresis, stage.creep, delay=ROWS_LATE).model
+        record, stage.hysteresis, stage.creep, mode_count=2, delay=ROWS_LATE).model
     armax = estimate_dynamics_armax(
         record, stage.creep, stage.hysteresis, orders=(5, 5, 5), mode_count=2
     ).model
