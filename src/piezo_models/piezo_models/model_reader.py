@@ -92,7 +92,7 @@ def built_model(document: ModelDocument) -> IdentifiedModel:
 
 
 def _deviations(part: UncertaintiesPart) -> dict[str, Any]:
-    """Standard deviations by part, and those of each effect in a list."""
+    """Return standard deviations by part, and those of each effect in a list."""
     deviations: dict[str, Any] = {
         name: {parameter: _infinite_where_untold(value) for parameter, value in of_part}
         for name, of_part in (("creep", part.creep), ("dynamics", part.dynamics)) if of_part}

@@ -12,6 +12,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import free_running_level
+from piezo_identification.conditioning.settling import slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
 from piezo_identification.estimators.dynamics.fast_signals import (
@@ -100,7 +101,7 @@ def estimate_dynamics_any(
     entering = [np.asarray(part.voltage_v, dtype=float) for part in parts]
     linear = fit_signals(_signals(parts, entering, creep), MODES_IN_TURN, 0.0)
     estimate = _beside_hysteresis(parts, creep, linear, mode_count, delay)
-    if len(estimate.model.mode_frequencies_rad_per_s) <= MODES_IN_TURN:
+    if estimate.order.all_modes <= MODES_IN_TURN:
         return estimate
     return _beside_hysteresis(parts, creep, estimate, mode_count, delay)
 
@@ -115,7 +116,9 @@ def _beside_hysteresis(
                   remove_creep(part.displacement_um, creep, part.sample_period_s),
                   drift_basis(part.time_s, creep), _first_kept(part), part.sample_period_s)
         for part in parts]
-    hysteresis, _ = hysteresis_beside_dynamics(loops, start.model)
+    hysteresis, _ = hysteresis_beside_dynamics(
+        loops, slow_dynamics(start.model, start.effects),
+        start.delay_s + slow_delay_s(start.model, start.effects))
     entering = [hysteresis.simulate(each.voltage_v) for each in loops]
     return fit_signals(_signals(parts, entering, creep), mode_count, delay)
 
@@ -152,7 +155,7 @@ def _signals(
 
 
 def _left_by_free_residues(signals: FastSignals) -> float:
-    """Sum of the squared residual that a few poles with free residues leave."""
+    """Sum of the squared residual that poles with free residues leave at most."""
     return min(fit.cost for fit in free_fits(
         signals.record().thinned(ROWS_OF_SEARCH), MODES_THAT_TELL))
 

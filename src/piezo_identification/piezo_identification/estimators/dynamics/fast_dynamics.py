@@ -253,7 +253,7 @@ def _pairs(frequencies: FloatArray, dampings: FloatArray) -> ComplexArray:
 
 
 def _away_from(times: FloatArray, others: FloatArray) -> FloatArray:
-    """Times that differ from others."""
+    """Return times that differ from others."""
     return np.where(np.abs(times / others - 1.0) < APART, others * (1.0 + APART), times)
 
 

@@ -277,7 +277,7 @@ class FastRecord:
         return lower, upper
 
     def _beside(self, columns: FloatArray) -> FloatArray:
-        """What the fixed columns leave of others."""
+        """Return what the fixed columns leave of others."""
         return columns - self._span @ (self._span.T @ columns)
 
 

@@ -364,7 +364,7 @@ class _Search:
         return order_trial(fit.order, fit.residual, parameters, refusal)
 
     def _deviations(self, fit: FastFit) -> FloatArray:
-        """Standard deviations of the vector, and of the delay where it was fitted.
+        """Return the deviations of the vector, and of the delay where it was fitted.
 
         What a form cannot explain is no white noise: neighbours are alike, and tell less.
         """

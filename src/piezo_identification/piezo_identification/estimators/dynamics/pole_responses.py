@@ -104,7 +104,7 @@ class HeldInput:
         return np.concatenate([run[0] for run in runs]), np.concatenate([run[1] for run in runs])
 
     def _places(self, ahead: int, rows: NDArray[np.intp] | None) -> NDArray[np.intp]:
-        """Samples so many ahead of some; at rest before an input, unknown after it."""
+        """Return samples so many ahead of some; at rest before an input, unknown after it."""
         size = self.samples.size
         wanted: NDArray[np.intp] = np.arange(size) if rows is None else rows
         if self.is_periodic:
