@@ -3,7 +3,7 @@
 
 What leaves the dynamics is linear in the Everett values of the hysteresis. So for any dynamics the
 hysteresis of least error is that of a linear regression, and only the few parameters of the
-dynamics are sought: variable projection (Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973). As the
+dynamics are sought: variable projection (Golub and Pereyra 1973). As the
 hysteresis depends on no frequency, what lags alike at all of them is told from what does not.
 """
 
