@@ -3,8 +3,8 @@
 
 What leaves the dynamics is linear in the Everett values of the hysteresis. So for any dynamics the
 hysteresis of least error is that of a linear regression, and only the few parameters of the
-dynamics are sought: variable projection (Golub and Pereyra 1973). As the
-hysteresis depends on no frequency, what lags alike at all of them is told from what does not.
+dynamics are sought: variable projection (Golub and Pereyra 1973). As the hysteresis depends on no
+frequency, what lags alike at all of them is told from what does not.
 """
 
 from collections.abc import Sequence
