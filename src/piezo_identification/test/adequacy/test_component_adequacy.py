@@ -131,6 +131,20 @@ def test_loops_that_the_model_misses_are_told_by_voltage(plant, recordings):
     assert "hysteresis is inadequate" in table
 
 
+def test_every_recording_of_a_component_is_tested_but_for_a_few_samples(plant, recordings):
+    recording = recordings["hysteresis"]
+    bump_um = 0.05 * np.exp(-(((recording.voltage_v - 90.0) / 4.0) ** 2))
+    bent = replace(recording, displacement_um=recording.displacement_um + bump_um)
+    short = recording.select(np.arange(recording.voltage_v.size) < 10)
+    adequacy = adequacy_of(
+        plant, {"hysteresis": recording, "hysteresis 2": bent, "hysteresis 3": short})
+    assert {name: part.verdict for name, part in adequacy.items()} == {
+        "hysteresis": "adequate", "hysteresis 2": "inadequate"}
+    document = adequacy_document(adequacy)
+    assert overall_verdict(document) == "inadequate"
+    assert "hysteresis 2 is inadequate" in adequacy_table(document)
+
+
 def test_a_frequency_response_is_judged_too(plant):
     frequency_hz = np.geomspace(2.0, 2000.0, 200)
     noise = np.random.default_rng(3).normal(size=(2, 200)) * 1e-3

@@ -49,6 +49,30 @@ def test_several_recordings_and_gaps_are_one_identification(static, record):
     assert len(identified.recordings) == 2
 
 
+@pytest.fixture(scope="module")
+def loops_and_validation(static, record):
+    unseen = record(static, loops([80.0, 75.0, 50.0, 30.0], 400), 0.1, seed=2)
+    return record(static, loops([80.0, 60.0, 40.0], 300), 0.1, seed=1), unseen
+
+
+def test_all_stretches_of_a_validation_with_gaps_count(loops_and_validation):
+    given, unseen = loops_and_validation
+    whole = identify(hysteresis=given, validation=unseen).errors["e_y_percent"]
+    # The six samples behind the second gap tell nothing, and are left out.
+    index = unseen.sample_index
+    kept = (index < 700) | (index >= 760) & (index < 1200) | (index >= 1595)
+    cut = replace(unseen.select(kept), gaps=[(700, 60), (1200, 395)])
+    assert identify(hysteresis=given, validation=cut).errors["e_y_percent"] == pytest.approx(
+        whole, rel=0.3)
+    ripple_um = np.where(cut.sample_index >= 760, 2.0 * np.sin(cut.sample_index), 0.0)
+    wrong = replace(cut, displacement_um=cut.displacement_um + ripple_um)
+    error = identify(hysteresis=given, validation=wrong).errors["e_y_percent"]
+    measured_um = wrong.displacement_um[:-6]
+    stretches = np.split(measured_um, [700])
+    norm_um = np.sqrt(sum(np.sum((each - each.mean()) ** 2) for each in stretches))
+    assert error == pytest.approx(100.0 * np.linalg.norm(ripple_um[:-6]) / norm_um, rel=0.05)
+
+
 def test_creep_alone_gives_a_model_with_its_hysteresis(foreign_stage, record):
     stage = foreign_stage(((0.05, 0.04), (0.8, 0.03)))
     voltage_v = np.concatenate([loops([80.0, 50.0], 600), np.repeat([70.0, 20.0], 1000), [0.0]])
