@@ -200,7 +200,7 @@ class _CreepRecord:
         kept = self.weights > 0.0
         return (np.add.reduceat(samples, self.bins) / counts * self.weights)[kept]
 
-    def _decay(self, rate: float, since: int = 0) -> FloatArray:
+    def _decay(self, rate: float, since: NDArray[np.intp] | int = 0) -> FloatArray:
         """Mean over each bin of an exponential that begins at a sample, (B,)."""
         kept = self.weights > 0.0
         counts = np.diff(np.append(self.bins, self.time_s.size))[kept]
