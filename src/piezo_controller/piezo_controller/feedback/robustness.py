@@ -72,11 +72,11 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
     Robustness
     """
     frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
-    count = 1 + _parameters(model)
+    count = 1 + parameter_count(model)
 
     def peak(errors: FloatArray) -> float:
         plant, gain_um_per_v = design_plant(
-            _with_errors(model, parameter_error * errors[1:]), controller.dt, clock_period_s,
+            with_errors(model, parameter_error * errors[1:]), controller.dt, clock_period_s,
             at_once)
         plant = gain_um_per_v * (1 + gain_spread * errors[0]) * plant
         if not is_stable(control.feedback(plant * controller, 1)):
@@ -97,12 +97,13 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
     return Robustness(samples, int(np.isinf(peaks).sum()), float(worst))
 
 
-def _parameters(model: StageModel) -> int:
+def parameter_count(model: StageModel) -> int:
+    """Return how many parameters of the linear dynamics `with_errors` changes."""
     return 2 * len(model.creep.poles_rad_per_s) + sum(
         np.size(getattr(model.dynamics, name)) for name in DYNAMICS)
 
 
-def _with_errors(model: StageModel, errors: FloatArray) -> StageModel:
+def with_errors(model: StageModel, errors: FloatArray) -> StageModel:
     """Return the model with relative errors in the parameters of its linear dynamics."""
     first = 2 * len(model.creep.poles_rad_per_s)
     fields: dict[str, Any] = {}
