@@ -72,7 +72,7 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
     Robustness
     """
     frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
-    count = 1 + parameter_count(model)
+    count = 1 + _parameters(model)
 
     def peak(errors: FloatArray) -> float:
         plant, gain_um_per_v = design_plant(
@@ -97,8 +97,7 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
     return Robustness(samples, int(np.isinf(peaks).sum()), float(worst))
 
 
-def parameter_count(model: StageModel) -> int:
-    """Return how many parameters of the linear dynamics `with_errors` changes."""
+def _parameters(model: StageModel) -> int:
     return 2 * len(model.creep.poles_rad_per_s) + sum(
         np.size(getattr(model.dynamics, name)) for name in DYNAMICS)
 

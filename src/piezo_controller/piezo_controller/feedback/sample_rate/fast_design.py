@@ -205,7 +205,7 @@ class _HInfinityFamily:
     ANYWHERE, NEARBY, SIMPLEX = 0, 100, 120
     NAMES = ("crossover", "corner", "peak", "control_gain", "roll_off", "noise",
              "gain_uncertainty", "mode_uncertainty", "gain_scaling", "mode_scaling")
-    start = (3.3, 0.18, 2.6, 1.6, 5.0, 0.003, 0.2, 0.06, 8.0, 3.3)
+    start = (0.67, 0.36, 7.6, 0.66, 13.7, 0.001, 0.22, 0.10, 17.0, 3.9)
     """Frequencies as ratios to that of the light mode."""
 
     bounds = ((0.3, 10.0), (0.02, 0.6), (1.2, 8.0), (0.5, 8.0), (1.0, 15.0), (1e-4, 0.3),

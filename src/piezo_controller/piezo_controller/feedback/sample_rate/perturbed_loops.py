@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """One feedback in the loop with many stages: the model's, and those that its errors allow."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import control
 import numpy as np
@@ -9,7 +11,7 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_controller.feedback.loop_measures import BAND_EDGE
-from piezo_controller.feedback.robustness import parameter_count, with_errors
+from piezo_controller.feedback.robustness import with_errors
 from piezo_controller.feedback.synthesis.generalised_plant import (
     design_plant,
     hysteresis_gain_range,
@@ -74,8 +76,9 @@ class LoopFigures:
 class PerturbedLoops:
     """Stages that a model stands for, ready to be closed with feedbacks.
 
-    The light mode takes five frequencies over its error, the gain of the hysteresis both its ends;
-    the signs of all other errors are drawn for each of these ten.
+    The light mode takes five frequencies over its error, at its least damping, and the gain of the
+    hysteresis both its ends. For each of these ten, lag and other modes are all slow or all fast,
+    and the other modes more or less damped: the corners at which the phase errs most.
 
     Parameters
     ----------
@@ -85,15 +88,11 @@ class PerturbedLoops:
     clock_period_s : float
     disturbance_hz : sequence of float
         At which the attenuation is asked for.
-    draws : int
-        Of the other errors.
-    seed : int
     """
 
     def __init__(self, model: StageModel, errors: ModelErrors, clock_period_s: float = 25e-6,
-                 disturbance_hz: tuple[float, ...] = (50.0, 100.0), draws: int = 2,
-                 seed: int = 0) -> None:
-        self.plants = list(_perturbed(model, errors, clock_period_s, draws, seed))
+                 disturbance_hz: tuple[float, ...] = (50.0, 100.0)) -> None:
+        self.plants = list(_perturbed(model, errors, clock_period_s))
         highest_hz = 0.5 / clock_period_s
         mode_hz = model.dynamics.mode_frequencies_rad_per_s[light_mode(model)] / (2 * np.pi)
         self._frequency_hz = np.unique(np.concatenate([
@@ -132,21 +131,22 @@ def closed_loop_matrix(plant: control.StateSpace, controller: control.StateSpace
                      [-controller.B @ plant.C, controller.A]])
 
 
-def _perturbed(model, errors, clock_period_s, draws, seed):
+def _perturbed(model: StageModel, errors: ModelErrors,
+               clock_period_s: float) -> Iterator[control.StateSpace]:
     """Yield the model's plant with its nominal gain, then the others."""
     nominal_plant, nominal_gain = design_plant(model, clock_period_s, clock_period_s)
     yield nominal_gain * nominal_plant
-    rng = np.random.default_rng(seed)
-    count = parameter_count(model)
-    light = 2 * len(model.creep.poles_rad_per_s) + 1 + light_mode(model)
-    for gain_um_per_v in hysteresis_gain_range(model):
-        for part in np.linspace(-1.0, 1.0, 5):
-            for _ in range(draws):
-                relative = errors.parameter * rng.choice([-1.0, 1.0], count)
-                relative[light] = part * errors.light_mode
-                plant, _ = design_plant(with_errors(model, relative), clock_period_s,
-                                        clock_period_s)
-                yield gain_um_per_v * plant
+    pairs, modes = len(model.creep.poles_rad_per_s), len(model.dynamics.damping_ratios)
+    light = light_mode(model)
+    signs = [-1.0, 1.0]
+    for part, slow, damped in product(np.linspace(-1.0, 1.0, 5), signs, signs):
+        relative = errors.parameter * np.concatenate([
+            np.full(2 * pairs, slow), [slow], np.full(modes, -slow), np.full(modes, damped)])
+        relative[2 * pairs + 1 + light] = part * errors.light_mode
+        relative[2 * pairs + 1 + modes + light] = -errors.parameter
+        plant, _ = design_plant(with_errors(model, relative), clock_period_s, clock_period_s)
+        for gain_um_per_v in hysteresis_gain_range(model):
+            yield gain_um_per_v * plant
 
 
 def _response(system: control.StateSpace, points: ComplexArray) -> ComplexArray:
