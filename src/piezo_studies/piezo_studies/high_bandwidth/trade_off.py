@@ -13,7 +13,7 @@ from piezo_controller.feedback.sample_rate.fast_design import (
 )
 from piezo_models.cascade import StageModel
 
-LIGHT_MODE_ERRORS = (0.05, 0.10, 0.15, 0.20)
+LIGHT_MODE_ERRORS = (0.05, 0.10, 0.20)
 PEAKS = (4.0,)
 """Worst peak sensitivities, at each of which designs are compared."""
 

@@ -183,7 +183,7 @@ def _decibels(ratio: float) -> float:
 class _ClassicalFamily:
     """A form of `CANDIDATES`."""
 
-    ANYWHERE, NEARBY, SIMPLEX = 100, 100, 400
+    ANYWHERE, NEARBY, SIMPLEX = 60, 60, 250
 
     def __init__(self, model: StageModel, method: str, clock_period_s: float) -> None:
         self._model, self._clock_period_s = model, clock_period_s
@@ -202,7 +202,7 @@ class _ClassicalFamily:
 class _HInfinityFamily:
     """H-infinity controllers over their weights and constant scalings."""
 
-    ANYWHERE, NEARBY, SIMPLEX = 0, 100, 120
+    ANYWHERE, NEARBY, SIMPLEX = 0, 60, 80
     NAMES = ("crossover", "corner", "peak", "control_gain", "roll_off", "noise",
              "gain_uncertainty", "mode_uncertainty", "gain_scaling", "mode_scaling")
     start = (0.67, 0.36, 7.6, 0.66, 13.7, 0.001, 0.22, 0.10, 17.0, 3.9)
