@@ -76,7 +76,7 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
 
     def peak(errors: FloatArray) -> float:
         plant, gain_um_per_v = design_plant(
-            _with_errors(model, parameter_error * errors[1:]), controller.dt, clock_period_s,
+            with_errors(model, parameter_error * errors[1:]), controller.dt, clock_period_s,
             at_once)
         plant = gain_um_per_v * (1 + gain_spread * errors[0]) * plant
         if not is_stable(control.feedback(plant * controller, 1)):
@@ -102,7 +102,7 @@ def _parameters(model: StageModel) -> int:
         np.size(getattr(model.dynamics, name)) for name in DYNAMICS)
 
 
-def _with_errors(model: StageModel, errors: FloatArray) -> StageModel:
+def with_errors(model: StageModel, errors: FloatArray) -> StageModel:
     """Return the model with relative errors in the parameters of its linear dynamics."""
     first = 2 * len(model.creep.poles_rad_per_s)
     fields: dict[str, Any] = {}
