@@ -225,7 +225,7 @@ class _Search:
 
     def _try_forms(self, free: FreeFit) -> None:
         """Fit the physical forms with as many modes as a free fit, and the best with a lag."""
-        found = [self._keep(order, starts) for order, starts in self._withfree.antiresonances()]
+        found = [self._keep(order, starts) for order, starts in self._with_antiresonances(free)]
         standing = self._best_trial()
         known = [self._fits[standing.order]] if standing else []
         # No form leaves less than free residues: what modes beside others could gain at most.
