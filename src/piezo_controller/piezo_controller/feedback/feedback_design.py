@@ -127,9 +127,10 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
     -------
     FeedbackController
         Its report holds ``method``, ``at_once``, ``delay_ticks``, ``order``,
-        ``hysteresis_gain_um_per_v``, ``hysteresis_gain_spread`` and the measures of `measure_loop` at that spread; for
-        ``h_infinity`` ``scaling``, ``gamma``, ``mu``, ``mu_history`` (of the iteration) and
-        ``order_before_reduction``; else ``ultimate_gain_v_per_um`` and ``ultimate_period_s``.
+        ``hysteresis_gain_um_per_v``, ``hysteresis_gain_spread`` and the measures of
+        `measure_loop` at that spread; for ``h_infinity`` ``scaling``, ``gamma``, ``mu``,
+        ``mu_history`` (of the iteration) and ``order_before_reduction``; else
+        ``ultimate_gain_v_per_um`` and ``ultimate_period_s``.
 
     Raises
     ------

@@ -40,7 +40,7 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
         Whether the stage then holds the mean over a tick of what the inverse asks for, as it holds
         the answer of a node.
     max_error_um : float
-        A larger mean error of a tick stops the stage.
+        See `FeedbackLaw`.
 
     Returns
     -------

@@ -128,7 +128,8 @@ class FeedbackLaw:
     inverse : InverseHysteresis, optional
         Passed by the voltage; None where it is added to the feedforward.
     max_error_um : float
-        A larger mean error of a tick must stop the stage.
+        A mean error of a tick that exceeds by more what there was before anything was fed back must
+        stop the stage.
 
     Raises
     ------

@@ -40,7 +40,7 @@ class RunningLaw:
     ----------
     law : FeedbackLaw
     error_um : float
-        Mean error of the last tick that was fed back.
+        Mean error of the last tick.
     voltage_v : float
         What acts in the present tick: the mean over what `begin` gave of it last.
     stepped : bool
@@ -60,6 +60,7 @@ class RunningLaw:
         self._state, self._work = np.zeros(tick.order), np.empty(tick.order)
         self._sample = (sample.a, sample.b, sample.c, sample.d,
                         np.zeros(sample.order), np.empty(sample.order))
+        self._none = np.zeros((0, 0)), *(np.zeros(0),) * 2, 0.0, *(np.zeros(0),) * 2
         self._once_um = np.ascontiguousarray(law.once_um)
         self._period_um = np.ascontiguousarray(law.period_um)
         # A tick counts as a whole: as a remote controller, which sees blocks.
@@ -111,11 +112,16 @@ class RunningLaw:
 
     def take(self, displacement_um: FloatArray) -> None:
         """Take what was measured next, shape (k,): of one tick, or a part that ends with it."""
-        if self._measured >= self._start_sample:
-            self._added_v = take(displacement_um, self._measured, self._once_um, self._period_um,
-                                 self._sums, *self._sample, self._added_v)
+        sample = self._sample if self._measured >= self._start_sample else self._none
+        self._added_v = take(displacement_um, self._measured, self._once_um, self._period_um,
+                             self._sums, *sample, self._added_v)
         self._measured += len(displacement_um)
-        if self._measured % self._samples_per_tick == 0 and self._measured > self._start_sample:
+        if self._measured % self._samples_per_tick:
+            return
+        self.error_um = float(
+            self._sums[EXPECTED] - self._sums[MEASURED]) / self._samples_per_tick
+        self._sums[:] = 0.0
+        if self.begun:
             self._decide()
 
     @property
@@ -124,9 +130,6 @@ class RunningLaw:
         return self._measured > self._start_sample
 
     def _decide(self) -> None:
-        sums = self._sums
-        self.error_um = float(sums[EXPECTED] - sums[MEASURED]) / self._samples_per_tick
-        sums[:] = 0.0
         self._decided_ticks += 1
         self._decided_v, self.stepped = decide(
             self.error_um, *self._tick, self._state, self._work, self._decided_v,
