@@ -80,6 +80,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--full-order", action="store_true", help="do not reduce the order")
     parser.add_argument("--at-once", action="store_true",
                         help="for a loop without averaging and computing time, as in the thesis")
+    parser.add_argument("--delay-ticks", type=int, choices=(0, 1), default=1,
+                        help="computing time: 1 where the controller answers the stage, 0 where "
+                        "the stage evaluates the feedback by itself (default: %(default)s)")
     parser.add_argument("--disturbance-hz", type=float, default=DISTURBANCE_HZ,
                         help="bandwidth of the disturbances")
     parser.add_argument("--samples-per-tick", type=int,
@@ -104,11 +107,13 @@ def _design(options: argparse.Namespace) -> None:
         samples_per_tick * CLOCK_PERIOD_S)
     controller = design_feedback(
         model, weights, CLOCK_PERIOD_S, sha256(options.model.read_bytes()).hexdigest(),
-        options.method, options.scaling, options.at_once, reduce=not options.full_order)
+        options.method, options.scaling, options.at_once, reduce=not options.full_order,
+        delay_ticks=options.delay_ticks)
     save_controller(options.output, controller)
     robustness = check_robustness(
         model, controller.state_space(), CLOCK_PERIOD_S,
-        max(GAIN_SPREAD, controller.report["hysteresis_gain_spread"]), at_once=options.at_once)
+        max(GAIN_SPREAD, controller.report["hysteresis_gain_spread"]), at_once=options.at_once,
+        delay_ticks=options.delay_ticks)
     _print(controller.report, rules, samples_per_tick, robustness)
     pictures = _draw(options, model, weights, controller)
     print(f"written: {', '.join(str(path) for path in (options.output, *pictures))}")
@@ -141,7 +146,7 @@ def _draw(options: argparse.Namespace, model: StageModel, weights: DesignWeights
         return options.output.with_name(f"{options.output.stem}_{name}.png")
 
     plant, gain_um_per_v = design_plant(model, weights.sample_period_s, CLOCK_PERIOD_S,
-                                        options.at_once)
+                                        options.at_once, options.delay_ticks)
     loop = gain_um_per_v * plant, controller.state_space()
     paths = [path("bode"), path("nyquist")]
     with_weights = weights if options.method == "h_infinity" else None

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.hysteresis.preisach import PreisachModel
 
 LARGEST_ORDER = 200
@@ -60,12 +60,12 @@ class LinearBlock:
         """Tell whether the output is zero whatever the input."""
         return self.order == 0 and self.d == 0.0
 
-    def response(self, points: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
+    def response(self, points: ComplexArray) -> ComplexArray:
         """Return the transfer function at points of the complex plane, shape (F,)."""
         states = np.linalg.solve(
             points[:, None, None] * np.eye(self.order) - self.a,
             np.broadcast_to(self.b[:, None], (len(points), self.order, 1)))
-        return self.d + (self.c @ states)[:, 0]
+        return np.asarray(self.d + (self.c @ states)[:, 0], dtype=complex)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Kernels of a feedback law: nothing in them asks Python for anything."""
 
-import numpy as np
 from numba import njit
 
-from piezo_common.arrays import FloatArray
-from piezo_models.hysteresis.preisach_kernels import Grid, Past, Table, invert, simulate
+from piezo_common.arrays import FloatArray, IntArray
+from piezo_models.hysteresis.preisach_kernels import Grid, Table, invert, simulate
 
 # Of the sums that `take` keeps.
 EXPECTED, MEASURED = 0, 1
@@ -120,11 +119,9 @@ def decide(error: float, a: FloatArray, b: FloatArray, c: FloatArray, d: float,
 
 @njit(cache=True)
 def through_inverse(wanted_um: float, planned_v: FloatArray, rounding_um: float,
-                    lowest_um: float, highest_um: float, lowest_v: float, highest_v: float,
-                    held: bool,
-                    planned: tuple[FloatArray, FloatArray, int],
-                    played: tuple[FloatArray, FloatArray, int], grid: Grid, table: Table,
-                    feedback_v: FloatArray) -> tuple[Past, Past]:
+                    range_um: tuple[float, float], range_v: tuple[float, float], held: bool,
+                    stacks: FloatArray, tops: IntArray, grid: Grid, table: Table,
+                    feedback_v: FloatArray) -> float:
     """Find the voltages that add an output of the hysteresis to that of what is planned.
 
     Parameters
@@ -133,14 +130,18 @@ def through_inverse(wanted_um: float, planned_v: FloatArray, rounding_um: float,
         To be added.
     planned_v : ndarray, shape (k,)
         Without the feedback.
-    rounding_um, lowest_um, highest_um : float
-        Of the hysteresis.
-    lowest_v, highest_v : float
-        What may be added.
+    rounding_um : float
+    range_um : tuple of float
+        Of the hysteresis' output.
+    range_v : tuple of float
+        Of what may be added.
     held : bool
         Whether the mean of these is added to all samples.
-    planned, played : tuple
-        Memory of the hysteresis without the feedback and with it; changed in place.
+    stacks : ndarray, shape (6, m)
+        Extremes and outputs that the hysteresis remembers without the feedback, with it, and room
+        for a trial; with room for 2 k entries more. Changed in place.
+    tops : ndarray of int, shape (2,)
+        Of the first two.
     grid, table : tuple
         Of the hysteresis.
     feedback_v : ndarray, shape (k,)
@@ -148,16 +149,20 @@ def through_inverse(wanted_um: float, planned_v: FloatArray, rounding_um: float,
 
     Returns
     -------
-    planned, played : tuple
-        What `simulate` returns: the output, and the memory to go on from.
+    float
+        Its mean.
     """
-    after_planned = simulate(planned_v, planned[0], planned[1], planned[2], grid, table)
-    target_um = np.minimum(np.maximum(after_planned[0] + wanted_um, lowest_um), highest_um)
-    inverse_v = invert(target_um, rounding_um, played[0].copy(), played[1].copy(), played[2],
-                       grid, table)[0]
+    target_um, _, _, top = simulate(planned_v, stacks[0], stacks[1], tops[0], grid, table)
+    tops[0] = top
+    for i in range(target_um.size):
+        target_um[i] = min(max(target_um[i] + wanted_um, range_um[0]), range_um[1])
+    used = tops[1] + 1
+    stacks[4, :used], stacks[5, :used] = stacks[2, :used], stacks[3, :used]
+    inverse_v = invert(target_um, rounding_um, stacks[4], stacks[5], tops[1], grid, table)[0]
     feedback_v[:] = inverse_v - planned_v
     if held:
         feedback_v[:] = feedback_v.mean()
-    feedback_v[:] = np.minimum(np.maximum(feedback_v, lowest_v), highest_v)
-    return after_planned, simulate(planned_v + feedback_v, played[0], played[1], played[2], grid,
-                                   table)
+    for i in range(feedback_v.size):
+        feedback_v[i] = min(max(feedback_v[i], range_v[0]), range_v[1])
+    tops[1] = simulate(planned_v + feedback_v, stacks[2], stacks[3], tops[1], grid, table)[3]
+    return feedback_v.mean()

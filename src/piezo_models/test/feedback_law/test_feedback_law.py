@@ -15,6 +15,7 @@ from piezo_models.feedback_law.feedback_law import (
     LinearBlock,
 )
 from piezo_models.feedback_law.law_check import check_law
+from piezo_models.feedback_law.running_inverse import PLAYED
 from piezo_models.feedback_law.running_law import RunningLaw
 from piezo_models.hysteresis.preisach import PreisachModel
 
@@ -170,10 +171,9 @@ def test_law_before_another_hysteresis_takes_over_its_past():
     new.take_over(old)
     expected = laws[1].inverse.hysteresis.memory()
     laws[1].inverse.hysteresis.simulate(np.r_[20.0, voltages_v], expected)
-    extremes_v, outputs_um, top = new._inverse._played
-    assert top == expected.top
-    np.testing.assert_array_equal(extremes_v[:top + 1], expected.extremes_v[:top + 1])
-    np.testing.assert_allclose(outputs_um[:top + 1], expected.outputs_um[:top + 1])
+    np.testing.assert_array_equal(
+        new._inverse.past_v(PLAYED), expected.extremes_v[1:expected.top + 1])
+    assert new._inverse._stacks[3, expected.top] == pytest.approx(expected.hysteresis_um)
     with pytest.raises(FeedbackLawError, match="between two runs"):
         new.take_over(RunningLaw(integral_law(0.1), SAMPLES))
 
