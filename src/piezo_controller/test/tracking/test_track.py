@@ -6,8 +6,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from piezo_controller.feedback.feedback_design import FeedbackController
+from piezo_controller.feedback.controller_file import save_controller
+from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
+from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.feedbacks import Feedbacks, FeedbackSettings
 from piezo_controller.tracking.track import TrackRequest, prepare
@@ -146,6 +148,29 @@ def test_streamed_reference_takes_its_feedback_behind_the_inverse(request_of, mo
     prepared = prepared_for(
         request_of("composite", RANDOM), FeedbackSettings(place="before_inverse"))
     assert isinstance(prepared.feedback, MultirateFeedback) and prepared.law is None
+
+
+def test_controller_for_no_computing_time_answers_no_blocks(request_of, stage_model, tmp_path):
+    path = tmp_path / "quick.json"
+    save_controller(path, design_feedback(stage_model, load_weights(), delay_ticks=0))
+    request = request_of("composite", HARMONIC)
+    prepared = prepared_for(request, FeedbackSettings(controller_file=str(path)))
+    assert prepared.law.delay_ticks == 0 and prepared.law.inverse is not None
+    for settings, references in ((FeedbackSettings(controller_file=str(path), loop="remote"),
+                                  HARMONIC), (FeedbackSettings(controller_file=str(path)), RANDOM)):
+        with pytest.raises(ValueError, match="quick.json: is designed for 0 ticks of computing"):
+            prepared_for(request_of("composite", references), settings)
+
+
+def test_controller_whose_gain_nobody_tells_passes_the_inverse_by_that_of_the_model(
+        request_of, stage_model, controller, tmp_path):
+    path = tmp_path / "plain.json"
+    save_controller(path, dataclasses.replace(controller, report={}))
+    prepared = prepared_for(request_of("composite", HARMONIC),
+                            FeedbackSettings(controller_file=str(path)))
+    assert prepared.law.inverse.gain_um_per_v == pytest.approx(
+        controller.report["hysteresis_gain_um_per_v"])
+    assert prepared.law.delay_ticks == 1
 
 
 def _integrator():
