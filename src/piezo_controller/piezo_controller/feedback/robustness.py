@@ -45,7 +45,8 @@ class Robustness:
 
 def check_robustness(model: StageModel, controller: control.StateSpace, clock_period_s: float,
                      gain_spread: float, parameter_error: float = 0.05, samples: int = SAMPLES,
-                     seed: int = 0, at_once: bool = False) -> Robustness:
+                     seed: int = 0, at_once: bool = False,
+                     delay_ticks: int = 1) -> Robustness:
     """Close the loop over models with errors in every parameter, and over gains.
 
     The worst case is sought among the extremes of all errors: one after the other is turned to
@@ -65,6 +66,7 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
     samples : int
     seed : int
     at_once : bool
+    delay_ticks : int
         See `design_plant`.
 
     Returns
@@ -77,7 +79,7 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
     def peak(errors: FloatArray) -> float:
         plant, gain_um_per_v = design_plant(
             with_errors(model, parameter_error * errors[1:]), controller.dt, clock_period_s,
-            at_once)
+            at_once, delay_ticks)
         plant = gain_um_per_v * (1 + gain_spread * errors[0]) * plant
         if not is_stable(control.feedback(plant * controller, 1)):
             return np.inf
