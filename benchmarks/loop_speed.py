@@ -47,7 +47,8 @@ def tick_round_trips(directory, duration_s):
     file = directory / "tick.npy"
     # However late an answer is, it shall be timed.
     paced = {"autostart": True, "max_missed_feedback": 10000, "round_trips_file": file}
-    _track(directory, duration_s, {"controller": {}}, {"model_stage_node": paced})
+    answering = {"feedback": "remote"}
+    _track(directory, duration_s, {"controller": answering}, {"model_stage_node": paced})
     return np.load(file)[WARM_UP_ROUND_TRIPS:]
 
 

@@ -31,12 +31,17 @@ ROUND_TRIPS = 5000
 MICROSECONDS = 1e6
 
 SPEED = "simulated s per s"
+ANSWERED, ON_BOARD = {"feedback": "remote"}, {"feedback": "onboard"}
 LOOPS = {
-    "loop, stage and controller": dict(executables={"stage": LOCKSTEP, "controller": {}}),
+    "loop on board, stage and controller": dict(
+        executables={"stage": LOCKSTEP, "controller": ON_BOARD}),
+    "loop on board, stage, controller and recorder": dict(
+        executables={"stage": LOCKSTEP, "controller": ON_BOARD, "recorder": {}}),
+    "loop, stage and controller": dict(executables={"stage": LOCKSTEP, "controller": ANSWERED}),
     "loop, stage, controller and recorder": dict(
-        executables={"stage": LOCKSTEP, "controller": {}, "recorder": {}}),
+        executables={"stage": LOCKSTEP, "controller": ANSWERED, "recorder": {}}),
     "loop over the model, stage and controller": dict(
-        executables={"controller": {}}, modules={"model_stage_node": LOCKSTEP}),
+        executables={"controller": ANSWERED}, modules={"model_stage_node": LOCKSTEP}),
     "loop over the model, both in one process": dict(modules={"one_process_node": LOCKSTEP}),
 }
 
@@ -62,7 +67,9 @@ def loops(rows):
               for name, processes in LOOPS.items()}
     for name, speed in speeds.items():
         rows[name, SPEED].append(speed)
-    *_, apart, together = speeds.values()
+    onboard, recorded, answered, *_, apart, together = speeds.values()
+    rows["loop on board over loop by messages", "times"].append(onboard / answered)
+    rows["loop on board and recorded over loop by messages", "times"].append(recorded / answered)
     rows["loop over the model: one process over two", "times"].append(together / apart)
 
 
@@ -108,6 +115,9 @@ TARGETS = {
     "paced, 1 kHz: samples lost": {"at_most": 0},
     "paced, 1 kHz: ticks other than uploaded": {"at_most": 0},
     "loop, stage and controller": {"at_least": 2.0},
+    "loop on board, stage and controller": {"at_least": 15.0},
+    "loop on board, stage, controller and recorder": {"at_least": 10.0},
+    "loop on board over loop by messages": {"at_least": 3.0},
     "round trip, p50: tick over ping-pong": {"at_most": 2.0},
     "computing an answer, controller of order 15, p99": {"at_most": 100.0},
 } | {f"Preisach {direction}, {levels} levels": {"at_least": HYSTERESIS_SAMPLES_PER_S}

@@ -28,6 +28,7 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_ros.quality import FEEDBACK, SAMPLES
 
 TIMEOUT_S = 180.0
+NEAR_CELLS = 50
 DOMAINS = range(1, 100)
 CLAIMS = f"{tempfile.gettempdir()}/piezo_test_domain_{{number}}"
 """Locked by the test process that uses a domain, until it ends."""
@@ -336,6 +337,20 @@ def plain_model():
     return StageModel(
         PreisachModel(-20.0, 120.0, np.tril(np.full((20, 20), 0.008)), -9.0),
         CreepDynamics((0.17,), (0.18,)), ElectricVibrationDynamics(5e-4, (2846.0,), (0.7,)))
+
+
+@pytest.fixture(scope="session")
+def near_model():
+    """About the simulated stage, without identification."""
+    centres_v = -20.0 + (np.arange(NEAR_CELLS) + 0.5) * 140.0 / NEAR_CELLS
+    span_v, middle_v = (centres_v[:, None] - centres_v, (centres_v[:, None] + centres_v) / 2)
+    density = np.tril(6e-4 + 0.078 * np.exp(-span_v / 12.0)
+                      * (1 + 0.1 * np.cos(2 * np.pi * (middle_v - 60.0) / 280.0)))
+    return StageModel(
+        PreisachModel(-20.0, 120.0, density, -9.7),
+        CreepDynamics((0.01419, 0.1684, 0.2402, 1.053, 17.57),
+                      (0.01458, 0.1716, 0.241, 1.07, 18.29)),
+        ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.68535, 0.081992)))
 
 
 @pytest.fixture(scope="module")

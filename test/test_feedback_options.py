@@ -3,7 +3,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from piezo_interfaces.msg import Reference
 
@@ -11,36 +10,18 @@ from piezo_client.client import GoalFailed
 from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.feedback_design import design_feedback
 from piezo_controller.feedback.synthesis.weights import load_weights
-from piezo_models.cascade import StageModel
-from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_file import save_model
 
-CELLS = 50
 REFERENCE = {"kind": "harmonic", "frequency_hz": [40.0], "amplitude_um": [20.0], "centre_um": 50.0}
 
 
 @pytest.fixture(scope="module")
-def stage_model():
-    """About the simulated stage, without identification."""
-    centres_v = -20.0 + (np.arange(CELLS) + 0.5) * 140.0 / CELLS
-    span_v, middle_v = (centres_v[:, None] - centres_v, (centres_v[:, None] + centres_v) / 2)
-    density = np.tril(6e-4 + 0.078 * np.exp(-span_v / 12.0)
-                      * (1 + 0.1 * np.cos(2 * np.pi * (middle_v - 60.0) / 280.0)))
-    return StageModel(
-        PreisachModel(-20.0, 120.0, density, -9.7),
-        CreepDynamics((0.01419, 0.1684, 0.2402, 1.053, 17.57),
-                      (0.01458, 0.1716, 0.241, 1.07, 18.29)),
-        ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.68535, 0.081992)))
-
-
-@pytest.fixture(scope="module")
-def files(stage_model, tmp_path_factory):
+def files(near_model, tmp_path_factory):
     """Paths of the model and of controllers for it, one of which makes the loop unstable."""
     directory = tmp_path_factory.mktemp("files")
-    save_model(directory / "model.json", IdentifiedModel(stage_model, (-20.0, 120.0)))
-    stable = design_feedback(stage_model, load_weights())
+    save_model(directory / "model.json", IdentifiedModel(near_model, (-20.0, 120.0)))
+    stable = design_feedback(near_model, load_weights())
     save_controller(directory / "stable.json", stable)
     save_controller(directory / "unstable.json", replace(stable, C=3 * stable.C, D=3 * stable.D))
     return directory
@@ -71,7 +52,7 @@ def test_controller_that_does_not_stabilise_the_model_is_refused_and_nothing_mov
 
 def test_single_rate_of_the_sample_clock_tracks_and_tells_that_it_is_too_slow_for_it(
         nodes, files, tmp_path):
-    result = track(nodes, "/fast", files, tmp_path, {"samples_per_tick": 1},
+    result = track(nodes, "/fast", files, tmp_path, {"samples_per_tick": 1, "feedback": "remote"},
                    "composite_single_rate", 0.025, samples_per_tick=1)
     assert result.e_rms_percent < 1.0
     assert "the tick of 25 us" in result.message

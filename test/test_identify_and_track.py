@@ -195,7 +195,7 @@ def test_unreachable_amplitude_is_refused_and_the_one_named_instead_is_reached(
 
 
 def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, model, tmp_path):
-    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=2.0))
+    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=60.0))
     with pytest.raises(GoalFailed, match="rejected the goal: it is busy"):
         suite.goal("track", **goal_fields(model, tmp_path))
     with pytest.raises(GoalFailed, match="is being recorded: stop it first"):

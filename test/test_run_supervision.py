@@ -23,6 +23,8 @@ from piezo_recorder.reading.reader import read_recording
 from piezo_ros.stage_runs.run_account import MAX_LATE_PERCENT
 
 TICK_S = 1e-3
+# Of the stage's time, of which twenty and more pass in a second of ours.
+GOES_ON_S = 60.0
 NO_DISK_HOLDS_THAT_MB = 1_000_000_000
 
 
@@ -62,7 +64,7 @@ def end_recording_of(suite, fields, disk_that_is_filled, **options):
 
 
 def test_run_whose_recording_ends_stops_and_says_why(suite, fields, disk_that_is_filled):
-    fields["duration_s"] = 60.0
+    fields["duration_s"] = GOES_ON_S
     status, result = end_recording_of(suite, fields, disk_that_is_filled)
     assert status == GoalStatus.STATUS_ABORTED
     assert "was closed early: only" in result.message
@@ -71,6 +73,7 @@ def test_run_whose_recording_ends_stops_and_says_why(suite, fields, disk_that_is
 
 
 def test_run_that_may_go_on_unrecorded_does_and_says_so(suite, fields, disk_that_is_filled):
+    fields["duration_s"] = GOES_ON_S
     status, result = end_recording_of(suite, fields, disk_that_is_filled, unrecorded=True)
     assert status == GoalStatus.STATUS_SUCCEEDED, result.message
     assert "the run went on unrecorded: " in result.message
@@ -82,7 +85,7 @@ def test_run_that_may_go_on_unrecorded_does_and_says_so(suite, fields, disk_that
     ("stop_tracking", "the stage stopped before the end: somebody else called stop_tracking"),
 ])
 def test_result_holds_the_cause_of_a_stop(suite, fields, service, cause):
-    goal = suite.begin("track", **{**fields, "duration_s": 60.0})
+    goal = suite.begin("track", **{**fields, "duration_s": GOES_ON_S})
     assert suite.trigger(service).success
     status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
@@ -91,6 +94,7 @@ def test_result_holds_the_cause_of_a_stop(suite, fields, service, cause):
 
 
 def test_stranger_does_not_stop_the_recording_of_a_run(suite, fields):
+    fields["duration_s"] = GOES_ON_S
     goal = suite.begin("track", **fields)
     for stranger in "", "/left/somebody":
         refused = suite.call(StopRecording, "recorder/stop_recording", client=stranger)
@@ -110,6 +114,7 @@ def test_recording_that_names_no_client_is_stopped_by_anybody(suite, tmp_path):
 
 
 def test_clock_of_a_node_is_not_changed_while_it_matters(suite, fields):
+    fields["duration_s"] = GOES_ON_S
     goal = suite.begin("track", **fields)
     for node, reason in [("stage", "the stage is active"), ("controller", "a goal runs"),
                          ("recorder", "a recording runs")]:
@@ -138,7 +143,7 @@ def test_node_that_is_not_active_rejects_goals(suite, tmp_path):
 
 
 def test_node_that_is_deactivated_cancels_its_goal_and_says_so(suite, fields):
-    goal = suite.begin("track", **{**fields, "duration_s": 60.0})
+    goal = suite.begin("track", **{**fields, "duration_s": GOES_ON_S})
     for transition in Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_ACTIVATE:
         assert suite.call(ChangeState, "controller/change_state",
                           transition=Transition(id=transition)).success
@@ -150,7 +155,8 @@ def test_node_that_is_deactivated_cancels_its_goal_and_says_so(suite, fields):
 
 def test_run_whose_answers_came_late_fails_and_says_how_many(nodes, fields):
     stage = nodes.start("recorder", "controller", namespace="/late", timing="paced",
-                        max_missed_feedback=10_000)
+                        max_missed_feedback=10_000,
+                        node_parameters={"controller": {"feedback": "remote"}})
     fields["duration_s"] = 8.0
     goal = stage.send_goal("track", **fields)
     stage.until(lambda: stage.blocks and stage.blocks[-1].flags & SampleBlock.FLAG_TRACKING)

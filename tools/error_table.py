@@ -134,7 +134,7 @@ def trips_of(path):
             watched = (ast.get_docstring(owner) or "").splitlines()[:1]
             for node in statements(owner):
                 text = None
-                if isinstance(node, ast.Return) and path.stem == "guards":
+                if isinstance(node, ast.Return) and path.stem in ("guards", "law_guard"):
                     text = node.value and template(node.value)
                 elif isinstance(node, ast.Call) and called(node) in TRIPS and node.args:
                     text = template(node.args[0])

@@ -30,11 +30,11 @@ ROWS = (
     {"piezo_common": 8.6},
     {"piezo_models": 2.8, "piezo_ros": 7.2},
     {"piezo_recorder": 2.8, "piezo_stage_driver": 10.4},
-    {"piezo_identification": 2.1, "piezo_controller": 5.6, "piezo_bringup": 7.8, "piezo_sim": 10.7},
+    {"piezo_identification": 2.1, "piezo_controller": 6.3, "piezo_bringup": 9.1, "piezo_sim": 11.9},
     {"piezo_client": 3.4},
     {"piezo_studies": 6.6},
 )
-WIDTH = 12.8
+WIDTH = 14.0
 # In inches.
 ROOM_WIDTH, ROOM_HEIGHT, GAP, RISE = 1.16, 0.36, 0.16, 0.62
 ROW_GAP, MARGIN, TITLE = 0.5, 0.12, 0.26

@@ -22,7 +22,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).parents[1]
 LONGEST_SENTENCE = 40
 FEWEST_WORDS_OF_A_FIRST_LINE = 3
-GENERATED = {"docs/errors.md", "docs/reproduction.md"}
+GENERATED = {"docs/errors.md", "docs/high_bandwidth.md", "docs/reproduction.md"}
 
 WORDS = [
     (r"contests?|contested", "model comparison"),

@@ -201,7 +201,8 @@ class ModelDocument(Document):
     first_rise: FirstRisePart | None = entry(
         "What a stage lacks until it has risen to its highest voltage once.", default=None)
     adequacy: dict[str, AdequacyPart] = entry(
-        "By component (creep, dynamics, hysteresis): what it leaves of its own recording.",
+        "By component (creep, dynamics, hysteresis; creep 2 of a second recording): what it "
+        "leaves of it.",
         default={})
     visited: list[str] | None = entry(
         "Row i of the density: 1 for each of its i + 1 cells that the recordings determine, "

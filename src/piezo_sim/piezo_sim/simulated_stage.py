@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The simulated stage as a backend of the stage node."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,8 @@ class SimulatedStage:
         Sample clock.
     true_displacement_um : ndarray, shape (N,)
         Displacement without sensor at the instants of the last exchange.
+    on_truth : callable
+        Takes it after each exchange; does nothing unless it is set.
 
     Raises
     ------
@@ -56,6 +59,7 @@ class SimulatedStage:
             raise ValueError(f"sample_rate_hz is {sample_rate_hz}; give a positive number.")
         self.sample_rate_hz = sample_rate_hz
         self.true_displacement_um = np.empty(0)
+        self.on_truth: Callable[[FloatArray], object] = lambda displacement_um: None
         self._config = plant if isinstance(plant, PlantConfig) else read_plant(plant)
         self._surroundings = Surroundings(1.0 / sample_rate_hz, rest_voltage_v, seed)
         self._plant: Plant | None = None
@@ -107,6 +111,7 @@ class SimulatedStage:
         except BackendFault:
             self._failed = True
             raise
+        self.on_truth(self.true_displacement_um)
         return displacement_um
 
     def close(self) -> None:

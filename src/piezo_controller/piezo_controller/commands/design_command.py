@@ -30,6 +30,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--full-order", action="store_true", help="do not reduce the order")
     parser.add_argument("--at-once", action="store_true",
                         help="for a loop without averaging and computing time, as in the thesis")
+    parser.add_argument("--delay-ticks", type=int, choices=(0, 1), default=1,
+                        help="computing time: 1 where the controller answers the stage, 0 where "
+                        "the stage evaluates the feedback by itself (default: %(default)s)")
     parser.add_argument("--disturbance-hz", type=float, default=DISTURBANCE_HZ,
                         help="bandwidth of the disturbances")
     parser.add_argument("--samples-per-tick", type=int,

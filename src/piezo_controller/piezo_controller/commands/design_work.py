@@ -64,11 +64,13 @@ def design_controller(options: argparse.Namespace) -> None:
         samples_per_tick * CLOCK_PERIOD_S)
     controller = design_feedback(
         model, weights, CLOCK_PERIOD_S, sha256(options.model.read_bytes()).hexdigest(),
-        options.method, options.scaling, options.at_once, reduce=not options.full_order)
+        options.method, options.scaling, options.at_once, reduce=not options.full_order,
+        delay_ticks=options.delay_ticks)
     save_controller(options.output, controller)
     robustness = check_robustness(
         model, controller.state_space(), CLOCK_PERIOD_S,
-        max(GAIN_SPREAD, controller.report["hysteresis_gain_spread"]), at_once=options.at_once)
+        max(GAIN_SPREAD, controller.report["hysteresis_gain_spread"]), at_once=options.at_once,
+        delay_ticks=options.delay_ticks)
     _print(controller.report, rules, samples_per_tick, robustness)
     pictures = _draw(options, model, weights, controller)
     print(f"written: {', '.join(str(path) for path in (options.output, *pictures))}")
@@ -101,7 +103,7 @@ def _draw(options: argparse.Namespace, model: StageModel, weights: DesignWeights
         return options.output.with_name(f"{options.output.stem}_{name}.png")
 
     plant, gain_um_per_v = design_plant(model, weights.sample_period_s, CLOCK_PERIOD_S,
-                                        options.at_once)
+                                        options.at_once, options.delay_ticks)
     loop = gain_um_per_v * plant, controller.state_space()
     paths = [path("bode"), path("nyquist")]
     with_weights = weights if options.method == "h_infinity" else None

@@ -47,7 +47,8 @@ class ControllerDocument(Document):
     version: Number = entry(f"Always {VERSION}.")
     model_sha256: str = entry("Hash of the model file that it was designed for, or empty.")
     sample_period_s: Number = entry("Tick of the stage.", unit="s", above=0.0)
-    report: dict[str, Any] = entry("What is known of the loop; not checked.")
+    report: dict[str, Any] = entry(
+        "What is known of the loop; not checked, except delay_ticks and hysteresis_gain_um_per_v.")
     weights: dict[str, Any] = entry("Weights of the design; empty for PID; not checked.")
     A: list[Numbers] = entry("System matrix, n x n.")
     B: list[Numbers] = entry("Input matrix, n x 1; the input is the tracking error (um).")
@@ -62,6 +63,17 @@ class ControllerDocument(Document):
             matrix = getattr(self, name)
             if len(matrix) != rows or any(len(row) != columns for row in matrix):
                 raise violation(f"is not a {rows} x {columns} matrix", self.RENEW, name)
+        return self
+
+    @model_validator(mode="after")
+    def _check_report(self) -> "ControllerDocument":
+        delay_ticks = self.report.get("delay_ticks", 1)
+        if isinstance(delay_ticks, bool) or delay_ticks not in (0, 1):
+            raise violation("of the report is not 0 or 1", self.RENEW, "delay_ticks")
+        gain = self.report.get("hysteresis_gain_um_per_v", 1.0)
+        if isinstance(gain, bool) or not isinstance(gain, int | float) or not 0 < gain < math.inf:
+            raise violation("of the report is no positive number", self.RENEW,
+                            "hysteresis_gain_um_per_v")
         return self
 
 

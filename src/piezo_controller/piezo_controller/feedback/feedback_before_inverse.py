@@ -45,10 +45,7 @@ class FeedbackBeforeInverse:
     def __init__(self, controller: FeedbackController, model: StageModel, plan: FeedforwardPlan,
                  samples_per_tick: int, max_feedback_v: float = 20.0,
                  rest_voltage_v: float = 0.0) -> None:
-        if "hysteresis_gain_um_per_v" not in controller.report:
-            raise ValueError("the controller's report lacks hysteresis_gain_um_per_v: make it by "
-                             "feedback_from_control, or set feedback_place to behind_inverse")
-        self._gain_um_per_v = controller.report["hysteresis_gain_um_per_v"]
+        self._gain_um_per_v = controller.hysteresis_gain_um_per_v
         self._feedback = MultirateFeedback(controller, max_feedback_v)
         self._max_v = float(max_feedback_v)
         self._hysteresis = model.hysteresis

@@ -74,10 +74,30 @@ class FeedbackController:
         """Return the controller as a ``control.StateSpace``."""
         return control.ss(self.A, self.B, self.C, self.D, self.sample_period_s)
 
+    @property
+    def delay_ticks(self) -> int:
+        """Return the ticks of computing time that it was designed for: 1 unless reported."""
+        return int(self.report.get("delay_ticks", 1))
+
+    @property
+    def hysteresis_gain_um_per_v(self) -> float:
+        """Return the gain of the hysteresis that it was designed for.
+
+        Raises
+        ------
+        ValueError
+            The report does not tell.
+        """
+        if "hysteresis_gain_um_per_v" not in self.report:
+            raise ValueError("the controller's report lacks hysteresis_gain_um_per_v: make it by "
+                             "feedback_from_control, or set feedback_place to behind_inverse")
+        return float(self.report["hysteresis_gain_um_per_v"])
+
 
 def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: float = 25e-6,
                     model_sha256: str = "", method: str = "h_infinity", scaling: str = "constant",
-                    at_once: bool = False, reduce: bool = True) -> FeedbackController:
+                    at_once: bool = False, reduce: bool = True,
+                    delay_ticks: int = 1) -> FeedbackController:
     """Design the feedback for a model of the stage.
 
     Parameters
@@ -98,14 +118,17 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
         For a loop without averaging and computing time, see `design_plant`.
     reduce : bool
         Whether to lower the order where that costs next to nothing.
+    delay_ticks : int
+        Of computing time, see `design_plant`; PID takes 1.
 
     Returns
     -------
     FeedbackController
-        Its report holds ``method``, ``at_once``, ``order``, ``hysteresis_gain_um_per_v``,
-        ``hysteresis_gain_spread`` and the measures of `measure_loop` at that spread; for
-        ``h_infinity`` ``scaling``, ``gamma``, ``mu``, ``mu_history`` (of the iteration) and
-        ``order_before_reduction``; else ``ultimate_gain_v_per_um`` and ``ultimate_period_s``.
+        Its report holds ``method``, ``at_once``, ``delay_ticks``, ``order``,
+        ``hysteresis_gain_um_per_v``, ``hysteresis_gain_spread`` and the measures of
+        `measure_loop` at that spread; for ``h_infinity`` ``scaling``, ``gamma``, ``mu``,
+        ``mu_history`` (of the iteration) and ``order_before_reduction``; else
+        ``ultimate_gain_v_per_um`` and ``ultimate_period_s``.
 
     Raises
     ------
@@ -124,12 +147,14 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
     if scaling not in SCALINGS:
         raise ValueError(f'unknown scaling {scaling!r}: use one of {", ".join(SCALINGS)}')
     tick_s = weights.sample_period_s
-    plant, gain_um_per_v = design_plant(model, tick_s, clock_period_s, at_once)
+    if method == "pid" and delay_ticks != 1:
+        raise ValueError("PID is found by a relay that answers by messages: give delay_ticks 1")
+    plant, gain_um_per_v = design_plant(model, tick_s, clock_period_s, at_once, delay_ticks)
     if method == "h_infinity":
         controller, found = _h_infinity(plant, gain_um_per_v, weights, scaling, reduce)
     else:
         controller, found = _ziegler_nichols(method, model, plant, tick_s, clock_period_s)
-    report = {"method": method, "at_once": at_once, **found,
+    report = {"method": method, "at_once": at_once, "delay_ticks": delay_ticks, **found,
               **_measures(controller, model, plant, gain_um_per_v)}
     if not report["stable_within_gain_spread"]:
         raise UnstableLoop(f"{method} gives a loop that is not stable for every gain of the "
@@ -141,7 +166,7 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
 
 def feedback_from_control(system: control.StateSpace | control.TransferFunction, model: StageModel,
                           clock_period_s: float = 25e-6, model_sha256: str = "",
-                          method: str = "own") -> FeedbackController:
+                          method: str = "own", delay_ticks: int = 1) -> FeedbackController:
     """Take a feedback of any origin, and measure the loop that it closes.
 
     Parameters
@@ -156,11 +181,13 @@ def feedback_from_control(system: control.StateSpace | control.TransferFunction,
         Hash of the model's file, kept with the controller.
     method : str
         What the report is to call it.
+    delay_ticks : int
+        Of computing time, see `design_plant`.
 
     Returns
     -------
     FeedbackController
-        Its report holds ``method``, ``order``, ``hysteresis_gain_um_per_v``,
+        Its report holds ``method``, ``delay_ticks``, ``order``, ``hysteresis_gain_um_per_v``,
         ``hysteresis_gain_spread`` and the measures of `measure_loop` at that spread.
 
     Raises
@@ -181,10 +208,12 @@ def feedback_from_control(system: control.StateSpace | control.TransferFunction,
     if not system.nstates:
         raise ValueError("the feedback has no state, so an error stays: add an integration")
     controller = FeedbackController(
-        system.A, system.B, system.C, system.D, float(system.dt), {}, {}, model_sha256)
+        system.A, system.B, system.C, system.D, float(system.dt), {"delay_ticks": delay_ticks}, {},
+        model_sha256)
     check_stabilises(controller, model, clock_period_s)
-    measures = _measures(system, model, *design_plant(model, system.dt, clock_period_s))
-    return replace(controller, report={"method": method, **measures})
+    measures = _measures(system, model, *design_plant(
+        model, system.dt, clock_period_s, delay_ticks=delay_ticks))
+    return replace(controller, report={"method": method, **controller.report, **measures})
 
 
 def check_stabilises(controller: FeedbackController, model: StageModel,
@@ -204,7 +233,8 @@ def check_stabilises(controller: FeedbackController, model: StageModel,
         The loop is not stable at the lowest, the nominal or the highest gain of the hysteresis at
         mid-travel.
     """
-    plant, nominal = design_plant(model, controller.sample_period_s, clock_period_s)
+    plant, nominal = design_plant(model, controller.sample_period_s, clock_period_s,
+                                  delay_ticks=controller.delay_ticks)
     for gain_um_per_v in (nominal, *hysteresis_gain_range(model)):
         loop = gain_um_per_v * plant * controller.state_space()
         if not is_stable(control.feedback(loop, 1)):

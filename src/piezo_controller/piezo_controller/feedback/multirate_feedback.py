@@ -35,7 +35,7 @@ class MultirateFeedback:
         self._b = np.ravel(controller.B)
         self._c = np.ravel(controller.C)
         self._d = float(np.squeeze(controller.D))
-        self._observer = _observer_gain(controller)
+        self._observer = observer_gain(controller)
         self._max_v = float(max_feedback_v)
         self.reset()
 
@@ -64,7 +64,7 @@ class MultirateFeedback:
         return voltage_v
 
 
-def _observer_gain(controller: FeedbackController | control.StateSpace) -> FloatArray:
+def observer_gain(controller: FeedbackController | control.StateSpace) -> FloatArray:
     """Return the gain that corrects the state by the part of the voltage that was cut off.
 
     That of the Kalman predictor for an unknown error of 1 um and a voltage known within 1 V.

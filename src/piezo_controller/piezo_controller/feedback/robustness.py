@@ -45,7 +45,8 @@ class Robustness:
 
 def check_robustness(model: StageModel, controller: control.StateSpace, clock_period_s: float,
                      gain_spread: float, parameter_error: float = 0.05, samples: int = SAMPLES,
-                     seed: int = 0, at_once: bool = False) -> Robustness:
+                     seed: int = 0, at_once: bool = False,
+                     delay_ticks: int = 1) -> Robustness:
     """Close the loop over models with errors in every parameter, and over gains.
 
     The worst case is sought among the extremes of all errors: one after the other is turned to
@@ -65,6 +66,7 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
     samples : int
     seed : int
     at_once : bool
+    delay_ticks : int
         See `design_plant`.
 
     Returns
@@ -76,8 +78,8 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
 
     def peak(errors: FloatArray) -> float:
         plant, gain_um_per_v = design_plant(
-            _with_errors(model, parameter_error * errors[1:]), controller.dt, clock_period_s,
-            at_once)
+            with_errors(model, parameter_error * errors[1:]), controller.dt, clock_period_s,
+            at_once, delay_ticks)
         plant = gain_um_per_v * (1 + gain_spread * errors[0]) * plant
         if not is_stable(control.feedback(plant * controller, 1)):
             return np.inf
@@ -102,7 +104,7 @@ def _parameters(model: StageModel) -> int:
         np.size(getattr(model.dynamics, name)) for name in DYNAMICS)
 
 
-def _with_errors(model: StageModel, errors: FloatArray) -> StageModel:
+def with_errors(model: StageModel, errors: FloatArray) -> StageModel:
     """Return the model with relative errors in the parameters of its linear dynamics."""
     first = 2 * len(model.creep.poles_rad_per_s)
     fields: dict[str, Any] = {}

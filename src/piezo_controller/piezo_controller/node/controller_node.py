@@ -14,8 +14,9 @@ from piezo_interfaces.action import Track
 from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
+from piezo_controller.node.law_message import message_of
 from piezo_controller.references.reference import Reference
-from piezo_controller.tracking.feedbacks import PLACES, Feedbacks, FeedbackSettings
+from piezo_controller.tracking.feedbacks import LOOPS, PLACES, Feedbacks, FeedbackSettings
 from piezo_controller.tracking.track import Learning, PreparedRun, TrackRequest, prepare
 from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_ros.calls import CallFailed
@@ -46,8 +47,18 @@ class ControllerNode(LifecycleNode):
                 "model."),
             place=declare(
                 self, "feedback_place", PLACES[0],
-                "Where the feedback of the composite modes enters: behind_inverse, as a voltage; "
-                "before_inverse, as an output of the hysteresis.", choices=PLACES))
+                "Where the feedback of the composite modes enters: before_inverse, as an output of "
+                "the hysteresis; behind_inverse, as a voltage, as for every streamed feedforward.",
+                choices=PLACES),
+            loop=declare(
+                self, "feedback", LOOPS[0],
+                "Who evaluates the feedback: onboard, the stage, which takes it as a law; remote, "
+                "this node, block by block, as for every streamed or learned feedforward.",
+                choices=LOOPS),
+            max_error_um=declare(
+                self, "max_error_um", 4.0,
+                "A law on board stops the stage where its error exceeds by more what there was "
+                "before it began (um).", 0.001, 1.0e6))
         self._data_root = declare_data_root(self)
         self._directory = declare(
             self, "directory", "runs", "Where recordings go if a goal names no place.")
@@ -123,7 +134,8 @@ class ControllerNode(LifecycleNode):
 
         def take(block: SampleBlock) -> float:
             if not run.complete:
-                account.take(block.flags)
+                account.take(
+                    block.flags, len(block.displacement_um) // clock.samples_per_tick)
             return prepared.take(np.frombuffer(block.displacement_um))
 
         def shall_end() -> bool:
@@ -137,7 +149,8 @@ class ControllerNode(LifecycleNode):
         self._tracker.run(
             plan.once_voltage_v, plan.period_voltage_v,
             prepared.ticks(clock.samples_per_tick), take, prepared.feedback is not None,
-            shall_end, report, plan.continuation())
+            shall_end, report, plan.continuation(),
+            None if prepared.law is None else message_of(prepared.law))
 
 
 def _clock(described: StageDescription) -> StageClock:

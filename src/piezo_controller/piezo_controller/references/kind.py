@@ -2,6 +2,7 @@
 """What every kind of reference has in common: its fields, and what the controller asks of it."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -86,16 +87,16 @@ class ReferenceKind(Protocol):
         """Make the trajectory, which can be sampled anywhere, also before its beginning."""
 
 
-class PeriodicKind:
+class PeriodicKind(ABC):
     """Base of the kinds that always have a period: such a kind needs to define only `period_um`."""
 
     def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
         """Tell whether the period is short enough to be uploaded."""
         return len(self.period_um(reference, sample_rate_hz)) <= LONGEST_PERIOD_S * sample_rate_hz
 
+    @abstractmethod
     def period_um(self, reference: Reference, sample_rate_hz: float) -> FloatArray:
         """Sample one period, shape (P,)."""
-        raise NotImplementedError
 
     def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
         """Repeat the period, also before the beginning."""

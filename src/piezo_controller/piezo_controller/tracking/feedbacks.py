@@ -1,22 +1,32 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The feedback that each mode of tracking adds, designed for the model or read from a file."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Protocol
 
+import numpy as np
+
 from piezo_common.arrays import FloatArray
-from piezo_controller.feedback.controller_file import load_stabilising_controller
+from piezo_controller.feedback.controller_file import (
+    ControllerFileError,
+    load_stabilising_controller,
+)
 from piezo_controller.feedback.design_choices import DEFAULT_WEIGHTS
 from piezo_controller.feedback.feedback_before_inverse import FeedbackBeforeInverse
 from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
+from piezo_controller.feedback.onboard_law import onboard_law
+from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedforward.periodic import FeedforwardPlan
 from piezo_controller.tracking.plan import TrackingPlan
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock, feedback_room_v
 from piezo_models.cascade import StageModel
+from piezo_models.feedback_law.feedback_law import FeedbackLaw
 
-PLACES = ("behind_inverse", "before_inverse")
+PLACES = ("before_inverse", "behind_inverse")
+LOOPS = ("onboard", "remote")
 
 
 class Feedback(Protocol):
@@ -41,13 +51,21 @@ class FeedbackSettings:
     controller_file : str
         Controller of the composite modes; empty to design it for the model.
     place : str
-        Of `PLACES`: where the feedback of the composite modes enters.
+        Of `PLACES`: where the feedback of the composite modes enters. That of a streamed
+        feedforward is always behind the inverse.
+    loop : str
+        Of `LOOPS`: ``onboard`` where the stage evaluates the feedback by itself, ``remote`` where
+        it is answered block by block. A streamed or learned feedforward takes the latter.
+    max_error_um : float
+        Of a law on board, see `FeedbackLaw`; PID and PI have none, as all of the travel is theirs.
     """
 
     max_feedback_v: float = 20.0
     weights: str = ""
     controller_file: str = ""
     place: str = PLACES[0]
+    loop: str = LOOPS[0]
+    max_error_um: float = 4.0
 
 
 class Feedbacks:
@@ -62,7 +80,7 @@ class Feedbacks:
     def __init__(self, settings: FeedbackSettings, stage: StageClock) -> None:
         self._settings, self._stage = settings, stage
         self._max_feedback_v = min(settings.max_feedback_v, stage.max_feedback_v)
-        self._designs: dict[tuple[str, str], FeedbackController] = {}
+        self._designs: dict[tuple[str, str, int], FeedbackController] = {}
 
     def of_mode(self, mode: str, model: StageModel, model_sha256: str,
                 plan: TrackingPlan) -> Feedback:
@@ -80,38 +98,75 @@ class Feedbacks:
         Raises
         ------
         ValueError
-            If the file, the weights or the design are unusable, or the feedback enters before the
-            inverse of a plan that is streamed.
+            If the file, the weights or the design are unusable.
         """
         settings, stage = self._settings, self._stage
         composite = FEEDBACK_METHODS[mode] == "h_infinity"
-        if composite and settings.controller_file:
-            controller = load_stabilising_controller(
-                settings.controller_file, model, stage.tick_s, stage.sample_period_s)
-        else:
-            controller = self._design(FEEDBACK_METHODS[mode], model, model_sha256)
+        controller = self._controller(mode, model, model_sha256, answered=True)
         if not composite:
-            # All of the travel is the feedback's work.
-            return MultirateFeedback(controller, min(
-                feedback_room_v(plan, stage.voltage_range_v), stage.max_feedback_v))
-        if settings.place == "behind_inverse":
+            return MultirateFeedback(controller, self._room_v(plan))
+        if settings.place == "behind_inverse" or not isinstance(plan, FeedforwardPlan):
             return self.limited(controller)
-        if not isinstance(plan, FeedforwardPlan):
-            raise ValueError("a streamed reference takes its feedback behind the inverse: set "
-                             "feedback_place to behind_inverse")
         return FeedbackBeforeInverse(
             controller, model, plan, stage.samples_per_tick, self._max_feedback_v,
             stage.rest_voltage_v)
+
+    def law_of_mode(self, mode: str, model: StageModel, model_sha256: str,
+                    plan: TrackingPlan) -> FeedbackLaw | None:
+        """Make the feedback of a mode for the stage to evaluate; see `of_mode`.
+
+        Returns
+        -------
+        FeedbackLaw or None
+            None where the feedback is to be answered block by block.
+        """
+        if self._settings.loop != "onboard" or not isinstance(plan, FeedforwardPlan):
+            return None
+        composite = FEEDBACK_METHODS[mode] == "h_infinity"
+        return onboard_law(
+            self._controller(mode, model, model_sha256, answered=False), model, plan,
+            self._stage.sample_period_s,
+            self._max_feedback_v if composite else self._room_v(plan),
+            before_inverse=composite and self._settings.place == "before_inverse",
+            max_error_um=self._settings.max_error_um if composite else math.inf)
+
+    def _room_v(self, plan: TrackingPlan) -> float:
+        """Return what a feedback may give that has all of the travel as its work (V)."""
+        stage = self._stage
+        return min(feedback_room_v(plan, stage.voltage_range_v), stage.max_feedback_v)
+
+    def _controller(self, mode: str, model: StageModel, model_sha256: str,
+                    answered: bool) -> FeedbackController:
+        """Read or design the controller of a mode, for a loop that is answered or not."""
+        stage, method = self._stage, FEEDBACK_METHODS[mode]
+        if method != "h_infinity" or not self._settings.controller_file:
+            delay_ticks = 0 if method == "h_infinity" and not answered else 1
+            return self._design(method, model, model_sha256, delay_ticks)
+        controller = load_stabilising_controller(
+            self._settings.controller_file, model, stage.tick_s, stage.sample_period_s)
+        if answered and controller.delay_ticks != 1:
+            raise ControllerFileError(
+                f"{self._settings.controller_file}: is designed for {controller.delay_ticks} ticks "
+                "of computing time, but answers take 1; set feedback to onboard, or design it "
+                "with --delay-ticks 1")
+        if "hysteresis_gain_um_per_v" not in controller.report:
+            # Of another tool: it stabilises the model, at this gain too.
+            nominal = float(np.mean(hysteresis_gain_range(model)))
+            controller = replace(controller, report={
+                **controller.report, "hysteresis_gain_um_per_v": nominal})
+        return controller
 
     def limited(self, controller: FeedbackController) -> Feedback:
         """Run a controller behind the inverse, within the largest voltage of a feedback."""
         return MultirateFeedback(controller, self._max_feedback_v)
 
-    def _design(self, method: str, model: StageModel, model_sha256: str) -> FeedbackController:
-        key = model_sha256, method
+    def _design(self, method: str, model: StageModel, model_sha256: str,
+                delay_ticks: int) -> FeedbackController:
+        key = model_sha256, method, delay_ticks
         if key not in self._designs:
             weights = load_weights(
                 self._settings.weights or DEFAULT_WEIGHTS).at_tick(self._stage.tick_s)
             self._designs[key] = design_feedback(
-                model, weights, self._stage.sample_period_s, model_sha256, method)
+                model, weights, self._stage.sample_period_s, model_sha256, method,
+                delay_ticks=delay_ticks)
         return self._designs[key]

@@ -9,6 +9,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.periodic import FeedforwardPlan
 from piezo_controller.tracking.tracking_run import TrackingRun
+from piezo_models.feedback_law.running_law import RunningLaw
 
 
 @dataclass(frozen=True)
@@ -55,3 +56,33 @@ def play_run(run: TrackingRun, plan: FeedforwardPlan,
         feedback_v[tick + 2] = run.take(displacement_um[tick])
     held_v = np.repeat(feedback_v[:ticks], samples_per_tick)
     return PlayedRun(planned_v.ravel() + held_v, held_v, displacement_um.ravel())
+
+
+def play_law(run: TrackingRun, law: RunningLaw, plan: FeedforwardPlan,
+             exchange: Callable[[FloatArray], FloatArray]) -> PlayedRun:
+    """Play a run to its end with a law that the stage evaluates by itself.
+
+    Parameters
+    ----------
+    run : TrackingRun
+        Without a feedback of its own.
+    law : RunningLaw
+        At its beginning.
+    plan, exchange
+        See `play_run`.
+
+    Returns
+    -------
+    PlayedRun
+    """
+    at_once = law.samples_at_once
+    parts = -(-run.total_samples // at_once)
+    planned_v = plan.voltage_v(0, parts * at_once).reshape(parts, at_once)
+    feedback_v, displacement_um = np.empty((2, *planned_v.shape))
+    for part in range(parts):
+        feedback_v[part] = law.begin(planned_v[part])
+        displacement_um[part] = exchange(planned_v[part] + feedback_v[part])
+        law.take(displacement_um[part])
+        run.take(displacement_um[part])
+    return PlayedRun((planned_v + feedback_v).ravel(), feedback_v.ravel(),
+                     displacement_um.ravel())

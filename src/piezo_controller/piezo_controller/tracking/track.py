@@ -28,6 +28,7 @@ from piezo_controller.tracking.run_plan import plan_learning, plan_references
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock
 from piezo_controller.tracking.tracking_run import TrackingRun
 from piezo_models.cascade import StageModel
+from piezo_models.feedback_law.feedback_law import FeedbackLaw
 from piezo_models.model_file import load_model
 
 LEARNING_ITERATIONS = 10
@@ -115,12 +116,15 @@ class PreparedRun:
     run : TrackingRun
     learning : Learning or None
         Of the mode ``learning``.
+    law : FeedbackLaw or None
+        Evaluated by the stage, in place of a feedback that answers.
     """
 
     plan: TrackingPlan
     feedback: Feedback | None
     run: TrackingRun
     learning: Learning | None = None
+    law: FeedbackLaw | None = None
 
     def ticks(self, samples_per_tick: int) -> int:
         """Count the ticks to play; 0 if how long is not known before."""
@@ -164,7 +168,7 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
     check_times(request)
     model = load_model(request.model).model
     steps.begin("plan")
-    learning = None
+    learning, law = None, None
     if request.mode == "learning":
         plan, feedback, learning = prepare_learning(request, model, stage, feedbacks, writable)
     else:
@@ -173,10 +177,12 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
         feedback = None
     if request.mode in FEEDBACK_METHODS:
         steps.begin("design the feedback")
-        feedback = feedbacks.of_mode(request.mode, model, request.model_sha256, plan)
+        described = request.mode, model, request.model_sha256, plan
+        law = feedbacks.law_of_mode(*described)
+        feedback = None if law else feedbacks.of_mode(*described)
     run = TrackingRun(plan, whole_ticks(sum(request.durations_s), stage), feedback, stage.tick_s,
                       request.tolerance_um, round(window_s * stage.sample_rate_hz))
-    return PreparedRun(plan, feedback, run, learning)
+    return PreparedRun(plan, feedback, run, learning, law)
 
 
 def check_times(request: TrackRequest) -> None:

@@ -41,6 +41,17 @@ def test_command_writes_the_controller_and_pictures_and_prints_the_report(model_
     assert "200 of 200 drawn" in printed
 
 
+def test_design_for_no_computing_time_is_faster_and_says_so(model_path, tmp_path):
+    reports = []
+    for delay_ticks in 0, 1:
+        output = tmp_path / f"{delay_ticks}.json"
+        assert main(["--model", str(model_path), "--delay-ticks", str(delay_ticks),
+                     "--output", str(output)]) == 0
+        reports.append(load_controller(output).report)
+    assert [report["delay_ticks"] for report in reports] == [0, 1]
+    assert reports[0]["bandwidth_hz"] > 1.2 * reports[1]["bandwidth_hz"]
+
+
 @pytest.mark.parametrize("method", ["pid", "pi"])
 def test_other_methods_need_no_weights_and_have_no_picture_of_them(model_path, tmp_path, method,
                                                                    capsys):

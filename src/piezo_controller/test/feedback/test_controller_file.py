@@ -44,6 +44,9 @@ def test_controller_comes_back_to_the_bit(controller, tmp_path):
     ({"B": "x"}, "B is not a list"),
     ({"D": [[float("nan")]]}, r"D\[0\]\[0\] is not a finite number"),
     ({"extra": 1}, "extra is unknown"),
+    ({"report": {"delay_ticks": 2}}, "delay_ticks of the report is not 0 or 1"),
+    ({"report": {"delay_ticks": []}}, "delay_ticks of the report is not 0 or 1"),
+    ({"report": {"hysteresis_gain_um_per_v": "x"}}, "hysteresis_gain_um_per_v of the report is no"),
 ])
 def test_changed_file_is_refused_with_path_and_field(document, tmp_path, change, message):
     path = tmp_path / "changed.json"

@@ -56,13 +56,14 @@ def thesis_controller(stage_model):
     return design_feedback(stage_model, load_weights("thesis"))
 
 
-def test_lifted_plant_is_the_fast_simulation_with_hold_mean_and_delay(stage_model):
+@pytest.mark.parametrize("delay_ticks", [0, 1, 2])
+def test_lifted_plant_is_the_fast_simulation_with_hold_mean_and_delay(stage_model, delay_ticks):
     fast = zoh(stage_model.linear(), CLOCK_PERIOD_S)
     decided_v = np.random.default_rng(1).normal(size=60)
-    acting_v = np.r_[0.0, decided_v[:-1]]
+    acting_v = np.r_[np.zeros(delay_ticks), decided_v[:60 - delay_ticks]]
     mean_um = simulate_linear(fast, np.repeat(acting_v, SAMPLES)).reshape(-1, SAMPLES).mean(1)
     known_um = np.r_[0.0, mean_um[:-1]]
-    lifted_um = simulate_linear(lift(fast, SAMPLES), decided_v)
+    lifted_um = simulate_linear(lift(fast, SAMPLES, delay_ticks), decided_v)
     np.testing.assert_allclose(lifted_um, known_um, atol=1e-12)
 
 

@@ -2,11 +2,14 @@
 """A request to track is prepared, and whatever its plan is, one loop plays it to its end."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from piezo_controller.feedback.controller_file import save_controller
+from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
+from piezo_controller.feedback.multirate_feedback import MultirateFeedback
+from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.feedbacks import Feedbacks, FeedbackSettings
 from piezo_controller.tracking.track import TrackRequest, prepare
@@ -114,13 +117,14 @@ def test_feedback_is_a_step_of_its_own_and_a_design_is_made_once(request_of, mon
     designed = []
     monkeypatch.setattr(
         "piezo_controller.tracking.feedbacks.design_feedback",
-        lambda *given: designed.append(given[-1]) or _integrator())
+        lambda *given, **options: designed.append((given[-1], *options.values())) or _integrator())
     feedbacks, heard = Feedbacks(FeedbackSettings(), STAGE), Heard()
     for mode in ("composite", "pi", "composite", "composite_single_rate"):
         prepared = prepare(request_of(mode, HARMONIC), STAGE, feedbacks, heard)
-        assert prepared.feedback is not None
+        # The stage evaluates it.
+        assert prepared.feedback is None and prepared.law is not None
     assert heard.steps == ["plan", "design the feedback"] * 4
-    assert designed == ["h_infinity", "pi"]
+    assert designed == [("h_infinity", 0), ("pi", 1)]
 
 
 @pytest.mark.parametrize(("change", "message"), [
@@ -138,13 +142,37 @@ def test_request_without_meaning_is_refused_in_one_sentence(request_of, change, 
     assert "\n" not in str(refusal.value)
 
 
-def test_streamed_reference_refuses_a_feedback_before_the_inverse(request_of, monkeypatch):
+def test_streamed_reference_takes_its_feedback_behind_the_inverse(request_of, monkeypatch):
     monkeypatch.setattr("piezo_controller.tracking.feedbacks.design_feedback",
-                        lambda *given: _integrator())
-    with pytest.raises(ValueError, match="set feedback_place to behind_inverse"):
-        prepared_for(request_of("composite", RANDOM), FeedbackSettings(place="before_inverse"))
+                        lambda *given, **options: _integrator())
+    prepared = prepared_for(
+        request_of("composite", RANDOM), FeedbackSettings(place="before_inverse"))
+    assert isinstance(prepared.feedback, MultirateFeedback) and prepared.law is None
+
+
+def test_controller_for_no_computing_time_answers_no_blocks(request_of, stage_model, tmp_path):
+    path = tmp_path / "quick.json"
+    save_controller(path, design_feedback(stage_model, load_weights(), delay_ticks=0))
+    request = request_of("composite", HARMONIC)
+    prepared = prepared_for(request, FeedbackSettings(controller_file=str(path)))
+    assert prepared.law.delay_ticks == 0 and prepared.law.inverse is not None
+    for settings, references in ((FeedbackSettings(controller_file=str(path), loop="remote"),
+                                  HARMONIC), (FeedbackSettings(controller_file=str(path)), RANDOM)):
+        with pytest.raises(ValueError, match="quick.json: is designed for 0 ticks of computing"):
+            prepared_for(request_of("composite", references), settings)
+
+
+def test_controller_whose_gain_nobody_tells_passes_the_inverse_by_that_of_the_model(
+        request_of, stage_model, controller, tmp_path):
+    path = tmp_path / "plain.json"
+    save_controller(path, dataclasses.replace(controller, report={}))
+    prepared = prepared_for(request_of("composite", HARMONIC),
+                            FeedbackSettings(controller_file=str(path)))
+    assert prepared.law.inverse.gain_um_per_v == pytest.approx(
+        controller.report["hysteresis_gain_um_per_v"])
+    assert prepared.law.delay_ticks == 1
 
 
 def _integrator():
-    return SimpleNamespace(A=np.eye(1), B=np.full((1, 1), 0.1), C=np.eye(1), D=np.zeros((1, 1)),
-                           report={}, sample_period_s=1e-3)
+    return FeedbackController(np.eye(1), np.full((1, 1), 0.1), np.eye(1), np.zeros((1, 1)), 1e-3,
+                              {"hysteresis_gain_um_per_v": 1.0}, {})

@@ -8,6 +8,7 @@ from typing import Any
 from piezo_identification.adequacy.component_residual import component_residual
 from piezo_identification.adequacy.lack_of_fit import LackOfFit, lack_of_fit
 from piezo_identification.adequacy.residual_location import ResidualLocation, residual_location
+from piezo_identification.conditioning.segments import experiment_of, testable
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
@@ -62,20 +63,21 @@ def adequacy_of(
     ----------
     model : StageModel
     recordings : dict of str to Recording or FrequencyResponse
-        Conditioned, by the names of `COMPONENTS`; any others are not looked at.
+        Conditioned and without gaps, by the names of `COMPONENTS`; further ones of the same are
+        numbered: creep, creep 2. Any others are not looked at.
     delays_s : dict of str to float, optional
         Delays of the rows of some of them, beside the model.
 
     Returns
     -------
     dict of str to ComponentAdequacy
-        By component.
+        By the names of the recordings; stretches of a few samples are left out.
     """
     delays_s = delays_s or {}
     return {
-        component: _component_adequacy(
-            component, model, recordings[component], delays_s.get(component, 0.0), recordings)
-        for component in COMPONENTS if component in recordings
+        name: _component_adequacy(component, model, data, delays_s.get(name, 0.0), recordings)
+        for component in COMPONENTS for name, data in testable(recordings).items()
+        if experiment_of(name) == component
     }
 
 

@@ -14,7 +14,7 @@ from piezo_recorder.commands.data_flags import add_columns_option
 EXPERIMENTS = {
     "creep": "long square wave, or any other slow voltage, such as steps or trapezoids",
     "dynamics": "short square wave, or any other fast voltage, at the full sample clock, or a "
-    "frequency response (CSV frequency_hz,gain_re,gain_im)",
+    "frequency response (CSV frequency_hz,gain_re,gain_im, or the export of an analyser)",
     "hysteresis": "harmonics of rising amplitude from the lowest voltage, or any other loops",
     "validation": "any other input: the errors are measured on it",
 }

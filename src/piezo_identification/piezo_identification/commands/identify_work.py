@@ -29,7 +29,7 @@ from piezo_identification.identification.given_data import given_data, slowest_r
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_identification.recording_check.check import check_recording
-from piezo_identification.recording_check.suitability import suitability
+from piezo_identification.recording_check.suitability import suitability_for
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.data_options import read_given
@@ -66,7 +66,7 @@ def _tell_unfit(data: Mapping[str, Any]) -> None:
         for each in given if isinstance(given, list) else [given]:
             if isinstance(each, FrequencyResponse):
                 continue
-            fit = suitability(check_recording(each))[name]
+            fit = suitability_for(check_recording(each), name)
             if fit.verdict == "no":
                 print(f"{each.path} can hardly stand for the {name}: {fit.reason}")
 

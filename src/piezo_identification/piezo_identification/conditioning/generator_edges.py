@@ -47,7 +47,7 @@ def free_running_level(wave: SquareWave) -> FloatArray | None:
 
 
 def _edges_of_generator(steps: NDArray[np.intp]) -> FloatArray | None:
-    """Times of the edges of one period and duty, in samples; None if there are none.
+    """Find the edges of one period and duty, in samples; None if there are none.
 
     An edge is seen at the first sample after it. So many such bounds leave little room, of which
     the middle is taken: the edges that keep farthest from their bounds, by linear programming.

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Recordings of one kind as stretches without gaps."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from piezo_recorder.reading.recording import Recording
 FEWEST_SAMPLES = 3
 """A stretch between gaps that is shorter tells nothing beside its own offset."""
 
+FEWEST_TO_TEST = 30
+"""A stretch that is shorter says little of a model: most of it goes into its unknown past."""
+
 Recordings = Recording | Sequence[Recording]
 """One recording, or several of one kind."""
 
@@ -18,6 +22,32 @@ Recordings = Recording | Sequence[Recording]
 def listed(recordings: Recordings) -> tuple[Recording, ...]:
     """Return recordings that may be one or several as a tuple."""
     return (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
+
+
+def experiment_of(name: str) -> str:
+    """Return the experiment of a recording that may be numbered: creep of creep 2."""
+    return name.split()[0]
+
+
+def testable(recordings: Mapping[str, Any]) -> dict[str, Any]:
+    """Choose the recordings on which a model can be tested.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+        By the name of the experiment; further ones of the same are numbered: creep, creep 2.
+
+    Returns
+    -------
+    dict of str to Recording or FrequencyResponse
+        Without stretches that are too short, unless an experiment has no others.
+    """
+    def is_long(data: Any) -> bool:
+        return not isinstance(data, Recording) or data.voltage_v.size >= FEWEST_TO_TEST
+
+    with_long = {experiment_of(name) for name, data in recordings.items() if is_long(data)}
+    return {name: data for name, data in recordings.items()
+            if is_long(data) or experiment_of(name) not in with_long}
 
 
 def played_segments(recordings: Recordings) -> list[Recording]:

@@ -11,7 +11,13 @@ from piezo_identification.conditioning.outlier_samples import (
     with_outliers_marked,
 )
 from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
-from piezo_identification.conditioning.segments import Recordings, listed, played_segments
+from piezo_identification.conditioning.segments import (
+    Recordings,
+    experiment_of,
+    listed,
+    played_segments,
+    testable,
+)
 from piezo_identification.conditioning.sensor_sign import displacement_falls, reversed_displacement
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_recorder.reading.recording import Recording
@@ -71,11 +77,11 @@ def numbered(name: str, data: Iterable[Recording]) -> dict[str, Data]:
 
 def of_kind(recordings: Mapping[str, Data], name: str) -> list[Any]:
     """Return the recordings of one kind, or the response in its place, in a list."""
-    return [data for key, data in recordings.items() if key.split()[0] == name]
+    return [data for key, data in recordings.items() if experiment_of(key) == name]
 
 
 def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
-    """Cut recordings at their gaps, but for the validation.
+    """Cut recordings at their gaps.
 
     Parameters
     ----------
@@ -85,15 +91,18 @@ def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
     -------
     dict of str to Recording or FrequencyResponse
         Each stretch counts as a recording of its own; recordings without gaps are as they were.
+        Of the validation, stretches of a few samples are left out.
     """
     result: dict[str, Data] = {}
-    for name in dict.fromkeys(key.split()[0] for key in recordings):
+    for name in dict.fromkeys(map(experiment_of, recordings)):
         stretches: list[Any] = []
         for data in of_kind(recordings, name):
-            whole = isinstance(data, FrequencyResponse) or not data.gaps or name == "validation"
+            whole = isinstance(data, FrequencyResponse) or not data.gaps
             stretches += [data] if whole else played_segments(data)
         result |= numbered(name, stretches)
-    return result
+    kept = testable(result)
+    return {name: data for name, data in result.items()
+            if experiment_of(name) != "validation" or name in kept}
 
 
 def with_marked_outliers(

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from piezo_common.cancellation import checking
 from piezo_identification.adequacy.component_adequacy import adequacy_document, adequacy_of
 from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
-from piezo_identification.adequacy.plausibility import implausible_data, implausible_model
+from piezo_identification.adequacy.model_plausibility import implausible_data, implausible_model
 from piezo_identification.conditioning.recording_start import motion_um_per_s
 from piezo_identification.conditioning.row_alignment import RowDelay
-from piezo_identification.conditioning.segments import Recordings
+from piezo_identification.conditioning.segments import Recordings, experiment_of
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.estimate import untold_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -312,7 +312,8 @@ def refined(fitted: FittedModel, recordings: Mapping[str, Any], stages: Stages) 
     FittedModel
         The refined or the given model, with the errors before and after.
     """
-    training = {name: part for name, part in recordings.items() if name != "validation"}
+    training = {name: part for name, part in recordings.items()
+                if experiment_of(name) != "validation"}
     report = stages.part(0.7, 0.25)
     result = fit_jointly(fitted.model, training, lambda fraction: report("refinement", fraction))
     errors: dict[str, Any] = {"held_out_e_y_percent": {
@@ -348,8 +349,9 @@ def tell_uncertain_parameters(fitted: FittedModel, tell: Callable[[str], object]
 
 
 def validation_errors(model: StageModel, recordings: Mapping[str, Any]) -> dict[str, Any]:
-    """Measure the errors on the validation recording; none where it is not given."""
-    return unseen_errors(model, recordings["validation"]) if "validation" in recordings else {}
+    """Measure the errors on the validation, all stretches of it; none where it is not given."""
+    validation = of_kind(recordings, "validation")
+    return dict(unseen_errors(model, validation)) if validation else {}
 
 
 def identified_model(

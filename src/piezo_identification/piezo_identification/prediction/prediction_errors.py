@@ -1,21 +1,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Relative errors of a prediction: of the whole, of its slow and of its fast branches."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from piezo_common.arrays import BoolArray
+from piezo_identification.conditioning.segments import Recordings, listed
 from piezo_identification.conditioning.waveforms import slow_branches
 from piezo_identification.prediction.prediction import Prediction, predict
 from piezo_models.cascade import StageModel
-from piezo_recorder.reading.recording import Recording
+from piezo_models.measures import e_y_percent
 
 
-def unseen_errors(model: StageModel, recording: Recording) -> dict[str, float]:
-    """Return the errors by the sensor on a recording that was not fitted.
+def unseen_errors(model: StageModel, recordings: Recordings) -> dict[str, float]:
+    """Return the errors by the sensor on recordings that were not fitted.
 
     Parameters
     ----------
     model : StageModel
-    recording : Recording
+    recordings : Recording or sequence of Recording
+        Each without gaps.
 
     Returns
     -------
@@ -23,24 +28,37 @@ def unseen_errors(model: StageModel, recording: Recording) -> dict[str, float]:
         `e_y_percent` of the whole, `hysteresis_e_y_percent` of the slow branches and
         `dynamics_e_y_percent` of the fast ones, as far as there are any.
     """
-    return errors_of(predict(model, recording))
+    return errors_of([predict(model, recording) for recording in listed(recordings)])
 
 
-def errors_of(prediction: Prediction) -> dict[str, float]:
-    """Return the errors of a prediction, named as those of `unseen_errors`.
+def errors_of(predictions: Sequence[Prediction]) -> dict[str, float]:
+    """Return the errors of predictions together, named as those of `unseen_errors`.
 
     Parameters
     ----------
-    prediction : Prediction
+    predictions : sequence of Prediction
+        Of stretches of one experiment, the offset of each of which is its own.
 
     Returns
     -------
     dict of str to float
     """
-    errors = {"e_y_percent": prediction.e_y_percent()}
-    slow = slow_branches(prediction.time_s, prediction.voltage_v)
-    for name, part in (("hysteresis", slow), ("dynamics", ~slow)):
-        part = part & prediction.good
-        if np.ptp(prediction.measured_um[part]) if part.any() else 0.0:
-            errors[f"{name}_e_y_percent"] = prediction.e_y_percent(part)
+    errors = {"e_y_percent": _joint_e_y_percent(predictions, [each.good for each in predictions])}
+    slow = [slow_branches(each.time_s, each.voltage_v) for each in predictions]
+    fast = [~mask for mask in slow]
+    for name, masks in (("hysteresis", slow), ("dynamics", fast)):
+        parts = [mask & each.good for mask, each in zip(masks, predictions, strict=True)]
+        if any(part.any() and np.ptp(each.measured_um[part])
+               for part, each in zip(parts, predictions, strict=True)):
+            errors[f"{name}_e_y_percent"] = _joint_e_y_percent(predictions, parts)
     return errors
+
+
+def _joint_e_y_percent(predictions: Sequence[Prediction], parts: Sequence[BoolArray]) -> float:
+    """Return the relative error (4.20) over parts of predictions, each without its own offset."""
+    measured_um, simulated_um = (
+        np.concatenate([values[part] - values[part].mean()
+                        for values, part in zip(signals, parts, strict=True) if part.any()])
+        for signals in ([each.measured_um for each in predictions],
+                        [each.simulated_um for each in predictions]))
+    return e_y_percent(measured_um, simulated_um)

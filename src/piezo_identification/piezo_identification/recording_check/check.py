@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Measure what a recording is good for: its samples, noise, drift, waveform and start."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -35,40 +36,103 @@ SETTLED_PART = 2e-3
 
 @dataclass(frozen=True)
 class RecordingCheck:
-    """What was measured.
+    """What can be measured of a recording; each property is measured when it is first asked for.
 
-    Attributes
+    Parameters
     ----------
-    recording : Recording
-        The part that was looked at: the longest segment where there are gaps.
-    samples, gaps : int
-        Of the whole.
-    waveform : Waveform
-    noise_um : float
-        Standard deviation; nan where it cannot be told.
-    drift_um : float
-        Over the recording, beside what the voltage explains.
-    start : str
-        State at the start, for people: at rest, settling, periodic, in motion.
-    starts_settled : bool
-    visited : ndarray of bool, shape (n, n)
-        Cells of the Preisach plane over the range of the voltage; see `visited_cells`.
-    outliers : int
-    warnings : list of str
-        What is implausible.
+    whole : Recording
+        What plays in it.
     """
 
-    recording: Recording
-    samples: int
-    gaps: int
-    waveform: Waveform
-    noise_um: float
-    drift_um: float
-    start: str
-    starts_settled: bool
-    visited: BoolArray
-    outliers: int = 0
-    warnings: list[str] = field(default_factory=list)
+    whole: Recording
+
+    @cached_property
+    def recording(self) -> Recording:
+        """The part that is looked at, its outliers marked: the longest segment of several."""
+        return with_outliers_marked(
+            max(self.whole.segments, key=lambda each: len(each.voltage_v)))
+
+    @property
+    def samples(self) -> int:
+        """How many samples play."""
+        return len(self.whole.voltage_v)
+
+    @property
+    def gaps(self) -> int:
+        """How many gaps there are."""
+        return len(self.whole.gaps)
+
+    @property
+    def has_few_rows(self) -> bool:
+        """Whether nothing but their number and range is told."""
+        return len(self.recording.voltage_v) < FEWEST_ROWS
+
+    @cached_property
+    def voltage_v(self) -> FloatArray:
+        """Of the part that is looked at, shape (N,)."""
+        return np.asarray(self.recording.voltage_v, dtype=float)
+
+    @cached_property
+    def displacement_um(self) -> FloatArray:
+        """Of the part that is looked at, shape (N,)."""
+        return np.asarray(self.recording.displacement_um, dtype=float)
+
+    @property
+    def sample_period_s(self) -> float:
+        """The usual distance of samples."""
+        return float(np.median(self.recording.sample_periods_s))
+
+    @cached_property
+    def waveform(self) -> Waveform:
+        """What the voltage does."""
+        if self.has_few_rows:
+            return Waveform("constant", "too few rows", np.empty(0, dtype=np.intp))
+        return waveform_of(self.voltage_v, self.sample_period_s)
+
+    @cached_property
+    def noise_um(self) -> float:
+        """Standard deviation of the noise; nan where it cannot be told."""
+        return np.nan if self.has_few_rows else noise_of(
+            self.displacement_um, self.voltage_v, self.sample_period_s, self.waveform)
+
+    @cached_property
+    def drift_um(self) -> float:
+        """Over the recording, beside what the voltage explains; nan where it cannot be told."""
+        return np.nan if self.has_few_rows else drift_of(self.displacement_um, self.voltage_v)
+
+    @cached_property
+    def _start(self) -> tuple[str, bool]:
+        return ("too few rows to tell", False) if self.has_few_rows else start_of(
+            self.displacement_um, self.voltage_v, self.waveform, self.noise_um,
+            self.sample_period_s)
+
+    @property
+    def start(self) -> str:
+        """State at the start, for people: at rest, settling, periodic, in motion."""
+        return self._start[0]
+
+    @property
+    def starts_settled(self) -> bool:
+        """Whether nothing of what came before shows."""
+        return self._start[1]
+
+    @cached_property
+    def visited(self) -> BoolArray:
+        """Cells of the Preisach plane over the range of the voltage; see `visited_cells`."""
+        if self.has_few_rows or self.swing_v == 0.0:
+            return np.zeros((PLANE_CELLS, PLANE_CELLS), dtype=bool)
+        return visited_cells(self.voltage_v, np.linspace(
+            self.voltage_v.min(), self.voltage_v.max(), PLANE_CELLS + 1))
+
+    @cached_property
+    def outliers(self) -> int:
+        """How many samples stand out of the displacement."""
+        return int(np.count_nonzero(~good_samples(self.recording)))
+
+    @cached_property
+    def warnings(self) -> list[str]:
+        """What is implausible."""
+        return implausible(self.whole)
 
     @property
     def swing_v(self) -> float:
@@ -94,7 +158,7 @@ class RecordingCheck:
 
 
 def check_recording(recording: Recording) -> RecordingCheck:
-    """Measure what a recording is good for.
+    """Check what a recording is good for.
 
     Parameters
     ----------
@@ -106,28 +170,7 @@ def check_recording(recording: Recording) -> RecordingCheck:
     RecordingCheck
     """
     playing = recording.playing | recording.tracking
-    whole = recording.select(playing) if playing.any() else recording
-    part = max(whole.segments, key=lambda each: len(each.voltage_v))
-    part = with_outliers_marked(part)
-    voltage_v = np.asarray(part.voltage_v, dtype=float)
-    displacement_um = np.asarray(part.displacement_um, dtype=float)
-    period_s = float(np.median(part.sample_periods_s))
-    wrong = int(np.count_nonzero(~good_samples(part)))
-    noise_um = drift_um = np.nan
-    start, settled = "too few rows to tell", False
-    visited = np.zeros((PLANE_CELLS, PLANE_CELLS), dtype=bool)
-    few = len(voltage_v) < FEWEST_ROWS
-    waveform = (Waveform("constant", "too few rows", np.empty(0, dtype=np.intp)) if few
-                else waveform_of(voltage_v, period_s))
-    if not few:
-        noise_um = noise_of(displacement_um, voltage_v, period_s, waveform)
-        drift_um = drift_of(displacement_um, voltage_v)
-        start, settled = _start(displacement_um, voltage_v, waveform, noise_um, period_s)
-        if np.ptp(voltage_v) > 0.0:
-            visited = visited_cells(
-                voltage_v, np.linspace(voltage_v.min(), voltage_v.max(), PLANE_CELLS + 1))
-    return RecordingCheck(part, len(whole.voltage_v), len(whole.gaps), waveform, noise_um, drift_um,
-                          start, settled, visited, wrong, implausible(whole))
+    return RecordingCheck(recording.select(playing) if playing.any() else recording)
 
 
 def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, period_s: float,
@@ -177,9 +220,23 @@ def drift_of(displacement_um: FloatArray, voltage_v: FloatArray) -> float:
     return float(np.linalg.lstsq(regressors, displacement_um[every], rcond=1e-10)[0][0])
 
 
-def _start(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Waveform,
-           noise_um: float, period_s: float) -> tuple[str, bool]:
-    """Return the state at the start, and whether it is settled."""
+def start_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Waveform,
+             noise_um: float, period_s: float) -> tuple[str, bool]:
+    """Return the state at the start, for people, and whether it is settled.
+
+    Parameters
+    ----------
+    displacement_um, voltage_v : ndarray, shape (N,)
+    waveform : Waveform
+    noise_um : float
+    period_s : float
+        Of the samples.
+
+    Returns
+    -------
+    start : str
+    is_settled : bool
+    """
     swing_v, range_um = float(np.ptp(voltage_v)), float(np.ptp(displacement_um))
     moved = np.abs(voltage_v - voltage_v[0]) > 1e-3 * swing_v
     held = int(np.argmax(moved)) if moved.any() else len(voltage_v)

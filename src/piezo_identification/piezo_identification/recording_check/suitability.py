@@ -79,17 +79,34 @@ def suitability(check: RecordingCheck) -> dict[str, Suitability]:
     dict of str to Suitability
         By `EXPERIMENTS`.
     """
+    return {name: suitability_for(check, name) for name in EXPERIMENTS}
+
+
+def suitability_for(check: RecordingCheck, experiment: str) -> Suitability:
+    """Say whether a recording can stand for one experiment.
+
+    Parameters
+    ----------
+    check : RecordingCheck
+        Only what this experiment asks for is measured.
+    experiment : str
+        One of `EXPERIMENTS`.
+
+    Returns
+    -------
+    Suitability
+    """
     hindrance = _for_nothing(check)
     if hindrance:
-        return dict.fromkeys(EXPERIMENTS, Suitability("no", hindrance))
-    judged = {"hysteresis": _hysteresis(check), "creep": _creep(check),
-              "dynamics": _dynamics(check),
-              "validation": Suitability("yes", "any motion that the others did not have")}
-    if not check.gaps:
-        return judged
-    return {name: Suitability("partly", f"only a segment without one of the {check.gaps} gaps; "
-                              f"{each.reason}") if each.verdict == "yes" else each
-            for name, each in judged.items()}
+        return Suitability("no", hindrance)
+    found = JUDGES[experiment](check)
+    if not check.gaps or found.verdict != "yes":
+        return found
+    if experiment == "validation":
+        return Suitability("yes", f"any motion that the others did not have, in {check.gaps + 1} "
+                           "segments")
+    return Suitability("partly", f"only a segment without one of the {check.gaps} gaps; "
+                       f"{found.reason}")
 
 
 def _for_nothing(check: RecordingCheck) -> str:
@@ -147,8 +164,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
     waveform = check.waveform
     period_s = float(np.median(check.recording.sample_periods_s))
     rate = f"at {1.0 / period_s:.4g} rows a second"
-    voltage_v = np.asarray(check.recording.voltage_v, dtype=float)
-    displacement_um = np.asarray(check.recording.displacement_um, dtype=float)
+    voltage_v, displacement_um = check.voltage_v, check.displacement_um
     if period_s > NEEDS.slowest_rows_s:
         return Suitability("no", f"too slow to hold dynamics: {rate}, while stages answer within "
                            "milliseconds")
@@ -175,6 +191,14 @@ def _dynamics(check: RecordingCheck) -> Suitability:
                            "voltage at once")
     return Suitability("yes", f"{waveform.kind} that the displacement follows with dynamics, "
                        f"{rate}")
+
+
+def _validation(check: RecordingCheck) -> Suitability:
+    return Suitability("yes", "any motion that the others did not have")
+
+
+JUDGES = {"hysteresis": _hysteresis, "creep": _creep, "dynamics": _dynamics,
+          "validation": _validation}
 
 
 def jump_response(voltage_v: FloatArray, displacement_um: FloatArray,

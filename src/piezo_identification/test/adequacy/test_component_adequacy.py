@@ -99,12 +99,13 @@ def test_rows_that_are_read_late_are_no_lack_of_the_dynamics(plant, play):
     assert verdicts == ["inadequate", "adequate"]
 
 
-def test_a_mode_is_found_at_its_frequency_and_more_modes_are_advised(plant, play):
+def test_a_mode_is_found_at_its_frequency_and_more_modes_are_advised(plant, play, recordings):
     stage = replace(plant, dynamics=ElectricVibrationDynamics(
         0.00049, (2846.0, 4909.0), (0.685, 0.02)))
     model = replace(plant, dynamics=ElectricVibrationDynamics(0.00049, (2846.0,), (0.685,)))
+    fast = play(experiments.dynamics(), 1, stage=stage)
     part = adequacy_of(
-        model, {"dynamics": play(experiments.dynamics(), 1, stage=stage)})["dynamics"]
+        model, {"dynamics": fast, "hysteresis": recordings["hysteresis"]})["dynamics"]
     near_hz = float(part.left.split("near ")[1].split(" Hz")[0])
     assert near_hz == pytest.approx(4909.0 / 2.0 / np.pi, rel=0.1)
     assert "--modes 2" in part.advice
@@ -129,6 +130,20 @@ def test_loops_that_the_model_misses_are_told_by_voltage(plant, recordings):
     assert low_v < 90.0 < high_v
     table = adequacy_table(adequacy_document({"hysteresis": part}))
     assert "hysteresis is inadequate" in table
+
+
+def test_every_recording_of_a_component_is_tested_but_for_a_few_samples(plant, recordings):
+    recording = recordings["hysteresis"]
+    bump_um = 0.05 * np.exp(-(((recording.voltage_v - 90.0) / 4.0) ** 2))
+    bent = replace(recording, displacement_um=recording.displacement_um + bump_um)
+    short = recording.select(np.arange(recording.voltage_v.size) < 10)
+    adequacy = adequacy_of(
+        plant, {"hysteresis": recording, "hysteresis 2": bent, "hysteresis 3": short})
+    assert {name: part.verdict for name, part in adequacy.items()} == {
+        "hysteresis": "adequate", "hysteresis 2": "inadequate"}
+    document = adequacy_document(adequacy)
+    assert overall_verdict(document) == "inadequate"
+    assert "hysteresis 2 is inadequate" in adequacy_table(document)
 
 
 def test_a_frequency_response_is_judged_too(plant):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from piezo_identification.commands.identify_command import main as identify_main
+from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_models.model_file import load_model
 
@@ -47,6 +48,24 @@ def test_several_recordings_and_gaps_are_one_identification(static, record):
     unseen_v = loops([80.0, 75.0, 50.0, 30.0], 400)
     assert relative_error(identified.model, static, unseen_v) < 3e-3
     assert len(identified.recordings) == 2
+
+
+def test_all_stretches_of_a_validation_with_gaps_count_but_for_a_few_samples(static, record):
+    given = record(static, loops([80.0, 60.0, 40.0], 300), 0.1, seed=1)
+    unseen = record(static, loops([80.0, 75.0, 50.0, 30.0], 400), 0.1, seed=2)
+    index = unseen.sample_index
+    kept = (index < 700) | (index >= 760) & (index < 1200) | (index >= 1595)
+    cut = replace(unseen.select(kept), gaps=[(700, 60), (1200, 395)])
+    # The first stretch is true, the second 10 % too large; the third, of six samples, is left out.
+    second = (cut.sample_index >= 760) & (cut.sample_index < 1200)
+    wrong = replace(cut, displacement_um=np.where(second, 1.1, 1.0) * cut.displacement_um)
+    error = identify(hysteresis=given, validation=wrong,
+                     density=DensityOptions(40, 1e-10, 1e-10)).errors["e_y_percent"]
+    first, larger = wrong.displacement_um[:700], wrong.displacement_um[700:1140]
+    alone = 100.0 * (1.0 - 1.0 / 1.1)
+    share = np.sum((larger - larger.mean()) ** 2) / (
+        np.sum((larger - larger.mean()) ** 2) + np.sum((first - first.mean()) ** 2))
+    assert error == pytest.approx(alone * np.sqrt(share), rel=0.1)
 
 
 def test_creep_alone_gives_a_model_with_its_hysteresis(foreign_stage, record):

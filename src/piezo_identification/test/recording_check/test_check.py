@@ -10,7 +10,7 @@ from scipy.signal import cont2discrete, dlsim
 from piezo_identification.commands.check_command import main
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.recording_check.check import check_recording
-from piezo_identification.recording_check.suitability import suitability
+from piezo_identification.recording_check.suitability import suitability, suitability_for
 from piezo_recorder.reading.reader import read_recording
 
 
@@ -90,6 +90,23 @@ def test_steps_that_ring_hold_dynamics_and_those_sampled_too_slowly_do_not(read)
         read(voltage_v[99::100], displacement_um[99::100], 100 * period_s)))
     assert slow["dynamics"].verdict == "no"
     assert "too slow to hold dynamics" in slow["dynamics"].reason
+
+
+def test_verdict_on_one_experiment_measures_nothing_for_the_others(read, monkeypatch):
+    period_s = 1e-4
+    voltage_v = np.where((np.arange(20_000) // 1000) % 2 == 0, 20.0, 80.0)
+    recording = read(voltage_v, vibrating(voltage_v, period_s), period_s)
+    expected = suitability(check_recording(recording))["dynamics"]
+
+    def measured(*_, **__):
+        raise AssertionError("not needed for the dynamics")
+
+    for name in ("visited_cells", "drift_of", "start_of"):
+        monkeypatch.setattr(f"piezo_identification.recording_check.check.{name}", measured)
+    check = check_recording(recording)
+    assert suitability_for(check, "dynamics") == expected
+    with pytest.raises(AssertionError):
+        _ = check.visited_fraction
 
 
 @pytest.mark.parametrize("voltage_v, displacement_um, said", [

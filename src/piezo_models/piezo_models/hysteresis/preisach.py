@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from piezo_common.arrays import FloatArray
 from piezo_models.hysteresis.preisach_inversion import invert
 from piezo_models.hysteresis.preisach_kernels import (
+    Grid,
     Table,
     everett_table,
     everett_values,
@@ -167,6 +168,11 @@ class PreisachModel:
     @property
     def _grid(self) -> tuple[float, float, float]:
         return self.voltage_min_v, self.voltage_max_v, self.cell_width_v
+
+    def kernel_arguments(self) -> tuple[Grid, Table, float]:
+        """Return grid, table and rounding (um), with which the kernels can be called in others."""
+        low, high = self.output_range_um
+        return self._grid, self._table, INVERSION.rounding * (abs(low) + high - low)
 
     def everett_um(self, alpha_v: ArrayLike, beta_v: ArrayLike) -> FloatArray:
         """Integrate the density over beta_v <= beta <= alpha <= alpha_v: the Everett function.

@@ -129,7 +129,7 @@ def with_room(stack: FloatArray, top: int) -> FloatArray:
 
 
 @njit(cache=True)
-def along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: float,
+def _along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: float,
                start_um: float, limit_v: float, grid: Grid, table: Table) -> tuple[int, float]:
     """Play voltages from sample `n` on for as long as they rise from one minimum.
 
@@ -184,11 +184,11 @@ def along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: float
 
 
 @njit(cache=True)
-def along_fall(voltage_v: FloatArray, output_um: FloatArray, n: int, alpha: float,
+def _along_fall(voltage_v: FloatArray, output_um: FloatArray, n: int, alpha: float,
                start_um: float, limit_v: float, grid: Grid, table: Table) -> tuple[int, float]:
     """Play voltages from sample `n` on for as long as they fall from one maximum.
 
-    `alpha` is the maximum, `limit_v` the remembered minimum; the rest is as for `along_rise`.
+    `alpha` is the maximum, `limit_v` the remembered minimum; the rest is as for `_along_rise`.
     """
     voltage_min, voltage_max, cell_width = grid
     _, rows, diagonal, reversible = table
@@ -260,10 +260,10 @@ def simulate_while_room(voltage_v: FloatArray, output_um: FloatArray, n: int,
         turn = (extremes[start] - voltage_min) * scale
         if top % 2 == 1:
             limit_v = extremes[start - 1] if start >= 2 else np.inf
-            n, extremes[top] = along_rise(
+            n, extremes[top] = _along_rise(
                 voltage_v, output_um, n, turn, outputs[start], limit_v, grid, table)
         else:
-            n, extremes[top] = along_fall(
+            n, extremes[top] = _along_fall(
                 voltage_v, output_um, n, turn, outputs[start], extremes[start - 1], grid, table)
         outputs[top] = output_um[n - 1]
     return n, top

@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_recorder.reading.recording import Recording
@@ -25,15 +26,17 @@ class UsualStage:
         Of the samples; no sensor of displacement is faster.
     fewest_rows : int
         With fewer there is nothing to fit.
-    least_clipped : float
-        Part of the samples at an end of the range that count as clipped.
-    shortest_clip : int
-        Equal samples in a row that count as clipped.
-    quanta_in_clip : float
-        Quanta of the sensor that the stage should have moved by, in samples that are equal.
-    repeated : float
-        Part of neighbours that may be equal elsewhere, where those at the end of the range count
-        as clipped: a coarse converter repeats everywhere.
+    stuck_while : float
+        Part of the voltage's range that moves while a sensor stands at its end: clipping.
+    quanta, shortest_clip, repeated : float, int, float
+        Where less than this part of the readings elsewhere equals the one before, so that noise or
+        motion shows: steps of the sensor that so many equal readings must not hide.
+    stuck_samples : int
+        Equal samples at the end of a sensor's range, at a resting voltage, that may be chance.
+    stuck_ratio : float
+        By which they outnumber equal samples elsewhere, where noise tells them apart.
+    coarse : float
+        Part of the displacement's range; a sensor whose steps are larger is coarse, not clipped.
     """
 
     least_range_um: float = 0.3
@@ -44,10 +47,13 @@ class UsualStage:
     largest_gain_um_per_v: float = 40.0
     shortest_period_s: float = 1e-7
     fewest_rows: int = 20
-    least_clipped: float = 1e-3
+    stuck_while: float = 0.03
+    quanta: float = 4.0
     shortest_clip: int = 5
-    quanta_in_clip: float = 4.0
     repeated: float = 0.3
+    stuck_samples: int = 8
+    stuck_ratio: float = 5.0
+    coarse: float = 3e-3
 
 
 USUAL = UsualStage()
@@ -113,7 +119,8 @@ def clipped_ends(displacement_um: FloatArray, voltage_v: FloatArray,
                  ) -> list[tuple[str, float, float]]:
     """Find the ends of the range at which the sensor is clipped.
 
-    A sensor that is clipped repeats one value, without its noise, where the stage still moves.
+    A sensor that is clipped repeats one value while the voltage moves on, or without its noise.
+    One of coarse steps stands still, too, and is not looked at.
 
     Parameters
     ----------
@@ -124,33 +131,44 @@ def clipped_ends(displacement_um: FloatArray, voltage_v: FloatArray,
     list of (str, float, float)
         ``lowest`` or ``highest``, that value in um, and the part of the samples that stay there.
     """
-    found: list[tuple[str, float, float]] = []
-    if np.ptp(displacement_um) == 0.0:
-        return found
-    equal = np.diff(displacement_um) == 0.0
-    held = np.diff(voltage_v) == 0.0
-    quantum_um = float(np.diff(np.unique(displacement_um)).min())
-    um_per_v = float(np.ptp(displacement_um)) / (float(np.ptp(voltage_v)) or np.inf)
-    for name, end in (("lowest", displacement_um.min()), ("highest", displacement_um.max())):
-        runs = _long_runs(displacement_um == end)
-        samples = sum(stop - start for start, stop in runs)
-        if samples < USUAL.least_clipped * len(displacement_um):
-            continue
-        inside = np.zeros(equal.size, dtype=bool)
-        for start, stop in runs:
-            inside[start : stop - 1] = True
-        moves = any(um_per_v * np.ptp(voltage_v[start:stop]) > USUAL.quanta_in_clip * quantum_um
-                    for start, stop in runs)
-        rests = bool(np.mean(held[inside]) > 0.5)
-        elsewhere = equal[(held if rests else ~held) & ~inside]
-        noisy = elsewhere.size > USUAL.shortest_clip and elsewhere.mean() < USUAL.repeated
-        if noisy and (moves or rests):
-            found.append((name, float(end), samples / len(displacement_um)))
+    steps_um = np.diff(np.unique(displacement_um))
+    if not steps_um.size or steps_um.min() > USUAL.coarse * np.ptp(displacement_um):
+        return []
+    starts = np.flatnonzero(np.diff(displacement_um, prepend=np.nan) != 0.0)
+    lengths = np.diff(np.append(starts, displacement_um.size))
+    quantum_v = float(steps_um.min() / np.ptp(displacement_um) * np.ptp(voltage_v))
+    found = []
+    for name, end_um in (("lowest", displacement_um.min()), ("highest", displacement_um.max())):
+        at_end = displacement_um[starts] == end_um
+        if _is_stuck(voltage_v, starts, lengths, at_end, quantum_v):
+            share = float(np.sum(lengths[at_end])) / displacement_um.size
+            found.append((name, float(end_um), share))
     return found
 
 
-def _long_runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Return where the runs of a mask that have at least `USUAL.shortest_clip` samples lie."""
-    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
-    return [(start, end) for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(),
-                                               strict=True) if end - start >= USUAL.shortest_clip]
+def _is_stuck(voltage_v: FloatArray, starts: NDArray[np.intp], lengths: NDArray[np.intp],
+              at_end: NDArray[np.bool_], quantum_v: float) -> bool:
+    """Tell whether the displacement stands while the voltage moves, or lacks its noise.
+
+    Parameters
+    ----------
+    voltage_v : ndarray, shape (N,)
+    starts, lengths : ndarray of int, shape (M,)
+        Of the runs of equal displacements.
+    at_end : ndarray of bool, shape (M,)
+        Which of them stand at the end of the range.
+    quantum_v : float
+        Voltage that moves the displacement by the smallest of its steps.
+    """
+    moved_v = np.maximum.reduceat(voltage_v, starts) - np.minimum.reduceat(voltage_v, starts)
+    if np.any(moved_v[at_end] > USUAL.stuck_while * np.ptp(voltage_v)):
+        return True
+    repeated = 1.0 - np.count_nonzero(~at_end) / max(np.sum(lengths[~at_end]), 1)
+    moves = (moved_v > USUAL.quanta * quantum_v) & (lengths >= USUAL.shortest_clip)
+    if repeated < USUAL.repeated and np.any(moves & at_end):
+        return True
+    at_rest = moved_v == 0.0
+    elsewhere = int(lengths[~at_end & at_rest].max(initial=1))
+    most = max(USUAL.stuck_samples, USUAL.stuck_ratio * elsewhere)
+    # A stage without noise may rest once before it first moves; a sensor clips again.
+    return bool(np.count_nonzero(lengths[at_end & at_rest] > most) > 1)

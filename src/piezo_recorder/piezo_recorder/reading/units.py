@@ -28,6 +28,8 @@ SHOWN = {"time": "s, ms, us, ns, min, h or d", "voltage": "V, mV, uV or kV",
 SUFFIXES = {"s", "ms", "us", "ns", "v", "mv", "kv", "um", "nm", "pm", "mm", "m"}
 """Units that may end a name behind an underscore or a space: ``v_min`` is no time."""
 
+OTHER_UNITS = {"hz", "khz", "rad", "deg", "°", "db", "ma", "°c", "degc", "%", "counts", "mn"}
+
 _BRACKETED = re.compile(r"(.*?)[\s,_]*[\[(]\s*([^\])]*?)\s*[\])]\s*", re.S)
 _SLASHED = re.compile(r"(.*\S)\s*/\s*(\S+)\s*")
 _SUFFIXED = re.compile(r"(.*\S)(?:_|\s+in\s+|\s+)(\S+?)\s*")
@@ -43,6 +45,13 @@ def plain(unit: str) -> str:
 def signal_of_unit(unit: str) -> str | None:
     """Return the signal that is measured in a unit, or None."""
     return next((signal for signal in SIGNALS if plain(unit) in UNITS[signal]), None)
+
+
+def is_unit(text: str) -> bool:
+    """Tell whether a text is a unit, of a signal or of what else stands beside it."""
+    above, _, below = plain(text).partition("/")
+    known = bool(signal_of_unit(above)) or above in OTHER_UNITS
+    return known and (not below or bool(signal_of_unit(below)))
 
 
 def name_and_unit(label: str) -> tuple[str, str]:

@@ -13,7 +13,7 @@ MAX_LIMITED_PERCENT = 1.0
 
 
 class RunAccount:
-    """Count the blocks of one run in which the stage did something else than it was asked to.
+    """Count the ticks of one run in which the stage did something else than it was asked to.
 
     Parameters
     ----------
@@ -33,13 +33,15 @@ class RunAccount:
         self._answered, self._streamed = answered, streamed
         self.blocks = self.late = self.limited = self.starved = 0
 
-    def take(self, flags: int) -> None:
-        """Count one block by its flags."""
-        self.blocks += 1
-        self.late += self._answered and bool(flags & SampleBlock.FLAG_FEEDBACK_HELD)
-        self.limited += bool(
-            flags & (SampleBlock.FLAG_RANGE_LIMITED | SampleBlock.FLAG_SLEW_LIMITED))
-        self.starved += self._streamed and bool(flags & SampleBlock.FLAG_FEEDFORWARD_HELD)
+    def take(self, flags: int, ticks: int = 1) -> None:
+        """Count one block by its flags, which are those of all its ticks."""
+        self.blocks += ticks
+        if self._answered and flags & SampleBlock.FLAG_FEEDBACK_HELD:
+            self.late += ticks
+        if flags & (SampleBlock.FLAG_RANGE_LIMITED | SampleBlock.FLAG_SLEW_LIMITED):
+            self.limited += ticks
+        if self._streamed and flags & SampleBlock.FLAG_FEEDFORWARD_HELD:
+            self.starved += ticks
 
     @property
     def failure(self) -> str:

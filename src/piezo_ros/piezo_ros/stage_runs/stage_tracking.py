@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 
-from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
-from piezo_interfaces.srv import LoadFeedforward, StartTracking
+from piezo_interfaces.msg import FeedbackLaw, FeedbackVoltage, SampleBlock
+from piezo_interfaces.srv import LoadFeedback, LoadFeedforward, StartTracking
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
@@ -58,12 +58,14 @@ class StageTracker:
         # Raw, as nobody looks at the blocks between two runs.
         node.create_subscription(SampleBlock, "samples", self._on_samples, SAMPLES, raw=True)
         self._load = node.create_client(LoadFeedforward, "load_feedforward")
+        self._load_law = node.create_client(LoadFeedback, "load_feedback")
         self._start = node.create_client(StartTracking, "start_tracking")
         self._stop = node.create_client(Trigger, "stop_tracking")
 
     def run(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray, ticks: int,
             take: Callable[[SampleBlock], float], answering: bool, cancelled: Callable[[], bool],
-            report: Callable[[], object], more: More | None = None) -> None:
+            report: Callable[[], object], more: More | None = None,
+            law: FeedbackLaw | None = None) -> None:
         """Play a feedforward for some ticks and wait until the stage is at rest.
 
         Parameters
@@ -83,6 +85,8 @@ class StageTracker:
         more : callable, optional
             Where the feedforward is streamed behind ``once_voltage_v``, see `Stream`; the blocks
             are then answered in any case.
+        law : FeedbackLaw, optional
+            What the stage evaluates by itself; nothing is answered then.
 
         Raises
         ------
@@ -94,6 +98,8 @@ class StageTracker:
         self._awake.clear()
         self._blocks = self.last_sample = self.missed_feedback = 0
         self._load_voltages(once_voltage_v, period_voltage_v)
+        if law is not None:
+            call_service(self._load_law, LoadFeedback.Request(law=law))
         self._stream = more and Stream(more, len(once_voltage_v), self._append, self._publish)
         self._answering = answering or more is not None
         self._take = take
@@ -102,7 +108,8 @@ class StageTracker:
                 self._stream.feed()
             self._run, self._early_answers = None, []
             self._begin_answers(call_service(self._start, StartTracking.Request(
-                feedback=self._answering, ticks=ticks, client=self._client),
+                feedback=self._answering, onboard=law is not None, ticks=ticks,
+                client=self._client),
                 appearance_s=APPEARANCE_S).run)
             self._wait(cancelled, report)
         finally:

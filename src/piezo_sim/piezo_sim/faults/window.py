@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The time for which a fault lasts."""
 
+from abc import ABC, abstractmethod
 from typing import Generic, Protocol, TypeVar
 
 from piezo_common.arrays import FloatArray
@@ -22,7 +23,7 @@ class Fault(StartedEffect, Protocol):
 F = TypeVar("F", bound=Fault)
 
 
-class FaultWindow(Generic[F]):
+class FaultWindow(ABC, Generic[F]):
     """A fault from ``begin_s`` to ``end_s`` of stage time; a runner's base.
 
     Parameters
@@ -50,9 +51,9 @@ class FaultWindow(Generic[F]):
             self.spoil(samples, first, last)
         self._at += samples.size
 
+    @abstractmethod
     def spoil(self, samples: FloatArray, first: int, last: int) -> None:
         """Replace the samples from the first up to the last, which is not included."""
-        raise NotImplementedError
 
 
 def require_window(effect: Fault) -> None:

@@ -27,8 +27,9 @@ class SimulatedStageNode(StageNode):
 
     def __init__(self) -> None:
         self._ground_truth: Publisher | None = None
-        # Voltages and true displacements since the last message.
-        self._truth: list[tuple[FloatArray, FloatArray]] = []
+        # True displacements, and the voltages of blocks, since the last message.
+        self._true_um: list[FloatArray] = []
+        self._voltage_v: list[FloatArray] = []
         self._truth_first_sample = 0
         super().__init__(create_simulated_stage)
 
@@ -36,28 +37,33 @@ class SimulatedStageNode(StageNode):
         """Start the sample clock at sample 0, and the truth with it."""
         self._ground_truth = self._ground_truth or self.create_publisher(
             SampleBlock, "ground_truth", self._outputs.quality)
-        self._truth, self._truth_first_sample = [], 0
+        self._true_um, self._voltage_v, self._truth_first_sample = [], [], 0
         return super().on_activate(state)
 
+    def take_truth(self, displacement_um: FloatArray) -> None:
+        """Take the true displacement of the next exchange."""
+        self._true_um.append(displacement_um)
+
     def on_block(self, block: Block) -> None:
-        """Collect the true displacement and publish it in large messages."""
+        """Publish the true displacement in large messages."""
         if block.sample_period_s > self._engine.sample_period_s:
-            if self._truth:
+            if self._voltage_v:
                 self._publish_truth(block)
+            self._true_um = []
             return
-        if not self._truth:
+        if not self._voltage_v:
             self._truth_first_sample = block.first_sample
-        stage = cast(SimulatedStage, self._backend)  # a paced one passes its attributes on
-        self._truth.append((block.voltage_v, stage.true_displacement_um))
-        samples = self._engine.next_sample - self._truth_first_sample
-        is_last = self._engine.idle and (self.settings.lockstep or not self._active)
+        self._voltage_v.append(block.voltage_v)
+        samples = block.first_sample + len(block.voltage_v) - self._truth_first_sample
+        is_last = self._engine.idle and not self._engine.holds_block and (
+            self.settings.lockstep or not self._active)
         if samples >= GROUND_TRUTH_SAMPLES or is_last:
             self._publish_truth(block)
 
     def _publish_truth(self, block: Block) -> None:
-        voltage_v, displacement_um = (
-            np.concatenate(part) for part in zip(*self._truth, strict=True))
-        self._truth = []
+        voltage_v = np.concatenate(self._voltage_v)
+        displacement_um, later_um = np.split(np.concatenate(self._true_um), [len(voltage_v)])
+        self._voltage_v, self._true_um = [], [later_um]
         message = SampleBlock(
             first_sample=self._truth_first_sample,
             sample_period_s=self._engine.sample_period_s,
@@ -68,13 +74,14 @@ class SimulatedStageNode(StageNode):
         self._outputs.publish_samples(self._ground_truth, message)
 
 
-def create_simulated_stage(node: StageNode) -> StageBackend:
+def create_simulated_stage(node: SimulatedStageNode) -> StageBackend:
     """Make the backend that the node's parameters describe."""
     seed = declare(node, "seed", 1, "Seed of the sensor noise.", 0, 2**31 - 1)
     plant = declare(node, "plant", "", "Plant file (YAML), or the name of a plant that comes with "
                     "the simulator; empty for the default plant.")
     stage = SimulatedStage(
         plant or None, seed, node.settings.sample_rate_hz, node.settings.rest_voltage_v)
+    stage.on_truth = node.take_truth
     # Both lack `lead_samples`, which a backend may.
     return cast(StageBackend, stage if node.settings.lockstep else PacedStage(stage))
 

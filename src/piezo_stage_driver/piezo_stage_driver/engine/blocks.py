@@ -28,6 +28,8 @@ class Block:
     displacement_um: np.ndarray
     flags: int
     missed_feedback: int
+    feedback_v: np.ndarray | None = None
+    """Of each tick, shape (ticks,), where the stage evaluates the feedback by itself."""
 
 
 class Filled(NamedTuple):
@@ -37,6 +39,7 @@ class Filled(NamedTuple):
     voltage_v: np.ndarray
     displacement_um: np.ndarray
     flags: int
+    feedback_v: list[float]
 
 
 class BlockCollector:
@@ -46,22 +49,27 @@ class BlockCollector:
     ----------
     decimation : int
         Samples of the clock of which one published sample is the mean.
+    samples_per_block : int
+        Of the clock, at the full rate: what comes in one call of `add` is never divided.
     pending_samples : int
         Samples of the clock that no block holds yet.
     """
 
     def __init__(self) -> None:
-        self.decimation = 1
+        self.decimation = self.samples_per_block = 1
         self._clear()
 
     def _clear(self) -> None:
         self._voltage_v: list[np.ndarray] = []
         self._displacement_um: list[np.ndarray] = []
+        self._feedback_v: list[float] = []
         self.pending_samples = self._flags = 0
 
-    def add(self, voltage_v: np.ndarray, displacement_um: np.ndarray, flags: int,
-            ends: bool) -> "Filled | None":
+    def add(self, voltage_v: np.ndarray, displacement_um: np.ndarray, flags: int, ends: bool,
+            feedback_v: float | None = None) -> "Filled | None":
         """Take samples, and return those of a block as soon as it is full.
+
+        At the full rate a block has one set of flags: samples with others begin the next.
 
         Parameters
         ----------
@@ -69,23 +77,35 @@ class BlockCollector:
         flags : int
         ends : bool
             Whether what follows belongs into another block.
+        feedback_v : float, optional
+            What a feedback on board added, where there is one (V).
 
         Returns
         -------
         Filled or None
             None where the block is not full yet.
         """
+        before = None
+        if self.decimation == 1 and self.pending_samples and flags != self._flags:
+            before = self.flush()
         self._voltage_v.append(voltage_v)
         self._displacement_um.append(displacement_um)
         self.pending_samples += len(voltage_v)
         self._flags |= flags
-        # Feedback answers blocks: at the full rate there is one to every tick.
-        full = self.decimation == 1 or (
-            self.pending_samples >= SAMPLES_PER_BLOCK * self.decimation)
-        if not (full or ends) or self.pending_samples % self.decimation:
+        if feedback_v is not None:
+            self._feedback_v.append(feedback_v)
+        if before is not None:
+            return before
+        samples = (self.samples_per_block if self.decimation == 1
+                   else SAMPLES_PER_BLOCK * self.decimation)
+        if not (self.pending_samples >= samples or ends) or self.pending_samples % self.decimation:
             return None
+        return self.flush()
+
+    def flush(self) -> Filled:
+        """Return what is pending as a block."""
         filled = Filled(self.pending_samples, self._decimated(self._voltage_v),
-                        self._decimated(self._displacement_um), self._flags)
+                        self._decimated(self._displacement_um), self._flags, self._feedback_v)
         self._clear()
         return filled
 

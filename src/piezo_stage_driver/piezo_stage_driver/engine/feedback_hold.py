@@ -3,6 +3,8 @@
 
 import math
 
+import numpy as np
+
 from piezo_stage_driver.safety.limits import FeedbackLimits
 
 
@@ -44,6 +46,9 @@ class FeedbackHold:
         self._limits = limits or FeedbackLimits()
         self._first_tick = first_tick + lead_ticks
         self._answers: dict[int, float] = {}
+
+    each_sample = False
+    """Whether it changes within a tick."""
 
     @property
     def cause(self) -> str:
@@ -91,6 +96,13 @@ class FeedbackHold:
         self.missed_in_a_row = 0
         self._take(answer_v)
         return False
+
+    def add(self, planned_v: np.ndarray) -> np.ndarray:
+        """Return planned voltages with the feedback that acts, shape (n,), in V."""
+        return planned_v + self.voltage_v
+
+    def take(self, tick: int, voltage_v: np.ndarray, displacement_um: np.ndarray) -> None:
+        """Ignore what was measured: somebody else answers it."""
 
     def _take(self, answer_v: float) -> None:
         self.voltage_v, limited = self._limits.apply(answer_v, self.voltage_v)

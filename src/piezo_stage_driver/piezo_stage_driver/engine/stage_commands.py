@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from piezo_models.feedback_law.feedback_law import FeedbackLaw
 from piezo_stage_driver.engine.blocks import FLAG_PLAYING, FLAG_TRACKING
 from piezo_stage_driver.engine.feedback_hold import FeedbackHold
+from piezo_stage_driver.engine.onboard_feedback import CheckedLaw, OnboardFeedback
 from piezo_stage_driver.engine.program import Phase, Program, StageRefusal
 from piezo_stage_driver.engine.ramps import Ramps
 from piezo_stage_driver.engine.sources import Feedforward, Waveform
@@ -40,8 +42,10 @@ class StageCommands:
                  latch: StopLatch, guards: GuardSet,
                  feedback_limits: FeedbackLimits | None = None):
         self._engine, self._limits, self._ticks, self._ramps = engine, limits, ticks, ramps
-        self._latch, self._guards, self._feedback_limits = latch, guards, feedback_limits
+        self._latch, self._guards = latch, guards
+        self._feedback_limits = feedback_limits or FeedbackLimits()
         self._feedforward: Feedforward | None = None
+        self._law: CheckedLaw | None = None
 
     def play(self, voltage_v: npt.ArrayLike, sample_period_s: float, repeats: int = 1,
              hold_at_end: bool = False, client: str = "") -> tuple[int, int]:
@@ -113,9 +117,40 @@ class StageCommands:
         self._require_ready()
         feedforward = Feedforward(once_voltage_v, np.array(period_voltage_v, dtype=float))
         self._limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
-        self._feedforward = feedforward
+        self._feedforward, self._law = feedforward, None
 
-    def start_tracking(self, feedback: bool, ticks: int = 0, client: str = "") -> int:
+    def checked(self, law: FeedbackLaw) -> CheckedLaw:
+        """Check a feedback law for this stage; from any thread, as it takes longer than a tick.
+
+        Raises
+        ------
+        FeedbackLawError
+        """
+        return CheckedLaw(law, self._ticks.samples_per_tick, self._engine.lead_ticks,
+                          self._engine.rest_voltage_v, self._feedback_limits)
+
+    def load_feedback(self, law: CheckedLaw) -> None:
+        """Take the law that ``start_tracking`` evaluates beside the feedforward loaded before.
+
+        While one acts the next tick begins with the new one.
+
+        Raises
+        ------
+        StageRefusal, FeedbackLawError
+        """
+        self._require_not_stopped()
+        feedback = self._engine.feedback
+        if isinstance(feedback, OnboardFeedback):
+            feedback.replace(law)
+            return
+        self._require_ready()
+        if self._feedforward is None:
+            raise StageRefusal("no feedforward is loaded beside which the feedback law could act: "
+                               "call load_feedforward first")
+        self._law = law
+
+    def start_tracking(self, feedback: bool, ticks: int = 0, client: str = "",
+                       onboard: bool = False) -> int:
         """Play the loaded feedforward.
 
         Parameters
@@ -126,6 +161,8 @@ class StageCommands:
             How long; 0 until a stop.
         client : str
             As in `play`.
+        onboard : bool
+            Add what the loaded law gives, in place of answers.
 
         Returns
         -------
@@ -142,12 +179,19 @@ class StageCommands:
             raise StageRefusal("the streamed feedforward has been played: load it again")
         self._limits.check_start(
             self._feedforward.first_v, self._engine.voltage_v, self._ramps.v_per_tick)
+        beginning = self._engine.tick, self._engine.lead_ticks, self._feedback_limits
+        added: FeedbackHold | OnboardFeedback | None = None
+        if onboard:
+            if self._law is None:
+                raise StageRefusal("no feedback law is loaded for this feedforward: "
+                                   "call load_feedback first")
+            added = OnboardFeedback(self._law, *beginning)
+        elif feedback:
+            added = FeedbackHold(*beginning)
         self._feedforward.rewind()
-        answers = None if not feedback else FeedbackHold(
-            self._engine.tick, self._engine.lead_ticks, self._feedback_limits)
         samples = ticks * self._ticks.samples_per_tick or math.inf
         self._engine.begin(Program(
-            [Phase("track", self._feedforward, samples, FLAG_TRACKING)]), client, answers)
+            [Phase("track", self._feedforward, samples, FLAG_TRACKING)]), client, added)
         return self._engine.tick
 
     def stop_tracking(self) -> None:

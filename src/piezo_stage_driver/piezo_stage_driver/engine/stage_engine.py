@@ -14,8 +14,10 @@ from piezo_stage_driver.engine.blocks import (
     SAMPLES_PER_BLOCK,
     Block,
     BlockCollector,
+    Filled,
 )
 from piezo_stage_driver.engine.feedback_hold import FeedbackHold
+from piezo_stage_driver.engine.onboard_feedback import OnboardFeedback
 from piezo_stage_driver.engine.program import Phase, Program
 from piezo_stage_driver.engine.ramps import Ramps
 from piezo_stage_driver.engine.stage_commands import StageCommands
@@ -53,6 +55,8 @@ class StageEngine:
         Of a stop that outlives the engine; any thread may set it, and the next tick heeds it.
     feedback_limits : FeedbackLimits, optional
         What one answer may ask for.
+    samples_per_block : int
+        Of one block while tracking, where nobody answers it: at least a tick.
 
     Attributes
     ----------
@@ -72,7 +76,7 @@ class StageEngine:
                  longest_stretch_samples: int = LONGEST_STRETCH_SAMPLES,
                  sensor_guards: Sequence[SensorGuard] = (),
                  feedback_guard: FeedbackOscillation | None = None, latch: StopLatch | None = None,
-                 feedback_limits: FeedbackLimits | None = None):
+                 feedback_limits: FeedbackLimits | None = None, samples_per_block: int = 1):
         limits.check_rest(rest_voltage_v)
         self._backend = backend
         self._limits = limits
@@ -88,12 +92,14 @@ class StageEngine:
         self.voltage_v = rest_voltage_v
         self.next_sample = 0
         self.client = ""
-        # Ticks written ahead: their voltages, and the flags of their blocks.
+        # Ticks written ahead: their voltages, the flags of their blocks, and what a feedback on
+        # board added.
         lead_ticks = getattr(backend, "lead_samples", 0) // samples_per_tick
-        self._ahead = deque([(np.full(samples_per_tick, rest_voltage_v), 0)] * lead_ticks)
+        self._ahead = deque[tuple[np.ndarray, int, float | None]](
+            [(np.full(samples_per_tick, rest_voltage_v), 0, None)] * lead_ticks)
         self.lead_ticks = lead_ticks
-        self._feedback: FeedbackHold | None = None
-        self._blocks = BlockCollector()
+        self._feedback: FeedbackHold | OnboardFeedback | None = None
+        self._blocks, self._samples_per_block = BlockCollector(), samples_per_block
         self._program = Program()
         self.commands = StageCommands(self, limits, self._ticks, self._ramps, self._latch,
                                       self._guards, feedback_limits)
@@ -117,7 +123,7 @@ class StageEngine:
     def at_rest(self) -> bool:
         """Tell whether the amplifier is at rest, what is written ahead included."""
         return self.idle and self.voltage_v == self.rest_voltage_v and all(
-            (voltage_v == self.rest_voltage_v).all() for voltage_v, _ in self._ahead)
+            (voltage_v == self.rest_voltage_v).all() for voltage_v, _, _ in self._ahead)
 
     @property
     def seconds_to_rest(self) -> float:
@@ -147,6 +153,11 @@ class StageEngine:
         return self._latch.cause
 
     @property
+    def feedback(self) -> FeedbackHold | OnboardFeedback | None:
+        """Return what is added to the present program; None where nothing is."""
+        return self._feedback
+
+    @property
     def missed_feedback(self) -> int:
         """Return the answers missed since tracking began."""
         return self._feedback.missed if self._feedback else 0
@@ -159,7 +170,8 @@ class StageEngine:
 
     # What is played next
 
-    def begin(self, program: Program, client: str = "", answers: FeedbackHold | None = None,
+    def begin(self, program: Program, client: str = "",
+              feedback: FeedbackHold | OnboardFeedback | None = None,
               decimation: int = 1) -> None:
         """Play a program from the next tick on.
 
@@ -168,12 +180,12 @@ class StageEngine:
         program : Program
         client : str
             Who asks; told to others who are refused meanwhile.
-        answers : FeedbackHold, optional
-            The feedback that is added to the program.
+        feedback : FeedbackHold or OnboardFeedback, optional
+            That is added to the program.
         decimation : int
             Samples of the clock in a published sample.
         """
-        self.client, self._program, self._feedback = client, program, answers
+        self.client, self._program, self._feedback = client, program, feedback
         self._blocks.decimation = decimation
         self._guards.begin()
 
@@ -218,62 +230,104 @@ class StageEngine:
         block : Block or None
             None while a slow waveform has not filled a block.
         """
-        feedback_v, feedback_flag = self._next_feedback()
+        if self.holds_block:
+            return self._block(self._blocks.flush())
         stopped = bool(self.stop_cause)  # read once: any thread may set it meanwhile
         if stopped:
             self.return_to_rest()
-        wanted_v, program_flags = self._next_voltages(feedback_v)
-        voltage_v, limit_flags = self._limits.apply(
-            wanted_v, self.voltage_v, self.sample_period_s)
-        displacement_um = self._backend.exchange(voltage_v)
-        played_v, flags = self._count_played(
-            voltage_v, feedback_flag | program_flags | limit_flags
-            | (FLAG_STOPPED if stopped else 0))
+        wanted_v, flags = self._next_voltages()
+        if self._feedback is not None:
+            wanted_v, held_flag, cause = self._with_feedback(self._feedback, wanted_v)
+            if cause:
+                self.stop(cause)
+                stopped = True
+                wanted_v, flags = self._next_voltages()
+            flags |= held_flag
+        feedback = self._feedback
+        tick = self.tick
+        voltage_v, displacement_um, limit_flags = self._exchange(wanted_v)
+        played_v, flags, feedback_v = self._count_played(
+            voltage_v, flags | limit_flags | (FLAG_STOPPED if stopped else 0))
+        if feedback is not None:
+            feedback.take(tick, played_v, displacement_um)
         ended = self._program.advance(len(voltage_v))
-        block = self._collect(played_v, displacement_um, flags, ended is not None)
+        block = self._collect(played_v, displacement_um, flags, ended is not None, feedback_v)
         self._go_on_after(ended)
         self._watch(played_v, displacement_um)
         return block
 
-    def _next_feedback(self) -> tuple[float, int]:
-        """Return the feedback of the next tick and its flag; stop if it must not act."""
-        if self._feedback is None or self.stop_cause:
-            return 0.0, 0
-        held = self._feedback.begin(self.tick)
-        feedback_v = self._feedback.voltage_v
-        cause = self._feedback.cause or self._guards.examine_feedback(feedback_v)
-        if cause:
-            self.stop(cause)
-        return feedback_v, FLAG_FEEDBACK_HELD if held else 0
+    @property
+    def holds_block(self) -> bool:
+        """Tell whether samples wait for their block, but none are to come that belong to it."""
+        return self._blocks.decimation == 1 and self._blocks.pending_samples > 0 and (
+            self.phase_name != "track" or bool(self.stop_cause))
 
-    def _next_voltages(self, feedback_v: float) -> tuple[np.ndarray, int]:
+    def _with_feedback(self, feedback: FeedbackHold | OnboardFeedback,
+                       planned_v: np.ndarray) -> tuple[np.ndarray, int, str]:
+        """Add the feedback of the next tick; return its flag too, and why it must not act."""
+        held = feedback.begin(self.tick)
+        wanted_v = planned_v if feedback.each_sample else feedback.add(planned_v)
+        cause = feedback.cause or self._guards.examine_feedback(feedback.voltage_v)
+        return wanted_v, FLAG_FEEDBACK_HELD if held else 0, cause
+
+    def _next_voltages(self) -> tuple[np.ndarray, int]:
         """Take the next samples of the program, and their flags."""
         phase, decimation = self._program.phase(self.voltage_v), self._blocks.decimation
         count = self._ticks.stretch(min(SAMPLES_PER_BLOCK * decimation, phase.samples),
                                     decimation, self._longest_stretch_samples)
-        wanted_v = phase.source.take(count)
-        if phase.name == "track":
-            wanted_v = wanted_v + feedback_v
-        return wanted_v, phase.flag | (FLAG_FEEDFORWARD_HELD if phase.source.exhausted else 0)
+        planned_v = phase.source.take(count)
+        return planned_v, phase.flag | (FLAG_FEEDFORWARD_HELD if phase.source.exhausted else 0)
 
-    def _count_played(self, voltage_v: np.ndarray, flags: int) -> tuple[np.ndarray, int]:
-        """Count samples; return the voltages, and their flags, that were measured with them."""
+    def _exchange(self, wanted_v: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        """Play voltages within the limits; return them, the displacement, and the limits' flags."""
+        feedback = self._feedback
+        if isinstance(feedback, OnboardFeedback) and feedback.each_sample:
+            return self._exchange_each(wanted_v, feedback)
+        voltage_v, flags = self._limits.apply(wanted_v, self.voltage_v, self.sample_period_s)
+        return voltage_v, self._backend.exchange(voltage_v), flags
+
+    def _exchange_each(self, planned_v: np.ndarray,
+                       feedback: OnboardFeedback) -> tuple[np.ndarray, np.ndarray, int]:
+        """Play sample by sample, each with the feedback of the one before."""
+        voltage_v, displacement_um = np.empty((2, len(planned_v)))
+        last_v, flags = self.voltage_v, 0
+        for sample in range(len(planned_v)):
+            part = slice(sample, sample + 1)
+            voltage_v[part], flag = self._limits.apply(
+                feedback.add(planned_v[part]), last_v, self.sample_period_s)
+            displacement_um[part] = self._backend.exchange(voltage_v[part])
+            feedback.take_sample(displacement_um[part])
+            last_v = float(voltage_v[sample])
+            flags |= flag
+        return voltage_v, displacement_um, flags
+
+    def _count_played(self, voltage_v: np.ndarray,
+                      flags: int) -> tuple[np.ndarray, int, float | None]:
+        """Count samples; return the voltages, flags and feedback that were measured with them."""
         self.voltage_v = float(voltage_v[-1])
         self.next_sample += len(voltage_v)
-        self._ahead.append((voltage_v, flags))
+        feedback = self._feedback
+        self._ahead.append((voltage_v, flags, feedback.voltage_v
+                            if isinstance(feedback, OnboardFeedback) else None))
         return self._ahead.popleft()
 
     def _collect(self, voltage_v: np.ndarray, displacement_um: np.ndarray, flags: int,
-                 ends: bool) -> Block | None:
+                 ends: bool, feedback_v: float | None) -> Block | None:
         """Return the block that these samples fill, if they do."""
-        filled = self._blocks.add(voltage_v, displacement_um, flags, ends)
-        if filled is None:
-            return None
+        answered = isinstance(self._feedback, FeedbackHold) or self.phase_name != "track"
+        self._blocks.samples_per_block = 1 if answered else self._samples_per_block
+        filled = self._blocks.add(voltage_v, displacement_um, flags, ends, feedback_v)
+        return None if filled is None else self._block(filled)
+
+    def _block(self, filled: Filled) -> Block:
+        next_sample = self.next_sample - self._blocks.pending_samples
         return Block(
-            first_sample=self.next_sample - filled.samples,
-            sample_period_s=self._blocks.decimation * self.sample_period_s, tick=self.tick,
+            first_sample=next_sample - filled.samples,
+            sample_period_s=self._blocks.decimation * self.sample_period_s,
+            tick=next_sample // self._ticks.samples_per_tick,
             voltage_v=filled.voltage_v, displacement_um=filled.displacement_um,
-            flags=filled.flags, missed_feedback=self.missed_feedback)
+            flags=filled.flags, missed_feedback=self.missed_feedback,
+            feedback_v=np.array(filled.feedback_v) if filled.feedback_v else None)
 
     def _go_on_after(self, ended: Phase | None) -> None:
         """Return to rest behind the last phase, unless its voltage is to be held."""

@@ -3,6 +3,8 @@
 
 from collections.abc import Callable
 
+from piezo_models.feedback_law.feedback_law import FeedbackLaw
+from piezo_stage_driver.engine.onboard_feedback import CheckedLaw
 from piezo_stage_driver.engine.program import StageRefusal
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.guards import StopLatch
@@ -46,6 +48,18 @@ class CommandRouter:
         """What a return to rest would take from here (s)."""
         supervisor = self.supervisor
         return supervisor.engine.seconds_to_rest if supervisor and supervisor.active else 0.0
+
+    def checked(self, law: FeedbackLaw) -> CheckedLaw:
+        """Check a feedback law for the stage that is configured.
+
+        Raises
+        ------
+        FeedbackLawError, StageRefusal
+            The law must not act, or there is no stage.
+        """
+        if self.supervisor is None:
+            raise StageRefusal(NOT_ACTIVE)
+        return self.supervisor.engine.commands.checked(law)
 
     def submit(self, command: Command) -> None:
         """Have a command run between two ticks, or refused; it tells by itself which."""

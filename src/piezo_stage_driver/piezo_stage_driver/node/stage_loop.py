@@ -47,7 +47,7 @@ class StageLoop:
         self._own_rest: threading.Thread | None = None
         self._failure: Exception | None = None
         self._answer_deadline_s: float | None = None
-        self._leaving = False
+        self._leaving = self._published = False
 
     @property
     def engine(self) -> StageEngine:
@@ -88,6 +88,9 @@ class StageLoop:
                 return min(IDLE_WAIT_S, self._answer_deadline_s - now_s)
         self._answer_deadline_s = None
         self._advance()
+        # Nobody has to be heard within a block that nobody has to answer.
+        while not self._published and self.supervisor.has_work and not self.engine.awaiting_answer:
+            self._advance()
         return 0.0
 
     def watch(self) -> None:
@@ -128,12 +131,13 @@ class StageLoop:
         self._tell_stop()
         if self._settings.lockstep and supervisor.engine.idle and not was_idle:
             # Time stands still from here on: the last block, at rest, tells that all is over.
-            for _ in range(supervisor.engine.lead_ticks + 1):
+            for _ in range(supervisor.engine.lead_ticks + 1 + supervisor.engine.holds_block):
                 self._tick()
         self._settle()
 
     def _tick(self) -> None:
         block = self.supervisor.tick()
+        self._published = block is not None
         if block is not None:
             self._publish(block)
 

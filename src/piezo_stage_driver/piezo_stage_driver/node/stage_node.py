@@ -9,6 +9,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.lifecycle.node import LifecycleState
 
+from piezo_models.feedback_law.running_law import compile_law
 from piezo_ros.clock_guard import keep_clock
 from piezo_ros.parameters import declare
 from piezo_ros.presence import ClientWatch
@@ -84,6 +85,7 @@ class StageNode(LifecycleNode):
         try:
             backend = self._create_backend(self)
             supervisor = self.settings.create_supervisor(backend, self._latch)
+            compile_law()
         except ValueError as error:
             self.get_logger().error(f"cannot configure: {error}")
             return TransitionCallbackReturn.FAILURE

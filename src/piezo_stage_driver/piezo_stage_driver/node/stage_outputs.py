@@ -6,7 +6,7 @@ import time
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from piezo_interfaces.msg import SampleBlock, StageDescription
+from piezo_interfaces.msg import AppliedFeedback, SampleBlock, StageDescription
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from piezo_ros.diagnostics import diagnostic
-from piezo_ros.quality import DESCRIPTION, PACED_SAMPLES, SAMPLES
+from piezo_ros.quality import DESCRIPTION, FEEDBACK, PACED_SAMPLES, SAMPLES
 from piezo_stage_driver.engine.blocks import Block
 from piezo_stage_driver.node.stage_settings import StageSettings
 
@@ -44,6 +44,8 @@ class StageOutputs:
         self.epoch_ns = 0
         self.quality = SAMPLES if settings.lockstep else PACED_SAMPLES
         self._samples = node.create_publisher(SampleBlock, "samples", self.quality)
+        self._applied_feedback = node.create_publisher(
+            AppliedFeedback, "applied_feedback", FEEDBACK)
         self._joint_states = node.create_publisher(JointState, "joint_states", 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._clock = node.create_publisher(Clock, "/clock", 10) if settings.lockstep else None
@@ -75,7 +77,7 @@ class StageOutputs:
         ----------
         block : Block
         next_sample : int
-            Of the clock, behind the block.
+            Of the clock, about to be played.
         idle : bool
             Whether nothing follows for now.
         """
@@ -84,7 +86,13 @@ class StageOutputs:
             tick=block.tick, flags=block.flags, missed_feedback=block.missed_feedback,
             voltage_v=array.array("d", block.voltage_v.tobytes()),
             displacement_um=array.array("d", block.displacement_um.tobytes())))
-        samples = next_sample - block.first_sample
+        if block.feedback_v is not None:
+            feedback = AppliedFeedback(first_sample=block.first_sample,
+                                       voltage_v=array.array("d", block.feedback_v.tobytes()))
+            feedback.header.stamp = self.stamp(block.first_sample)
+            self._applied_feedback.publish(feedback)
+        samples = len(block.voltage_v) * round(
+            block.sample_period_s * self._settings.sample_rate_hz)
         self._publish_joint_state(block, samples, next_sample)
         if self._clock is not None:
             self._publish_clock(self._clock, samples, next_sample, idle)

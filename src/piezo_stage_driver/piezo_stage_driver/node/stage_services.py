@@ -6,12 +6,13 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from piezo_interfaces.srv import LoadFeedforward, StartTracking
+from piezo_interfaces.srv import LoadFeedback, LoadFeedforward, StartTracking
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from piezo_ros.late_responses import LateResponse, create_late_service
 from piezo_stage_driver.node.command_router import CommandRouter
+from piezo_stage_driver.node.law_message import law_of
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.request_memory import RequestMemory
 from piezo_stage_driver.safety.supervisor import UNSAFE
@@ -34,12 +35,13 @@ class StageServices:
                  emergency_stop_timeout_s: float) -> None:
         self._node, self._router = node, router
         self._stop_timeout_s = emergency_stop_timeout_s
-        self._loads, self._starts = RequestMemory(), RequestMemory()
+        self._loads, self._laws, self._starts = (RequestMemory() for _ in range(3))
         # Each with when it counts as failed, and how long that is after it was asked for (s).
         self._stops: list[tuple[LateResponse, float, float]] = []
         self._lock = threading.Lock()
         for service_type, name, callback in (
                 (LoadFeedforward, "load_feedforward", self._on_load_feedforward),
+                (LoadFeedback, "load_feedback", self._on_load_feedback),
                 (StartTracking, "start_tracking", self._on_start_tracking),
                 (Trigger, "stop_tracking", self._on_stop_tracking),
                 (Trigger, "emergency_stop", self._on_emergency_stop),
@@ -74,16 +76,32 @@ class StageServices:
         public_name = "load_feedforward" if name == "append_feedforward" else name
 
         def done(value: Any, error: ValueError | None) -> None:
-            response = late.response
-            response.success = error is None
             if error is not None:
-                response.message = f"{public_name} refused: {error}"
-                self._node.get_logger().warning(response.message)
-            elif fill:
-                fill(response, value)
+                self._refuse(late, public_name, error)
+                return
+            late.response.success = True
+            if fill:
+                fill(late.response, value)
             late.give()
 
         self._router.submit(Command(name, *arguments, on_done=done))
+
+    def _refuse(self, late: LateResponse, name: str, error: ValueError) -> None:
+        late.response.success = False
+        late.response.message = f"{name} refused: {error}"
+        self._node.get_logger().warning(late.response.message)
+        late.give()
+
+    def _on_load_feedback(self, request: LoadFeedback.Request, late: LateResponse) -> None:
+        if self._laws.repeats(request.request_id, late):
+            return
+        try:
+            # Here, as the check takes longer than a tick may.
+            law = self._router.checked(law_of(request.law))
+        except ValueError as error:
+            self._refuse(late, "load_feedback", error)
+        else:
+            self._ask(late, "load_feedback", law)
 
     def _on_load_feedforward(self, request: LoadFeedforward.Request, late: LateResponse) -> None:
         if not self._loads.repeats(request.request_id, late):
@@ -96,7 +114,7 @@ class StageServices:
 
         if not self._starts.repeats(request.request_id, late):
             self._ask(late, "start_tracking", request.feedback, request.ticks, request.client,
-                      fill=fill)
+                      request.onboard, fill=fill)
 
     def _on_stop_tracking(self, request: Trigger.Request, late: LateResponse) -> None:
         self._ask(late, "stop_tracking")

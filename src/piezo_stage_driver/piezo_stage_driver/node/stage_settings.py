@@ -54,6 +54,7 @@ class StageSettings:
     lockstep_timeout_s: float
     joint_state_rate_hz: float
     samples_per_tick: int
+    samples_per_block: int
     max_missed_feedback: int
     max_limited_feedback: int
     max_foreign_feedback: int
@@ -69,6 +70,9 @@ class StageSettings:
 
         take("sample_rate_hz", 40000.0, "Rate of the sample clock (Hz).", 1000.0, 200000.0)
         take("samples_per_tick", 40, "Samples of one feedback period.", 1, 4000)
+        take("samples_per_block", 800,
+             "Samples of one message of samples while nobody has to answer it; at least a tick.",
+             1, 40000)
         take("minimum_voltage_v", -20.0, "Lowest voltage allowed (V).", -1000.0, 1000.0)
         take("maximum_voltage_v", 120.0, "Highest voltage allowed (V).", -1000.0, 1000.0)
         take("rest_voltage_v", 0.0, "Voltage while nothing plays (V).", -1000.0, 1000.0)
@@ -169,4 +173,5 @@ class StageSettings:
             feedback_guard=FeedbackOscillation(self.max_feedback_oscillation_v),
             latch=latch,
             feedback_limits=FeedbackLimits(
-                self.max_feedback_v, self.max_feedback_step_v, self.max_limited_feedback))
+                self.max_feedback_v, self.max_feedback_step_v, self.max_limited_feedback),
+            samples_per_block=self.samples_per_block)

@@ -12,6 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
+from piezo_stage_driver.safety.sample_kernels import extremes, fourth_difference, tick_means
+
 # Of the sample clock. Single samples far off are glitches, not the loss of the sensor.
 RANGE_PATIENCE_SAMPLES = 20
 NOISE_PATIENCE_SAMPLES = 400
@@ -63,8 +65,8 @@ class Stretch:
     def of(cls, voltage_v: np.ndarray, displacement_um: np.ndarray,
            samples_per_tick: int) -> "Stretch":
         """Make a stretch of samples, shape (n,), of whole ticks."""
-        return cls(voltage_v.reshape(-1, samples_per_tick).mean(axis=1), displacement_um,
-                   float(displacement_um.min()), float(displacement_um.max()))
+        return cls(tick_means(voltage_v, samples_per_tick), displacement_um,
+                   *extremes(displacement_um))
 
 
 class SensorGuard(Protocol):
@@ -135,8 +137,9 @@ class SensorResponse:
 
     def examine(self, stretch: Stretch) -> str:
         """Say what is wrong with a `Stretch`; empty if nothing is."""
-        self._lowest_v = min(self._lowest_v, float(stretch.voltage_v.min()))
-        self._highest_v = max(self._highest_v, float(stretch.voltage_v.max()))
+        lowest_v, highest_v = extremes(stretch.voltage_v)
+        self._lowest_v = min(self._lowest_v, lowest_v)
+        self._highest_v = max(self._highest_v, highest_v)
         self._lowest_um = min(self._lowest_um, stretch.lowest_um)
         self._highest_um = max(self._highest_um, stretch.highest_um)
         if self._highest_um - self._lowest_um > self._displacement_um:
@@ -181,8 +184,7 @@ class SensorNoise:
             self._tail_um = readings_um[1 - len(self.WEIGHTS):]
         if len(readings_um) < len(self.WEIGHTS):
             return ""
-        differences_um = np.convolve(readings_um, self.WEIGHTS, "valid")
-        rms_um = self._scale * float(np.abs(differences_um).mean())
+        rms_um = self._scale * fourth_difference(readings_um)
         noisy = rms_um > self._largest_rms_um
         self._noisy_samples = self._noisy_samples + len(stretch.displacement_um) if noisy else 0
         if self._noisy_samples < NOISE_PATIENCE_SAMPLES:

@@ -7,8 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-FLAG_RANGE_LIMITED = 1
-FLAG_SLEW_LIMITED = 2
+from piezo_stage_driver.safety.sample_kernels import (
+    FLAG_RANGE_LIMITED,
+    FLAG_SLEW_LIMITED,
+    hold_within,
+)
+
+__all__ = ["FLAG_RANGE_LIMITED", "FLAG_SLEW_LIMITED", "FeedbackLimits", "LimitError",
+           "VoltageLimits"]
 
 
 class LimitError(ValueError):
@@ -117,18 +123,8 @@ class VoltageLimits:
         flags : int
             ``FLAG_RANGE_LIMITED`` and ``FLAG_SLEW_LIMITED`` where they took effect.
         """
-        flags = 0
-        limited_v = np.clip(_numbers(voltage_v, previous_v), self.minimum_v, self.maximum_v)
-        if not np.array_equal(limited_v, voltage_v):
-            flags |= FLAG_RANGE_LIMITED
-        largest_step_v = self.slew_v_per_s * sample_period_s * (1 + 1e-9)
-        steps = np.diff(limited_v, prepend=previous_v)
-        if np.abs(steps).max(initial=0.0) > largest_step_v:
-            flags |= FLAG_SLEW_LIMITED
-            for i, wanted_v in enumerate(limited_v):
-                step_v = np.clip(wanted_v - previous_v, -largest_step_v, largest_step_v)
-                previous_v = limited_v[i] = previous_v + step_v
-        return limited_v, flags
+        return hold_within(np.asarray(voltage_v, dtype=float), previous_v, self.minimum_v,
+                           self.maximum_v, self.slew_v_per_s * sample_period_s * (1 + 1e-9))
 
 
 @dataclass(frozen=True)
@@ -164,13 +160,3 @@ class FeedbackLimits:
             return voltage_v, False
         return previous_v + math.copysign(self.maximum_step_v, step_v), True
 
-
-def _numbers(voltage_v: np.ndarray, previous_v: float) -> np.ndarray:
-    """Replace every NaN of a sequence by the last number before it."""
-    voltage_v = np.asarray(voltage_v, dtype=float)
-    missing = np.isnan(voltage_v)
-    if not missing.any():
-        return voltage_v
-    known_v = np.r_[previous_v, voltage_v]
-    last = np.maximum.accumulate(np.where(np.r_[False, missing], 0, np.arange(len(known_v))))
-    return known_v[last[1:]]

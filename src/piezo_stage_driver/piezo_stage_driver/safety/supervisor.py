@@ -21,6 +21,7 @@ EVENTS = {
     "play": Event.PLAY,
     "load_feedforward": Event.LOAD,
     "append_feedforward": Event.APPEND,
+    "load_feedback": Event.LAW,
     "start_tracking": Event.TRACK,
     "stop_tracking": Event.END_TRACKING,
     "reset": Event.RESET,

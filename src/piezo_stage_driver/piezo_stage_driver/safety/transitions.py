@@ -27,6 +27,7 @@ class Event(StrEnum):
     PLAY = "play_waveform"
     LOAD = "load_feedforward"
     APPEND = "load_feedforward, append"
+    LAW = "load_feedback"
     TRACK = "start_tracking"
     END_TRACKING = "stop_tracking"
     RESET = "reset"
@@ -41,7 +42,8 @@ class Event(StrEnum):
     GIVE_UP = "the backend hangs and is given up"
 
 
-COMMANDS = (Event.PLAY, Event.LOAD, Event.APPEND, Event.TRACK, Event.END_TRACKING, Event.RESET)
+COMMANDS = (Event.PLAY, Event.LOAD, Event.APPEND, Event.LAW, Event.TRACK, Event.END_TRACKING,
+            Event.RESET)
 """Events that a client asks for; it is refused where the table has no entry."""
 
 STATES = {
@@ -50,8 +52,9 @@ STATES = {
                  "any client"),
     State.PLAYING: ("A waveform plays, its approach and its way back included.",
                     "the goal's client, by cancelling it"),
-    State.TRACKING: ("The feedforward plays; the answers that bear the number of the run act.",
-                     "any client: append and stop_tracking"),
+    State.TRACKING: ("The feedforward plays; the answers that bear the number of the run act, or "
+                     "a law on board.",
+                     "any client: append, stop_tracking, and load_feedback beside a law"),
     State.STOPPING: ("The voltage returns to rest at ramp_rate_v_per_s.", "nobody"),
     State.LATCHED: ("At rest after a stop whose cause is kept.", "any client: reset"),
     State.FAULTED: ("The backend has failed or is given up. The node deactivates itself.",
@@ -85,7 +88,10 @@ TRANSITIONS = {
         State.PLAYING, "exchange: the approach, the waveform, the way back"),
     (State.IDLE, Event.LOAD): Transition(State.IDLE, NOTHING),
     (State.IDLE, Event.APPEND): Transition(State.IDLE, NOTHING),
-    (State.IDLE, Event.TRACK): Transition(State.TRACKING, "exchange: feedforward and answers"),
+    (State.IDLE, Event.LAW): Transition(State.IDLE, NOTHING),
+    (State.TRACKING, Event.LAW): Transition(State.TRACKING, GO_ON),
+    (State.IDLE, Event.TRACK): Transition(
+        State.TRACKING, "exchange: feedforward, and answers or a law"),
     (State.IDLE, Event.RESET): Transition(State.IDLE, NOTHING),
     (State.PLAYING, Event.OVER): Transition(State.IDLE, GO_ON),
     (State.TRACKING, Event.OVER): Transition(State.IDLE, GO_ON),
@@ -110,6 +116,8 @@ TRANSITIONS = {
 
 FAULTS = (
     ("a guard of the sensor or the feedback; answers missed in a row", "stop"),
+    ("a feedback law whose declared gain is another than the approach shows, or that makes the "
+     "error larger by more than its max_error_um", "stop"),
     ("answers beyond max_feedback_v or max_feedback_step_v in a row", "stop"),
     ("answers of others than the client of the run", "stop"),
     ("the client is gone", "stop"),

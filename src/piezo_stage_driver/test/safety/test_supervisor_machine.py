@@ -13,6 +13,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from piezo_models.feedback_law.feedback_law import DeclaredPlant, FeedbackLaw, LinearBlock
 from piezo_stage_driver.backends.backend import BackendFault
 from piezo_stage_driver.engine.feedback_hold import FeedbackError
 from piezo_stage_driver.engine.stage_engine import StageEngine
@@ -27,11 +28,16 @@ LARGEST_STEP_V = 5.0 * (1 + 1e-6)
 RAMP_V_PER_S = 2.0e4
 FEEDBACK_LIMITS = FeedbackLimits(maximum_v=30.0, maximum_step_v=4.0, patience=2)
 LEAD_TICKS = 2
+# Integrates the error against a stage that follows its voltage within a sample.
+FOLLOWS = DeclaredPlant(LinearBlock.of([0.0], [1.0], [1.0], [0.0]), np.ones(1))
+LAW = FeedbackLaw(LinearBlock.of([1.0], [0.1], [1.0], [0.1]), np.array([0.5]), 20.0,
+                  np.zeros(1), np.zeros(0), FOLLOWS, start_sample=2 * TICK)
 HANG_S, EXCHANGE_TIMEOUT_S, COMMAND_TIMEOUT_S = 10.0, 2.0, 5.0
 EXAMPLES = 2000 if "LONG_TESTS" in os.environ else 150
 
 asked = st.sampled_from(
-    ["play", "play and hold", "load", "append", "track", "end tracking", "reset"])
+    ["play", "play and hold", "load", "append", "law", "track", "track with law", "end tracking",
+     "reset"])
 meanwhile = st.lists(st.one_of(asked, st.sampled_from(
     ["stop", "leave", "watch", "give up", "activate", "answer", "wait"])), max_size=5)
 answers = st.tuples(
@@ -191,6 +197,8 @@ class Stage(RuleBasedStateMachine):
             "load": ("load_feedforward", (np.linspace(0.0, 40.0, 120), [], False)),
             "append": ("append_feedforward", (np.linspace(40.0, 60.0, 40), [], True)),
             "track": ("start_tracking", (True,)),
+            "law": ("load_feedback", (self.supervisor.engine.commands.checked(LAW),)),
+            "track with law": ("start_tracking", (False, 0, "", True)),
             "end tracking": ("stop_tracking", ()),
             "reset": ("reset", ()),
         }[name]

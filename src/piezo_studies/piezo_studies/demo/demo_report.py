@@ -132,8 +132,9 @@ def _frequency_section(frequency_hz, runs):
             pictured(f"Spectra at {name}", tracking_pictures.draw_spectra(
                          feedforward_v, feedback_v, run.sample_rate_hz),
                      "Spectra of both voltages over the whole run, through a Hann window. The "
-                     "feedback is held for a millisecond at a time, so its spectrum repeats around "
-                     "multiples of 1 kHz.")))
+                     "feedback changes once a millisecond, so its spectrum repeats around "
+                     "multiples of 1 kHz; the inverse hysteresis that it passes shapes it in "
+                     "between.")))
 
 
 def _measures_section(summary):
@@ -143,8 +144,8 @@ def _measures_section(summary):
         "The closed loop's speed",
         (f"The composite runs went at {summary['lockstep_ratio']:.2f} simulated seconds per second "
          "of the clock on the wall, by the times at which the recorder received the blocks from "
-         "the first of the loop to the last; each tick was a message there and back between two "
-         f"processes. Ticks without an answer: {missed}.",))
+         "the first of the loop to the last. The stage evaluated the feedback that the controller "
+         f"had uploaded. Ticks without an answer: {missed}.",))
 
 
 def _words(name):

@@ -9,10 +9,11 @@ import numpy as np
 from piezo_controller.feedback.feedback_before_inverse import FeedbackBeforeInverse
 from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
+from piezo_controller.feedback.onboard_law import onboard_law
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedback.synthesis.ziegler_nichols import UltimatePoint, pid
 from piezo_controller.references.reference import Reference
-from piezo_controller.tracking.offline_loop import PlayedRun, play_run
+from piezo_controller.tracking.offline_loop import PlayedRun, play_law, play_run
 from piezo_controller.tracking.tracking_modes import (
     FEEDBACK_METHODS,
     StageClock,
@@ -20,6 +21,7 @@ from piezo_controller.tracking.tracking_modes import (
     plan_mode,
 )
 from piezo_controller.tracking.tracking_run import TrackingRun
+from piezo_models.feedback_law.running_law import RunningLaw
 from piezo_models.measures import e_rms_percent
 from piezo_sim.simulated_stage import SimulatedStage
 from piezo_studies.thesis.identified_stage import identified_stage
@@ -73,8 +75,8 @@ class Tracked:
 
 
 @cache
-def controller(method="h_infinity", samples_per_tick=40):
-    """Return the feedback designed for the identified model at a tick."""
+def controller(method="h_infinity", samples_per_tick=40, delay_ticks=1):
+    """Return the feedback designed for the identified model at a tick and a computing time."""
     clock = StageClock(samples_per_tick=samples_per_tick)
     if method == PRINTED_PI:
         one = np.ones((1, 1))
@@ -83,12 +85,12 @@ def controller(method="h_infinity", samples_per_tick=40):
         found = pid(UltimatePoint(2.62, 0.002), clock.tick_s)
         return FeedbackController(found.A, found.B, found.C, found.D, clock.tick_s, {}, {})
     return design_feedback(identified_stage(), load_weights().at_tick(clock.tick_s),
-                           clock.sample_period_s, method=method)
+                           clock.sample_period_s, method=method, delay_ticks=delay_ticks)
 
 
 @cache
 def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURATION_S,
-          method=None, jump_s=None, before_inverse=False):
+          method=None, jump_s=None, before_inverse=False, onboard=False):
     """Track a sine with the identified model on the simulated stage.
 
     Parameters
@@ -105,6 +107,8 @@ def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURA
         When in the part that counts the offset comes; it is there from the start by default.
     before_inverse : bool
         Whether the feedback passes the inverse hysteresis.
+    onboard : bool
+        Whether the stage evaluates the feedback by itself, designed for that.
 
     Returns
     -------
@@ -114,13 +118,17 @@ def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURA
     reference = Reference("harmonic", (frequency_hz,), (amplitude_um,), (), CENTRE_UM)
     played_s = SETTLING_S + duration_s
     plan = plan_mode(mode, reference, identified_stage(), clock, played_s)
-    feedback = None
+    feedback = law = None
     if mode in FEEDBACK_METHODS:
-        tuned = controller(method or FEEDBACK_METHODS[mode], samples_per_tick)
+        tuned = controller(method or FEEDBACK_METHODS[mode], samples_per_tick, 1 - onboard)
         room_v = feedback_room_v(plan, clock.voltage_range_v)
-        feedback = FeedbackBeforeInverse(
-            tuned, identified_stage(), plan, samples_per_tick, room_v,
-        ) if before_inverse else MultirateFeedback(tuned, room_v)
+        if onboard:
+            law = RunningLaw(onboard_law(tuned, identified_stage(), plan, clock.sample_period_s,
+                                         room_v, before_inverse), samples_per_tick)
+        else:
+            feedback = FeedbackBeforeInverse(
+                tuned, identified_stage(), plan, samples_per_tick, room_v,
+            ) if before_inverse else MultirateFeedback(tuned, room_v)
     samples = round(played_s * clock.sample_rate_hz)
     first = plan.once_voltage_v.size + round(SETTLING_S * clock.sample_rate_hz)
     total = plan.once_voltage_v.size + samples
@@ -139,8 +147,9 @@ def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURA
         true_um.append(stage.true_displacement_um + disturbed_um)
         return measured_um
 
-    played = play_run(TrackingRun(plan, samples, feedback, clock.tick_s), plan, exchange,
-                      samples_per_tick)
+    run = TrackingRun(plan, samples, feedback, clock.tick_s)
+    played = (play_law(run, law, plan, exchange) if law
+              else play_run(run, plan, exchange, samples_per_tick))
     reference_um = plan.expected_um(first, total - first)
     measured_um = played.displacement_um[first:]
     return Tracked(

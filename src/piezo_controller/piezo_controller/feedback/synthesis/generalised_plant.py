@@ -14,7 +14,7 @@ UNCERTAINTIES = 2
 
 
 def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
-                 at_once: bool = False) -> tuple[control.StateSpace, float]:
+                 at_once: bool = False, delay_ticks: int = 1) -> tuple[control.StateSpace, float]:
     """Make the linear plant that the feedback is designed on.
 
     Parameters
@@ -25,6 +25,9 @@ def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
     at_once : bool
         Sampled when the tick begins and answered in no time, as the thesis has it; not with the
         averaging and the tick of computing time of the stage.
+    delay_ticks : int
+        Of computing time: 1 where a node answers the stage, 0 where the stage evaluates the
+        feedback by itself.
 
     Returns
     -------
@@ -38,11 +41,17 @@ def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
     if samples_per_tick < 1 or abs(samples_per_tick * clock_period_s / tick_s - 1) > 1e-9:
         raise ValueError(f"the tick of {tick_s:g} s is no multiple of the sample clock's period "
                          f"of {clock_period_s:g} s")
+    plant = clock_plant(model, tick_s) if at_once else lift(
+        clock_plant(model, clock_period_s), samples_per_tick, delay_ticks)
+    return plant, float(np.mean(hysteresis_gain_range(model)))
+
+
+def clock_plant(model: StageModel, period_s: float) -> control.StateSpace:
+    """Return the stage behind its hysteresis, with what delays the sensor, sampled (um per um)."""
     linear = model.linear()
     for effect in (*model.effects_at("displacement"), *model.effects_at("sensor")):
         linear = (effect.lag() or 1.0) * linear
-    plant = zoh(linear, tick_s) if at_once else lift(zoh(linear, clock_period_s), samples_per_tick)
-    return plant, float(np.mean(hysteresis_gain_range(model)))
+    return zoh(linear, period_s)
 
 
 def hysteresis_gain_range(model: StageModel) -> tuple[float, float]:

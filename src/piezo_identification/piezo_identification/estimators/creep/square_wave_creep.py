@@ -5,8 +5,10 @@ from copy import copy
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from piezo_common.arrays import FloatArray
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.generator_edges import free_running_level
 from piezo_identification.conditioning.recording_start import square_part, without_first
@@ -14,6 +16,7 @@ from piezo_identification.conditioning.settling import low_frequency_delay_s, se
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
 from piezo_identification.estimators.estimate import (
     Estimate,
+    OrderTrial,
     creep_of_partial_fractions,
     order_trial,
     parameter_covariance,
@@ -141,7 +144,8 @@ def _estimate_as_held(record: "_CreepRecord", pair_count: int | None) -> Estimat
 class _CreepRecord:
     """The averaged record, and the response of creep exponentials to its voltage."""
 
-    def __init__(self, recording, dynamics, delay_s):
+    def __init__(self, recording: Recording, dynamics: ElectricVibrationDynamics | None,
+                 delay_s: float) -> None:
         self.path = recording.path
         self.wave = square_wave(recording)
         if self.wave.steps.size == 0:
@@ -164,13 +168,13 @@ class _CreepRecord:
         self.fastest = 1.0 / max(self.period_s, self.settling_s / 3.0)
         self.bounds = np.log([0.3 / self.time_s[-1], self.fastest])
 
-    def as_held(self, level):
+    def as_held(self, level: FloatArray) -> "_CreepRecord":
         """Return the same record of a voltage whose mean in each sample period is this level."""
         result = copy(self)
         result.held = level
         return result
 
-    def _logarithmic_bins(self):
+    def _logarithmic_bins(self) -> tuple[NDArray[np.intp], FloatArray]:
         """List the starts of the bins, alternating with the settling samples that are left out."""
         # In the sample of a step the fast motion has its largest part.
         skipped = max(1, int(np.ceil(self.settling_s / self.period_s)))
@@ -190,13 +194,13 @@ class _CreepRecord:
             weights.append(np.concatenate([[0.0], np.sqrt(np.diff(np.append(inner, length)))]))
         return np.concatenate(starts), np.concatenate(weights)
 
-    def _average(self, samples):
+    def _average(self, samples: FloatArray) -> FloatArray:
         """Means over the bins, weighted to equal variance, (B,)."""
         counts = np.diff(np.append(self.bins, self.time_s.size))
         kept = self.weights > 0.0
         return (np.add.reduceat(samples, self.bins) / counts * self.weights)[kept]
 
-    def _decay(self, rate, since=0):
+    def _decay(self, rate: float, since: NDArray[np.intp] | int = 0) -> FloatArray:
         """Mean over each bin of an exponential that begins at a sample, (B,)."""
         kept = self.weights > 0.0
         counts = np.diff(np.append(self.bins, self.time_s.size))[kept]
@@ -204,7 +208,7 @@ class _CreepRecord:
         first = np.exp(-exponent * (self.bins[kept] - since))
         return first * np.expm1(-exponent * counts) / (counts * np.expm1(-exponent))
 
-    def _deviation(self, rate):
+    def _deviation(self, rate: float) -> FloatArray:
         """Mean over each bin of what an exponential lag is off the level, none at first, (B,)."""
         edges = np.concatenate([[0], self.wave.steps])
         levels = self.wave.level[edges]
@@ -216,7 +220,7 @@ class _CreepRecord:
         run = np.searchsorted(edges, self.bins[self.weights > 0.0], side="right") - 1
         return deviations[run] * self._decay(rate, edges[run])
 
-    def _basis(self, rates):
+    def _basis(self, rates: FloatArray) -> FloatArray:
         """Columns: offset, gain, response of each exponential, its free initial state."""
         weights = self.weights[self.weights > 0.0]
         level = self.wave.level[self.bins[self.weights > 0.0]]
@@ -229,13 +233,15 @@ class _CreepRecord:
         columns += [self._decay(rate) for rate in rates]
         return np.column_stack(columns) * weights[:, None]
 
-    def _fit(self, rates):
+    def _fit(self, rates: FloatArray) -> tuple[FloatArray, FloatArray]:
         check_cancelled()
         basis = self._basis(rates)
         coefficients = np.linalg.lstsq(basis, self.displacement, rcond=1e-12)[0]
         return coefficients, self.displacement - basis @ coefficients
 
-    def creep(self, rates):
+    def creep(
+        self, rates: FloatArray,
+    ) -> tuple[CreepDynamics, dict[str, tuple[float, ...]]]:
         """Model with these rates, and its standard deviations."""
         if rates.size == 0:
             return CreepDynamics(), {"poles_rad_per_s": (), "zeros_rad_per_s": ()}
@@ -258,11 +264,11 @@ class _CreepRecord:
         return creep_of_partial_fractions(rates, gains, propagated(relative, covariance))
 
     @property
-    def first_run_s(self):
+    def first_run_s(self) -> float:
         """Time before the first step."""
         return self.wave.steps[0] * self.period_s
 
-    def first_run_off_um(self, creep):
+    def first_run_off_um(self, creep: CreepDynamics) -> float:
         """Level before the first step less that of later ones; 0 where it may be the same.
 
         Compared are fits at given rates, of which one has a level of its own before the first step.
@@ -282,7 +288,7 @@ class _CreepRecord:
         free = rank - np.linalg.matrix_rank(basis)
         return float(coefficients[basis.shape[1]]) if gain > free * np.log(rows) else 0.0
 
-    def trial(self, rates):
+    def trial(self, rates: FloatArray) -> OrderTrial:
         """How well these rates do, and whether they can be creep at all."""
         coefficients, residual = self._fit(rates)
         gains = coefficients[2 : 2 + rates.size] / coefficients[1]
@@ -293,13 +299,13 @@ class _CreepRecord:
             refusal = "a rate is as fast as the sampling"
         return order_trial(rates.size, residual, 2 + 3 * rates.size, refusal)
 
-    def best_further_rate(self, rates):
+    def best_further_rate(self, rates: FloatArray) -> float:
         """Rate that, added to the others, explains most."""
         candidates = np.exp(np.linspace(*self.bounds, 26)[1:-1])
         errors = [np.sum(self._fit(np.append(rates, rate))[1] ** 2) for rate in candidates]
         return candidates[np.argmin(errors)]
 
-    def refine(self, rates):
+    def refine(self, rates: FloatArray) -> FloatArray:
         """Rates of least output error, all linear coefficients projected out."""
         start = np.clip(np.log(rates), *(self.bounds + [1e-6, -1e-6]))
         solution = least_squares(

@@ -8,6 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.estimators.frequency_response.response_table import (
+    is_response_table,
+    read_response_table,
+)
 
 COLUMNS = ("frequency_hz", "gain_re", "gain_im")
 
@@ -73,6 +77,11 @@ class FrequencyResponse:
 
 
 def is_frequency_response(path: str | Path) -> bool:
+    """Tell whether a file holds a frequency response: of ours, or as other programs export it."""
+    return Path(path).is_file() and (_is_ours(path) or is_response_table(Path(path)))
+
+
+def _is_ours(path: str | Path) -> bool:
     """Whether a file's first line names the columns of a frequency response."""
     try:
         with Path(path).open(encoding="utf-8-sig") as file:
@@ -87,6 +96,7 @@ def read_frequency_response(path: str | Path) -> FrequencyResponse:
     Parameters
     ----------
     path : path-like
+        Or the text file of another program; see `read_response_table`.
 
     Returns
     -------
@@ -98,6 +108,8 @@ def read_frequency_response(path: str | Path) -> FrequencyResponse:
         If the file cannot be read, lacks a column, or a row holds no finite gain at a frequency
         above that of the row before; the message names the row.
     """
+    if not _is_ours(path) and is_frequency_response(path):
+        return FrequencyResponse(str(path), *read_response_table(Path(path)))
     try:
         with Path(path).open(encoding="utf-8-sig", newline="") as file:
             rows = list(csv.reader(file))

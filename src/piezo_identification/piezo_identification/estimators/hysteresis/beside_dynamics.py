@@ -3,8 +3,8 @@
 
 What leaves the dynamics is linear in the Everett values of the hysteresis. So for any dynamics the
 hysteresis of least error is that of a linear regression, and only the few parameters of the
-dynamics are sought: variable projection (Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973). As the
-hysteresis depends on no frequency, what lags alike at all of them is told from what does not.
+dynamics are sought: variable projection (Golub and Pereyra 1973). As the hysteresis depends on no
+frequency, what lags alike at all of them is told from what does not.
 """
 
 from collections.abc import Sequence
@@ -46,8 +46,12 @@ REACH = 3.0
 """By so much the logarithms of the parameters, and the delay in sample periods, may change: a mode
 that is not there would go on without end."""
 
-MOST_EVALUATIONS = 25
-"""Steps of the search for the dynamics."""
+MOST_ROWS = 6_000
+"""Samples that are compared, spread over all: many times as many as there are unknowns."""
+
+MOST_EVALUATIONS, LEAST_GAIN = 15, 1e-4
+"""Steps of the search for the dynamics, and the part by which the squared error must fall in each:
+what is found only drives a fit of the dynamics, and of their order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +113,7 @@ def hysteresis_beside_dynamics(
     start = np.append(np.log(positive), delay_s / period_s)
     solution = least_squares(
         lambda point: problem.residual(*of_point(point)), start,
-        bounds=(start - REACH, start + REACH), x_scale="jac", xtol=1e-7, ftol=1e-8,
+        bounds=(start - REACH, start + REACH), x_scale="jac", ftol=LEAST_GAIN,
         max_nfev=MOST_EVALUATIONS)
     best, delay_s = of_point(solution.x)
     return problem.hysteresis(best, delay_s), best
@@ -126,8 +130,10 @@ class _Problem:
         self._parts = [part.first(part.first_kept + most) for part in recordings]
         self._spectra = [self._everett_spectrum(part) for part in self._parts]
         self._width = sum(part.fixed.shape[1] for part in self._parts)
+        kept = sum(part.voltage_v.size - part.first_kept for part in self._parts)
+        self._stride = -(-kept // MOST_ROWS)
         self._measured_um = np.concatenate(
-            [part.displacement_um[part.first_kept :] for part in self._parts])
+            [part.displacement_um[part.first_kept :: self._stride] for part in self._parts])
         self._bending = SMOOTHING * self._measured_um.size * bending_operator(CELLS).toarray()
 
     def _everett_spectrum(self, part: FastLoops) -> ComplexArray:
@@ -178,6 +184,6 @@ class _Problem:
             own = np.zeros((part.voltage_v.size, self._width))
             own[:, first : first + part.fixed.shape[1]] = part.fixed
             first += part.fixed.shape[1]
-            blocks.append(np.hstack(
-                [responses[: part.voltage_v.size], own])[part.first_kept :])
+            rows = slice(part.first_kept, part.voltage_v.size, self._stride)
+            blocks.append(np.hstack([responses[rows], own[rows]]))
         return np.vstack(blocks)

@@ -8,14 +8,19 @@ the densities. Crossings (i + 1, j) and cells (i, j) are counted alike: i-major 
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import BoolArray, FloatArray
 from piezo_models.hysteresis.preisach_kernels import branch_start, cell_of, with_room
+
+T = TypeVar("T", bound=np.generic)
+
+IntArray = NDArray[np.int64]
 
 NEAR_THE_END = 1e-3
 """Within this part of the voltage range from its ends the hysteresis counts as saturated."""
@@ -39,7 +44,7 @@ class EverettRegression:
     """
 
     matrix: csr_array
-    history: FloatArray
+    history: IntArray
 
 
 def everett_regression(
@@ -111,7 +116,7 @@ def density_operator(size: int) -> csr_array:
     ).tocsr()
 
 
-def visited_cells(voltage_v: FloatArray, levels_v: FloatArray) -> NDArray[np.bool_]:
+def visited_cells(voltage_v: FloatArray, levels_v: FloatArray) -> BoolArray:
     """Cells of the Preisach plane in which the moving corner of the memory has been.
 
     Only there does the output tell the density cell by cell. One full loop switches all relays,
@@ -164,17 +169,17 @@ def _positions(voltage_v: FloatArray, levels_v: FloatArray) -> FloatArray:
 
 
 @njit(cache=True)
-def _crossing(i, j):
+def _crossing(i: int, j: int) -> int:
     return (i - 1) * i // 2 + j
 
 
 @njit(cache=True)
-def _reversible(i, size):
+def _reversible(i: int, size: int) -> int:
     return size * (size + 1) // 2 + i
 
 
 @njit(cache=True)
-def _put(values, columns, count, value, column):
+def _put(values: FloatArray, columns: IntArray, count: int, value: float, column: int) -> int:
     if value == 0.0:
         return count
     values[count] = value
@@ -183,7 +188,8 @@ def _put(values, columns, count, value, column):
 
 
 @njit(cache=True)
-def _everett_row(values, columns, count, sign, alpha, beta, size):
+def _everett_row(values: FloatArray, columns: IntArray, count: int, sign: float, alpha: float,
+                 beta: float, size: int) -> int:
     """Append the weights with which the unknowns give sign times the value at (alpha, beta)."""
     i = cell_of(alpha, size)
     j = cell_of(beta, size)
@@ -206,7 +212,7 @@ def _everett_row(values, columns, count, sign, alpha, beta, size):
 
 
 @njit(cache=True)
-def _longer(values, room):
+def _longer(values: NDArray[T], room: int) -> NDArray[T]:
     if room <= values.size:
         return values
     longer = np.empty(max(2 * values.size, room), values.dtype)
@@ -215,7 +221,8 @@ def _longer(values, room):
 
 
 @njit(cache=True)
-def _follow(position, n, extremes, top, seen, size):
+def _follow(position: FloatArray, n: int, extremes: FloatArray, top: int, seen: FloatArray,
+            size: int) -> tuple[FloatArray, int, int]:
     """Memory after sample n: extremes, top, and the number of its history (see above).
 
     `seen` holds the lowest and the highest voltage, the present number, and the last one given.
@@ -254,7 +261,8 @@ def _follow(position, n, extremes, top, seen, size):
 
 
 @njit(cache=True)
-def _rows(position, size, samples):
+def _rows(position: FloatArray, size: int,
+          samples: IntArray) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
     values = np.empty(16 * samples.size + 64)
     columns = np.empty(16 * samples.size + 64, np.int64)
     starts = np.zeros(samples.size + 1, np.int64)
@@ -284,7 +292,7 @@ def _rows(position, size, samples):
 
 
 @njit(cache=True)
-def _visited(position, size):
+def _visited(position: FloatArray, size: int) -> BoolArray:
     visited = np.zeros((size, size), np.bool_)
     extremes = np.empty(16)
     seen = np.zeros(4)
@@ -314,7 +322,7 @@ def _visited(position, size):
 
 
 @njit(cache=True)
-def _summed(values, position):
+def _summed(values: FloatArray, position: FloatArray) -> FloatArray:
     size = len(values)
     sums = np.zeros(position.size)
     extremes = np.empty(16)
@@ -330,6 +338,6 @@ def _summed(values, position):
 
 
 @njit(cache=True)
-def _upper_cell(position):
+def _upper_cell(position: float) -> int:
     """Cell whose upper edge a position on an edge is."""
     return max(int(np.ceil(position)) - 1, 0)

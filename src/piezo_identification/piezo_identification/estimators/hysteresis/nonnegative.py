@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Sparse quadratic minimum under linear bounds, for a density that is nowhere negative."""
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from scipy.sparse import csc_array
-from scipy.sparse.linalg import splu
+from scipy.sparse import csc_array, csr_array
+from scipy.sparse.linalg import SuperLU, splu
 
+from piezo_common.arrays import BoolArray, FloatArray
 from piezo_common.cancellation import check_cancelled
 
 PENALTY = 100.0
@@ -25,7 +27,10 @@ MOST_FACTORISATIONS = 60
 """The search for the bounds that hold ends then; 1 to 20 are usual."""
 
 
-def nonnegative_minimum(quadratic, linear, bounded, border, corner, border_linear, multiplier=None):
+def nonnegative_minimum(
+    quadratic: csr_array, linear: FloatArray, bounded: csr_array, border: FloatArray,
+    corner: FloatArray, border_linear: FloatArray, multiplier: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Minimise x H x / 2 - c x over x = (e, z) with T e >= 0: sparse in e, with few z beside it.
 
     Augmented Lagrangian, each of whose piecewise quadratic functions is minimised by Newton steps:
@@ -59,7 +64,7 @@ def nonnegative_minimum(quadratic, linear, bounded, border, corner, border_linea
     penalty = PENALTY * quadratic.diagonal().mean()
     multiplier = np.zeros(bounded.shape[0]) if multiplier is None else multiplier
 
-    def newton_point(active):
+    def newton_point(active: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Minimum of the function that is quadratic while these bounds are the violated ones."""
         rows = bounded[active]
         factor = _factor(quadratic + penalty * (rows.T @ rows))
@@ -70,13 +75,14 @@ def nonnegative_minimum(quadratic, linear, bounded, border, corner, border_linea
         )[0]
         return solved[:, 0] - solved[:, 1:] @ beside, beside
 
-    def slope(point, beside, step, step_beside, length):
+    def slope(point: FloatArray, beside: FloatArray, step: FloatArray, step_beside: FloatArray,
+              length: float) -> float:
         """Of the function, along a step."""
         there, there_beside = point + length * step, beside + length * step_beside
         force = np.maximum(multiplier - penalty * (bounded @ there), 0.0)
         gradient = quadratic @ there + border @ there_beside - linear - bounded.T @ force
         gradient_beside = border.T @ there + corner @ there_beside - border_linear
-        return gradient @ step + gradient_beside @ step_beside
+        return float(gradient @ step + gradient_beside @ step_beside)
 
     active = multiplier > 0.0
     point, beside = newton_point(active)
@@ -97,7 +103,7 @@ def nonnegative_minimum(quadratic, linear, bounded, border, corner, border_linea
     return point, beside, np.maximum(multiplier - penalty * (bounded @ point), 0.0)
 
 
-def _length(slope):
+def _length(slope: Callable[[float], float]) -> float:
     """Part of a step after which a convex function is least along it, from its rising slope."""
     if slope(1.0) <= 0.0:
         return 1.0
@@ -108,7 +114,7 @@ def _length(slope):
     return high
 
 
-def _factor(matrix):
+def _factor(matrix: csr_array) -> SuperLU:
     return splu(
         csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},

@@ -19,6 +19,7 @@ from piezo_common.schema import (
     load_document,
 )
 from piezo_common.text_file import replace_text
+from piezo_identification.experiments.probing.expectation import expectation
 from piezo_identification.experiments.probing.findings import Findings
 from piezo_identification.experiments.probing.fitted import fitted_limits, fitted_parameters
 from piezo_identification.experiments.stage_limits import StageLimits
@@ -128,6 +129,16 @@ class FittedExperiments(Part):
     relay: RelayParameters = entry("Relay feedback.")
 
 
+class ExpectedErrors(Part):
+    """What the noise leaves in a model that is identified from these experiments."""
+
+    creep_percent: NotNegative = entry("Of the creep.", unit="%")
+    dynamics_percent: NotNegative = entry("Of the dynamics.", unit="%")
+    hysteresis_percent: NotNegative = entry("Of the hysteresis.", unit="%")
+    model_percent: NotNegative = entry("Of the whole model.", unit="%")
+    remarks: list[str] = entry("What is out of reach on this stage, and what would help.")
+
+
 class ProbeDocument(Document):
     """The file of a probe."""
 
@@ -143,6 +154,8 @@ class ProbeDocument(Document):
     range: ProbedRange = entry(
         "Voltages that the experiments use; narrower than allowed where the sensor's range is.")
     experiments: FittedExperiments = entry("Parameters of the experiments.")
+    expected: ExpectedErrors | None = entry(
+        "What to expect of a model; null where an older suite wrote the file.", default=None)
 
     def fitted(self, name: str) -> dict[str, Any]:
         """Return the parameters of an experiment; empty where the probe fits none.
@@ -189,6 +202,8 @@ def probe_document(findings: Findings, limits: StageLimits) -> ProbeDocument:
         If the sensor's range leaves no room for the experiments.
     """
     usable, response = fitted_limits(findings, limits), findings.response
+    parameters = fitted_parameters(findings, usable)
+    expected = expectation(findings, usable, parameters)
     return ProbeDocument.model_validate({
         "format": FORMAT, "version": float(VERSION),
         "limits": {name: float(getattr(limits, name)) for name in OF_THE_LIMITS},
@@ -205,7 +220,12 @@ def probe_document(findings: Findings, limits: StageLimits) -> ProbeDocument:
             "creep_time_s": findings.creep.time_s, "creep_ended": bool(findings.creep.ended)},
         "range": {"voltage_min_v": float(usable.voltage_min_v),
                   "voltage_max_v": float(usable.voltage_max_v)},
-        "experiments": fitted_parameters(findings, usable)})
+        "experiments": parameters,
+        "expected": {
+            "creep_percent": expected.creep_percent,
+            "dynamics_percent": expected.dynamics_percent,
+            "hysteresis_percent": expected.hysteresis_percent,
+            "model_percent": expected.model_percent, "remarks": list(expected.remarks)}})
 
 
 def save_probe(path: str | Path, document: ProbeDocument) -> None:
@@ -263,4 +283,6 @@ def probe_summary(document: ProbeDocument) -> str:
         + (", as the sensor's range allows no more" if narrowed else ""),
         f"periods: creep {experiments.creep.period_s:g} s, dynamics "
         f"{experiments.dynamics.period_s:g} s, harmonics "
-        f"{experiments.hysteresis.harmonic_period_s:g} s"])
+        f"{experiments.hysteresis.harmonic_period_s:g} s",
+        *([f"noise leaves about {document.expected.model_percent:.2g} % in the model",
+           *document.expected.remarks] if document.expected else [])])

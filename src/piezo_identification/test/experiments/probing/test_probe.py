@@ -190,3 +190,34 @@ def test_file_of_a_probe_is_read_as_it_was_written_and_refused_for_another_stage
     path.write_text(path.read_text().replace('"piezo_probe"', '"piezo_model"'))
     with pytest.raises(probe_file.ProbeFileError, match="give a file of a probe"):
         probe_file.load_probe(path)
+
+
+def test_noise_that_averages_do_not_remove_is_told_with_the_error_to_expect():
+    quiet, noisy = (probe_file.probe_document(FilterStage(noise_um=noise_um).probed(), LIMITS)
+                    for noise_um in (0.005, 0.5))
+    assert quiet.expected.remarks == []
+    assert "use a quieter sensor" in probe_file.probe_summary(noisy)
+
+
+def test_error_to_expect_is_that_of_the_mean_of_as_many_samples():
+    document = probe_file.probe_document(FilterStage(noise_um=0.08).probed(), LIMITS)
+    dynamics, stage = document.experiments.dynamics, document.stage
+    periods = round(dynamics.duration_s / dynamics.period_s)
+    noise_um = 0.08 * np.random.default_rng(4).normal(size=(2000, periods)).mean(axis=1)
+    step_um = dynamics.swing_v * abs(stage.gain_um_per_v)
+    assert document.expected.dynamics_percent == pytest.approx(
+        100.0 * noise_um.std() / step_um, rel=0.1)
+
+
+@pytest.mark.parametrize("frequency_hz", [1400.0, 2600.0])
+def test_vibration_near_or_above_half_the_sample_rate_is_told(frequency_hz):
+    document = probe_file.probe_document(
+        FilterStage(frequency_hz=frequency_hz, damping=0.03).probed(), LIMITS)
+    assert any("use a faster clock" in remark for remark in document.expected.remarks)
+
+
+@pytest.mark.long
+def test_creep_that_outlasts_the_probe_is_told():
+    creep = tuple((0.04, time_s) for time_s in (1.0, 6.0, 40.0, 250.0, 1500.0))
+    document = probe_file.probe_document(FilterStage(creep=creep).probed(), LIMITS)
+    assert any("the creep goes on after" in remark for remark in document.expected.remarks)

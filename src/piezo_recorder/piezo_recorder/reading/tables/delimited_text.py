@@ -52,22 +52,46 @@ def read_text_table(path: Path, needed: Needed, progress: Progress) -> Table:
     RecordingError
         If there is no table, or a needed cell is no finite number; names the line.
     """
+    encoding, lines = _first_lines(path)
+    found = _table_of(path, lines)
+    if found is None:
+        return _without_rows(path, lines, needed)
+    dialect, labels, empty = found
+    wanted = set(needed(empty))
+    reading = _Reading(path, dialect, labels, wanted, encoding, progress)
+    return replace(reading.table(), units=empty.units, scalars=empty.scalars)
+
+
+def text_columns(path: Path) -> Table | None:
+    """Return the table of a text file without its rows; None where there is none."""
+    try:
+        found = _table_of(path, _first_lines(path)[1])
+    except (OSError, RecordingError):
+        return None
+    return found[2] if found else None
+
+
+def _first_lines(path: Path) -> tuple[str, list[str]]:
+    """Return the encoding and the first lines of a text file."""
     with open(path, "rb") as file:
         head = file.read(HEAD_BYTES)
     encoding = _encoding(path, head)
-    lines = head.decode(encoding, errors="replace").lstrip("\ufeff").splitlines()[:HEAD_LINES]
+    text = head.decode(encoding, errors="replace").lstrip("\ufeff")
+    return encoding, text.splitlines()[:HEAD_LINES]
+
+
+def _table_of(path: Path, lines: Sequence[str]) -> tuple[Dialect, list[str], Table] | None:
+    """Return how the first lines write a table, its labels, and the table without rows."""
     labview = labview_preamble(lines)
     dialect = dialect_of(lines, [labview.delimiter] if labview else DELIMITERS)
     if dialect is None:
-        return _without_rows(path, lines, needed)
+        return None
     labels = _labels(path, dialect, lines)
     empty = Table(path, {label: np.empty(0) for label in labels if label},
                   _units(labels, dialect), header_line=dialect.header_line)
     if labview:
         _take_preamble(empty, labview)
-    wanted = set(needed(empty))
-    reading = _Reading(path, dialect, labels, wanted, encoding, progress)
-    return replace(reading.table(), units=empty.units, scalars=empty.scalars)
+    return dialect, labels, empty
 
 
 def _units(labels: Sequence[str], dialect: Dialect) -> dict[str, str]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezo_recorder.reading.tables.cells import is_grouped, kind_of, number_of
-from piezo_recorder.reading.units import signal_of_unit
+from piezo_recorder.reading.units import is_unit
 
 DELIMITERS = ("\t", ";", ",", "|", None)
 """In the order in which they are tried; None is any white space."""
@@ -220,4 +220,4 @@ def _labels(line: str, found: Dialect) -> tuple[str, ...] | None:
 
 def _are_units(labels: Sequence[str]) -> bool:
     given = [label for label in labels if label]
-    return bool(given) and all(signal_of_unit(label) or label[0] in "[(" for label in given)
+    return bool(given) and all(is_unit(label) or label[0] in "[(" for label in given)

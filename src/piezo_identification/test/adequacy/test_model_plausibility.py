@@ -2,11 +2,12 @@
 """What no piezo stage does is said, and what one may do is not."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from piezo_identification.adequacy.plausibility import implausible_data, implausible_model
+from piezo_identification.adequacy.model_plausibility import implausible_data, implausible_model
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -30,8 +31,8 @@ def test_a_sensor_that_clips_is_told(independent_stage, recorded, voltage_v, end
     limit_um = np.quantile(noisy_um, 0.5 + 0.2 * end)
     clipped_um = end * np.minimum(end * noisy_um, end * limit_um)
     (text,) = implausible_data({"hysteresis": recorded("clip", voltage_v, clipped_um, 1e-3)})
-    assert text.startswith("clip: the sensor clips: ")
-    assert f"{limit_um:.6g} um" in text
+    assert text.startswith("clip: the displacement stays at its ")
+    assert f"value, {limit_um:.6g} um, in " in text
 
 
 @pytest.mark.parametrize("quantum_um", [0.0, 0.02, 1.0])
@@ -49,6 +50,10 @@ def test_a_good_sensor_is_not_said_to_clip(
 
 def test_dynamics_that_are_sampled_too_slowly_are_told(recorded):
     recording = recorded("slow", SQUARE_V, SQUARE_V + np.arange(SQUARE_V.size) * 1e-3, 0.01)
+    said = replace(recording, displacement_um=0.0 * SQUARE_V)
+    (note,) = implausible_data({"creep": said})
+    # What the reader has said is not said again.
+    assert implausible_data({"creep": replace(said, notes=[note])}) == []
     (text,) = implausible_data({"dynamics": recording})
     assert "too slow to hold dynamics" in text
     assert implausible_data({"creep": recording}) == []

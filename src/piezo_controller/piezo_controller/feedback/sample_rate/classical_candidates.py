@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Feedbacks of classical form for a stage with a light mode, each made from a few numbers.
+
+The numbers are ratios: frequencies to that of the light mode, gains to that of the stage, so that
+the same bounds hold for any stage. Tustin's rule brings the controllers to the sample clock.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import control
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_controller.feedback.sample_rate.perturbed_loops import light_mode
+from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_models.cascade import StageModel
+
+LEAK = 1e-4
+"""Pole of a second integration, which leaves the controller one pole on the unit circle."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A form of feedback.
+
+    Attributes
+    ----------
+    title : str
+    names : tuple of str
+        Of its numbers.
+    bounds : tuple of (float, float)
+        Between which each is searched for; all positive.
+    start : tuple of float
+        Where the search begins.
+    make : callable
+        Takes the model, its nominal gain divided out, and the numbers; returns the continuous
+        controller.
+    """
+
+    title: str
+    names: tuple[str, ...]
+    bounds: tuple[tuple[float, float], ...]
+    start: tuple[float, ...]
+    make: Callable[[StageModel, FloatArray], control.StateSpace]
+
+    def controller(self, model: StageModel, numbers: Sequence[float] | FloatArray,
+                   clock_period_s: float) -> control.StateSpace:
+        """Return the discrete controller from error (um) to voltage (V)."""
+        gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
+        continuous = self.make(model, np.asarray(numbers, dtype=float))
+        return (continuous * (1 / gain_um_per_v)).sample(clock_period_s, method="bilinear")
+
+
+def _section(numerator: Sequence[float], denominator: Sequence[float]) -> control.StateSpace:
+    """Make a proper section of first or second order."""
+    return control.ss(control.tf(list(numerator), list(denominator)))
+
+
+def _light_frequency(model: StageModel) -> float:
+    return model.dynamics.mode_frequencies_rad_per_s[light_mode(model)]
+
+
+def _quadratic(frequency_rad_per_s: float, damping: float) -> list[float]:
+    return [1 / frequency_rad_per_s**2, 2 * damping / frequency_rad_per_s, 1.0]
+
+
+def _notch_and_pi(model, numbers):
+    gain, corner, zero_damping, pole_damping, roll_off = numbers
+    mode = _light_frequency(model)
+    return (_section([gain, gain * corner * mode], [1.0, 0.0])
+            * _section(_quadratic(mode, zero_damping), _quadratic(mode, pole_damping))
+            * _section([1.0], _quadratic(roll_off * mode, 0.7)))
+
+
+def _integral_resonant(model, numbers):
+    """Damp by integral feedback with a feed-through, and integrate around it.
+
+    The damping loop is ``-k / (s + p)``, the tracking loop ``-k_i / s`` in front of it (Fleming,
+    Aphale and Moheimani 2010), which together are ``k (k_i - s) / (s (s + p))``.
+    """
+    mode = _light_frequency(model)
+    gain, integral, pole = numbers
+    k = gain * pole * mode
+    return (_section([-1.0, integral * mode], [1.0, 0.0])
+            * _section([k], [1.0, pole * mode]))
+
+
+def _positive_position(model, numbers):
+    """Damp by positive feedback through a resonance, with a PI around it."""
+    mode = _light_frequency(model)
+    damping_gain, resonance, filter_damping, gain, corner, roll_off = numbers
+    return (_section([gain, gain * corner * mode], [1.0, 0.0])
+            * _section([1.0], _quadratic(roll_off * mode, 0.7))
+            - _section([damping_gain], _quadratic(resonance * mode, filter_damping)))
+
+
+def _inverse_and_pi(model, numbers):
+    """Invert the modes with dampings of their own, behind PI and an integration.
+
+    A zero of its own stands for the inverse of the lag.
+    """
+    (crossover, corner, lead, light, light_damping, other_damping, roll_off,
+     roll_damping) = numbers
+    mode = _light_frequency(model)
+    rolling = _quadratic(roll_off * mode, roll_damping)
+    controller = (_section([1.0, corner * mode], [1.0, 0.0])
+                  * _section([crossover / lead, crossover * mode], [1.0, LEAK * mode])
+                  * _section(_quadratic(light * mode, light_damping), rolling)
+                  * _section([1.0], [1 / (roll_off * mode), 1.0]))
+    dynamics = model.dynamics
+    for index, (frequency, damping) in enumerate(zip(
+            dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True)):
+        if index != light_mode(model):
+            controller = controller * _section(
+                _quadratic(frequency, other_damping * damping), rolling)
+    return controller
+
+
+CANDIDATES = {
+    "notch_pi": Candidate(
+        "notch + PI",
+        ("gain", "corner", "zero_damping", "pole_damping", "roll_off"),
+        ((0.003, 3.0), (0.03, 4.0), (0.02, 1.0), (0.2, 3.0), (0.4, 10.0)),
+        (0.1, 0.5, 0.1, 1.0, 5.0), _notch_and_pi),
+    "integral_resonant": Candidate(
+        "integral resonant control",
+        ("gain", "integral", "pole"),
+        ((0.01, 5.0), (0.006, 2.5), (0.006, 6.0)), (0.3, 0.2, 0.1),
+        _integral_resonant),
+    "positive_position": Candidate(
+        "positive position feedback + PI",
+        ("damping_gain", "resonance", "filter_damping", "gain", "corner", "roll_off"),
+        ((0.01, 3.0), (0.25, 2.5), (0.05, 2.0), (0.003, 3.0), (0.03, 4.0), (0.4, 10.0)),
+        (0.2, 1.0, 0.5, 0.1, 0.5, 5.0), _positive_position),
+    "inverse_pi": Candidate(
+        "inverted dynamics + PI",
+        ("crossover", "corner", "lead", "light", "light_damping", "other_damping",
+         "roll_off", "roll_damping"),
+        ((0.13, 2.0), (0.012, 0.25), (0.25, 5.0), (0.6, 1.5), (0.05, 1.0), (0.3, 2.0),
+         (1.3, 10.0), (0.15, 1.0)),
+        (0.88, 0.21, 0.75, 0.98, 0.07, 0.74, 3.3, 0.21), _inverse_and_pi),
+}
+"""All candidates by the method's name in a report."""

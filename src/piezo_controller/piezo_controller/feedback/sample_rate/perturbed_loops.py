@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One feedback in the loop with many stages: the model's, and those that its errors allow."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import control
+import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_controller.feedback.loop_measures import BAND_EDGE
+from piezo_controller.feedback.robustness import with_errors
+from piezo_controller.feedback.synthesis.generalised_plant import (
+    design_plant,
+    hysteresis_gain_range,
+)
+from piezo_models.cascade import StageModel
+
+LOWEST_HZ = 1.0
+COARSE, FINE = 120, 240
+"""Frequencies over the whole band, and about the modes, where the loops differ."""
+
+
+@dataclass(frozen=True)
+class ModelErrors:
+    """Relative errors of a model, of either sign.
+
+    Attributes
+    ----------
+    parameter : float
+        Of every parameter of creep, lag and modes.
+    light_mode : float
+        Of the frequency of the mode of least damping, in place of that.
+    """
+
+    parameter: float = 0.05
+    light_mode: float = 0.20
+
+
+@dataclass(frozen=True)
+class LoopFigures:
+    """What a feedback reaches; `worst` is over all stages, the rest is of the model itself.
+
+    Attributes
+    ----------
+    unstable : int
+        Stages with which the loop is not stable.
+    largest_pole : float
+        Largest magnitude of a pole of any loop; below 1 if all are stable.
+    bandwidth_hz, worst_bandwidth_hz : float
+        Where the closed loop from reference to displacement first falls to -3 dB.
+    attenuation_db, worst_attenuation_db : tuple of float
+        Of a disturbance of the displacement, at the frequencies that were asked for.
+    peak_sensitivity, worst_peak_sensitivity : float
+        The latter infinite if a loop is unstable.
+    noise_gain : float
+        Displacement that white noise of the sensor causes, root mean square over that of the noise.
+    noise_gain_v_per_um : float
+        Voltage that it causes.
+    """
+
+    unstable: int
+    largest_pole: float
+    bandwidth_hz: float
+    worst_bandwidth_hz: float
+    attenuation_db: tuple[float, ...]
+    worst_attenuation_db: tuple[float, ...]
+    peak_sensitivity: float
+    worst_peak_sensitivity: float
+    noise_gain: float
+    noise_gain_v_per_um: float
+
+
+class PerturbedLoops:
+    """Stages that a model stands for, ready to be closed with feedbacks.
+
+    The light mode takes five frequencies over its error, at its least damping, and the gain of the
+    hysteresis both its ends. For each of these ten, lag and other modes are all slow or all fast,
+    and the other modes more or less damped: the corners at which the phase errs most.
+
+    Parameters
+    ----------
+    model : piezo_models.cascade.StageModel
+        With at least one mode.
+    errors : ModelErrors
+    clock_period_s : float
+    disturbance_hz : sequence of float
+        At which the attenuation is asked for.
+    """
+
+    def __init__(self, model: StageModel, errors: ModelErrors, clock_period_s: float = 25e-6,
+                 disturbance_hz: tuple[float, ...] = (50.0, 100.0)) -> None:
+        self.plants = list(_perturbed(model, errors, clock_period_s))
+        highest_hz = 0.5 / clock_period_s
+        mode_hz = model.dynamics.mode_frequencies_rad_per_s[light_mode(model)] / (2 * np.pi)
+        self._frequency_hz = np.unique(np.concatenate([
+            np.geomspace(LOWEST_HZ, highest_hz, COARSE),
+            np.geomspace(mode_hz / 3, mode_hz * 3, FINE), disturbance_hz]))
+        self._points = np.exp(2j * np.pi * self._frequency_hz * clock_period_s)
+        self._asked = np.searchsorted(self._frequency_hz, disturbance_hz)
+        self._responses = np.array([_response(plant, self._points) for plant in self.plants])
+
+    def measure(self, controller: control.StateSpace) -> LoopFigures:
+        """Close every loop with a controller from error (um) to voltage (V)."""
+        poles = np.array([np.abs(np.linalg.eigvals(closed_loop_matrix(plant, controller))).max()
+                          for plant in self.plants])
+        sensitivity = 1 / (1 + self._responses * _response(controller, self._points))
+        below = np.abs(1 - sensitivity) < BAND_EDGE
+        bandwidth_hz = np.where(below.any(axis=1), self._frequency_hz[below.argmax(axis=1)],
+                                self._frequency_hz[-1])
+        size = np.abs(sensitivity)
+        attenuation_db = -20 * np.log10(size[:, self._asked])
+        unstable = int(np.sum(poles >= 1.0))
+        noise = _noise_gains(self.plants[0], controller) if poles[0] < 1.0 else (np.inf, np.inf)
+        return LoopFigures(
+            unstable, float(poles.max()), float(bandwidth_hz[0]), float(bandwidth_hz.min()),
+            tuple(map(float, attenuation_db[0])), tuple(map(float, attenuation_db.min(axis=0))),
+            float(size[0].max()), np.inf if unstable else float(size.max()), *noise)
+
+
+def light_mode(model: StageModel) -> int:
+    """Return the number of the mode of least damping."""
+    return int(np.argmin(model.dynamics.damping_ratios))
+
+
+def closed_loop_matrix(plant: control.StateSpace, controller: control.StateSpace) -> FloatArray:
+    """Return the system matrix of the loop of a strictly proper plant with a controller."""
+    return np.block([[plant.A - plant.B @ controller.D @ plant.C, plant.B @ controller.C],
+                     [-controller.B @ plant.C, controller.A]])
+
+
+def _perturbed(model: StageModel, errors: ModelErrors,
+               clock_period_s: float) -> Iterator[control.StateSpace]:
+    """Yield the model's plant with its nominal gain, then the others."""
+    nominal_plant, nominal_gain = design_plant(model, clock_period_s, clock_period_s)
+    yield nominal_gain * nominal_plant
+    pairs, modes = len(model.creep.poles_rad_per_s), len(model.dynamics.damping_ratios)
+    light = light_mode(model)
+    signs = [-1.0, 1.0]
+    for part, slow, damped in product(np.linspace(-1.0, 1.0, 5), signs, signs):
+        relative = errors.parameter * np.concatenate([
+            np.full(2 * pairs, slow), [slow], np.full(modes, -slow), np.full(modes, damped)])
+        relative[2 * pairs + 1 + light] = part * errors.light_mode
+        relative[2 * pairs + 1 + modes + light] = -errors.parameter
+        plant, _ = design_plant(with_errors(model, relative), clock_period_s, clock_period_s)
+        for gain_um_per_v in hysteresis_gain_range(model):
+            yield gain_um_per_v * plant
+
+
+def _response(system: control.StateSpace, points: ComplexArray) -> ComplexArray:
+    return system(points, squeeze=False)[0, 0]
+
+
+def _noise_gains(plant: control.StateSpace,
+                 controller: control.StateSpace) -> tuple[float, float]:
+    """Return the roots of the mean squares of displacement and voltage under unit white noise."""
+    a = closed_loop_matrix(plant, controller)
+    b = np.concatenate([-plant.B @ controller.D, -controller.B])
+    covariance = solve_discrete_lyapunov(a, b @ b.T)
+    displacement = np.concatenate([plant.C, np.zeros_like(controller.C)], axis=1)
+    voltage = np.concatenate([-controller.D @ plant.C, controller.C], axis=1)
+    direct = float(controller.D.item())
+    return (float(np.sqrt((displacement @ covariance @ displacement.T).item())),
+            float(np.sqrt((voltage @ covariance @ voltage.T).item() + direct**2)))

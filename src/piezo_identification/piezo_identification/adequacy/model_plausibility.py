@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is implausible in recordings for their experiment, or in a model of a piezo stage."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from piezo_identification.conditioning.segments import experiment_of
+from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORM
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_models.cascade import StageModel
+from piezo_recorder.reading.plausibility import USUAL, implausible
+
+SAMPLES_WHILE_FAST = 10.0
+"""Samples that the fast dynamics need within `WAVEFORM.slow_branch_s`, in which they settle."""
+
+
+def implausible_data(recordings: Mapping[str, Any]) -> list[str]:
+    """Tell what is implausible in recordings, whatever model is made of them.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+        By the name of the experiment.
+
+    Returns
+    -------
+    list of str
+        Without what the notes of the recordings tell already.
+    """
+    told = []
+    for name, data in recordings.items():
+        if isinstance(data, FrequencyResponse):
+            continue
+        found = [f"{data.path}: {text}" for text in implausible(data)]
+        told += [text for text in found if text not in data.notes]
+        slowest_s = WAVEFORM.slow_branch_s / SAMPLES_WHILE_FAST
+        period_s = float(np.median(data.sample_periods_s[data.playing]))
+        if experiment_of(name) == "dynamics" and period_s > slowest_s:
+            told.append(
+                f"{data.path}: a sample every {period_s:.3g} s is too slow to hold dynamics, which "
+                f"settle within {WAVEFORM.slow_branch_s:g} s: give a recording with a sample every "
+                f"{slowest_s:g} s or faster, or leave --dynamics out")
+    return told
+
+
+def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[str]:
+    """Tell what is implausible in a model of a piezo stage.
+
+    Parameters
+    ----------
+    model : StageModel
+    recordings : dict of str to Recording or FrequencyResponse
+        It was made from, by the name of the experiment.
+
+    Returns
+    -------
+    list of str
+    """
+    told, dynamics = [], model.dynamics
+    slow_s = WAVEFORM.slow_branch_s
+    what = ""
+    if dynamics.time_constant_s > slow_s:
+        what = f"a time constant of {dynamics.time_constant_s:.3g} s"
+    elif min(dynamics.mode_frequencies_rad_per_s, default=np.inf) * slow_s < 1.0:
+        what = f"a mode at {min(dynamics.mode_frequencies_rad_per_s) / (2.0 * np.pi):.3g} Hz"
+    if what and "dynamics" in recordings:
+        told.append(
+            f"{what} is too slow for the dynamics of a piezo stage, which settle within "
+            f"{slow_s:g} s: is {recordings['dynamics'].path} a recording of the dynamics, with its "
+            "time in seconds?")
+    low_um, high_um = model.hysteresis.output_range_um
+    low_v, high_v = model.hysteresis.voltage_min_v, model.hysteresis.voltage_max_v
+    range_um, gain = high_um - low_um, (high_um - low_um) / (high_v - low_v)
+    if (range_um < USUAL.least_range_um and gain < USUAL.least_gain_um_per_v) or (
+            range_um > USUAL.largest_range_um or gain > USUAL.largest_gain_um_per_v):
+        told.append(
+            f"a range of {range_um:.3g} um over {high_v - low_v:.4g} V is implausible for a piezo "
+            "stage: is the displacement in um, and the voltage in V?")
+    if max(abs(low_v), abs(high_v)) > USUAL.largest_voltage_v:
+        told.append(f"voltages from {low_v:.4g} to {high_v:.4g} V are implausible for a piezo "
+                    "stage: is the voltage in V?")
+    return told

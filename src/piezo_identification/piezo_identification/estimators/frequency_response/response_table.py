@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Frequency responses as analysers and other programs export them."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_recorder.reading.tables.delimited_text import read_text_table, text_columns
+from piezo_recorder.reading.tables.table import Table, listing, no_progress
+from piezo_recorder.reading.units import UNITS, name_and_unit, plain
+
+WORDS = {
+    "frequency": {"frequency", "freq", "frequenz", "fréquence", "f", "hz", "khz"},
+    "real": {"re", "real", "realteil"},
+    "imaginary": {"im", "imag", "imaginary", "imaginärteil"},
+    "phase": {"phase", "phi", "arg", "angle", "argument", "deg"},
+    "magnitude": {"magnitude", "mag", "gain", "amplitude", "amp", "abs", "modulus", "betrag", "db"},
+}
+"""What columns are called; the first that fits counts, so that gain_re is a real part."""
+
+TO_HZ = {"hz": 1.0, "khz": 1e3, "rad/s": 0.5 / np.pi}
+TO_RAD = {"rad": 1.0, "deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0,
+          "°": np.pi / 180.0}
+
+_TOUCHSTONE = re.compile(r"#\s*(k?hz)\s+\w\s+(ma|db|ri)\b.*", re.I)
+_TOUCHSTONE_PARTS = {"MA": ("magnitude", "phase"), "DB": ("magnitude", "phase"),
+                     "RI": ("real", "imaginary")}
+
+
+@dataclass(frozen=True)
+class ResponseColumn:
+    """A column of a response.
+
+    Attributes
+    ----------
+    label : str
+    unit : str
+        As `plain` writes it; empty where it is not said.
+    """
+
+    label: str
+    unit: str
+
+
+def is_response_table(path: Path) -> bool:
+    """Tell whether a text file has a frequency beside a magnitude or a real part, and no time."""
+    table = text_columns(path)
+    if table is None:
+        return False
+    found = _columns(path, table)
+    return "frequency" in found and bool({"magnitude", "real"} & set(found))
+
+
+def read_response_table(path: Path) -> tuple[FloatArray, ComplexArray]:
+    """Read a response from the text file of another program.
+
+    Parameters
+    ----------
+    path : Path
+        With a frequency in Hz, kHz or rad/s, and the gain as real and imaginary part, or as
+        magnitude (also in dB) and phase in degrees or rad; or the first parameter of a Touchstone
+        file. A magnitude in nm/V and the like is taken to um/V.
+
+    Returns
+    -------
+    frequency_hz : ndarray, shape (N,)
+        Increasing, without 0 Hz.
+    gain : ndarray of complex, shape (N,)
+
+    Raises
+    ------
+    ValueError
+        If a column or its unit is missing, or a row has no number.
+    """
+    head = text_columns(path)
+    found = {} if head is None else _columns(path, head)
+    parts = ("real", "imaginary") if "real" in found else ("magnitude", "phase")
+    for part in ("frequency", *parts):
+        if part not in found:
+            raise ValueError(
+                f"{path}: no column is plainly the {part} (there are "
+                f"{listing(list(head.columns) if head else [])}): name the columns, such as "
+                "'frequency [Hz]', 'magnitude [dB]' and 'phase [deg]'")
+    used = [found[part].label for part in ("frequency", *parts)]
+    table = read_text_table(path, lambda _: used, no_progress)
+    frequency_hz = table.columns[used[0]] * _factor(path, "frequency", found["frequency"], TO_HZ)
+    first, second = (table.columns[label] for label in used[1:])
+    if parts[0] == "real":
+        gain = first + 1j * second
+    else:
+        magnitude = 10.0 ** (first / 20.0) if found["magnitude"].unit == "db" else first
+        gain = magnitude * np.exp(1j * second * _factor(path, "phase", found["phase"], TO_RAD))
+    gain = gain * UNITS["displacement"].get(found[parts[0]].unit.removesuffix("/v"), 1.0)
+    return _sorted(path, table, frequency_hz, gain)
+
+
+def _sorted(path: Path, table: Table, frequency_hz: FloatArray,
+            gain: ComplexArray) -> tuple[FloatArray, ComplexArray]:
+    wrong = np.flatnonzero(~np.isfinite(frequency_hz) | ~np.isfinite(gain) | (frequency_hz < 0.0))
+    if wrong.size:
+        raise ValueError(f"{table.place(int(wrong[0]))}: no finite gain at a positive frequency: "
+                         "remove the row")
+    order = np.argsort(frequency_hz, kind="stable")
+    order = order[frequency_hz[order] > 0.0]
+    twice = np.flatnonzero(np.diff(frequency_hz[order]) == 0.0)
+    if twice.size:
+        row = int(order[twice[0] + 1])
+        raise ValueError(f"{table.place(row)}: {frequency_hz[row]:g} Hz is there twice: keep one "
+                         "row for each frequency")
+    if not order.size:
+        raise ValueError(f"{path} has no row with a positive frequency: measure again")
+    return frequency_hz[order], gain[order]
+
+
+def _columns(path: Path, table: Table) -> dict[str, ResponseColumn]:
+    """Return the columns of a response by their part."""
+    labels = list(table.columns)
+    touchstone = _touchstone(path)
+    if touchstone and len(labels) >= 3:
+        unit, form = touchstone
+        units = (unit, "db" if form == "DB" else "", "deg")
+        return {part: ResponseColumn(label, unit) for part, label, unit in zip(
+            ("frequency", *_TOUCHSTONE_PARTS[form]), labels, units, strict=False)}
+    found: dict[str, ResponseColumn] = {}
+    for label in labels:
+        name, unit = name_and_unit(label)
+        unit = plain(table.units.get(label) or unit)
+        words = set(re.findall(r"[^\W\d_]+", name.lower()))
+        if words & {"time", "zeit"}:
+            return {}
+        part = next((part for part, known in WORDS.items() if (words | {unit}) & known), None)
+        if part and part not in found:
+            found[part] = ResponseColumn(label, unit or _unit_in(words))
+    return found
+
+
+def _unit_in(words: set[str]) -> str:
+    """Return the unit that is a word of a label, such as mag_db; empty without one."""
+    return next(iter(words & {"db", "deg", "hz", "khz", "rad"}), "")
+
+
+def _touchstone(path: Path) -> tuple[str, str] | None:
+    """Return the unit of frequency and the form of the numbers that a Touchstone file tells."""
+    with open(path, encoding="utf-8", errors="replace") as file:
+        for line, _ in zip(file, range(200), strict=False):
+            option = _TOUCHSTONE.fullmatch(line.strip())
+            if option:
+                return option[1].lower(), option[2].upper()
+    return None
+
+
+def _factor(path: Path, part: str, column: ResponseColumn, factors: Mapping[str, float]) -> float:
+    if column.unit not in factors:
+        raise ValueError(
+            f"{path}: the {part} '{column.label}' has no unit that is known: write one behind the "
+            f"label, as in {part} [{next(iter(factors)).replace('hz', 'Hz')}]")
+    return factors[column.unit]

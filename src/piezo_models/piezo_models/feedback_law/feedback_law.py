@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a feedback law consists of, and whether its parts fit together."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_models.hysteresis.preisach import PreisachModel
+
+LARGEST_ORDER = 200
+LARGEST_DELAY_TICKS = 8
+
+
+class FeedbackLawError(ValueError):
+    """A feedback law that must not act: says which part, and what to change."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearBlock:
+    """A discrete linear system with one input and one output: x+ = A x + B u, y = C x + D u.
+
+    Attributes
+    ----------
+    a : ndarray, shape (n, n)
+    b, c : ndarray, shape (n,)
+    d : float
+    """
+
+    a: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    b: FloatArray = field(default_factory=lambda: np.zeros(0))
+    c: FloatArray = field(default_factory=lambda: np.zeros(0))
+    d: float = 0.0
+
+    @classmethod
+    def of(cls, a: npt.ArrayLike, b: npt.ArrayLike, c: npt.ArrayLike,
+           d: npt.ArrayLike) -> "LinearBlock":
+        """Make a block of matrices in any layout: A row by row, B and C as rows or columns.
+
+        Raises
+        ------
+        FeedbackLawError
+            The numbers of elements do not fit each other.
+        """
+        a, b, c, d = (np.ravel(np.asarray(part, dtype=float)) for part in (a, b, c, d))
+        if d.size != 1 or a.size != b.size**2 or c.size != b.size:
+            raise FeedbackLawError(
+                f"a linear block has {a.size}, {b.size}, {c.size} and {d.size} elements of A, B, "
+                "C and D: give n x n, n, n and 1")
+        return cls(np.ascontiguousarray(a.reshape(b.size, b.size)), b, c, float(d[0]))
+
+    @property
+    def order(self) -> int:
+        """Return the number of states."""
+        return len(self.b)
+
+    @property
+    def empty(self) -> bool:
+        """Tell whether the output is zero whatever the input."""
+        return self.order == 0 and self.d == 0.0
+
+    def response(self, points: ComplexArray) -> ComplexArray:
+        """Return the transfer function at points of the complex plane, shape (F,)."""
+        states = np.linalg.solve(
+            points[:, None, None] * np.eye(self.order) - self.a,
+            np.broadcast_to(self.b[:, None], (len(points), self.order, 1)))
+        return np.asarray(self.d + (self.c @ states)[:, 0], dtype=complex)
+
+
+@dataclass(frozen=True, eq=False)
+class InverseHysteresis:
+    """The inverse that a feedback passes together with the feedforward.
+
+    Attributes
+    ----------
+    hysteresis : PreisachModel
+    gain_um_per_v : float
+        By which the blocks' voltage becomes an output of the hysteresis (um/V).
+    held : bool
+        Add the mean over a tick of what the inverse gives, not each sample of it.
+    """
+
+    hysteresis: PreisachModel
+    gain_um_per_v: float
+    held: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class DeclaredPlant:
+    """What the law was designed for.
+
+    Attributes
+    ----------
+    linear : LinearBlock
+        The stage behind its hysteresis (um per um), sampled with the stage's clock.
+    gains_um_per_v : ndarray, shape (k,)
+        Gains of the hysteresis at which the loop must be stable.
+    """
+
+    linear: LinearBlock
+    gains_um_per_v: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class FeedbackLaw:
+    """A feedback at the tick's rate, at the sample rate, or both, with its reference and limits.
+
+    The error is reference minus displacement. The voltage of both blocks together is limited.
+
+    Attributes
+    ----------
+    tick : LinearBlock
+        Once a tick: from the mean error of a tick (um) to a voltage (V).
+    observer : ndarray, shape (n,)
+        Corrects the state of `tick` by what the limits cut off the voltage (anti-windup).
+    max_feedback_v : float
+    once_um, period_um : ndarray, shape (N,), (M,)
+        Displacement to expect of each sample of the run: once, then again and again; without a
+        period the last value is held.
+    plant : DeclaredPlant
+    start_sample : int
+        Of the run: a tick that begins earlier is not fed back.
+    delay_ticks : int
+        Between the end of the tick that was measured and the tick in which the answer acts.
+    sample : LinearBlock
+        Once a sample: from the error of the sample before (um) to a voltage (V).
+    inverse : InverseHysteresis, optional
+        Passed by the voltage; None where it is added to the feedforward.
+    max_error_um : float
+        A mean error of a tick that exceeds by more what there was before anything was fed back must
+        stop the stage.
+
+    Raises
+    ------
+    FeedbackLawError
+        A part is not finite, too large, or does not fit the others.
+    """
+
+    tick: LinearBlock
+    observer: FloatArray
+    max_feedback_v: float
+    once_um: FloatArray
+    period_um: FloatArray
+    plant: DeclaredPlant
+    start_sample: int = 0
+    delay_ticks: int = 0
+    sample: LinearBlock = field(default_factory=LinearBlock)
+    inverse: InverseHysteresis | None = None
+    max_error_um: float = np.inf
+
+    def __post_init__(self) -> None:
+        blocks = {"tick": self.tick, "sample": self.sample, "model": self.plant.linear}
+        for name, block in blocks.items():
+            if block.order > LARGEST_ORDER:
+                raise FeedbackLawError(f"{name} has {block.order} states, more than "
+                                       f"{LARGEST_ORDER}: reduce its order")
+            for part in (block.a, block.b, block.c, block.d):
+                _check_finite(part, name)
+        if self.tick.empty and self.sample.empty:
+            raise FeedbackLawError("neither tick nor sample feeds anything back: give one of them")
+        if len(self.observer) != self.tick.order:
+            raise FeedbackLawError(f"observer has {len(self.observer)} elements for "
+                                   f"{self.tick.order} states of tick: give one for each")
+        _check_finite(self.observer, "observer")
+        _check_finite(self.once_um, "once_expected_um")
+        _check_finite(self.period_um, "period_expected_um")
+        if not len(self.once_um) + len(self.period_um):
+            raise FeedbackLawError("no displacement is expected: give once_expected_um, "
+                                   "period_expected_um or both")
+        if not 0.0 < self.max_feedback_v < np.inf:
+            raise FeedbackLawError(f"max_feedback_v is {self.max_feedback_v:g}: "
+                                   "give a positive voltage")
+        if not self.max_error_um > 0.0:
+            raise FeedbackLawError(f"max_error_um is {self.max_error_um:g}: "
+                                   "give a positive displacement")
+        if not 0 <= self.delay_ticks <= LARGEST_DELAY_TICKS:
+            raise FeedbackLawError(f"delay_ticks is {self.delay_ticks}: give 0 to "
+                                   f"{LARGEST_DELAY_TICKS}")
+        gains = np.asarray(self.plant.gains_um_per_v)
+        if not self.plant.linear.order or self.plant.linear.d or not gains.size or not (
+                np.isfinite(gains) & (gains > 0.0)).all():
+            raise FeedbackLawError("the declared model has no dynamics, answers at once, or has "
+                                   "gains that are not positive: declare the model that the law "
+                                   "was designed for")
+        if self.inverse is not None:
+            self._check_inverse(self.inverse)
+
+    def _check_inverse(self, inverse: InverseHysteresis) -> None:
+        if not 0.0 < inverse.gain_um_per_v < np.inf:
+            raise FeedbackLawError(f"inverse_gain_um_per_v is {inverse.gain_um_per_v:g}: "
+                                   "give a positive gain")
+        if inverse.held and not self.sample.empty:
+            raise FeedbackLawError("hold_inverse holds what sample changes: use one of both")
+        hysteresis = inverse.hysteresis
+        if (hysteresis.density_um_per_v2 < 0).any() or (hysteresis.reversible_um_per_v < 0).any():
+            raise FeedbackLawError("the hysteresis has negative densities, so it has no inverse: "
+                                   "identify it again")
+
+
+def _check_finite(values: npt.ArrayLike, name: str) -> None:
+    if not np.isfinite(values).all():
+        raise FeedbackLawError(f"{name} holds a value that is not finite: design the law again")

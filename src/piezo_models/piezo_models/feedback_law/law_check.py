@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whether a feedback law is safe with the plant that it declares."""
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_models.feedback_law.feedback_law import (
+    DeclaredPlant,
+    FeedbackLaw,
+    FeedbackLawError,
+    LinearBlock,
+)
+from piezo_models.linear.lifted import lift
+
+# The amplitude of a mode that never decays is stable no more; rounding of eigenvalues is far less.
+LARGEST_EIGENVALUE = 1.0 - 1e-9
+# An error that the loop makes so many times larger than it would be without is no control. PID by
+# the rules of Ziegler and Nichols, the least damped design of this suite, reaches about 5.
+LARGEST_SENSITIVITY = 10.0
+FREQUENCIES = 400
+LOWEST_FREQUENCY = 1e-4  # of the tick's rate
+
+
+def check_law(law: FeedbackLaw, samples_per_tick: int, lead_ticks: int = 0) -> None:
+    """Refuse a law that is not stable with the plant it declares, or amplifies errors.
+
+    Parameters
+    ----------
+    law : FeedbackLaw
+    samples_per_tick : int
+    lead_ticks : int
+        Ticks that are written ahead of what is measured.
+
+    Raises
+    ------
+    FeedbackLawError
+        Names the gain of the hysteresis at which it fails.
+    """
+    if lead_ticks and not law.sample.empty:
+        raise FeedbackLawError("this stage is written ahead, so that no feedback acts from sample "
+                               "to sample: use tick alone")
+    # Behind its inverse the hysteresis has the gain 1, and the law's own gain is known.
+    gains = law.plant.gains_um_per_v if law.inverse is None else [law.inverse.gain_um_per_v]
+    for gain_um_per_v in gains:
+        a, b, c = _tick_plant(law, float(gain_um_per_v), samples_per_tick,
+                              law.delay_ticks + lead_ticks)
+        where = f"with the declared model at a hysteresis gain of {gain_um_per_v:.3g} um/V"
+        largest = np.abs(np.linalg.eigvals(_closed(a, b, c, law.tick))).max()
+        if not largest <= LARGEST_EIGENVALUE:
+            raise FeedbackLawError(f"the feedback law is not stable {where} (an eigenvalue has the "
+                                   f"size {largest:.4g}): design it for this stage")
+        sensitivity = _peak_sensitivity(LinearBlock.of(a, b, c, [0.0]), law.tick)
+        if not sensitivity <= LARGEST_SENSITIVITY:
+            raise FeedbackLawError(
+                f"the feedback law makes errors up to {sensitivity:.3g} times as large {where}, "
+                f"more than {LARGEST_SENSITIVITY:g} times: lower its gain")
+
+
+def declared_plant(plant: DeclaredPlant, gain_um_per_v: float,
+                   sample: LinearBlock) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the plant from a voltage to the displacement, at the sample rate.
+
+    The block at the sample rate is closed around it. Its output is known one sample late.
+
+    Returns
+    -------
+    a, b, c : ndarray, shape (n, n), (n, 1), (1, n)
+    """
+    linear = plant.linear
+    a, b, c = linear.a, gain_um_per_v * linear.b[:, None], linear.c[None, :]
+    if sample.empty:
+        return a, b, c
+    n, m = linear.order, sample.order
+    closed = np.zeros((n + m + 1, n + m + 1))
+    closed[:n, :n], closed[:n, n + m:] = a, b
+    closed[n:n + m, :n], closed[n:n + m, n:n + m] = -sample.b[:, None] * c, sample.a
+    closed[n + m, :n], closed[n + m, n:n + m] = -sample.d * c[0], sample.c
+    padding = np.zeros((m + 1, 1))
+    return closed, np.r_[b, padding], np.c_[c, padding.T]
+
+
+def _tick_plant(law: FeedbackLaw, gain_um_per_v: float, samples_per_tick: int,
+                delay_ticks: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return lift(*declared_plant(law.plant, gain_um_per_v, law.sample), samples_per_tick,
+                delay_ticks)
+
+
+def _closed(a: FloatArray, b: FloatArray, c: FloatArray, block: LinearBlock) -> FloatArray:
+    """Return the system matrix of the loop with negative feedback."""
+    return np.block([[a - block.d * b @ c, b @ block.c[None, :]],
+                     [-block.b[:, None] @ c, block.a]])
+
+
+def _peak_sensitivity(plant: LinearBlock, block: LinearBlock) -> float:
+    points = np.exp(2j * np.pi * np.geomspace(LOWEST_FREQUENCY, 0.5, FREQUENCIES))
+    return float(np.abs(1.0 / (1.0 + plant.response(points) * block.response(points))).max())

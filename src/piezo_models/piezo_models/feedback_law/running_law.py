@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A feedback law in the hands of whoever plays the voltages and has the samples."""
+
+from collections import deque
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_models.feedback_law.feedback_law import (
+    DeclaredPlant,
+    FeedbackLaw,
+    InverseHysteresis,
+    LinearBlock,
+)
+from piezo_models.feedback_law.law_kernels import EXPECTED, MEASURED, decide, take
+from piezo_models.feedback_law.running_inverse import RunningInverse
+from piezo_models.hysteresis.preisach import PreisachModel
+
+# From which a law that takes over learns its state: longer than any law of this suite remembers
+# what its observer does not correct.
+REMEMBERED_TICKS = 64
+
+
+class RunningLaw:
+    """Evaluate a law from tick to tick, and from sample to sample where it asks for that.
+
+    Call `begin` with the next planned voltages, play them with what it returns, and give `take`
+    what was measured; so many samples at once as `samples_at_once` says.
+
+    Parameters
+    ----------
+    law : FeedbackLaw
+    samples_per_tick : int
+    rest_voltage_v : float
+        Where the run begins, reached from negative saturation (V).
+    largest_step_v : float
+        From one tick to the next (V).
+
+    Attributes
+    ----------
+    law : FeedbackLaw
+    error_um : float
+        Mean error of the last tick.
+    voltage_v : float
+        What acts in the present tick: the mean over what `begin` gave of it last.
+    stepped : bool
+        Whether the largest step cut what acts.
+    """
+
+    def __init__(self, law: FeedbackLaw, samples_per_tick: int, rest_voltage_v: float = 0.0,
+                 largest_step_v: float = np.inf) -> None:
+        self.law = law
+        self._samples_per_tick = samples_per_tick
+        self.samples_at_once = samples_per_tick if law.sample.empty else 1
+        self._step_v = largest_step_v
+        self.error_um = self.voltage_v = 0.0
+        self.stepped = False
+        tick, sample = law.tick, law.sample
+        self._tick = tick.a, tick.b, tick.c, tick.d, np.ascontiguousarray(law.observer)
+        self._state, self._work = np.zeros(tick.order), np.empty(tick.order)
+        self._sample = (sample.a, sample.b, sample.c, sample.d,
+                        np.zeros(sample.order), np.empty(sample.order))
+        self._none = np.zeros((0, 0)), *(np.zeros(0),) * 2, 0.0, *(np.zeros(0),) * 2
+        self._once_um = np.ascontiguousarray(law.once_um)
+        self._period_um = np.ascontiguousarray(law.period_um)
+        # A tick counts as a whole: as a remote controller, which sees blocks.
+        self._start_sample = -(-law.start_sample // samples_per_tick) * samples_per_tick
+        self._sums = np.zeros(2)
+        self._measured = self._played = self._decided_ticks = 0
+        self._acts = False
+        self._added_v = self._decided_v = self._acting_v = 0.0
+        self._decisions = deque([0.0] * law.delay_ticks)
+        self._past: deque[tuple[float, float]] = deque(maxlen=REMEMBERED_TICKS)
+        self._feedback_v = np.zeros(self.samples_at_once)
+        self._inverse = None if law.inverse is None else RunningInverse(law.inverse, rest_voltage_v)
+
+    def begin(self, planned_v: FloatArray) -> FloatArray:
+        """Return what is added to the next planned voltages.
+
+        Parameters
+        ----------
+        planned_v : ndarray, shape (k,)
+            `samples_at_once` of them.
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            In V; the same array each time.
+        """
+        if self._played % self._samples_per_tick == 0:
+            self._decisions.append(self._decided_v)
+            self._acting_v = self._decisions.popleft()
+            self._acts = self._acts or self._decided_ticks > self.law.delay_ticks
+        self._played += len(planned_v)
+        if not (self._acts or self.begun and not self.law.sample.empty):
+            # Nothing is fed back yet: nothing is added, not even the rounding of an inverse.
+            if self._inverse is not None:
+                self._inverse.follow(planned_v)
+            return self._feedback_v
+        limit_v = self.law.max_feedback_v
+        wanted_v = min(max(self._acting_v + self._added_v, -limit_v), limit_v)
+        if self._inverse is None:
+            self._feedback_v.fill(wanted_v)
+            self.voltage_v = wanted_v
+        else:
+            last_v, step_v = self.voltage_v, self._step_v
+            self.voltage_v = self._inverse.pass_on(
+                wanted_v, planned_v, max(-limit_v, last_v - step_v), min(limit_v, last_v + step_v),
+                self._feedback_v)
+            self.stepped |= abs(self.voltage_v - last_v) >= step_v
+        return self._feedback_v
+
+    def take(self, displacement_um: FloatArray) -> None:
+        """Take what was measured next, shape (k,): of one tick, or a part that ends with it."""
+        sample = self._sample if self._measured >= self._start_sample else self._none
+        self._added_v = take(displacement_um, self._measured, self._once_um, self._period_um,
+                             self._sums, *sample, self._added_v)
+        self._measured += len(displacement_um)
+        if self._measured % self._samples_per_tick:
+            return
+        self.error_um = float(
+            self._sums[EXPECTED] - self._sums[MEASURED]) / self._samples_per_tick
+        self._sums[:] = 0.0
+        if self.begun:
+            self._decide()
+
+    @property
+    def begun(self) -> bool:
+        """Tell whether a tick has been fed back."""
+        return self._measured > self._start_sample
+
+    def _decide(self) -> None:
+        self._decided_ticks += 1
+        self._decided_v, self.stepped = decide(
+            self.error_um, *self._tick, self._state, self._work, self._decided_v,
+            self.law.max_feedback_v, self._step_v)
+        self._past.append((self.error_um, self._decided_v))
+
+    def take_over(self, other: "RunningLaw") -> None:
+        """Go on in place of another law, between two ticks and without a bump.
+
+        The observer that prevents windup finds the state with which this law would have given what
+        the other gave of late; what it leaves of a step is taken out of the state.
+
+        Raises
+        ------
+        FeedbackLawError
+            This law passes the inverse of a hysteresis whose past the other does not tell.
+        """
+        if self._inverse is not None:
+            self._inverse.take_over(other._inverse)
+        tick = self.law.tick
+        for error_um, voltage_v in other._past:
+            decide(error_um, *self._tick, self._state, self._work, voltage_v, np.inf, 0.0)
+        self._past.extend(other._past)
+        self._measured, self._played = other._measured, other._played
+        self._decided_ticks, self._acts = other._decided_ticks, other._acts
+        self.error_um, self.voltage_v = other.error_um, other.voltage_v
+        self._decided_v, self._added_v = other._decided_v, other._added_v
+        self._sums[:] = other._sums
+        kept = list(other._decisions)[-self.law.delay_ticks:] if self.law.delay_ticks else []
+        self._decisions = deque(
+            [self._decided_v] * (self.law.delay_ticks - len(kept)) + kept)
+        self._acting_v = other._acting_v
+        weight = float(tick.c @ tick.c)
+        if weight > 0.0:
+            rest_v = other._foreseen_v() - self._foreseen_v()
+            self._state += tick.c * (rest_v / weight)
+
+    def _foreseen_v(self) -> float:
+        """Return the next decision, if the error stays."""
+        tick = self.law.tick
+        return float(tick.c @ self._state + tick.d * self.error_um)
+
+
+def compile_law() -> None:
+    """Compile what is not compiled yet, so that no tick has to wait for it."""
+    block = LinearBlock.of([0.0], [1.0], [1.0], [0.0])
+    hysteresis = PreisachModel(0.0, 1.0, np.ones((1, 1)))
+    for inverse in (None, InverseHysteresis(hysteresis, 1.0)):
+        law = FeedbackLaw(block, np.zeros(1), 1.0, np.zeros(1), np.zeros(0),
+                          DeclaredPlant(block, np.ones(1)), inverse=inverse)
+        running = RunningLaw(law, 1)
+        running.begin(np.zeros(1))
+        running.take(np.zeros(1))
+
+

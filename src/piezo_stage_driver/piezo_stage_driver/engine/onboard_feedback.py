@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The slow branch on board: an uploaded law takes the place of answers to blocks."""
+
+import numpy as np
+
+from piezo_models.feedback_law.feedback_law import FeedbackLaw, FeedbackLawError
+from piezo_models.feedback_law.law_check import check_law
+from piezo_models.feedback_law.running_law import RunningLaw
+from piezo_stage_driver.engine.feedback_hold import FeedbackError
+from piezo_stage_driver.safety.law_guard import LawGuard
+from piezo_stage_driver.safety.limits import FeedbackLimits
+
+
+class CheckedLaw:
+    """A law that this stage may evaluate.
+
+    Parameters
+    ----------
+    law : FeedbackLaw
+    samples_per_tick, lead_ticks : int
+    rest_voltage_v : float
+    limits : FeedbackLimits
+
+    Raises
+    ------
+    FeedbackLawError
+        See `check_law`; or it may ask for more than the stage takes.
+    """
+
+    def __init__(self, law: FeedbackLaw, samples_per_tick: int, lead_ticks: int,
+                 rest_voltage_v: float, limits: FeedbackLimits) -> None:
+        if law.max_feedback_v > limits.maximum_v:
+            raise FeedbackLawError(f"max_feedback_v of the law is {law.max_feedback_v:g} V, more "
+                                   f"than this stage takes, {limits.maximum_v:g} V: lower it")
+        check_law(law, samples_per_tick, lead_ticks)
+        self.law = law
+        self._arguments = law, samples_per_tick, rest_voltage_v, limits.maximum_step_v
+        # Makes the tables of the hysteresis here, not between two ticks.
+        self.running()
+
+    def running(self) -> RunningLaw:
+        """Return the law at its beginning."""
+        return RunningLaw(*self._arguments)
+
+
+class OnboardFeedback:
+    """Feedback of every tick since tracking began, in place of a `FeedbackHold`.
+
+    Parameters
+    ----------
+    checked : CheckedLaw
+    first_tick : int
+        In which tracking began.
+    lead_ticks : int
+        How much later a tick is measured because the hardware is written ahead.
+    limits : FeedbackLimits
+
+    Attributes
+    ----------
+    voltage_v : float
+        What acts: the mean over the tick (V).
+    missed, missed_in_a_row : int
+        Always 0: nobody has to answer.
+    limited, limited_in_a_row : int
+        Ticks in which the law asked for more than the limits allow.
+    """
+
+    missed = missed_in_a_row = 0
+
+    def __init__(self, checked: CheckedLaw, first_tick: int, lead_ticks: int,
+                 limits: FeedbackLimits) -> None:
+        self._law = checked.running()
+        self._first_tick, self._lead_ticks, self._limits = first_tick, lead_ticks, limits
+        self._guard, self._cause = LawGuard(checked.law), ""
+        self.limited = self.limited_in_a_row = 0
+
+    @property
+    def voltage_v(self) -> float:
+        """Return what acts (V)."""
+        return self._law.voltage_v
+
+    @property
+    def each_sample(self) -> bool:
+        """Tell whether it changes within a tick."""
+        return not self._law.law.sample.empty
+
+    @property
+    def cause(self) -> str:
+        """Tell why the law must stop the stage; empty where it need not."""
+        if self.limited_in_a_row > self._limits.patience:
+            return (f"the feedback law stepped by more than {self._limits.maximum_step_v:g} V in "
+                    f"{self.limited_in_a_row} ticks in a row")
+        return self._cause
+
+    def replace(self, checked: CheckedLaw) -> None:
+        """Let another law go on, between two ticks.
+
+        Raises
+        ------
+        FeedbackLawError
+            See `RunningLaw.take_over`; the present one then goes on.
+        """
+        law = checked.running()
+        law.take_over(self._law)
+        self._guard = self._guard.of_next(checked.law)
+        self._law = law
+
+    def answer(self, tick: int, voltage_v: float, present_tick: int) -> None:
+        """Refuse an answer.
+
+        Raises
+        ------
+        FeedbackError
+            Always.
+        """
+        raise FeedbackError("the stage evaluates an uploaded law and takes no answers: "
+                            "end the publisher of feedback")
+
+    def awaited(self, tick: int) -> bool:
+        """Tell that nobody is waited for."""
+        return False
+
+    def begin(self, tick: int) -> bool:
+        """Begin a tick; tell that nothing is held."""
+        self.limited += self._law.stepped
+        self.limited_in_a_row = self.limited_in_a_row + 1 if self._law.stepped else 0
+        return False
+
+    def add(self, planned_v: np.ndarray) -> np.ndarray:
+        """Return planned voltages with the feedback that acts, shape (n,), in V."""
+        return planned_v + self._law.begin(planned_v)
+
+    def take_sample(self, displacement_um: np.ndarray) -> None:
+        """Take the sample that was measured while the last one was played, shape (1,)."""
+        self._law.take(displacement_um)
+
+    def take(self, tick: int, voltage_v: np.ndarray, displacement_um: np.ndarray) -> None:
+        """Take what was measured while ``tick`` was played, shape (n,)."""
+        if tick < self._first_tick + self._lead_ticks:
+            return
+        if not self.each_sample:
+            self._law.take(displacement_um)
+        if self._law.begun:
+            self._cause = self._cause or self._guard.examine(self._law.error_um)
+        else:
+            self._guard.watch(voltage_v, displacement_um, self._law.error_um)

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What stops a feedback law whose declared model is not the stage's."""
+
+from collections import deque
+
+import numpy as np
+
+from piezo_models.feedback_law.feedback_law import FeedbackLaw
+
+# A gain beyond the declared ones by this factor is another stage's: the loops of this suite have
+# gain margins of 1.4 to 2, and the secant of an approach lies within 1.5 of the declared gains.
+OTHER_GAIN = 3.0
+# Less travel of the voltage tells no gain, beside the sensor's noise.
+LEAST_TRAVEL_V = 5.0
+# Before anything is fed back; earlier the past of the hysteresis may not be known yet.
+WATCHED_TICKS = 50
+
+
+class LawGuard:
+    """Compare a stage with the model that a law declares, then watch the error of the law.
+
+    Before anything is fed back the stage moves by its feedforward, which tells its gain. A law
+    that was designed for another gain is stopped before it acts.
+
+    Parameters
+    ----------
+    law : FeedbackLaw
+    """
+
+    def __init__(self, law: FeedbackLaw) -> None:
+        gains = np.asarray(law.plant.gains_um_per_v)
+        self._gains_um_per_v = float(gains.min()), float(gains.max())
+        self._max_error_um = law.max_error_um
+        self._errors_um: deque[float] = deque([0.0], maxlen=WATCHED_TICKS)
+        self._lowest = np.full(2, np.inf)
+        self._highest = np.full(2, -np.inf)
+        self._bound_um: float | None = None
+
+    def of_next(self, law: FeedbackLaw) -> "LawGuard":
+        """Return the guard of a law that goes on in this one's place."""
+        guard = LawGuard(law)
+        guard._errors_um, guard._lowest, guard._highest = (
+            self._errors_um, self._lowest, self._highest)
+        return guard
+
+    def watch(self, voltage_v: np.ndarray, displacement_um: np.ndarray, error_um: float) -> None:
+        """Take a tick before anything is fed back: its samples, shape (n,), and mean error."""
+        means = np.array((voltage_v.mean(), displacement_um.mean()))
+        self._lowest = np.minimum(self._lowest, means)
+        self._highest = np.maximum(self._highest, means)
+        self._errors_um.append(abs(error_um))
+
+    def examine(self, error_um: float) -> str:
+        """Say what is wrong with the mean error of a tick that is fed back; empty if nothing is."""
+        if self._bound_um is None:
+            self._bound_um = max(self._errors_um) + self._max_error_um
+            cause = self._compare_gain()
+            if cause:
+                return cause
+        if abs(error_um) <= self._bound_um:
+            return ""
+        return (f"the feedback law leaves an error of {abs(error_um):.3g} um, more than "
+                f"{self._bound_um:.3g} um: identify the stage again")
+
+    def _compare_gain(self) -> str:
+        travel_v, travel_um = self._highest - self._lowest
+        lowest, highest = self._gains_um_per_v
+        gain = travel_um / travel_v if travel_v >= LEAST_TRAVEL_V else lowest
+        if lowest / OTHER_GAIN <= gain <= highest * OTHER_GAIN:
+            return ""
+        return (f"the stage moved by {gain:.3g} um/V, and the feedback law declares {lowest:.3g} "
+                f"to {highest:.3g} um/V: design it for this stage")

@@ -1,0 +1,339 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""An uploaded law beside answers that are worked out in the test, and under every guard."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+
+from piezo_models.feedback_law.feedback_law import (
+    DeclaredPlant,
+    FeedbackLaw,
+    FeedbackLawError,
+    LinearBlock,
+)
+from piezo_stage_driver.engine.blocks import FLAG_STOPPED, FLAG_TRACKING
+from piezo_stage_driver.engine.feedback_hold import FeedbackError
+from piezo_stage_driver.engine.program import StageRefusal
+from piezo_stage_driver.engine.stage_engine import StageEngine
+from piezo_stage_driver.safety.guards import FeedbackOscillation
+from piezo_stage_driver.safety.limits import (
+    FLAG_RANGE_LIMITED,
+    FeedbackLimits,
+    VoltageLimits,
+)
+
+TICK, RATE_HZ = 40, 40_000.0
+APPROACH_TICKS = 20
+
+
+class LinearStage:
+    """A mode of vibration behind a gain, with noise and an offset, given ahead by whole ticks."""
+
+    sample_rate_hz = RATE_HZ
+
+    def __init__(self, gain_um_per_v=1.0, frequency_hz=453.0, damping=0.3, lead_ticks=0,
+                 noise_um=0.009, offset_um=0.0, seed=0):
+        w = 2 * np.pi * frequency_hz
+        self.plant = control.c2d(
+            control.ss(control.tf([w**2], [1, 2 * damping * w, w**2])), 1 / RATE_HZ)
+        self.gain_um_per_v = gain_um_per_v
+        self.lead_samples = lead_ticks * TICK
+        self._late_v = np.zeros(self.lead_samples)
+        self._state = np.zeros(2)
+        self._noise_um, self._offset_um = noise_um, offset_um
+        self._draws = np.random.default_rng(seed)
+        self.played_v, self.displacement_um = [], []
+
+    def exchange(self, voltage_v):
+        late_v = np.r_[self._late_v, voltage_v]
+        late_v, self._late_v = late_v[:len(voltage_v)], late_v[len(voltage_v):]
+        displacement_um = np.empty(len(voltage_v))
+        a, b, c = self.plant.A, self.gain_um_per_v * self.plant.B[:, 0], self.plant.C[0]
+        for n, value_v in enumerate(late_v):
+            displacement_um[n] = c @ self._state + self._offset_um
+            self._state = a @ self._state + b * value_v
+        displacement_um += self._noise_um * self._draws.normal(size=len(voltage_v))
+        self.played_v.append(voltage_v.copy())
+        self.displacement_um.append(displacement_um)
+        return displacement_um
+
+
+def declared(stage, gain_um_per_v=None):
+    system, gain = stage.plant, gain_um_per_v or stage.gain_um_per_v
+    return DeclaredPlant(LinearBlock.of(system.A, system.B, system.C, system.D),
+                         gain * np.array([0.9, 1.0, 1.1]))
+
+
+def integral_law(stage, rate=0.15, gain_um_per_v=None, **changes):
+    """Return u = rate / gain * sum of errors beside a reference of 30 um reached in a line."""
+    gain = gain_um_per_v or stage.gain_um_per_v
+    once_um = stage.gain_um_per_v * planned_v()[0]
+    law = FeedbackLaw(
+        LinearBlock.of([1.0], [rate / gain], [1.0], [rate / gain]), np.array([0.5]), 20.0,
+        once_um, np.zeros(0), declared(stage, gain), start_sample=APPROACH_TICKS * TICK)
+    return replace(law, **changes)
+
+
+def planned_v(ticks=100):
+    """Return a feedforward: a line to 30 V, then held; and nothing that is repeated."""
+    once_v = np.full(ticks * TICK, 30.0)
+    once_v[:APPROACH_TICKS * TICK] = np.linspace(0.0, 30.0, APPROACH_TICKS * TICK)
+    return once_v, []
+
+
+def engine_of(stage, **options):
+    options = {"feedback_limits": FeedbackLimits(140.0, 15.0, 3)} | options
+    return StageEngine(stage, VoltageLimits(-20.0, 120.0, 2.0e6), samples_per_tick=TICK, **options)
+
+
+def begin(engine, law, ticks=100, onboard=True):
+    engine.commands.load_feedforward(*planned_v())
+    if law is not None:
+        engine.commands.load_feedback(engine.commands.checked(law))
+    engine.commands.start_tracking(not onboard, ticks, "", onboard)
+
+
+def finish(engine, most=4000):
+    blocks = []
+    while (not engine.idle or engine.holds_block) and most:
+        blocks.append(engine.advance())
+        most -= 1
+    assert most, "the engine never came to rest"
+    return [block for block in blocks if block is not None]
+
+
+def integral_answers(engine, stage, rate=0.15):
+    """Play with answers to blocks: the same integral, written out."""
+    total_um, tick, blocks = 0.0, 0, []
+    reference_um = stage.gain_um_per_v * planned_v()[0]
+    while not engine.idle:
+        block = engine.advance()
+        blocks.append(block)
+        if not block.flags & FLAG_TRACKING or engine.phase_name != "track":
+            continue
+        if tick >= APPROACH_TICKS:
+            part = slice(tick * TICK, (tick + 1) * TICK)
+            total_um += (reference_um[part] - block.displacement_um).mean()
+        engine.answer(block.tick, rate / stage.gain_um_per_v * total_um)
+        tick += 1
+    return blocks
+
+
+@pytest.mark.parametrize("lead_ticks", [0, 2])
+def test_law_with_a_tick_of_delay_plays_what_answers_would_have_played(lead_ticks):
+    stages = [LinearStage(lead_ticks=lead_ticks, offset_um=2.0) for _ in range(2)]
+    rate = 0.15 / (1 + lead_ticks)
+    remote = engine_of(stages[0])
+    begin(remote, None, onboard=False)
+    integral_answers(remote, stages[0], rate)
+    onboard = engine_of(stages[1])
+    begin(onboard, integral_law(stages[1], rate, delay_ticks=1))
+    finish(onboard)
+    played_v = [np.concatenate(stage.played_v) for stage in stages]
+    assert remote.missed_feedback == onboard.missed_feedback == 0
+    # As if the offset were played: the loop works.
+    assert played_v[1][95 * TICK] == pytest.approx(28.0, abs=0.1)
+    np.testing.assert_allclose(played_v[1], played_v[0][:len(played_v[1])], atol=1e-9)
+
+
+def test_law_without_delay_is_a_tick_earlier_than_answers_can_be():
+    stage = LinearStage(offset_um=2.0)
+    engine = engine_of(stage)
+    begin(engine, integral_law(stage))
+    blocks = finish(engine)
+    tracking = [block for block in blocks if block.flags & FLAG_TRACKING]
+    added_v = [block.voltage_v.mean() - 30.0 for block in tracking[APPROACH_TICKS:]]
+    assert added_v[0] == pytest.approx(0.0, abs=1e-9)
+    assert added_v[1] == pytest.approx(-0.15 * 2.0, abs=0.05)
+    np.testing.assert_allclose(added_v, np.concatenate(
+        [block.feedback_v for block in tracking[APPROACH_TICKS:]]), atol=1e-12)
+
+
+def test_blocks_of_several_ticks_hold_the_same_samples_and_flags():
+    played = []
+    for samples_per_block in (1, 7 * TICK):
+        stage = LinearStage(offset_um=2.0)
+        engine = engine_of(stage, samples_per_block=samples_per_block)
+        # At its end the feedforward leaves the range by the feedback, in some ticks.
+        begin(engine, integral_law(stage))
+        blocks = finish(engine)
+        at = 0
+        for block in blocks:
+            assert block.first_sample == at and block.tick == (at + len(block.voltage_v)) // TICK
+            at += len(block.voltage_v)
+        played.append({
+            name: np.concatenate([getattr(block, name) for block in blocks])
+            for name in ("voltage_v", "displacement_um")} | {
+            "flags": np.concatenate(
+                [np.full(len(block.voltage_v), block.flags) for block in blocks]),
+            "feedback_v": np.concatenate(
+                [block.feedback_v for block in blocks if block.feedback_v is not None])})
+        longest = max(len(block.voltage_v) for block in blocks)
+        assert longest == max(TICK, samples_per_block)
+    assert len(played[0]["feedback_v"]) == 100
+    for name, values in played[0].items():
+        np.testing.assert_array_equal(values, played[1][name])
+
+
+def test_block_ends_where_the_flags_change():
+    stage = LinearStage(offset_um=-2.0)
+    engine = StageEngine(stage, VoltageLimits(-20.0, 31.0, 2e6), samples_per_tick=TICK,
+                         samples_per_block=1000 * TICK)
+    begin(engine, integral_law(stage))
+    blocks = finish(engine)
+    flags = [block.flags for block in blocks if block.flags & FLAG_TRACKING]
+    assert len(set(flags)) == len(flags) == 2
+    limited, = [block for block in blocks if block.flags == FLAG_TRACKING | FLAG_RANGE_LIMITED]
+    assert (limited.voltage_v == 31.0).reshape(-1, TICK).any(axis=1).all()
+    assert sum(len(block.voltage_v) for block in blocks) == engine.next_sample
+
+
+@pytest.mark.parametrize("samples_per_block", [1, 50 * TICK])
+def test_stop_in_the_midst_of_a_block_ramps_to_rest_and_loses_no_sample(samples_per_block):
+    stage = LinearStage(offset_um=2.0)
+    engine = engine_of(stage, samples_per_block=samples_per_block)
+    begin(engine, integral_law(stage), ticks=0)
+    blocks = [engine.advance() for _ in range(60)]
+    engine.stop("somebody stopped it")
+    blocks = [block for block in blocks if block is not None] + finish(engine)
+    assert sum(len(block.voltage_v) for block in blocks) == engine.next_sample
+    assert engine.voltage_v == 0.0
+    assert {bool(block.flags & FLAG_STOPPED) for block in blocks if block.flags & FLAG_TRACKING
+            } == {False}
+    assert np.abs(np.diff(np.concatenate(stage.played_v))).max() < 2.0
+
+
+def test_law_that_replaces_another_goes_on_from_it():
+    stage = LinearStage(offset_um=2.0)
+    engine = engine_of(stage)
+    begin(engine, integral_law(stage), ticks=0)
+    for _ in range(50):
+        engine.advance()
+    before_v = engine.voltage_v
+    engine.commands.load_feedback(engine.commands.checked(integral_law(stage, 0.3)))
+    engine.advance()
+    assert abs(engine.voltage_v - before_v) < 0.05
+    for _ in range(40):
+        block = engine.advance()
+    assert block.displacement_um.mean() == pytest.approx(30.0, abs=0.02)
+
+
+def test_law_at_the_sample_rate_acts_within_the_tick():
+    stage = LinearStage(noise_um=0.0, offset_um=1.0)
+    engine = engine_of(stage)
+    law = integral_law(stage, sample=LinearBlock(d=0.2), start_sample=0)
+    begin(engine, law)
+    engine.advance()
+    added_v = np.concatenate(stage.played_v) - planned_v()[0][:TICK]
+    error_um = planned_v()[0][:TICK] - np.concatenate(stage.displacement_um)
+    np.testing.assert_allclose(added_v[1:], 0.2 * error_um[:-1], atol=1e-12)
+
+
+def test_answers_have_no_effect_beside_a_law():
+    stage = LinearStage()
+    engine = engine_of(stage)
+    begin(engine, integral_law(stage))
+    engine.advance()
+    with pytest.raises(FeedbackError, match="takes no answers"):
+        engine.answer(engine.tick, 3.0)
+    assert not engine.awaiting_answer
+
+
+def test_law_needs_a_feedforward_and_belongs_to_it():
+    stage = LinearStage()
+    engine = engine_of(stage)
+    law = engine.commands.checked(integral_law(stage))
+    with pytest.raises(StageRefusal, match="no feedforward is loaded"):
+        engine.commands.load_feedback(law)
+    engine.commands.load_feedforward(*planned_v())
+    engine.commands.load_feedback(law)
+    engine.commands.load_feedforward(*planned_v())
+    with pytest.raises(StageRefusal, match="no feedback law is loaded for this feedforward"):
+        engine.commands.start_tracking(False, 0, "", True)
+    engine.commands.start_tracking(True)
+    with pytest.raises(StageRefusal, match="busy"):
+        engine.commands.load_feedback(law)
+
+
+def test_law_is_refused_before_it_is_loaded():
+    stage = LinearStage()
+    engine = engine_of(stage)
+    with pytest.raises(FeedbackLawError, match="not stable"):
+        engine.commands.checked(integral_law(stage, rate=8.0))
+    with pytest.raises(FeedbackLawError, match="more than this stage takes, 140 V"):
+        engine.commands.checked(integral_law(stage, max_feedback_v=200.0))
+
+
+def test_law_that_steps_too_far_in_a_row_stops_the_stage():
+    stage = LinearStage(offset_um=8.0)
+    engine = engine_of(stage, feedback_limits=FeedbackLimits(140.0, 0.2, 3))
+    begin(engine, integral_law(stage), ticks=0)
+    finish(engine)
+    assert engine.stop_cause == "the feedback law stepped by more than 0.2 V in 4 ticks in a row"
+
+
+def test_law_that_leaves_a_large_error_stops_the_stage():
+    """A stage that slips by 6 um, as where its load falls off."""
+    stage = LinearStage()
+    engine = engine_of(stage)
+    begin(engine, integral_law(stage, max_error_um=4.0), ticks=0)
+    for _ in range(40):
+        engine.advance()
+    stage._offset_um = 6.0
+    begun = engine.tick
+    while not engine.stop_cause:
+        engine.advance()
+    assert engine.tick - begun <= 2
+    assert "leaves an error of" in engine.stop_cause
+
+
+def drawn_stage(rng):
+    return LinearStage(10 ** rng.uniform(-1, 1), rng.uniform(300.0, 900.0), rng.uniform(0.2, 0.7),
+                       noise_um=rng.uniform(0.001, 0.02), offset_um=rng.uniform(-3.0, 3.0),
+                       seed=rng.integers(1 << 30))
+
+
+def check_drawn_loop_of_another_gain(seed):
+    """Check a law whose gain is many times too high, with the right model and with a wrong one."""
+    rng = np.random.default_rng(seed)
+    stage, factor = drawn_stage(rng), 10 ** rng.uniform(np.log10(12.0), np.log10(300.0))
+    law = integral_law(stage, rng.uniform(0.3, 0.35), max_error_um=4.0)
+    engine = engine_of(stage, feedback_guard=FeedbackOscillation(4.0))
+    engine.commands.checked(law)
+    loud = replace(law.tick, c=factor * law.tick.c, d=factor * law.tick.d)
+    with pytest.raises(FeedbackLawError, match="is not stable|times as large"):
+        engine.commands.checked(replace(law, tick=loud))
+    # It declares a stage that moves by so much less.
+    blind = replace(law, tick=loud, plant=declared(stage, stage.gain_um_per_v / factor))
+    begin(engine, blind, ticks=0)
+    twin = drawn_stage(np.random.default_rng(seed))
+    while not engine.stop_cause and engine.tick < 100:
+        engine.advance()
+        twin.exchange(planned_v()[0][(engine.tick - 1) * TICK:engine.tick * TICK])
+    late_ticks = engine.tick - APPROACH_TICKS
+    deviation_um = np.abs(
+        np.concatenate(stage.displacement_um) - np.concatenate(twin.displacement_um))[:-TICK].max()
+    assert "design it for this stage" in engine.stop_cause, (seed, factor)
+    assert late_ticks <= 3 and deviation_um < 5.0, (seed, factor, late_ticks, deviation_um)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_loop_of_another_gain_is_refused_or_stopped(seed):
+    check_drawn_loop_of_another_gain(seed)
+
+
+@pytest.mark.long
+def test_500_loops_of_another_gain_are_refused_or_stopped():
+    for seed in range(500):
+        check_drawn_loop_of_another_gain(seed)
+
+
+def test_loop_of_the_right_gain_is_not_stopped():
+    for seed in range(10):
+        stage = drawn_stage(np.random.default_rng(seed))
+        engine = engine_of(stage, feedback_guard=FeedbackOscillation(4.0))
+        begin(engine, integral_law(stage, max_error_um=4.0))
+        finish(engine)
+        assert engine.stop_cause == "", seed

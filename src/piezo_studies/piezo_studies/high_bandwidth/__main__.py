@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Design feedbacks beyond the first mode by every method, and write the page that compares them."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from piezo_controller.feedback.controller_file import save_controller
+from piezo_studies.high_bandwidth.page import draw, page
+from piezo_studies.high_bandwidth.trade_off import TITLES, compare
+from piezo_studies.thesis.identified_stage import identified_stage
+from piezo_studies.thesis.pictures import small_png
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Those of the command line by default.
+    """
+    parser = argparse.ArgumentParser(prog="high_bandwidth", description=__doc__)
+    parser.add_argument("--output", type=Path, default=Path("runs/high_bandwidth"),
+                        help="directory of the controller files")
+    parser.add_argument("--page", type=Path, default=Path("docs/high_bandwidth.md"),
+                        help="page; its picture goes to pictures beside it")
+    parser.add_argument("--effort", type=float, default=1.0,
+                        help="multiplies the number of controllers that are tried")
+    options = parser.parse_args(arguments)
+    pictures = options.page.parent / "pictures"
+    for directory in (options.output, pictures):
+        directory.mkdir(parents=True, exist_ok=True)
+
+    def told(row):
+        margin = ("not stable" if row.controller is None
+                  else f"margin {row.controller.report['margin_db']:+.1f} dB"
+                       f"{'' if row.keeps_bounds else ', beyond a bound'}")
+        print(f"{TITLES[row.method]}, light mode {100 * row.light_mode_error:.0f} %, worst peak "
+              f"{row.worst_peak:g}: {margin}", file=sys.stderr, flush=True)
+        if row.controller is not None:
+            save_controller(options.output / (f"{row.method}_{100 * row.light_mode_error:.0f}_"
+                                              f"{row.worst_peak:g}.json"), row.controller)
+
+    model = identified_stage()
+    compared = compare(model, options.effort, told)
+    (pictures / "high_bandwidth.png").write_bytes(small_png(draw(compared)))
+    options.page.write_text(page(model, compared), encoding="utf-8")
+    print(f"{len(compared)} designs: {options.page}")
+
+
+if __name__ == "__main__":
+    main()
