@@ -12,3 +12,6 @@ ComplexArray = NDArray[np.complex128]
 
 BoolArray = NDArray[np.bool_]
 """Array of truth values, such as which samples are good."""
+
+IntArray = NDArray[np.int_]
+"""Array of whole numbers, such as lines of a spectrum."""
