@@ -11,9 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
+from piezo_identification.diagnosis.residual.sensor_noise import repeated_period
+from piezo_recorder.reading.recording import Recording
 
 EXCITED = 1e-3
 """A line is excited where the voltage has more than this part of its largest line."""
+
+FEWEST_LINES = 8
+"""A voltage with fewer tones says too little about the lines between them."""
 
 FEWEST_PERIODS = 2
 """Periods without the one that settles: noise is what differs between them."""
@@ -130,3 +135,31 @@ def _linear_um(inputs: ComplexArray, mean_um: ComplexArray, is_excited: BoolArra
     lines = np.arange(inputs.size)
     gains = mean_um[is_excited] / inputs[is_excited]
     return np.asarray(np.interp(lines, lines[is_excited], gains) * inputs)
+
+
+def distortion_of(recording: Recording) -> NonlinearDistortion | None:
+    """Separate noise and distortion of a recording, of which the first period settles.
+
+    Parameters
+    ----------
+    recording : Recording
+        Without gaps, what plays only.
+
+    Returns
+    -------
+    NonlinearDistortion or None
+        None where the voltage is no repeated multisine with odd and even lines left out.
+    """
+    voltage_v = np.asarray(recording.voltage_v, dtype=float)
+    period = repeated_period(voltage_v)
+    if period is None or voltage_v.size // period < FEWEST_PERIODS + 1:
+        return None
+    whole = slice(period, voltage_v.size // period * period)
+    sizes = np.abs(np.fft.rfft(voltage_v[whole][:period]))[1:]
+    lines = 1 + np.flatnonzero(sizes > EXCITED * sizes.max())
+    if lines.size < FEWEST_LINES or np.any(lines % 2 == 0) or 2 * lines.size > lines[-1]:
+        return None
+    displacement_um = np.asarray(recording.displacement_um, dtype=float)
+    return nonlinear_distortion(
+        voltage_v[whole].reshape(-1, period), displacement_um[whole].reshape(-1, period),
+        recording.sample_period_s)

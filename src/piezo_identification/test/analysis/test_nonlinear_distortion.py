@@ -7,6 +7,10 @@ from scipy.signal import lfilter
 
 from piezo_identification.analysis.nonlinear_distortion import nonlinear_distortion
 from piezo_identification.experiments.catalogue import StageLimits, distortion, named_experiment
+from piezo_identification.recording_check.check import check_recording
+from piezo_identification.recording_check.check_report import check_table
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
 
 LIMITS = StageLimits(-20.0, 120.0, 2e5, 4000.0)
 
@@ -65,6 +69,23 @@ def test_distortion_of_a_play_is_odd(multisine):
     found = measured(experiment, np.array(followed[-wave.size:]), 1e-4)
     assert found.odd_percent > 1.0
     assert found.even_percent < 0.2 * found.odd_percent
+
+
+def test_check_of_a_recording_shows_the_distortion(multisine):
+    experiment, wave = multisine
+    count = wave.size * experiment.repeats
+    answer_um = np.tile(wave + 0.05 * wave**2, experiment.repeats)
+    answer_um += 1e-3 * np.random.default_rng(6).normal(size=count)
+    recording = Recording(
+        "multisine", LIMITS.sample_rate_hz, np.arange(count),
+        np.full(count, experiment.sample_period_s),
+        np.tile(experiment.voltage_v, experiment.repeats), answer_um,
+        np.full(count, Flag.PLAYING, dtype=np.uint32))
+    row, = (line for line in check_table(check_recording(recording), {})
+            if line.startswith("distortion"))
+    found = measured(experiment, wave + 0.05 * wave**2, 1e-3)
+    assert f"even {found.even_percent:.2g}" in row
+    assert "odd" in row and row.split("odd")[1].count("not told from the noise") == 1
 
 
 def test_experiment_keeps_the_limits_and_excites_odd_lines_only():
