@@ -82,7 +82,7 @@ def _add(commands: Commands, name: str, text: str) -> argparse.ArgumentParser:
 def _add_experiment(commands: Commands) -> None:
     parser = _add(commands, "experiment", "run and record one experiment")
     parser.add_argument("experiment", metavar="NAME", help="creep, dynamics, multisine, relay, "
-                        "hysteresis, validation or diagnostic")
+                        "hysteresis, validation, diagnostic or distortion")
 
 
 def _add_probe(commands: Commands) -> None:

@@ -15,3 +15,6 @@ IntArray = NDArray[np.int64]
 
 BoolArray = NDArray[np.bool_]
 """Array of truth values, such as which samples are good."""
+
+IntArray = NDArray[np.int_]
+"""Array of whole numbers, such as lines of a spectrum."""

@@ -15,6 +15,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.registered import registered
 from piezo_identification.experiments.diagnostic_waveform import diagnostic_block
+from piezo_identification.experiments.distortion_multisine import distortion_period
 from piezo_identification.experiments.input_designs import arc, stair_amplitudes, stair_harmonics
 from piezo_identification.experiments.relay_feedback import RelayExperiment, relay
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
@@ -250,12 +251,44 @@ def diagnostic(limits: StageLimits = USUAL_LIMITS, repeats: int = 4) -> Experime
     )
 
 
+def distortion(
+    limits: StageLimits = USUAL_LIMITS, swing: float = 0.25, period_s: float = 1.0,
+    periods: int = 8, highest_hz: float = 1000.0,
+) -> Experiment:
+    """Design odd tones with some left out, which tell noise, even and odd distortion apart.
+
+    Parameters
+    ----------
+    limits : StageLimits
+        What the stage allows.
+    swing : float
+        Largest way from the middle over the voltage range; less where the slew limit asks for it.
+    period_s, highest_hz : float
+        One over the distance of the lines, and the highest excited one.
+    periods : int
+        The first settles, the others tell the noise.
+
+    Raises
+    ------
+    ValueError
+        If fewer than three periods are asked for, or the band holds too few lines.
+    """
+    if periods < 3:
+        raise ValueError(f"experiment 'distortion' has {periods} periods: give at least 3, of "
+                         "which the first settles and the others tell the noise")
+    return _fitting(
+        limits, Experiment("distortion", distortion_period(limits, swing, period_s, highest_hz),
+                           1.0 / limits.sample_rate_hz, periods,
+                           "odd tones around mid-range, some left out, repeated"))
+
+
 EXPERIMENTS = {
     "creep": creep, "dynamics": dynamics, "hysteresis": hysteresis, "validation": validation
 }
 """These make up the identification sequence, in its order."""
 
-FURTHER_EXPERIMENTS = {"multisine": multisine, "relay": relay, "diagnostic": diagnostic}
+FURTHER_EXPERIMENTS = {"multisine": multisine, "relay": relay, "diagnostic": diagnostic,
+                       "distortion": distortion}
 """These run when asked for; `relay` acts in feedback, the others play a waveform."""
 
 

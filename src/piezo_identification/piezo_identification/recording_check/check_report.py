@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from piezo_identification.analysis.nonlinear_distortion import distortion_of
 from piezo_identification.recording_check.check import RecordingCheck
 from piezo_identification.recording_check.suitability import Suitability
 
@@ -46,11 +47,25 @@ def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[
         ("Preisach plane", f"{100.0 * check.visited_fraction:.1f} % visited, of the plane over "
          "this range"),
     ]
+    rows += _distortion(check)
     lines = [f"{name:{WIDTH}}{value}" for name, value in rows]
     lines.append("")
     lines += [f"{'can stand for ' + name:{WIDTH + 4}}{each.verdict:8}{each.reason}"
               for name, each in fit_for.items()]
     return lines
+
+
+def _distortion(check: RecordingCheck) -> list[tuple[str, str]]:
+    """Rows of what an odd multisine with lines left out shows; none of another voltage."""
+    found = None if check.gaps else distortion_of(check.recording)
+    if found is None:
+        return []
+    text = f"noise of a period {found.noise_percent:.3g} %"
+    for name, percent in ("even", found.even_percent), ("odd", found.odd_percent):
+        least = "" if percent > found.significant_percent else (
+            f" not told from the noise, below {found.significant_percent:.2g} %")
+        text += f", {name} {percent:.3g} %{least}"
+    return [("distortion", f"{text}; of the answer up to {found.frequency_hz[-1]:.4g} Hz")]
 
 
 def _range(values: np.ndarray, unit: str) -> str:

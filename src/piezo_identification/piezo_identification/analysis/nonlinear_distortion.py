@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Separate noise, even and odd distortion by the lines that a repeated odd multisine leaves out.
+
+The fast method of Pintelon and Schoukens, System Identification: A Frequency Domain Approach,
+2nd ed., 4.3: what differs between periods is noise; what repeats at even lines is even distortion,
+and at odd lines that are not excited odd distortion.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
+from piezo_identification.diagnosis.residual.sensor_noise import repeated_period
+from piezo_recorder.reading.recording import Recording
+
+EXCITED = 1e-3
+"""A line is excited where the voltage has more than this part of its largest line."""
+
+FEWEST_LINES = 8
+"""A voltage with fewer tones says too little about the lines between them."""
+
+FEWEST_PERIODS = 2
+"""Periods without the one that settles: noise is what differs between them."""
+
+
+@dataclass(frozen=True)
+class NonlinearDistortion:
+    """What a stage answers to a repeated odd multisine, line by line.
+
+    Parameters
+    ----------
+    frequency_hz : ndarray, shape (L,)
+        Of all lines up to the highest excited one, without 0.
+    is_excited, is_even : ndarray of bool, shape (L,)
+    amplitude_um : ndarray, shape (L,)
+        Of the mean period; at lines that are not excited without what the voltage has there.
+    noise_um : ndarray, shape (L,)
+        Standard deviation of the amplitude of one period.
+    periods : int
+        Of which the mean was taken.
+    """
+
+    frequency_hz: FloatArray
+    is_excited: BoolArray
+    is_even: BoolArray
+    amplitude_um: FloatArray
+    noise_um: FloatArray
+    periods: int
+
+    @property
+    def is_odd_detection(self) -> BoolArray:
+        """Mark the odd lines that are not excited."""
+        return ~self.is_excited & ~self.is_even
+
+    @property
+    def noise_percent(self) -> float:
+        """RMS of the noise of a period, within the band, over that of the answer."""
+        return self._percent(float(np.sum(self.noise_um**2)))
+
+    @property
+    def even_percent(self) -> float:
+        """RMS of the even distortion over that of the answer, less what noise gives."""
+        return self._percent(self._mean_power_um2(self.is_even) * np.count_nonzero(self.is_even))
+
+    @property
+    def odd_percent(self) -> float:
+        """RMS of the odd distortion over that of the answer, less what noise gives.
+
+        Excited lines are taken to have as much of it as the odd ones that are left out.
+        """
+        return self._percent(
+            self._mean_power_um2(self.is_odd_detection) * np.count_nonzero(~self.is_even))
+
+    @property
+    def significant_percent(self) -> float:
+        """Distortion above which it is told from the noise: three standard deviations of it."""
+        power = float(np.sum(self.noise_um**2)) / self.periods
+        lines = max(1, np.count_nonzero(self.is_odd_detection))
+        return self._percent(power * 3.0 / np.sqrt(lines))
+
+    def _mean_power_um2(self, lines: BoolArray) -> float:
+        power = self.amplitude_um[lines] ** 2 - self.noise_um[lines] ** 2 / self.periods
+        return max(0.0, float(np.mean(power)))
+
+    def _percent(self, power_um2: float) -> float:
+        answer_um2 = float(np.sum(self.amplitude_um[self.is_excited] ** 2))
+        return float(100.0 * np.sqrt(power_um2 / answer_um2))
+
+
+def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
+                         sample_period_s: float) -> NonlinearDistortion:
+    """Separate noise, even and odd distortion.
+
+    Parameters
+    ----------
+    voltage_v, displacement_um : ndarray, shape (P, N)
+        Periods of the multisine, without the one in which the stage settles.
+    sample_period_s : float
+
+    Returns
+    -------
+    NonlinearDistortion
+
+    Raises
+    ------
+    ValueError
+        If there are too few periods, or the voltage leaves no odd line or no even line out.
+    """
+    periods, samples = displacement_um.shape
+    if periods < FEWEST_PERIODS:
+        raise ValueError(f"{periods} settled periods are given: give at least {FEWEST_PERIODS}, "
+                         "as noise is what differs between them")
+    inputs = 2.0 * np.fft.rfft(voltage_v.mean(axis=0))[1:] / samples
+    outputs = 2.0 * np.fft.rfft(displacement_um, axis=1)[:, 1:] / samples
+    sizes = np.abs(inputs)
+    is_excited = sizes > EXCITED * sizes.max()
+    count = int(np.flatnonzero(is_excited)[-1]) + 1
+    lines = np.arange(1, count + 1)
+    inputs, is_excited, is_even = inputs[:count], is_excited[:count], lines % 2 == 0
+    if np.any(is_excited & is_even) or np.all(is_excited | is_even):
+        raise ValueError("the voltage excites even lines or leaves no odd one out: "
+                         "record the experiment 'distortion'")
+    mean_um = outputs[:, :count].mean(axis=0)
+    noise_um = np.sqrt(np.mean(np.abs(outputs[:, :count] - mean_um) ** 2, axis=0)
+                       * periods / (periods - 1))
+    left_um = np.where(is_excited, mean_um, mean_um - _linear_um(inputs, mean_um, is_excited))
+    return NonlinearDistortion(
+        lines / (samples * sample_period_s), is_excited, is_even, np.abs(left_um), noise_um,
+        periods)
+
+
+def _linear_um(inputs: ComplexArray, mean_um: ComplexArray, is_excited: BoolArray) -> ComplexArray:
+    """Return the answer to what the voltage has at each line, by the gain of excited lines."""
+    lines = np.arange(inputs.size)
+    gains = mean_um[is_excited] / inputs[is_excited]
+    return np.asarray(np.interp(lines, lines[is_excited], gains) * inputs)
+
+
+def distortion_of(recording: Recording) -> NonlinearDistortion | None:
+    """Separate noise and distortion of a recording, of which the first period settles.
+
+    Parameters
+    ----------
+    recording : Recording
+        Without gaps, what plays only.
+
+    Returns
+    -------
+    NonlinearDistortion or None
+        None where the voltage is no repeated multisine with odd and even lines left out.
+    """
+    voltage_v = np.asarray(recording.voltage_v, dtype=float)
+    period = repeated_period(voltage_v)
+    if period is None or voltage_v.size // period < FEWEST_PERIODS + 1:
+        return None
+    whole = slice(period, voltage_v.size // period * period)
+    sizes = np.abs(np.fft.rfft(voltage_v[whole][:period]))[1:]
+    lines = 1 + np.flatnonzero(sizes > EXCITED * sizes.max())
+    if lines.size < FEWEST_LINES or np.any(lines % 2 == 0) or 2 * lines.size > lines[-1]:
+        return None
+    displacement_um = np.asarray(recording.displacement_um, dtype=float)
+    return nonlinear_distortion(
+        voltage_v[whole].reshape(-1, period), displacement_um[whole].reshape(-1, period),
+        recording.sample_period_s)

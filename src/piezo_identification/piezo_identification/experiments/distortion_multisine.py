@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The multisine that tells noise, even and odd distortion apart before any model is asked."""
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray, IntArray
+from piezo_identification.experiments.stage_limits import StageLimits
+
+HIGHEST_OF_CLOCK = 0.1
+"""Highest excited frequency over the sample rate: above, a held voltage is stairs."""
+
+GROUP = 3
+"""Of so many odd lines in a row one is not excited: it shows odd distortion."""
+
+CREST_DRAWS = 32
+"""Draws of the phases, of which the one of least peak is taken."""
+
+SEED = 0
+"""Of the lines left out and the phases."""
+
+
+def excited_lines(highest_line: int, random: np.random.Generator, group: int = GROUP) -> IntArray:
+    """Draw the lines of a random odd multisine, with one odd line left out of each group.
+
+    Parameters
+    ----------
+    highest_line : int
+    random : numpy.random.Generator
+    group : int
+        Odd lines in a row.
+
+    Returns
+    -------
+    ndarray of int
+        Increasing: whole periods of the multisine in each.
+    """
+    odd = np.arange(1, highest_line + 1, 2)
+    left_out = [begin + random.integers(min(group, odd.size - begin))
+                for begin in range(0, odd.size, group)]
+    return np.delete(odd, left_out)
+
+
+def random_phase_multisine(lines: IntArray, samples: int,
+                           random: np.random.Generator) -> FloatArray:
+    """Return one period (N,) of equal tones with random phases, scaled to a peak of 1.
+
+    Parameters
+    ----------
+    lines : ndarray of int
+    samples : int
+        N.
+    random : numpy.random.Generator
+    """
+    best = np.zeros(samples)
+    least = np.inf
+    for _ in range(CREST_DRAWS):
+        spectrum = np.zeros(samples // 2 + 1, dtype=complex)
+        spectrum[lines] = np.exp(2j * np.pi * random.uniform(size=lines.size))
+        wave = np.fft.irfft(spectrum, samples)
+        crest = np.abs(wave).max() / wave.std()
+        if crest < least:
+            best, least = wave / np.abs(wave).max(), crest
+    return best
+
+
+def distortion_period(limits: StageLimits, swing: float, period_s: float,
+                      highest_hz: float) -> FloatArray:
+    """Return one period (N,) of the multisine around mid-range, at the sample clock.
+
+    Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 4.3.
+
+    Parameters
+    ----------
+    limits : StageLimits
+    swing : float
+        Largest way from the middle over the voltage range; less where the slew limit asks for it.
+    period_s, highest_hz : float
+
+    Raises
+    ------
+    ValueError
+        If the band holds too few lines.
+    """
+    random = np.random.default_rng(SEED)
+    samples = round(period_s * limits.sample_rate_hz)
+    highest = int(min(highest_hz, HIGHEST_OF_CLOCK * limits.sample_rate_hz) * period_s)
+    if highest < 6 * GROUP:
+        raise ValueError(f"experiment 'distortion' has {highest} lines up to its highest "
+                         "frequency: make its period longer")
+    wave = random_phase_multisine(excited_lines(highest, random), samples, random)
+    largest_v = 0.99 * limits.slew_limit_v_per_s / limits.sample_rate_hz
+    step = np.abs(np.diff(np.append(wave, wave[:1]))).max()
+    amplitude_v = min(swing * limits.span_v, largest_v / step)
+    return np.asarray(limits.middle_v + amplitude_v * wave)
