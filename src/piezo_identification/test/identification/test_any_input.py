@@ -74,14 +74,16 @@ def test_dynamics_are_found_behind_a_hysteresis_that_nothing_else_tells(kind, st
 def test_edges_of_a_generator_between_the_samples_are_found(record, linear_stage):
     fine = 16
     time_s = np.arange(COUNT * fine) * PERIOD_S / fine
-    voltage_v = np.where((time_s / 0.030137) % 1.0 < 0.45, 65.0, 20.0)
+    # A period of 301.44 samples, whose edges the fine grid does not move.
+    voltage_v = np.where(np.arange(COUNT * fine) % 4823 < 2170, 65.0, 20.0)
     response = lsim(([1.0], np.polymul([LAG_S, 1.0], [MODE**-2, 2 * DAMPING / MODE, 1.0])),
                     voltage_v, time_s, interp=False)[1]
     recording = record(linear_stage, voltage_v[::fine], PERIOD_S)
     noise_um = np.random.default_rng(2).normal(scale=0.01, size=COUNT)
     object.__setattr__(recording, "displacement_um", 0.5 * response[::fine] + noise_um)
     assert error_of(estimate_dynamics_any([recording], CreepDynamics())) < 5e-3
-    assert identify(dynamics=recording).adequacy["dynamics"]["verdict"] == "adequate"
+    # With the edges as sampled, 40 times the noise would be left.
+    assert identify(dynamics=recording).adequacy["dynamics"]["ratio"] < 1.5
 
 
 def test_a_linear_stage_becomes_a_line_with_its_gain(linear_stage, record):
