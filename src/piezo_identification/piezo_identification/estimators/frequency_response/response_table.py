@@ -11,7 +11,7 @@ import numpy as np
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_recorder.reading.tables.delimited_text import read_text_table, text_columns
 from piezo_recorder.reading.tables.table import Table, listing, no_progress
-from piezo_recorder.reading.units import UNITS, name_and_unit, plain
+from piezo_recorder.reading.units import UNITS, name_and_unit, plain, signal_of_unit
 
 WORDS = {
     "frequency": {"frequency", "freq", "frequenz", "fréquence", "f", "hz", "khz"},
@@ -130,8 +130,8 @@ def _columns(path: Path, table: Table) -> dict[str, ResponseColumn]:
         name, unit = name_and_unit(label)
         unit = plain(table.units.get(label) or unit)
         words = set(re.findall(r"[^\W\d_]+", name.lower()))
-        if words & {"time", "zeit"}:
-            return {}
+        if words & {"t", "time", "zeit"} or signal_of_unit(unit) == "time":
+            return {}  # samples, of a sweep for instance
         part = next((part for part, known in WORDS.items() if (words | {unit}) & known), None)
         if part and part not in found:
             found[part] = ResponseColumn(label, unit or _unit_in(words))

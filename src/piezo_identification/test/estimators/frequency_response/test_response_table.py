@@ -68,7 +68,7 @@ def test_export_that_leaves_something_open_is_refused_in_one_line(tmp_path, text
 @pytest.mark.parametrize("text", [
     "time_s,voltage_v,displacement_um\n0,1,2\n1,1,2\n",
     "Time [s];Drive frequency [Hz];Amplitude [V];Position [um]\n0;1;2;3\n1;1;2;3\n",
-    "0 1 2\n1 1 2\n", "words\n", ""])
+    "t [s];f;gain;u [V];x [um]\n0;1;2;3;4\n1;1;2;3;4\n", "0 1 2\n1 1 2\n", "words\n", ""])
 def test_samples_are_no_response(tmp_path, text):
     path = tmp_path / "samples.csv"
     path.write_text(text)

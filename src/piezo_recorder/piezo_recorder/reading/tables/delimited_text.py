@@ -219,7 +219,7 @@ class _Reading:
         with self._lines() as (stream, share):
             for _ in range(self._dialect.first_line):
                 next(stream)
-            rows, kept = 0, without_last(stream, len(footer))
+            rows, kept = 0, without_last(stream, len(footer)) if footer else iter(stream)
             while lines := list(islice(kept, CHUNK_LINES)):
                 values = self._values(lines, rows)
                 rows += len(values)
