@@ -7,7 +7,7 @@ from pathlib import Path
 
 from piezo_controller.feedback.controller_file import save_controller
 from piezo_studies.high_bandwidth.page import draw, page
-from piezo_studies.high_bandwidth.trade_off import TITLES, compare
+from piezo_studies.high_bandwidth.trade_off import TITLES, Compared, compare
 from piezo_studies.thesis.identified_stage import identified_stage
 from piezo_studies.thesis.pictures import small_png
 
@@ -32,7 +32,11 @@ def main(arguments: list[str] | None = None) -> None:
     for directory in (options.output, pictures):
         directory.mkdir(parents=True, exist_ok=True)
 
-    def told(row):
+    model = identified_stage()
+    compared: list[Compared] = []
+
+    def take(row: Compared) -> None:
+        compared.append(row)
         margin = ("not stable" if row.controller is None
                   else f"margin {row.controller.report['margin_db']:+.1f} dB"
                        f"{'' if row.keeps_bounds else ', beyond a bound'}")
@@ -41,11 +45,11 @@ def main(arguments: list[str] | None = None) -> None:
         if row.controller is not None:
             save_controller(options.output / (f"{row.method}_{100 * row.light_mode_error:.0f}_"
                                               f"{row.worst_peak:g}.json"), row.controller)
+        # Each design leaves its row at once, so that an interrupted run is not lost.
+        (pictures / "high_bandwidth.png").write_bytes(small_png(draw(compared)))
+        options.page.write_text(page(model, compared), encoding="utf-8")
 
-    model = identified_stage()
-    compared = compare(model, options.effort, told)
-    (pictures / "high_bandwidth.png").write_bytes(small_png(draw(compared)))
-    options.page.write_text(page(model, compared), encoding="utf-8")
+    compare(model, take, options.effort)
     print(f"{len(compared)} designs: {options.page}")
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What each method reaches at equal robustness, over the error of the light mode."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from piezo_controller.feedback.feedback_design import FeedbackController, UnstableLoop
@@ -42,22 +43,17 @@ class Compared:
                 and report["noise_voltage_v"] <= 1.01 * demands["noise_voltage_v"])
 
 
-def compare(model: StageModel, effort: float = 1.0, progress=None) -> list[Compared]:
+def compare(model: StageModel, take: Callable[[Compared], None], effort: float = 1.0) -> None:
     """Design with every method, at every robustness.
 
     Parameters
     ----------
     model : piezo_models.cascade.StageModel
+    take : callable
+        Is given every design.
     effort : float
         See `design_at_sample_rate`.
-    progress : callable, optional
-        Is told every design.
-
-    Returns
-    -------
-    list of Compared
     """
-    compared = []
     for worst_peak in PEAKS:
         for error in LIGHT_MODE_ERRORS:
             demands = Demands(worst_peak_sensitivity=worst_peak)
@@ -67,7 +63,4 @@ def compare(model: StageModel, effort: float = 1.0, progress=None) -> list[Compa
                     controller = design_at_sample_rate(model, demands, method, effort=effort)
                 except UnstableLoop:
                     controller = None
-                compared.append(Compared(method, error, worst_peak, controller))
-                if progress:
-                    progress(compared[-1])
-    return compared
+                take(Compared(method, error, worst_peak, controller))

@@ -65,7 +65,7 @@ def _quadratic(frequency_rad_per_s: float, damping: float) -> list[float]:
     return [1 / frequency_rad_per_s**2, 2 * damping / frequency_rad_per_s, 1.0]
 
 
-def _notch_and_pi(model, numbers):
+def _notch_and_pi(model: StageModel, numbers: FloatArray) -> control.StateSpace:
     gain, corner, zero_damping, pole_damping, roll_off = numbers
     mode = _light_frequency(model)
     return (_section([gain, gain * corner * mode], [1.0, 0.0])
@@ -73,7 +73,7 @@ def _notch_and_pi(model, numbers):
             * _section([1.0], _quadratic(roll_off * mode, 0.7)))
 
 
-def _integral_resonant(model, numbers):
+def _integral_resonant(model: StageModel, numbers: FloatArray) -> control.StateSpace:
     """Damp by integral feedback with a feed-through, and integrate around it.
 
     The damping loop is ``-k / (s + p)``, the tracking loop ``-k_i / s`` in front of it (Fleming,
@@ -86,7 +86,7 @@ def _integral_resonant(model, numbers):
             * _section([k], [1.0, pole * mode]))
 
 
-def _positive_position(model, numbers):
+def _positive_position(model: StageModel, numbers: FloatArray) -> control.StateSpace:
     """Damp by positive feedback through a resonance, with a PI around it."""
     mode = _light_frequency(model)
     damping_gain, resonance, filter_damping, gain, corner, roll_off = numbers
@@ -95,7 +95,7 @@ def _positive_position(model, numbers):
             - _section([damping_gain], _quadratic(resonance * mode, filter_damping)))
 
 
-def _inverse_and_pi(model, numbers):
+def _inverse_and_pi(model: StageModel, numbers: FloatArray) -> control.StateSpace:
     """Invert the modes with dampings of their own, behind PI and an integration.
 
     A zero of its own stands for the inverse of the lag.

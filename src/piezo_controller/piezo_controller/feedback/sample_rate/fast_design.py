@@ -217,7 +217,8 @@ class _HInfinityFamily:
                          / (2 * np.pi))
         self._gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
 
-    def _synthesised(self, numbers):
+    def _synthesised(self, numbers: FloatArray) -> tuple[
+            SampleRateWeights, control.StateSpace, control.StateSpace, float]:
         crossover, corner, peak, control_gain, roll_off, noise, of_gain, of_mode, *scalings = (
             map(float, numbers))
         weights = SampleRateWeights(

@@ -87,6 +87,24 @@ def test_attenuation_and_bandwidth_are_those_of_the_formulas(model, inverse_pi, 
     assert second < np.sqrt(0.5) < first
 
 
+def test_the_corners_of_the_errors_are_as_bad_as_what_is_drawn_between(model, inverse_pi, loops):
+    worst = loops.measure(inverse_pi).worst_peak_sensitivity
+    rng = np.random.default_rng(1)
+    dynamics = model.dynamics
+    frequency_hz = np.geomspace(100.0, 10_000.0, 800)
+    points = np.exp(2j * np.pi * frequency_hz * CLOCK_PERIOD_S)
+    for _ in range(100):
+        lag, *modes = 1 + rng.uniform(-0.05, 0.05, 5)
+        drawn = replace(model, dynamics=ElectricVibrationDynamics(
+            lag * dynamics.time_constant_s,
+            tuple(np.multiply(modes[:2], dynamics.mode_frequencies_rad_per_s)),
+            tuple(np.multiply(modes[2:], dynamics.damping_ratios))))
+        gain_um_per_v = rng.uniform(*hysteresis_gain_range(model))
+        sensitivity = 1 / (1 + continuous_plant(drawn, gain_um_per_v, frequency_hz)
+                           * inverse_pi(points, squeeze=True))
+        assert np.abs(sensitivity).max() < 1.02 * worst
+
+
 def responses(loop):
     """Return the loop as frequency data, from which python-control reads margins best."""
     return control.frd(loop, 2 * np.pi * np.geomspace(5.0, 19_900.0, 6000))
