@@ -7,11 +7,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from ament_index_python import PackageNotFoundError, get_package_share_directory
+try:
+    from ament_index_python import PackageNotFoundError, get_package_share_directory
+except ImportError:  # without ROS the definition that comes with this package must do
+    PackageNotFoundError, get_package_share_directory = OSError, None
 
 SEPARATOR = "\n" + "=" * 80 + "\n"
 PRIMITIVES = re.compile(
     r"(bool|byte|char|w?string(<=\d+)?|float32|float64|u?int(8|16|32|64))$")
+PACKAGED = Path(__file__).with_name("sample_block.json")
+"""The definition of our own samples, as `installed_definition` returns it where ROS is."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +55,8 @@ def installed_definition(type_name: str) -> MessageDefinition:
     ValueError
         If the name has another shape or the type is not installed.
     """
+    if get_package_share_directory is None:
+        return packaged_definition(type_name)
     texts: dict[str, str] = {}
     _collect(type_name, texts)
     dependencies = [
@@ -57,6 +64,21 @@ def installed_definition(type_name: str) -> MessageDefinition:
         for name, text in texts.items() if name != type_name]
     return MessageDefinition(
         type_name, SEPARATOR.join([texts[type_name], *dependencies]), _type_hash(type_name))
+
+
+def packaged_definition(type_name: str) -> MessageDefinition:
+    """Read the definition of a type that is written without ROS.
+
+    Raises
+    ------
+    ValueError
+        If it does not come with this package.
+    """
+    packaged = MessageDefinition(**json.loads(PACKAGED.read_text(encoding="utf-8")))
+    if type_name != packaged.type_name:
+        raise ValueError(f"the type '{type_name}' needs ROS, which is not installed: install "
+                         f"ROS 2, or write {packaged.type_name}")
+    return packaged
 
 
 def _collect(type_name: str, texts: dict[str, str]) -> None:
