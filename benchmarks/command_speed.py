@@ -11,7 +11,8 @@ ASKED = {
     "answer, list of executables": (),
     "answer, identify --help": ("piezo_identification", "identify", "--help"),
     "answer, diagnose of a path that is missing": (
-        "piezo_identification", "diagnose", "--model", "none", "--data", "none", "--output", "none"),
+        "piezo_identification", "diagnose", "--model", "none", "--data", "none", "--output",
+        "none"),
     "answer, design with an option that is mistyped": ("piezo_controller", "design", "--modle"),
     "answer, stage --help": ("piezo_client", "stage", "--help"),
     "answer, stage status where nobody serves": ("piezo_client", "stage", "status"),

@@ -21,7 +21,8 @@ HALF = {"piezo_common", "piezo_models", "piezo_recorder", "piezo_identification"
 
 def asked_for():
     project = PROJECT["project"]
-    return map(Requirement, [*project["dependencies"], *project["optional-dependencies"]["formats"]])
+    formats = project["optional-dependencies"]["formats"]
+    return map(Requirement, [*project["dependencies"], *formats])
 
 
 @pytest.mark.parametrize("lock", ["wheels", "jazzy"])

@@ -74,7 +74,8 @@ def test_bad_parameter_ends_the_node_at_start_with_one_clear_line(node, argument
 def test_stage_that_waits_unconfigured_says_how_to_go_on():
     environment = {**os.environ}
     environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
-    executable = Path(get_package_prefix("piezo_stage_driver"), "lib", "piezo_stage_driver", "stage")
+    package = "piezo_stage_driver"
+    executable = Path(get_package_prefix(package), "lib", package, "stage")
     with subprocess.Popen([executable, "--ros-args", "-r", "__ns:=/bare"], env=environment,
                           stderr=subprocess.PIPE, text=True) as process:
         said = next(line for line in process.stderr if "unconfigured" in line)
