@@ -9,14 +9,20 @@ from pathlib import Path
 
 try:
     from ament_index_python import PackageNotFoundError, get_package_share_directory
-except ImportError:  # without ROS the definition that comes with this package must do
-    PackageNotFoundError, get_package_share_directory = OSError, None
+except ImportError:  # without ROS no package of messages is installed
+    PackageNotFoundError = KeyError
+
+    def get_package_share_directory(package_name: str) -> str:
+        """Say that a package is not installed."""
+        raise PackageNotFoundError(package_name)
+
+from piezo_recorder.sample_block import TYPE_NAME
 
 SEPARATOR = "\n" + "=" * 80 + "\n"
 PRIMITIVES = re.compile(
     r"(bool|byte|char|w?string(<=\d+)?|float32|float64|u?int(8|16|32|64))$")
 PACKAGED = Path(__file__).with_name("sample_block.json")
-"""The definition of our own samples, as `installed_definition` returns it where ROS is."""
+"""The definition of our own samples, as they are installed with ROS."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,7 @@ class MessageDefinition:
 
 
 def installed_definition(type_name: str) -> MessageDefinition:
-    """Read the definition of an installed message type.
+    """Read the definition of an installed message type; that of our samples needs no ROS.
 
     Parameters
     ----------
@@ -55,8 +61,8 @@ def installed_definition(type_name: str) -> MessageDefinition:
     ValueError
         If the name has another shape or the type is not installed.
     """
-    if get_package_share_directory is None:
-        return packaged_definition(type_name)
+    if type_name == TYPE_NAME and not _is_installed(type_name.split("/")[0]):
+        return _packaged_definition()
     texts: dict[str, str] = {}
     _collect(type_name, texts)
     dependencies = [
@@ -66,19 +72,16 @@ def installed_definition(type_name: str) -> MessageDefinition:
         type_name, SEPARATOR.join([texts[type_name], *dependencies]), _type_hash(type_name))
 
 
-def packaged_definition(type_name: str) -> MessageDefinition:
-    """Read the definition of a type that is written without ROS.
+def _packaged_definition() -> MessageDefinition:
+    return MessageDefinition(**json.loads(PACKAGED.read_text(encoding="utf-8")))
 
-    Raises
-    ------
-    ValueError
-        If it does not come with this package.
-    """
-    packaged = MessageDefinition(**json.loads(PACKAGED.read_text(encoding="utf-8")))
-    if type_name != packaged.type_name:
-        raise ValueError(f"the type '{type_name}' needs ROS, which is not installed: install "
-                         f"ROS 2, or write {packaged.type_name}")
-    return packaged
+
+def _is_installed(package: str) -> bool:
+    try:
+        get_package_share_directory(package)
+    except (PackageNotFoundError, OSError):
+        return False
+    return True
 
 
 def _collect(type_name: str, texts: dict[str, str]) -> None:
