@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import peers
+from command_speed import TARGETS as ANSWER_TARGETS
+from command_speed import answer_times_s
 from computing_time import computing_times_s
 from diagnosis_speed import diagnosis_times_s
 from hysteresis_speed import look_up_error_percent, samples_per_s
@@ -110,6 +112,12 @@ def diagnosis(rows):
         diagnosis_s / simulation_s)
 
 
+def answers(rows):
+    """Add how long commands take to answer what costs no work."""
+    for name, time_s in answer_times_s().items():
+        rows[name, "s"].append(time_s)
+
+
 TARGETS = {
     "diagnosis of a million samples": {"at_most": 60.0},
     "paced, 1 kHz: samples lost": {"at_most": 0},
@@ -135,7 +143,7 @@ def main():
     print(f"{os.cpu_count()} cores; load average before: {os.getloadavg()[0]:.1f}")
     measured = Measurements()
     for number in range(1, rounds + 1):
-        for measure in (hysteresis, loops, round_trips, paced, diagnosis):
+        for measure in (answers, hysteresis, loops, round_trips, paced, diagnosis):
             print(f"round {number} of {rounds}: {measure.__name__.replace('_', ' ')} ...",
                   flush=True)
             measure(measured)
@@ -143,7 +151,7 @@ def main():
     measure_streams(measured)
     print("identification beside its peers ...", flush=True)
     peers.measure(measured)
-    rows = measured.table(TARGETS | STREAM_TARGETS)
+    rows = measured.table(TARGETS | ANSWER_TARGETS | STREAM_TARGETS)
     show(rows)
     write(rows, OUTPUT / "table.json")
     print(f"written to {OUTPUT / 'table.json'}")

@@ -31,7 +31,7 @@ def start_command(*arguments):
     environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
     command = Path(get_package_prefix("piezo_client"), "lib", "piezo_client", "stage")
     return subprocess.Popen(
-        [command, "--namespace", "left", *map(str, arguments)], env=environment,
+        [command, "--namespace", "left", "--wait-s", "60", *map(str, arguments)], env=environment,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -83,7 +83,9 @@ def test_command_runs_an_experiment_and_says_where_its_recording_is(suite, tmp_p
     command = start_command("experiment", "dynamics", "--output", tmp_path)
     printed, told = suite.beside(command.communicate, timeout=120)
     assert command.returncode == 0, told
-    assert printed.splitlines()[-1] == f"recorded {tmp_path / 'dynamics'}"
+    *_, recorded, following = printed.splitlines()
+    assert recorded == f"recorded {tmp_path / 'dynamics'}"
+    assert following == f"next: ./run piezo_identification check --data {tmp_path / 'dynamics'}"
     assert "dynamics: play" in told.splitlines()
     assert read_recording(tmp_path / "dynamics").gaps == []
 

@@ -3,6 +3,7 @@
 
 import os
 import re
+import signal
 import subprocess
 from pathlib import Path
 
@@ -51,6 +52,7 @@ def test_every_parameter_has_a_description_a_range_and_a_unit(suite, node):
     ("hardware", ["-p", "autostart:=true", "-p", "backend_file:=CALIBRATION"],
      "the backend nidaqmx needs the Python package nidaqmx"),
     ("hardware", ["-p", "autostart:=true"], "set the parameter backend_file"),
+    ("hardware", ["-p", "backend:=mine"], "there is no backend 'mine': set the parameter backend"),
     ("recorder", ["-p", "topics:=[samples]"], "names 1 topics, types 4"),
     ("recorder", ["--params-file", "/no/parameters.yaml"],
      "Couldn't parse params file: '--params-file /no/parameters.yaml'"),
@@ -67,3 +69,16 @@ def test_bad_parameter_ends_the_node_at_start_with_one_clear_line(node, argument
     said = [text for text in ended.stderr.splitlines() if line in text]
     assert len(said) == 1
     assert "Traceback" not in ended.stderr
+
+
+def test_stage_that_waits_unconfigured_says_how_to_go_on():
+    environment = {**os.environ}
+    environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
+    package = "piezo_stage_driver"
+    executable = Path(get_package_prefix(package), "lib", package, "stage")
+    with subprocess.Popen([executable, "--ros-args", "-r", "__ns:=/bare"], env=environment,
+                          stderr=subprocess.PIPE, text=True) as process:
+        said = next(line for line in process.stderr if "unconfigured" in line)
+        process.send_signal(signal.SIGINT)
+    assert "ros2 lifecycle set /bare/stage configure" in said
+    assert "autostart:=true" in said

@@ -31,7 +31,7 @@ ROWS = (
     {"piezo_models": 2.8, "piezo_ros": 7.2},
     {"piezo_recorder": 2.8, "piezo_stage_driver": 10.4},
     {"piezo_identification": 2.1, "piezo_controller": 6.3, "piezo_bringup": 9.1, "piezo_sim": 11.9},
-    {"piezo_client": 3.4},
+    {"piezo_client": 3.4, "piezo_offline": 6.0},
     {"piezo_studies": 6.6},
 )
 WIDTH = 14.0

@@ -9,7 +9,7 @@ setup(
     name=package,
     version="0.1.0",
     packages=find_packages(include=[package, package + ".*"]),
-    package_data={package: ["*.yaml", "py.typed"]},
+    package_data={package: ["*.yaml", "py.typed", "writing/*.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + package]),
         ("share/" + package, ["package.xml"]),

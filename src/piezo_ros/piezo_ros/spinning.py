@@ -76,6 +76,10 @@ def autostart(node: LifecycleNode, default: bool = True) -> None:
         If it fails; the node's transition has then logged why.
     """
     if not declare(node, "autostart", default, "Configure and activate at start."):
+        name = node.get_fully_qualified_name()
+        node.get_logger().info(
+            f"{name} is unconfigured and waits: ros2 lifecycle set {name} configure, then "
+            "activate; or start it with --ros-args -p autostart:=true")
         return
     for trigger in (node.trigger_configure, node.trigger_activate):
         if trigger() != TransitionCallbackReturn.SUCCESS:

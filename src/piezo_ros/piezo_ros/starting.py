@@ -39,7 +39,7 @@ def node_entry(module: str, description: str) -> Callable[[list[str] | None], No
             signal.signal(number, _leave)
         return importlib.import_module(module).main(args)
 
-    main.__module__ = module
+    main.__module__, main.__doc__ = module, description
     return main
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from piezo_common.command_line import print_next
 from piezo_identification.estimators.frequency_response.response_file import (
     is_frequency_response,
     read_frequency_response,
@@ -31,6 +32,8 @@ def check_files(options: argparse.Namespace) -> None:
             print(f"{path}" + (f", recording {recording.title}" if several else ""))
             _check_one(recording, options.output / (
                 f"{path.stem}{f'_{number}' if several else ''}_check.png"))
+    print_next(options, "piezo_identification", "identify", "<--creep, --dynamics or --hysteresis>",
+               options.data[0], "--output", "model.json")
 
 
 def _check_one(recording: Recording, picture: Path) -> None:

@@ -4,7 +4,7 @@
 import argparse
 from typing import Any
 
-from piezo_common.command_line import print_progress
+from piezo_common.command_line import print_next, print_progress
 from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
@@ -40,6 +40,9 @@ def diagnose_given(options: argparse.Namespace) -> None:
     for sentence in results.outside:
         print(sentence)
     print(f"written to {options.output}")
+    print_next(options, "piezo_controller", "design", "--model",
+               options.output / "extended_model.json", "--output",
+               options.output / "controller.json")
 
 
 def _print_table(diagnosis: Any, sentence: str) -> None:

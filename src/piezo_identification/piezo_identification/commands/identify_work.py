@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from piezo_common.command_line import print_progress
+from piezo_common.command_line import print_next, print_progress
 from piezo_identification.adequacy.component_adequacy import adequacy_table
 from piezo_identification.commands.identify_command import EXPERIMENTS
+from piezo_identification.commands.parameter_rows import parameter_rows
 from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
@@ -58,6 +59,10 @@ def identify_files(options: argparse.Namespace) -> None:
     save_model(options.output, identified)
     _print_summary(identified)
     print(f"model written to {options.output}")
+    print_next(options, "piezo_identification", "simulate", "--model", options.output, "--data",
+               "<a recording that was not fitted>", "--output", options.output.with_suffix(""))
+    print_next(options, "piezo_controller", "design", "--model", options.output, "--output",
+               options.output.with_name("controller.json"))
 
 
 def _tell_unfit(data: Mapping[str, Any]) -> None:
@@ -115,12 +120,8 @@ def _print_summary(identified: IdentifiedModel) -> None:
     low_um, high_um = model.hysteresis.output_range_um
     rows = [
         ("voltage range", "{:g} to {:g} V".format(*identified.voltage_range_v)),
-        ("hysteresis range", f"{high_um - low_um:.3f} um"),
-        ("creep poles", _listing(model.creep.poles_rad_per_s, "rad/s")),
-        ("creep zeros", _listing(model.creep.zeros_rad_per_s, "rad/s")),
-        ("electric time constant", f"{1e3 * model.dynamics.time_constant_s:.5g} ms"),
-        ("mode frequencies", _listing(model.dynamics.mode_frequencies_rad_per_s, "rad/s")),
-        ("damping ratios", _listing(model.dynamics.damping_ratios, "")),
+        ("hysteresis range", f"{high_um - low_um:.3f} um, from the lowest voltage to the highest"),
+        *parameter_rows(identified),
         *((f"effect {effect.name}", str(effect.parameters())) for effect in model.effects),
         *((f"rows of the {name}", "read {read_at_samples:.4g} sample periods late, delay left "
            "{delay_s:.2g} s +- {standard_deviation_s:.1g} s".format(**row))
@@ -130,6 +131,8 @@ def _print_summary(identified: IdentifiedModel) -> None:
     for name, value in rows:
         print(f"{name:24}{value}" if len(name) < 24 else f"{name}  {value}")
     print(adequacy_table(identified.adequacy))
+    print("behind +- stands the standard deviation; e_y: norm of the difference over that of the "
+          "measured displacement without its mean (4.20), percent")
 
 
 def _error_rows(errors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
@@ -139,7 +142,3 @@ def _error_rows(errors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
             yield from _error_rows(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", f"{value:.3g}"
-
-
-def _listing(values: Sequence[float], unit: str) -> str:
-    return f"{', '.join(f'{value:.5g}' for value in values) or 'none'} {unit}".rstrip()

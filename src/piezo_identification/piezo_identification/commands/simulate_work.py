@@ -2,14 +2,17 @@
 """The work of `simulate`: set the model beside the recording."""
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
+from piezo_common.command_line import print_next
 from piezo_identification.commands.row_options import READINGS
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_sign import sign_text
-from piezo_identification.prediction import predict
+from piezo_identification.prediction import Prediction, predict
 from piezo_identification.prediction.outside_identified import outside_identified
 from piezo_identification.prediction.prediction_pictures import draw_displacement, draw_loops
 from piezo_models.model_file import load_model
@@ -36,10 +39,17 @@ def simulate_file(options: argparse.Namespace) -> None:
     inside = ~found.outside & prediction.good
     if found.outside.any() and np.unique(prediction.measured_um[inside]).size > 1:
         print(f"e_y_percent_inside {prediction.e_y_percent(inside):.4g}")
-    if directory is None:
-        return
+    if directory is not None:
+        _draw(directory, prediction, found.deviation_um)
+    print("e_y: norm of the difference over that of the measured displacement without its mean "
+          "(4.20), percent")
+    print_next(options, "piezo_identification", "diagnose", "--model", model_path, "--data",
+               data_path, "--output", (directory or Path()) / "diagnosis")
+
+
+def _draw(directory: Path, prediction: Prediction, deviation_um: FloatArray) -> None:
     directory.mkdir(parents=True, exist_ok=True)
-    draw_displacement(directory / "displacement.png", prediction, found.deviation_um)
+    draw_displacement(directory / "displacement.png", prediction, deviation_um)
     draw_loops(directory / "loops.png", prediction)
     for name in ("displacement.png", "loops.png"):
         print(f"drawn {directory / name}")

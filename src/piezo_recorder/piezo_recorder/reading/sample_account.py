@@ -5,6 +5,7 @@ import argparse
 
 import numpy as np
 
+from piezo_common.command_line import print_next
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import Recording
 
@@ -44,4 +45,5 @@ def report_file(options: argparse.Namespace) -> int:
     """Print the account of the recording of the options; return 1 where samples are missing."""
     recording = read_recording(options.recording)
     print("\n".join(report(recording)))
+    print_next(options, "piezo_identification", "check", "--data", options.recording)
     return GAPS_STATUS if recording.gaps else 0

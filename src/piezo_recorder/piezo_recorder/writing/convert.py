@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from piezo_common.command_line import print_next
 from piezo_recorder.reading.data_options import read_all_given
 from piezo_recorder.reading.reader import sha256_of
 from piezo_recorder.reading.recording import Recording
@@ -112,3 +113,4 @@ def convert_file(options: argparse.Namespace) -> None:
         print(f"{len(recording.voltage_v)} samples written to {path}")
         if recording.columns and not is_csv:
             print(f"not written: {', '.join(recording.columns)}, for which only a CSV has room")
+        print_next(options, "piezo_identification", "check", "--data", path)

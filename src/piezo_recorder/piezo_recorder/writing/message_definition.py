@@ -7,11 +7,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from ament_index_python import PackageNotFoundError, get_package_share_directory
+try:
+    from ament_index_python import PackageNotFoundError, get_package_share_directory
+except ImportError:  # without ROS no package of messages is installed
+    PackageNotFoundError = KeyError
+
+    def get_package_share_directory(package_name: str) -> str:
+        """Say that a package is not installed."""
+        raise PackageNotFoundError(package_name)
+
+from piezo_recorder.sample_block import TYPE_NAME
 
 SEPARATOR = "\n" + "=" * 80 + "\n"
 PRIMITIVES = re.compile(
     r"(bool|byte|char|w?string(<=\d+)?|float32|float64|u?int(8|16|32|64))$")
+PACKAGED = Path(__file__).with_name("sample_block.json")
+"""The definition of our own samples, as they are installed with ROS."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +45,7 @@ class MessageDefinition:
 
 
 def installed_definition(type_name: str) -> MessageDefinition:
-    """Read the definition of an installed message type.
+    """Read the definition of an installed message type; that of our samples needs no ROS.
 
     Parameters
     ----------
@@ -50,6 +61,8 @@ def installed_definition(type_name: str) -> MessageDefinition:
     ValueError
         If the name has another shape or the type is not installed.
     """
+    if type_name == TYPE_NAME and not _is_installed(type_name.split("/")[0]):
+        return _packaged_definition()
     texts: dict[str, str] = {}
     _collect(type_name, texts)
     dependencies = [
@@ -57,6 +70,18 @@ def installed_definition(type_name: str) -> MessageDefinition:
         for name, text in texts.items() if name != type_name]
     return MessageDefinition(
         type_name, SEPARATOR.join([texts[type_name], *dependencies]), _type_hash(type_name))
+
+
+def _packaged_definition() -> MessageDefinition:
+    return MessageDefinition(**json.loads(PACKAGED.read_text(encoding="utf-8")))
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        get_package_share_directory(package)
+    except (PackageNotFoundError, OSError):
+        return False
+    return True
 
 
 def _collect(type_name: str, texts: dict[str, str]) -> None:

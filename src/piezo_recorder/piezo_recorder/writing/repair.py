@@ -8,6 +8,7 @@ from pathlib import Path
 import mcap.records
 from mcap.stream_reader import StreamReader
 
+from piezo_common.command_line import print_next
 from piezo_recorder.reading.reader import data_files, was_cut_short
 from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.writing.message_definition import MessageDefinition
@@ -101,3 +102,4 @@ def repair_given(options: argparse.Namespace) -> None:
     """Make a whole recording of that of the options, and print what was kept."""
     messages = repair(options.recording, options.output)
     print(f"{messages} messages kept in {options.output}")
+    print_next(options, "piezo_recorder", "report", options.output)

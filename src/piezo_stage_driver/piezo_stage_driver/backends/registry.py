@@ -50,8 +50,19 @@ def create_backend(name: str, settings: BackendSettings) -> StageBackend:
     ValueError
         If there is none of this name, or it cannot be loaded or made.
     """
+    check_backend(name)
+    return registered(GROUP)[name](settings)
+
+
+def check_backend(name: str) -> None:
+    """Refuse the name of a backend that no package announces; load none.
+
+    Raises
+    ------
+    ValueError
+        With the names that there are.
+    """
     known = registered(GROUP)
     if name not in known:
         raise ValueError(f"there is no backend {name!r}: set the parameter backend to "
                          f"{' or '.join(sorted(known))}, or install the package that has it")
-    return known[name](settings)

@@ -16,7 +16,7 @@ from piezo_ros.presence import ClientWatch
 from piezo_ros.quality import FEEDBACK
 from piezo_ros.spinning import autostart, run_node
 from piezo_stage_driver.backends.backend import BackendFault, StageBackend
-from piezo_stage_driver.backends.registry import create_backend
+from piezo_stage_driver.backends.registry import check_backend, create_backend
 from piezo_stage_driver.engine.answer_latency import AnswerLatency
 from piezo_stage_driver.engine.blocks import Block
 from piezo_stage_driver.engine.stage_engine import StageEngine
@@ -203,10 +203,21 @@ class StageNode(LifecycleNode):
 
 def main(args: list[str] | None = None) -> None:
     """Run the node ``stage`` over the backend that its parameters name."""
-    run_node(lambda: StageNode(_chosen_backend), args)
+    run_node(_create, args)
+
+
+def _create() -> StageNode:
+    node = StageNode(_chosen_backend)
+    # A name that is unknown is refused now, not once somebody configures the stage.
+    check_backend(_backend_name(node))
+    return node
+
+
+def _backend_name(node: StageNode) -> str:
+    return declare(node, "backend", "nidaqmx", "Name of the backend, such as nidaqmx.")
 
 
 def _chosen_backend(node: StageNode) -> StageBackend:
-    name = declare(node, "backend", "nidaqmx", "Name of the backend, such as nidaqmx.")
+    name = _backend_name(node)
     file = declare(node, "backend_file", "", "Settings of the backend, such as its calibration.")
     return create_backend(name, node.settings.for_backend(file))

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`piezo`: work on recordings, models and controllers without ROS."""
+
+import argparse
+import sys
+
+from piezo_common.command_line import UMBRELLA
+from piezo_controller.commands.design_command import COMMAND as DESIGN
+from piezo_identification.commands.check_command import COMMAND as CHECK
+from piezo_identification.commands.diagnose_command import COMMAND as DIAGNOSE
+from piezo_identification.commands.identify_command import COMMAND as IDENTIFY
+from piezo_identification.commands.simulate_command import COMMAND as SIMULATE
+from piezo_recorder.commands.convert_command import COMMAND as CONVERT
+from piezo_recorder.commands.report_command import COMMAND as REPORT
+
+COMMANDS = {command.name: command for command in (
+    CONVERT, REPORT, CHECK, IDENTIFY, SIMULATE, DIAGNOSE, DESIGN)}
+"""In the order in which they are used."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the subcommand that is named.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        The command line's by default.
+
+    Returns
+    -------
+    int
+        Exit status: that of the subcommand, 2 for input that cannot be used, 130 after Ctrl-C.
+    """
+    options = parser().parse_args(arguments)
+    return COMMANDS[options.command].carry_out(options)
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser with all subcommands."""
+    made = argparse.ArgumentParser(
+        prog=UMBRELLA, description="Work on recordings, models and controllers of a piezo stage.")
+    commands = made.add_subparsers(title="commands", required=True, metavar="COMMAND",
+                                   dest="command")
+    for name, command in COMMANDS.items():
+        command.fill(commands.add_parser(name, help=command.description))
+    return made
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`piezo` runs the offline commands of all packages, with the same options."""
+
+import pytest
+
+from piezo_offline.piezo_command import COMMANDS, main
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_subcommand_takes_the_options_of_the_command(name, capsys):
+    for run, arguments in ((main, [name, "--help"]), (COMMANDS[name].main, ["--help"])):
+        with pytest.raises(SystemExit) as ended:
+            run(arguments)
+        assert ended.value.code == 0
+    told = capsys.readouterr().out
+    under_piezo, alone = told.split(f"usage: {name} ")
+    assert under_piezo.startswith(f"usage: piezo {name} ")
+    options = {word for word in alone.split() if word.startswith("--")}
+    assert options <= set(under_piezo.split())
+
+
+def test_bad_input_is_said_in_one_line_under_the_name_that_was_typed(tmp_path, capsys):
+    missing = tmp_path / "none.csv"
+    assert main(["check", "--data", str(missing)]) == 2
+    assert capsys.readouterr().err == f"piezo check: {missing} does not exist: check the path\n"
+
+
+def test_report_of_a_table_names_the_command_to_type_next(tmp_path, capsys):
+    table = tmp_path / "mine.csv"
+    table.write_text("time_s,voltage_v,displacement_um\n" + "".join(
+        f"{k * 0.001:.3f},{k % 7},{k % 5}\n" for k in range(50)))
+    assert main(["report", str(table)]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert "50 samples" in told[0]
+    assert told[-1] == f"next: piezo check --data {table}"
