@@ -42,6 +42,10 @@ four-block problem and constant scalings D of two uncertainties, the gain and th
 light mode's frequency. A row in brackets exceeds a bound, because the search found nothing within
 them.
 
+The H-infinity family is tried least often, because each try is a synthesis, and its search has not
+converged: at 10 % it ends beyond a bound that it keeps at 20 %. Its rows are what the search found,
+not the best that the method can give.
+
 ![Margin to the demands against the error of the light mode](pictures/high_bandwidth.png)
 
 Where a line lies above zero, all demands are met. A point is left out where the search found
