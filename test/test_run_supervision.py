@@ -153,29 +153,6 @@ def test_node_that_is_deactivated_cancels_its_goal_and_says_so(suite, fields):
     assert result.message == "cancelled: the node /left/controller was deactivated"
 
 
-def test_run_whose_answers_came_late_fails_and_says_how_many(nodes, fields):
-    stage = nodes.start("recorder", "controller", namespace="/late", timing="paced",
-                        max_missed_feedback=10_000,
-                        node_parameters={"controller": {"feedback": "remote"}})
-    fields["duration_s"] = 8.0
-    goal = stage.send_goal("track", **fields)
-    stage.until(lambda: stage.blocks and stage.blocks[-1].flags & SampleBlock.FLAG_TRACKING)
-    controller = stage.processes.process("controller")
-    # For less long than others wait for a sign of life.
-    controller.send_signal(signal.SIGSTOP)
-    late = 2 * MAX_LATE_PERCENT / 100.0 * fields["duration_s"] / TICK_S
-    begin = stage.blocks[-1].missed_feedback
-    stage.until(lambda: stage.blocks[-1].missed_feedback - begin > late)
-    controller.send_signal(signal.SIGCONT)
-    status, result = stage.result(goal)
-    assert status == GoalStatus.STATUS_ABORTED
-    assert re.search(r"^\d+ of \d+ answers came late, more than max_late_percent, 1: ",
-                     result.message)
-    assert result.missed_feedback > late
-    assert result.e_rms_percent > 0.0
-    assert read_recording(result.recording).complete
-
-
 def test_recording_bears_the_quality_of_its_topics(suite, fields):
     path = suite.goal("track", **fields).recording
     with open(f"{path}/metadata.yaml", encoding="utf-8") as stream:
@@ -192,3 +169,25 @@ def test_recording_bears_the_quality_of_its_topics(suite, fields):
     assert {channel.topic: yaml.safe_load(channel.metadata["offered_qos_profiles"])
             for channel in channels} == offered
 
+
+def test_run_whose_answers_came_late_fails_and_says_how_many(nodes, fields):
+    stage = nodes.start("recorder", "controller", namespace="/late", timing="paced",
+                        max_missed_feedback=10_000,
+                        node_parameters={"controller": {"feedback": "remote"}})
+    fields["duration_s"] = 4.0
+    goal = stage.send_goal("track", **fields)
+    stage.until(lambda: stage.blocks and stage.blocks[-1].flags & SampleBlock.FLAG_TRACKING)
+    controller = stage.processes.process("controller")
+    # For less long than others wait for a sign of life.
+    controller.send_signal(signal.SIGSTOP)
+    late = 2 * MAX_LATE_PERCENT / 100.0 * fields["duration_s"] / TICK_S
+    begin = stage.blocks[-1].missed_feedback
+    stage.until(lambda: stage.blocks[-1].missed_feedback - begin > late)
+    controller.send_signal(signal.SIGCONT)
+    status, result = stage.result(goal)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert re.search(r"^\d+ of \d+ answers came late, more than max_late_percent, 1: ",
+                     result.message)
+    assert result.missed_feedback > late
+    assert result.e_rms_percent > 0.0
+    assert read_recording(result.recording).complete

@@ -145,8 +145,52 @@ def test_lost_sensor_and_failed_device_stop_the_stage(nodes, tmp_path):
     assert stage.play([1.0]).success
 
 
+@pytest.mark.parametrize("gain", [8.0, 9.0])
+def test_loop_that_is_not_stable_is_stopped_before_5_um(nodes, gain):
+    suite = nodes.start(namespace=f"/unstable_{gain:.0f}")
+    watcher = Watcher(suite)
+    feedback_v, settled_um = [0.0], []
+
+    def answer(block):
+        mean_um = np.mean(block.displacement_um)
+        if len(feedback_v) < 200:
+            settled_um[:] = [mean_um]
+        feedback_v.append(feedback_v[-1] + gain * (settled_um[0] - mean_um))
+        return feedback_v[-1] if len(feedback_v) > 200 else 0.0
+
+    suite.answer = answer
+    assert suite.load(np.linspace(0, 50, 4000)).success
+    assert suite.start_tracking(feedback=True, ticks=3000).success
+    message, _ = watcher.stopped()
+    suite.answer = None
+    assert message.startswith("the feedback oscillates with growing amplitude")
+    tracked = [block for block in suite.samples().blocks
+               if block.flags & SampleBlock.FLAG_TRACKING]
+    oscillated_um = np.concatenate([block.displacement_um for block in tracked[200:]])
+    assert np.abs(oscillated_um - settled_um[0]).max() < 5.0
+    suite.until(lambda: suite.trigger("reset").success)
+
+
+def test_emergency_stop_acts_in_the_very_next_tick(suite):
+    for answered_ticks in (0, 30):
+        suite.forget()
+        suite.answer = lambda block, last=answered_ticks: 0.0 if len(suite.blocks) <= last else None
+        assert suite.load(np.linspace(0, 60, 1000)).success
+        assert suite.start_tracking(feedback=True).success
+        # Time stands still where an answer is missing.
+        suite.until(lambda last=answered_ticks: len(suite.blocks) > last
+                    and not suite.spin_until(lambda: len(suite.blocks) > last + 3, 0.1))
+        last = suite.blocks[-1]
+        assert suite.trigger("emergency_stop").success
+        samples = suite.samples()
+        after_v = samples.since(last.first_sample + 40)
+        assert samples.gapless
+        assert np.all(np.diff(np.r_[last.voltage_v[-1], after_v]) <= 0.0)
+        suite.until(lambda: suite.trigger("reset").success)
+
+
 @pytest.fixture(scope="module")
-def left_alone(nodes):
+def left_alone(nodes):  # the last tests here: a paced stage takes its time from all that follow
     stage = nodes.start("recorder", "identification", namespace="/left_alone", timing="paced")
     return stage, Watcher(stage)
 
@@ -214,47 +258,3 @@ def test_experiment_whose_node_is_killed_ends_at_rest_with_a_whole_recording(pac
     stage.until(lambda: closed.read_bytes().endswith(b"\x89MCAP0\r\n"))
     stage.until(lambda: "its client /left_alone/identification is gone" in stage.logs())
     assert read_recording(tmp_path / "creep").voltage_v[-1] == 0.0
-
-
-@pytest.mark.parametrize("gain", [8.0, 9.0])
-def test_loop_that_is_not_stable_is_stopped_before_5_um(nodes, gain):
-    suite = nodes.start(namespace=f"/unstable_{gain:.0f}")
-    watcher = Watcher(suite)
-    feedback_v, settled_um = [0.0], []
-
-    def answer(block):
-        mean_um = np.mean(block.displacement_um)
-        if len(feedback_v) < 200:
-            settled_um[:] = [mean_um]
-        feedback_v.append(feedback_v[-1] + gain * (settled_um[0] - mean_um))
-        return feedback_v[-1] if len(feedback_v) > 200 else 0.0
-
-    suite.answer = answer
-    assert suite.load(np.linspace(0, 50, 4000)).success
-    assert suite.start_tracking(feedback=True, ticks=3000).success
-    message, _ = watcher.stopped()
-    suite.answer = None
-    assert message.startswith("the feedback oscillates with growing amplitude")
-    tracked = [block for block in suite.samples().blocks
-               if block.flags & SampleBlock.FLAG_TRACKING]
-    oscillated_um = np.concatenate([block.displacement_um for block in tracked[200:]])
-    assert np.abs(oscillated_um - settled_um[0]).max() < 5.0
-    suite.until(lambda: suite.trigger("reset").success)
-
-
-def test_emergency_stop_acts_in_the_very_next_tick(suite):
-    for answered_ticks in (0, 30):
-        suite.forget()
-        suite.answer = lambda block, last=answered_ticks: 0.0 if len(suite.blocks) <= last else None
-        assert suite.load(np.linspace(0, 60, 1000)).success
-        assert suite.start_tracking(feedback=True).success
-        # Time stands still where an answer is missing.
-        suite.until(lambda last=answered_ticks: len(suite.blocks) > last
-                    and not suite.spin_until(lambda: len(suite.blocks) > last + 3, 0.1))
-        last = suite.blocks[-1]
-        assert suite.trigger("emergency_stop").success
-        samples = suite.samples()
-        after_v = samples.since(last.first_sample + 40)
-        assert samples.gapless
-        assert np.all(np.diff(np.r_[last.voltage_v[-1], after_v]) <= 0.0)
-        suite.until(lambda: suite.trigger("reset").success)

@@ -183,7 +183,7 @@ class FastRecord:
         answers = self.input.responses(poles, float(unknowns[-1]), self.kept)
         columns = np.column_stack([
             (answers.value @ residues).real,
-            (answers.value @ by_residue + (answers.by_pole * residues) @ by_pole).real,
+            (answers.value @ by_residue + answers.by_pole @ (residues[:, None] * by_pole)).real,
             (answers.by_delay @ residues).real,
         ])
         columns = self._beside(columns)
@@ -257,7 +257,8 @@ class FastRecord:
             return residual, np.empty((residual.size, 0)), poles, residues
         by_vector = (all_poles[1 : vector.size + 1] - all_poles[vector.size + 1 :]).T / (2.0 * STEP)
         slopes = np.column_stack([
-            ((answers.by_pole * residues) @ by_vector).real, (answers.by_delay @ residues).real])
+            (answers.by_pole @ (residues[:, None] * by_vector)).real,
+            (answers.by_delay @ residues).real])
         slopes = self._beside(slopes)
         return residual, left @ (left.T @ slopes) - slopes, poles, residues
 
