@@ -21,7 +21,7 @@ def test_value_has_as_many_digits_as_its_deviation_leaves(value, deviation, text
 
 def test_frequencies_stand_in_hertz_beside_their_angular_ones():
     model = StageModel(
-        PreisachModel(np.linspace(0.0, 10.0, 5), np.tril(np.ones((4, 4)))),
+        PreisachModel(0.0, 10.0, np.tril(np.ones((4, 4)))),
         CreepDynamics([0.1], [0.2]),
         ElectricVibrationDynamics(1e-4, [2000.0 * np.pi], [0.01], []))
     identified = IdentifiedModel(model, (0.0, 10.0), uncertainties={
