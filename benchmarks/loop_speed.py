@@ -67,7 +67,8 @@ def _track(directory, duration_s, executables, modules):
     """Track in composite mode; return the progress, see `_watch_progress`."""
     directory.mkdir(parents=True, exist_ok=True)
     write_model(directory / "model.json")
-    with BenchmarkProcesses(directory, data_root=directory) as processes, Client() as client:
+    with BenchmarkProcesses(directory, data_root=directory) as processes, \
+            Client("", "client" if "recorder" in executables else "recorder") as client:
         if "recorder" not in executables:
             _stand_in_for_recorder(client.node)
         progress = _watch_progress(client.node)
