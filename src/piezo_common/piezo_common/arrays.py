@@ -10,11 +10,8 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 """Array of complex numbers, such as a response over frequency."""
 
-IntArray = NDArray[np.int64]
-"""Array of whole numbers, such as positions."""
-
 BoolArray = NDArray[np.bool_]
 """Array of truth values, such as which samples are good."""
 
 IntArray = NDArray[np.int_]
-"""Array of whole numbers, such as lines of a spectrum."""
+"""Array of whole numbers, such as positions or lines of a spectrum."""

@@ -76,7 +76,7 @@ class NonlinearDistortion:
     def significant_percent(self) -> float:
         """Distortion above which it is told from the noise: three standard deviations of it."""
         power = float(np.sum(self.noise_um**2)) / self.periods
-        lines = max(1, np.count_nonzero(self.is_odd_detection))
+        lines = max(1, int(np.count_nonzero(self.is_odd_detection)))
         return self._percent(power * 3.0 / np.sqrt(lines))
 
     def _mean_power_um2(self, lines: BoolArray) -> float:

@@ -39,7 +39,7 @@ def parameter_rows(identified: IdentifiedModel) -> list[tuple[str, str]]:
         ("mode frequencies", _listing(
             dynamics.mode_frequencies_rad_per_s, _deviations(of_dynamics, frequencies), "rad/s")),
         ("", _listing(
-            np.asarray(dynamics.mode_frequencies_rad_per_s) / (2.0 * np.pi),
+            [value / (2.0 * np.pi) for value in dynamics.mode_frequencies_rad_per_s],
             [value / (2.0 * np.pi) for value in _deviations(of_dynamics, frequencies)], "Hz")),
         ("damping ratios", _listing(
             dynamics.damping_ratios, _deviations(of_dynamics, "damping_ratios"), "")),

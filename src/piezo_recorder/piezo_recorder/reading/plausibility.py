@@ -163,7 +163,7 @@ def _is_stuck(voltage_v: FloatArray, starts: NDArray[np.intp], lengths: NDArray[
     moved_v = np.maximum.reduceat(voltage_v, starts) - np.minimum.reduceat(voltage_v, starts)
     if np.any(moved_v[at_end] > USUAL.stuck_while * np.ptp(voltage_v)):
         return True
-    repeated = 1.0 - np.count_nonzero(~at_end) / max(np.sum(lengths[~at_end]), 1)
+    repeated = 1.0 - np.count_nonzero(~at_end) / max(int(np.sum(lengths[~at_end])), 1)
     moves = (moved_v > USUAL.quanta * quantum_v) & (lengths >= USUAL.shortest_clip)
     if repeated < USUAL.repeated and np.any(moves & at_end):
         return True

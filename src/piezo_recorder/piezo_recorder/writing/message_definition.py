@@ -10,9 +10,11 @@ from pathlib import Path
 try:
     from ament_index_python import PackageNotFoundError, get_package_share_directory
 except ImportError:  # without ROS no package of messages is installed
-    PackageNotFoundError = KeyError
+    class PackageNotFoundError(KeyError):  # type: ignore[no-redef]
+        """No package is installed."""
 
-    def get_package_share_directory(package_name: str) -> str:
+    def get_package_share_directory(  # type: ignore[misc]
+            package_name: str, print_warning: bool = True) -> str:
         """Say that a package is not installed."""
         raise PackageNotFoundError(package_name)
 

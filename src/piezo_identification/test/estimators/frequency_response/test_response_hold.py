@@ -191,6 +191,6 @@ def test_an_option_of_responses_is_refused_for_samples(tmp_path, capsys, save_cs
     assert identify_main(["--hysteresis", str(data), "--output", str(tmp_path / "model.json"),
                           "--response", "continuous"]) == 2
     assert "--response has nothing to act on" in capsys.readouterr().err
-    assert diagnose_main(["--model", "none.json", "--data", str(data), "--output",
+    assert diagnose_main(["--model", str(data), "--data", str(data), "--output",
                           str(tmp_path / "out"), "--response", "continuous"]) == 2
     assert "--response has nothing to act on" in capsys.readouterr().err
