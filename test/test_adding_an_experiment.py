@@ -59,7 +59,7 @@ def test_experiment_that_no_stage_can_play_is_refused_in_one_sentence(outside, o
 
 def test_identification_plays_and_records_the_experiment_from_outside(outside, nodes, tmp_path):
     client = nodes.start("recorder", "identification")
-    with pytest.raises(GoalFailed, match="choose one of .*, diagnostic, swept_sine"):
+    with pytest.raises(GoalFailed, match="choose one of .*, swept_sine"):
         client.run_experiment("swept_sin", tmp_path)
     with Stage() as stage:
         ran = client.beside(stage.run_experiment, "swept_sine", tmp_path)

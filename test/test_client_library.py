@@ -103,7 +103,7 @@ def test_command_that_is_interrupted_brings_the_stage_to_rest(suite, tmp_path):
     suite.until(lambda: any(np.any(block.voltage_v) for block in suite.blocks))
     command.send_signal(signal.SIGINT)
     _, told = suite.beside(command.communicate, timeout=120)
-    assert command.returncode == 130
+    assert command.returncode == 130, told
     assert told.splitlines()[-1].startswith("stage: interrupted")
     recording = read_recording(tmp_path / "hysteresis")
     assert recording.complete

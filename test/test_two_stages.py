@@ -61,7 +61,7 @@ def track_side_by_side(sides, model, directory):
 
 
 def test_two_stages_track_different_references_at_the_same_time(suite, right, model, tmp_path):
-    long = Side("/right", 200.0, 4.0)
+    long = Side("/right", 200.0, 30.0)
     short = Side("/left", 100.0, 0.25, after=long)
     sides = long, short
     runs = suite.beside(right.beside, track_side_by_side, sides, model, tmp_path)
