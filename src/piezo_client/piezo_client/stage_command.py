@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 from piezo_ros.starting import without_ros_arguments
 
-BAD_INPUT = 2
+BAD_INPUT, INTERRUPTED = 2, 130
 WAIT_S = 3.0
 """Nodes that run are seen within a second."""
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -38,7 +38,12 @@ def main(arguments: list[str] | None = None) -> int:
         if not path.exists():
             print(f"stage: {path} does not exist: check the path", file=sys.stderr)
             return BAD_INPUT
-    return import_module("piezo_client.stage_work").drive(options)
+    try:
+        work = import_module("piezo_client.stage_work")
+    except KeyboardInterrupt:
+        print("stage: interrupted; nothing had begun", file=sys.stderr)
+        return INTERRUPTED
+    return work.drive(options)
 
 
 def _inputs(options: argparse.Namespace) -> Iterator[Path]:
