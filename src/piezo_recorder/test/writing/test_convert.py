@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from piezo_recorder.commands.convert_command import main as convert_main
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.writing import convert
 from piezo_recorder.writing.message_definition import MessageDefinition
@@ -32,7 +33,7 @@ def table(tmp_path):
 
 @pytest.mark.parametrize("name", ["new.csv", "new"])
 def test_converted_recording_is_read_back_as_it_was(tmp_path, table, name, capsys):
-    assert convert.main([str(table), str(tmp_path / name)]) == 0
+    assert convert_main([str(table), str(tmp_path / name)]) == 0
     said = capsys.readouterr().out
     assert "1 gap" in said
     assert f"8000 samples written to {tmp_path / name}" in said
@@ -53,7 +54,7 @@ def test_each_of_several_recordings_is_written_under_its_title(tmp_path, capsys)
     path = tmp_path / "runs.csv"
     rows = "".join(f"{run};{t};{t * run};{t}\n" for run in (1, 7) for t in range(30))
     path.write_text("run;t [s];U [V];x [um]\n" + rows)
-    assert convert.main([str(path), str(tmp_path / "one.csv"), "--columns", "recording=run"]) == 0
+    assert convert_main([str(path), str(tmp_path / "one.csv"), "--columns", "recording=run"]) == 0
     assert read_recording(tmp_path / "one_7.csv").voltage_v[-1] == 7 * 29
     assert not (tmp_path / "one.csv").exists()
 
@@ -61,6 +62,6 @@ def test_each_of_several_recordings_is_written_under_its_title(tmp_path, capsys)
 @pytest.mark.parametrize("output, said", [
     ("table.txt", "exists already"), ("nowhere/new.csv", "in no existing directory")])
 def test_output_that_cannot_be_made_is_refused_in_one_line(tmp_path, table, output, said, capsys):
-    assert convert.main([str(table), str(tmp_path / output)]) == 2
+    assert convert_main([str(table), str(tmp_path / output)]) == 2
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1

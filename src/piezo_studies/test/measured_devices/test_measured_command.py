@@ -116,7 +116,8 @@ def test_there_is_a_picture_of_every_prediction(output):
 
 
 def test_a_missing_set_is_named(tmp_path, capsys):
-    assert main(["--data", str(tmp_path / "none"), "--output", str(tmp_path)]) == 2
+    (tmp_path / "empty").mkdir()
+    assert main(["--data", str(tmp_path / "empty"), "--output", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert NESTED_LOOPS in error

@@ -115,7 +115,7 @@ def test_a_response_with_few_frequencies_or_beside_another_file_is_refused(tmp_p
         diagnose_response(MODEL, short)
     data = tmp_path / "response.csv"
     data.write_text("frequency_hz,gain_re,gain_im\n1,1,0\n")
-    assert main(["--model", "none.json", "--data", str(data), str(data),
+    assert main(["--model", str(data), "--data", str(data), str(data),
                  "--output", str(tmp_path)]) == 2
     assert "give it alone" in capsys.readouterr().err
 
