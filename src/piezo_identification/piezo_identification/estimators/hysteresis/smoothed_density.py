@@ -26,6 +26,9 @@ from piezo_identification.estimators.hysteresis.smoothing_choice import (
     refine_smoothing,
 )
 
+SAMPLES_PER_CELL = 4
+"""So many samples tell more than the few cells on which the weights are chosen can follow."""
+
 CELLS_FOR_THE_WEIGHT = 30
 """Cells along a threshold on which the weights are chosen: they mean the same on any grid."""
 
@@ -163,7 +166,9 @@ def _penalties_for(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None,
     whole_plane: bool,
 ) -> PenaltyChoice:
-    """Choose the weights on few cells; where all are visited, the smoothing anew on twice as many.
+    """Choose the weights on few cells, and the smoothing anew on twice as many if the data allow.
+
+    They do where the whole plane is visited, or there are several samples for each cell.
 
     The bounds that hold are then found on grids twice as fine each time, where that costs little.
     """
@@ -174,7 +179,7 @@ def _penalties_for(
     while 2 * cells < size and not choice.is_line:
         finer_v = np.linspace(levels_v[0], levels_v[-1], 2 * cells + 1)
         forces = _on_finer_grid(choice.forces, cells, 2 * cells)
-        if whole_plane and cells == CELLS_FOR_THE_WEIGHT:
+        if (whole_plane or _many(segments, 2 * cells)) and cells == CELLS_FOR_THE_WEIGHT:
             choice = refine_smoothing(segments, finer_v, choice, forces)
         else:
             [equations] = equations_of_folds(segments, finer_v)
@@ -192,3 +197,9 @@ def _on_finer_grid(forces: FloatArray, coarse: int, fine: int) -> FloatArray:
         lower_triangle(density, coarse)[np.ix_(cell, cell)][np.tril_indices(fine)],
         reversible[cell],
     ])
+
+
+def _many(segments: Sequence[HysteresisSegment], size: int) -> bool:
+    """Tell whether there are several samples for each cell of a grid."""
+    cells = size * (size + 1) // 2
+    return sum(len(segment.samples) for segment in segments) >= SAMPLES_PER_CELL * cells

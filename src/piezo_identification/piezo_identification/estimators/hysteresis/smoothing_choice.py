@@ -16,7 +16,7 @@ from piezo_identification.estimators.hysteresis.equations import (
     equations_of_folds,
 )
 
-SMOOTHING_WEIGHTS = tuple(10.0**power for power in range(-6, -16, -1))
+SMOOTHING_WEIGHTS = tuple(10.0**power for power in range(-6, -19, -1))
 """Weights of the density's curvature, from the largest down."""
 
 TRANSLATION_WEIGHTS = tuple(10.0**power for power in range(-6, -12, -1))
