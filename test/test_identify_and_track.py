@@ -9,12 +9,14 @@ import signal
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
-from piezo_interfaces.msg import Reference
+from piezo_interfaces.msg import Reference, SampleBlock
 
 from piezo_client.client import GoalFailed
 from piezo_recorder.reading.reader import read_recording, sha256_of
 
 CENTRE_UM = 57.0
+GOES_ON_S = 900.0
+"""Of stage time: longer than a test asks while it lasts; the test ends the run."""
 
 
 def harmonic(frequency_hz=100.0, amplitude_um=40.0, centre_um=CENTRE_UM, **others):
@@ -195,21 +197,21 @@ def test_unreachable_amplitude_is_refused_and_the_one_named_instead_is_reached(
 
 
 def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, model, tmp_path):
-    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=60.0))
+    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=GOES_ON_S))
     with pytest.raises(GoalFailed, match="rejected the goal: it is busy"):
         suite.goal("track", **goal_fields(model, tmp_path))
     with pytest.raises(GoalFailed, match="is being recorded: stop it first"):
         suite.run_experiment("dynamics", tmp_path)
     with pytest.raises(GoalFailed, match=r"the stage is busy \(track for /left/controller\)"):
         suite.play([1.0])
-    status, result = suite.result(goal)
-    assert status == GoalStatus.STATUS_SUCCEEDED, result.message
-    assert result.e_rms_percent < 0.2
+    assert suite.blocks[-1].flags & SampleBlock.FLAG_TRACKING
+    status, result = suite.cancel(goal)
+    assert status == GoalStatus.STATUS_CANCELED, result.message
     assert read_recording(result.recording).gaps == []
 
 
 def test_cancelled_track_ramps_to_rest_and_its_recording_reads_back(suite, model, tmp_path):
-    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=60.0))
+    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=GOES_ON_S))
     status, result = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED
     assert (result.success, result.message) == (False, "cancelled")
@@ -217,7 +219,7 @@ def test_cancelled_track_ramps_to_rest_and_its_recording_reads_back(suite, model
     assert recording.complete
     assert recording.gaps == []
     assert recording.voltage_v[-1] == 0.0
-    assert recording.tracking.sum() < 60 * 40_000
+    assert recording.tracking.sum() < GOES_ON_S * 40_000
 
 
 def test_track_cancelled_while_it_is_planned_moves_nothing(suite, model, tmp_path):
@@ -225,7 +227,7 @@ def test_track_cancelled_while_it_is_planned_moves_nothing(suite, model, tmp_pat
     # A file of its own, for which no feedback has been designed yet: that takes a while.
     unknown = tmp_path / "model.json"
     unknown.write_text(model.read_text() + "\n")
-    goal = suite.send_goal("track", **goal_fields(unknown, tmp_path, duration_s=60.0))
+    goal = suite.send_goal("track", **goal_fields(unknown, tmp_path, duration_s=GOES_ON_S))
     status, result = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED
     assert result.message == "cancelled"
@@ -234,7 +236,7 @@ def test_track_cancelled_while_it_is_planned_moves_nothing(suite, model, tmp_pat
 
 
 def test_emergency_stop_ends_a_track_whose_recording_stays_readable(suite, model, tmp_path):
-    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=60.0))
+    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=GOES_ON_S))
     assert suite.trigger("emergency_stop").success
     status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
@@ -258,7 +260,7 @@ def controller(suite):
 
 def test_controller_that_is_ended_stops_the_stage_and_tells_its_client(
         suite, controller, model, tmp_path):
-    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=60.0))
+    goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=GOES_ON_S))
     controller.send_signal(signal.SIGINT)
     status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
