@@ -38,9 +38,10 @@ def parameter_rows(identified: IdentifiedModel) -> list[tuple[str, str]]:
         ("electric time constant", _listing([time_constant_ms], lag_deviation, "ms")),
         ("mode frequencies", _listing(
             dynamics.mode_frequencies_rad_per_s, _deviations(of_dynamics, frequencies), "rad/s")),
-        ("", _listing(
+        *([("", _listing(
             [value / (2.0 * np.pi) for value in dynamics.mode_frequencies_rad_per_s],
-            [value / (2.0 * np.pi) for value in _deviations(of_dynamics, frequencies)], "Hz")),
+            [value / (2.0 * np.pi) for value in _deviations(of_dynamics, frequencies)], "Hz"))]
+          if dynamics.mode_frequencies_rad_per_s else []),
         ("damping ratios", _listing(
             dynamics.damping_ratios, _deviations(of_dynamics, "damping_ratios"), "")),
     ]
@@ -54,7 +55,7 @@ def _deviations(uncertainties: Mapping[str, Any], name: str) -> list[float]:
 def _listing(values: Sequence[float], deviations: Sequence[float], unit: str) -> str:
     texts = [with_deviation(value, deviation) for value, deviation in zip_longest(
         list(values), list(deviations)[:len(values)])]
-    return f"{', '.join(texts) or 'none'} {unit}".rstrip()
+    return f"{', '.join(texts)} {unit}".rstrip() if texts else "none"
 
 
 def with_deviation(value: float, deviation: float | None) -> str:

@@ -107,6 +107,7 @@ def tell_row_delays(rows: Mapping[str, RowDelay], tell: Callable[[str], object])
     for name, row in rows.items():
         is_significant = abs(row.delay_s) > SIGNIFICANT * row.standard_deviation_s
         verdict = "significant" if is_significant else "not significant"
+        scale, unit = (1e6, "us") if row.standard_deviation_s < 1e-3 else (1.0, "s")
         tell(f"rows of the {name}: read {row.read_at_samples:.4g} sample periods after their "
-             f"voltage; a delay of {1e6 * row.delay_s:.4g} +- "
-             f"{1e6 * row.standard_deviation_s:.2g} us is left, which is {verdict}")
+             f"voltage; a delay of {scale * row.delay_s:.3g} +- "
+             f"{scale * row.standard_deviation_s:.2g} {unit} is left, which is {verdict}")
