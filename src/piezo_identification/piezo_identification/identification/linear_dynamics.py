@@ -34,6 +34,9 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
+NEAR_THE_END = 0.25
+"""Sample periods from the end of the hold within which rows may be taken to be read there."""
+
 
 @dataclass(frozen=True)
 class LinearDynamics:
@@ -102,7 +105,8 @@ class LinearDynamics:
         if delay is not None and delay.is_significant:
             delay_s, read_at = max(delay.delay_s, 0.0), max(-delay.samples, 0.0)
             by_s = abs(delay.delay_s + delay.sample_period_s)
-            if by_s < SIGNIFICANT * delay.standard_deviation_s:
+            if by_s < min(SIGNIFICANT * delay.standard_deviation_s,
+                          NEAR_THE_END * delay.sample_period_s):
                 # The end of the hold is what a logger means.
                 read_at = 1.0
             if delay_s:

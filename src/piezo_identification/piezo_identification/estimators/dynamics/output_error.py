@@ -44,6 +44,9 @@ LAST_EVALUATIONS = 4
 POLISHING, ROUNDING = 200, 1e-12
 """Steps, and relative change of the cost, of the fit of the order that is taken."""
 
+FAR_MORE = 2.0
+"""Times the power that a fit may leave without its delay before the delay counts as needed."""
+
 PATIENCE = 2
 """Numbers of modes in succession that may bring no gain before the search ends."""
 
@@ -188,8 +191,10 @@ class _Search:
             period_s = self._record.input.sample_period_s
             delay = DelayEstimate(fit.delay * period_s, deviations[-1] * period_s, period_s)
             if not delay.is_significant:
-                fit = self._whole.fit(fit.order, fit.vector, 0.0, is_delay_free=False)
-                deviations = self._deviations(fit)
+                without = self._whole.fit(fit.order, fit.vector, 0.0, is_delay_free=False)
+                delay = replace(delay, is_needed=without.cost > FAR_MORE * fit.cost)
+                if not delay.is_significant:
+                    fit, deviations = without, self._deviations(without)
         places = ascending_places(fit.vector, fit.order)
         model = fast_dynamics_of(fit.vector, fit.order)
         spread = deviations[: places.size] * np.where(
