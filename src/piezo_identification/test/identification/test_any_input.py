@@ -97,3 +97,20 @@ def test_a_linear_stage_becomes_a_line_with_its_gain(linear_stage, record):
         gain = np.ptp(hysteresis.output_range_um) / span_v
         assert not hysteresis.density_um_per_v2.any()
         assert gain == pytest.approx(0.57, rel=3e-3)
+
+
+def test_a_delay_is_kept_whose_deviation_another_form_of_stage_widens(record, linear_stage):
+    """No linear fit has the stiffening, whose periodic residual makes the deviation endless."""
+    fine = 4
+    time_s = np.arange(COUNT * fine) * PERIOD_S / fine
+    voltage_v = voltage_of("multisine")
+    response = lsim(([1.0], [MODE**-2, 2 * 0.02 / MODE, 1.0]),
+                    np.repeat(voltage_v - 40.0, fine), time_s, interp=False)[1]
+    half_a_sample_late = response[fine // 2 :: fine]
+    recording = record(linear_stage, voltage_v, PERIOD_S)
+    object.__setattr__(recording, "displacement_um", half_a_sample_late - (
+        0.06 / np.abs(response).max() ** 2 * half_a_sample_late**3))
+    delay = estimate_dynamics_any([recording], CreepDynamics(), mode_count=1).delay
+    assert abs(delay.delay_s) < 0.1 * delay.standard_deviation_s
+    assert delay.is_significant
+    assert delay.samples == pytest.approx(-0.5, abs=0.05)
