@@ -8,9 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TypeAlias
 
+from piezo_common.command_line import BAD_INPUT, INTERRUPTED
 from piezo_ros.starting import without_ros_arguments
 
-BAD_INPUT, INTERRUPTED = 2, 130
 WAIT_S = 3.0
 """Nodes that run are seen within a second."""
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"

@@ -12,9 +12,10 @@ from piezo_client.overview import stages_seen, status_lines
 from piezo_client.references import harmonic, triangle
 from piezo_client.stage import Stage
 from piezo_client.waveform_file import read_waveform
+from piezo_common.command_line import BAD_INPUT, INTERRUPTED
 from piezo_common.progress_line import ProgressLine
 
-FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+FAILED = 1
 SHAPES = {"harmonic": harmonic, "triangle": triangle}
 
 

@@ -19,7 +19,7 @@ LATEST_READING = 1.5
 """Sample periods after its voltage at which a row may have been read."""
 
 WHOLE = 1e-9
-"""Of a sample period, within which an instant counts as that of a sample."""
+"""An instant within this part of a sample period counts as that of the sample."""
 
 
 @dataclass(frozen=True)

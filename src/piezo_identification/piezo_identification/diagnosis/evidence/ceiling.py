@@ -128,26 +128,26 @@ def ceiling(regression: Regression, fit: Fit) -> Ceiling:
     # The trees' threads would wait for each other in a loop that keeps both cores busy.
     with threadpool_limits(1):
         from_voltage, from_all = (
-            max(0.0, whole - square_um2(_unpredicted(regression, fit, with_past)))
-            for with_past in (False, True))
+            max(0.0, whole - square_um2(_unpredicted(regression, fit, features)))
+            for features in _features(regression, fit))
     predictable = max(from_voltage, from_all)
     return Ceiling(*(float(np.sqrt(square)) for square in (
         whole, predictable, from_voltage, whole - predictable, np.mean(noise_um**2))))
 
 
-def _features(regression: Regression, fit: Fit, *, with_past: bool) -> FloatArray:
-    """Return what the learner sees at each row, (r, n)."""
+def _features(regression: Regression, fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Return what the learner sees at each row: of the voltage alone, and of all, (r, n)."""
     dataset = regression.dataset
     lags = _lags(min(part.time_s.size for part in dataset.simulated))
-    blocks = []
+    of_voltage, of_past = [], []
     for index, (part, rows) in enumerate(zip(dataset.simulated, dataset.rows, strict=True)):
-        columns = [*_of_voltage(part.voltage_v, part.simulate(fit.effects), rows, lags)]
-        if with_past:
-            left = residual_um(dataset, index, fit.effects, regression.noise)
-            left = np.where(regression.noise.outliers[index], 0.0, left)
-            columns += [_before(left, rows, lag) for lag in lags]
-        blocks.append(np.column_stack(columns))
-    return np.vstack(blocks)
+        of_voltage.append(np.column_stack(
+            [*_of_voltage(part.voltage_v, part.simulate(fit.effects), rows, lags)]))
+        left = residual_um(dataset, index, fit.effects, regression.noise)
+        left = np.where(regression.noise.outliers[index], 0.0, left)
+        of_past.append(np.column_stack([_before(left, rows, lag) for lag in lags]))
+    alone = np.vstack(of_voltage)
+    return alone, np.hstack([alone, np.vstack(of_past)])
 
 
 def _of_voltage(voltage_v: FloatArray, simulated_um: FloatArray,
@@ -192,9 +192,8 @@ def _before(signal: FloatArray, rows: NDArray[np.intp], lag: int) -> FloatArray:
     return signal[np.maximum(rows - lag, 0)]
 
 
-def _unpredicted(regression: Regression, fit: Fit, with_past: bool) -> FloatArray:
+def _unpredicted(regression: Regression, fit: Fit, features: FloatArray) -> FloatArray:
     """Return what a learner leaves of what a fit leaves, in tolerances, (r,)."""
-    features = _features(regression, fit, with_past=with_past)
     rows = np.flatnonzero(regression.estimation)
     rows = rows[:: max(1, rows.size // SETTINGS.most_rows)]
     given = features[rows], fit.residual[rows], regression.dataset.stretch[rows]

@@ -98,12 +98,12 @@ def estimate_dynamics_any(
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(recordings, parts, strict=True)]
         return fit_signals(_signals(parts, entering_um, creep), mode_count, delay)
-    entering = [np.asarray(part.voltage_v, dtype=float) for part in parts]
-    linear = fit_signals(_signals(parts, entering, creep), MODES_IN_TURN, delay)
+    without_hysteresis = _signals(
+        parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
+    linear = fit_signals(without_hysteresis, MODES_IN_TURN, delay)
     estimate = _beside_hysteresis(parts, creep, linear, mode_count, delay)
     if estimate.residual_rms >= linear.residual_rms:
-        # A stage without hysteresis.
-        return fit_signals(_signals(parts, entering, creep), mode_count, delay)
+        return fit_signals(without_hysteresis, mode_count, delay)
     if estimate.order.all_modes <= MODES_IN_TURN:
         return estimate
     return _beside_hysteresis(parts, creep, estimate, mode_count, delay)

@@ -27,10 +27,11 @@ FASTEST = 30.0
 sample period, as if it were not there."""
 
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 20.0
-"""Between which a damping ratio is sought."""
+"""A damping ratio is sought between these."""
 
 BESIDE_DAMPING, PARTICIPATION = (1e-3, 0.4), (-2.0, 3.0)
-"""Of a mode beside others, as `piezo_models.effects.vibration_mode.VibrationMode` admits them."""
+"""Bounds of damping and part of a mode beside others, which
+`piezo_models.effects.vibration_mode.VibrationMode` admits."""
 
 ANTIRESONANCE_SPAN = 3.0
 """Factor beyond the modes within which an antiresonance is taken for one."""

@@ -68,7 +68,7 @@ FOLLOWED = 3
 """Starts of a form that are followed by quick fits."""
 
 ENDED = 2
-"""Of those, the best are followed to their end."""
+"""So many of the best of those starts are followed to their end."""
 
 LAGGING_FORMS = 2
 """Forms, the best of as many modes, that are tried with a sensor's lag."""

@@ -19,7 +19,7 @@ WARM_UP_S = 0.3
 """Part at the start that is not used, as the approach from rest still shows in it."""
 
 SKIPPED_SAMPLES = (1, 6, 20)
-"""Of a decay after a step, before which a delay may hold it up."""
+"""So many samples of a decay after a step are skipped in turn, as a delay may hold it up."""
 
 
 def estimate_dynamics(

@@ -8,7 +8,7 @@ from piezo_identification.estimators.frequency_response.response_model import Re
 from piezo_identification.estimators.frequency_response.response_standing import FASTEST
 
 IDLE_DAMPING = 0.1
-"""Of a mode far above the band, which delays little."""
+"""A mode far above the band begins with this damping ratio, which delays little."""
 
 CANCELLED_DAMPING = 0.3
 """Of a mode upon which an antiresonance lies."""
