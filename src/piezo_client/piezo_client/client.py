@@ -16,6 +16,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 from unique_identifier_msgs.msg import UUID
 
+from piezo_client.interrupts import HeldSignals
 from piezo_client.paths import AnyPath, with_absolute_paths
 from piezo_ros.calls import number_request
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
@@ -95,6 +96,8 @@ class Client:
     wait_s : float
         How long to look for anybody in the namespace; whoever is found gets `SERVER_TIMEOUT_S`.
     """
+
+    _signals = HeldSignals()  # of the process, not of one client
 
     def __init__(self, namespace: str = "", name: str = "client",
                  wait_s: float = SERVER_TIMEOUT_S) -> None:
@@ -185,6 +188,12 @@ class Client:
         KeyboardInterrupt
             Once the goal has been cancelled and the stage is back at rest.
         """
+        with self._signals.hold():
+            return self._goal(name, on_feedback, cancel_after_s, why_stop, fields)
+
+    def _goal(self, name: str, on_feedback: Callable[[Message], object] | None,
+              cancel_after_s: float | None, why_stop: Callable[[], str] | None,
+              fields: Mapping[str, Any]) -> Message:
         handle = self.send(name, on_feedback, **fields)
         result = handle.get_result_async()
         self._running = name
@@ -237,12 +246,13 @@ class Client:
                 goal, lambda m: on_feedback(m.feedback) if on_feedback else None, number)
 
         sent: list[Future] = []
-        try:
-            handle = self._accepted(client, sent, ask)
-        except KeyboardInterrupt:
-            # The goal is on its way, and must not run on alone.
-            self._withdraw(client, number, action_type)
-            raise
+        with self._signals.hold():
+            try:
+                handle = self._accepted(client, sent, ask)
+            except KeyboardInterrupt:
+                # The goal is on its way, and must not run on alone.
+                self._withdraw(client, number, action_type)
+                raise
         if handle is None:
             self._withdraw(client, number, action_type)
             raise GoalFailed(name, action_type.Result(message=(
@@ -292,13 +302,14 @@ class Client:
         ServiceFailed
             If nobody serves, or the node that serves ends before it answers.
         """
-        client = self.node.create_client(service_type, name)
-        try:
-            self._await(client.service_is_ready, name)
-            return self._answer(
-                client, name, service_type.Request(**with_absolute_paths(fields)))
-        finally:
-            self.node.destroy_client(client)
+        with self._signals.hold():
+            client = self.node.create_client(service_type, name)
+            try:
+                self._await(client.service_is_ready, name)
+                return self._answer(
+                    client, name, service_type.Request(**with_absolute_paths(fields)))
+            finally:
+                self.node.destroy_client(client)
 
     def _answer(self, client: rclpy.client.Client, name: str, request: Message) -> Message:
         repeatable = number_request(request) or isinstance(request, Trigger.Request)
@@ -364,13 +375,17 @@ class Client:
         ------
         StoodStill
             If this process did nothing for so long, as after Ctrl-Z, that nodes gave it up.
+        KeyboardInterrupt
+            After Ctrl-C, once the message in hand has been dealt with.
         """
         deadline = time.monotonic() + timeout_s
-        while not condition():
-            if time.monotonic() > deadline:
-                return False
-            self._executor.spin_once(timeout_sec=0.05)
-            standstill_s = self._heartbeat.standstill_s()
-            if standstill_s > LONGEST_STANDSTILL_S:
-                raise StoodStill(standstill_s)
+        with self._signals.hold():
+            while not condition():
+                if time.monotonic() > deadline:
+                    return False
+                self._executor.spin_once(timeout_sec=0.05)
+                self._signals.act()
+                standstill_s = self._heartbeat.standstill_s()
+                if standstill_s > LONGEST_STANDSTILL_S:
+                    raise StoodStill(standstill_s)
         return True
