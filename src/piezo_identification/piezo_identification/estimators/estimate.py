@@ -2,7 +2,7 @@
 """What an estimator found, how sure it is, and why it chose the order."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -116,6 +116,10 @@ class Estimate:
         Standard deviations of the parameters of each effect, by their names.
     delay : DelayEstimate, optional
         None where no delay was fitted.
+    creep : CreepDynamics
+        Beside the one that was known, for dynamics.
+    creep_deviations : dict
+        Standard deviations of its poles and zeros.
     """
 
     model: Any
@@ -127,6 +131,8 @@ class Estimate:
     effects: tuple[Effect, ...] = ()
     effect_deviations: tuple[dict[str, float], ...] = ()
     delay: DelayEstimate | None = None
+    creep: CreepDynamics = CreepDynamics()
+    creep_deviations: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def residual_rms(self) -> float:

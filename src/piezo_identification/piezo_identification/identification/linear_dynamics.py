@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Creep, electric and vibration dynamics, from whatever was recorded to show them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -112,31 +112,42 @@ class LinearDynamics:
             if delay_s:
                 modes = sum(effect.place == "modes" for effect in estimate.effects)
                 deviations.insert(modes, {"delay_s": delay.standard_deviation_s})
+        creep, spread = self._creep_beside(estimate.creep, estimate.creep_deviations)
         return replace(
-            self, dynamics=estimate.model, effects=estimate.effects, delay_s=delay_s,
+            self, creep=creep, dynamics=estimate.model, effects=estimate.effects, delay_s=delay_s,
             read_at_samples=read_at, effect_deviations=tuple(deviations),
             estimates=self.estimates | {"dynamics": estimate},
-            uncertainties=self.uncertainties | {"dynamics": estimate.standard_deviations},
+            uncertainties=self.uncertainties | spread | {
+                "dynamics": estimate.standard_deviations},
         )
 
     def with_response(self, estimate: Estimate) -> "LinearDynamics":
         """Add what a frequency response shows; its creep is that beside the known one."""
         model, deviations = estimate.model, estimate.standard_deviations
-        creep, spread = {}, {}
-        for name, known in asdict(self.creep).items():
-            rates = np.append(known, getattr(model.creep, name))
-            order = np.argsort(rates)
-            creep[name] = tuple(rates[order].tolist())
-            known_spread = self.uncertainties.get("creep", {}).get(name, ())
-            spread[name] = tuple(
-                np.append(known_spread, deviations["creep"][name])[order].tolist())
+        creep, spread = self._creep_beside(model.creep, deviations["creep"])
         is_late = model.delay_s > SIGNIFICANT * deviations["delay_s"]
         return replace(
-            self.with_dynamics(estimate), creep=CreepDynamics(**creep), dynamics=model.dynamics,
+            self.with_dynamics(estimate), creep=creep, dynamics=model.dynamics,
             delay_s=model.delay_s if is_late else 0.0,
             effect_deviations=({"delay_s": deviations["delay_s"]},) if is_late else (),
-            uncertainties={"creep": spread, "dynamics": deviations["dynamics"]},
+            uncertainties={"dynamics": deviations["dynamics"]} | spread,
         )
+
+    def _creep_beside(
+        self, creep: CreepDynamics, deviations: Mapping[str, Sequence[float]],
+    ) -> tuple[CreepDynamics, dict[str, dict[str, Any]]]:
+        """Known creep and more of it in the order of rates, and its uncertainties."""
+        if not creep.poles_rad_per_s:
+            return self.creep, {}
+        known_spread = self.uncertainties.get("creep", {})
+        values, spread = {}, {}
+        for name, known in asdict(self.creep).items():
+            rates = np.append(known, getattr(creep, name))
+            order = np.argsort(rates)
+            values[name] = tuple(rates[order].tolist())
+            spread[name] = tuple(np.append(
+                known_spread.get(name, ()), deviations.get(name, ()))[order].tolist())
+        return CreepDynamics(**values), {"creep": spread}
 
 
 def estimate_linear_dynamics(
@@ -266,9 +277,9 @@ def _from_samples(
 
 def _is_periodic(recording: Recording) -> bool:
     """Tell whether a recording is a square wave whose period is a whole number of samples."""
-    part = played(recording)
     if not _is_square_wave(recording):
         return False
+    part = square_part(played(recording))
     steps = square_wave(part).steps
     steps = steps[steps >= WARM_UP_S / part.sample_period_s]
     return steps.size >= 3 and bool(np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]))

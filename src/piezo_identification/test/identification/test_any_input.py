@@ -5,6 +5,7 @@ from scipy.signal import chirp, lsim
 
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
 from piezo_identification.identification.identify import identify
+from piezo_identification.identification.linear_dynamics import estimate_linear_dynamics
 from piezo_models.linear.dynamics import CreepDynamics
 
 PERIOD_S = 1e-4
@@ -115,3 +116,11 @@ def test_a_delay_is_kept_whose_deviation_another_form_of_stage_widens(record, li
     assert abs(delay.delay_s) < 0.1 * delay.standard_deviation_s
     assert delay.is_significant
     assert delay.samples == pytest.approx(-0.5, abs=0.05)
+
+
+def test_square_wave_whose_first_row_lies_between_its_levels_is_one(linear_stage, record):
+    voltage_v = voltage_of("square")
+    voltage_v[0] = 42.5
+    recording = record(linear_stage, voltage_v, PERIOD_S, noise_um=0.01)
+    found = estimate_linear_dynamics((), [recording], ())
+    assert error_of(found.estimates["dynamics"]) < 0.01

@@ -75,7 +75,9 @@ def name_and_unit(label: str) -> tuple[str, str]:
     found = _SUFFIXED.fullmatch(label)
     if found and plain(found[2]) in SUFFIXES:
         return found[1].strip(), found[2]
-    return label.strip(), ""
+    # Other letters than V alone are rather a quantity: "s" may be a way as well as seconds.
+    is_unit_alone = signal_of_unit(label) and (len(plain(label)) > 1 or label.strip() == "V")
+    return label.strip(), label.strip() if is_unit_alone else ""
 
 
 def factor_and_unit(text: str) -> tuple[float, str]:

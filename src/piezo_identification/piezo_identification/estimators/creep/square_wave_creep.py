@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, nnls
 
 from piezo_common.arrays import FloatArray
 from piezo_common.cancellation import check_cancelled
@@ -25,7 +25,7 @@ from piezo_identification.estimators.estimate import (
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
-MOST_PAIRS = 6
+MOST_PAIRS = 8
 """Pairs of pole and zero beyond which the search for their number ends."""
 
 USUAL_SETTLING_S = 0.03
@@ -90,9 +90,12 @@ def estimate_creep(
     cut = _estimate(_CreepRecord(later, dynamics, delay_s), pair_count)
     whole = _estimate(record, pair_count)
     off_um = record.first_run_off_um(cut.model)
-    return whole if off_um == 0.0 else replace(
-        cut, start=f"its first {record.first_run_s:.4g} s, up to the first step, are {off_um:+.3g} "
-        "um off the loop of the later ones: left out")
+    if off_um == 0.0:
+        return whole
+    # Beside many slow exponentials the level is told, but not its size.
+    size = f"{off_um:+.3g} um " if abs(off_um) < np.ptp(part.displacement_um) else ""
+    return replace(cut, start=f"its first {record.first_run_s:.4g} s, up to the first step, are "
+                   f"{size}off the loop of the later ones: left out")
 
 
 def left_out_s(dynamics: ElectricVibrationDynamics | None, delay_s: float = 0.0) -> float:
@@ -129,15 +132,18 @@ def _estimate_as_held(record: "_CreepRecord", pair_count: int | None) -> Estimat
         rates = record.refine(np.append(rates, record.best_further_rate(rates)))
         trials.append(record.trial(rates))
         better = trials[-1].information < min(trial.information for trial in trials[:-1])
-        if pair_count is None and (trials[-1].refusal or not better):
+        if pair_count is None and not better:
             break
-        best = rates
-    if pair_count is not None and trials[-1].refusal:
+        # Creep over many decades: a number of pairs may be refused and a larger one fit.
+        if pair_count is not None or not trials[-1].refusal:
+            best = rates
+    model, standard_deviations = record.creep(best)
+    shown = len(model.poles_rad_per_s)
+    if pair_count is not None and (trials[-1].refusal or shown < pair_count):
         raise CreepNotShown(
             f"{record.path} does not show {pair_count} pairs of creep poles and zeros "
-            f"({trials[-1].refusal}): ask for fewer, or record longer"
+            f"({trials[-1].refusal or 'a gain is not positive'}): ask for fewer, or record longer"
         )
-    model, standard_deviations = record.creep(best)
     return Estimate(model, standard_deviations, best.size, tuple(trials), pair_count is not None)
 
 
@@ -237,22 +243,34 @@ class _CreepRecord:
         check_cancelled()
         basis = self._basis(rates)
         coefficients = np.linalg.lstsq(basis, self.displacement, rcond=1e-12)[0]
+        gains = slice(2, 2 + rates.size)
+        if coefficients[gains].min(initial=0.0) < 0.0:
+            # A rate slower than the record may show in the initial state alone, without a gain.
+            free = np.delete(basis, gains, axis=1)
+            span = np.linalg.qr(free)[0]
+            beside = basis[:, gains] - span @ (span.T @ basis[:, gains])
+            positive = nnls(beside, self.displacement - span @ (span.T @ self.displacement))[0]
+            others = np.linalg.lstsq(
+                free, self.displacement - basis[:, gains] @ positive, rcond=1e-12)[0]
+            coefficients = np.concatenate([others[:2], positive, others[2:]])
         return coefficients, self.displacement - basis @ coefficients
 
     def creep(
         self, rates: FloatArray,
     ) -> tuple[CreepDynamics, dict[str, tuple[float, ...]]]:
-        """Model with these rates, and its standard deviations."""
-        if rates.size == 0:
-            return CreepDynamics(), {"poles_rad_per_s": (), "zeros_rad_per_s": ()}
+        """Model with those of the rates that have a gain, and its standard deviations."""
         coefficients, residual = self._fit(rates)
         gains = coefficients[2 : 2 + rates.size] / coefficients[1]
-        basis = self._basis(rates)
+        has_gain = gains > 0.0
+        if not has_gain.any():
+            return CreepDynamics(), {"poles_rad_per_s": (), "zeros_rad_per_s": ()}
+        basis = np.delete(self._basis(rates), 2 + np.flatnonzero(~has_gain), axis=1)
         by_rate = np.empty((residual.size, rates.size))
         for i, rate in enumerate(rates):
             step = 1e-5 * rate * np.eye(rates.size)[i]
             difference = self._basis(rates + step) - self._basis(rates - step)
             by_rate[:, i] = difference @ coefficients / (2e-5 * rate)
+        rates, gains, by_rate = rates[has_gain], gains[has_gain], by_rate[:, has_gain]
         covariance = parameter_covariance(np.column_stack([by_rate, basis]), residual)
         # Of the coefficients, only the gains relative to the immediate one are physical.
         relative = np.zeros((2 * rates.size, covariance.shape[0]))
@@ -290,14 +308,10 @@ class _CreepRecord:
 
     def trial(self, rates: FloatArray) -> OrderTrial:
         """How well these rates do, and whether they can be creep at all."""
-        coefficients, residual = self._fit(rates)
-        gains = coefficients[2 : 2 + rates.size] / coefficients[1]
-        refusal = ""
-        if gains.min(initial=np.inf) <= 0.0:
-            refusal = "a gain is not positive"
-        elif rates.max(initial=0.0) >= 0.99 * self.fastest:
-            refusal = "a rate is as fast as the sampling"
-        return order_trial(rates.size, residual, 2 + 3 * rates.size, refusal)
+        residual = self._fit(rates)[1]
+        is_fast = rates.max(initial=0.0) >= 0.99 * self.fastest
+        return order_trial(rates.size, residual, 2 + 3 * rates.size,
+                           "a rate is as fast as the sampling" if is_fast else "")
 
     def best_further_rate(self, rates: FloatArray) -> float:
         """Rate that, added to the others, explains most."""

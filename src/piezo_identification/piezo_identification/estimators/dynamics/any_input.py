@@ -12,9 +12,11 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import free_running_level
+from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.settling import slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
+from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
 from piezo_identification.estimators.dynamics.fast_signals import (
     FEWEST_SAMPLES,
     LATE_ROWS,
@@ -90,14 +92,17 @@ def estimate_dynamics_any(
         raise ValueError(
             f"{parts[0].path} and {parts[1].path} differ in their sample periods: give recordings "
             "of the dynamics of one sample period")
-    if all(_has_two_levels(part) for part in parts):
-        signals = min((_signals(parts, inputs, creep) for inputs in _two_level_inputs(parts)),
-                      key=_left_by_free_residues)
-        return fit_signals(signals, mode_count, delay)
+    squares = [square_part(part) for part in parts]
+    if all(_has_two_levels(square) for square in squares):
+        inputs = min(_two_level_inputs(squares), key=lambda inputs: _left_by_free_residues(
+            _signals(squares, inputs, creep)))
+        return fit_beside_fast_creep(
+            lambda known: _signals(squares, inputs, known).record(), creep, mode_count, delay)
     if hysteresis is not None:
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(recordings, parts, strict=True)]
-        return fit_signals(_signals(parts, entering_um, creep), mode_count, delay)
+        return fit_beside_fast_creep(
+            lambda known: _signals(parts, entering_um, known).record(), creep, mode_count, delay)
     without_hysteresis = _signals(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
     linear = fit_signals(without_hysteresis, MODES_IN_TURN, delay)

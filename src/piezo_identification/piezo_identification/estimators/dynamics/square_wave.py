@@ -7,9 +7,9 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.waveforms import square_wave
+from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.fast_signals import drift_basis, played_at_the_clock
-from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_identification.estimators.dynamics.pole_responses import HeldInput
 from piezo_identification.estimators.estimate import Estimate
 from piezo_models.linear.dynamics import CreepDynamics
@@ -56,7 +56,8 @@ def estimate_dynamics(
     ValueError
         If the recording has gaps, is no square wave, is averaged, or is too short.
     """
-    return fit_output_error(mean_period(recording, creep), mode_count, delay)
+    return fit_beside_fast_creep(
+        lambda known: mean_period(recording, known), creep, mode_count, delay)
 
 
 def mean_period(recording: Recording, creep: CreepDynamics) -> FastRecord:

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from piezo_identification.conditioning.settling import low_frequency_delay_s
 from piezo_identification.conditioning.waveforms import played
@@ -86,6 +87,22 @@ def test_creep_of_a_fast_stage_is_sought_as_soon_as_its_fast_motion_is_over():
     assert response_error(found, expected) < 6e-4
     assert response_error(as_usual, expected) > 1e-3
     assert left_out_s(fast) < 0.2 * left_out_s(None)
+
+
+def test_creep_alike_in_every_decade_is_followed_to_the_noise():
+    rates = np.geomspace(1e-3, 10.0, 10)
+    period_s, half = 0.1, 400
+    level = np.tile(np.repeat([1.0, 0.0], half), 4)
+    crept = sum(lfilter([0.0, 1.0 - decay], [1.0, -decay], level)
+                for decay in np.exp(-rates * period_s))
+    noise_um = 2e-3 * np.random.default_rng(3).normal(size=level.size)
+    recording = Recording("every decade", 1.0 / period_s, np.arange(level.size),
+                          np.full(level.size, period_s), 75.0 * level,
+                          15.0 * (level + 0.012 * crept) + noise_um,
+                          np.full(level.size, Flag.PLAYING, dtype=np.uint32))
+    estimate = estimate_creep(recording)
+    assert np.all(np.diff(estimate.model.zeros_rad_per_s) > 0.0)
+    assert estimate.residual_rms < 1.1 * 2e-3
 
 
 def test_fewer_pairs_can_be_asked_for(record):

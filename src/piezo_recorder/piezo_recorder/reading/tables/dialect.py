@@ -182,6 +182,7 @@ def _with_header(found: Dialect, lines: Sequence[str]) -> Dialect:
     """Complete a dialect by the labels and units above its first row."""
     above = range(found.first_line - 1, max(found.first_line - 2 - HEADER_WITHIN, -1), -1)
     units: tuple[str, ...] = ()
+    units_line = 0
     for number in above:
         if not lines[number].strip():
             continue
@@ -191,10 +192,11 @@ def _with_header(found: Dialect, lines: Sequence[str]) -> Dialect:
         if labels is None or not any(texts) or not units and sum(texts) < 0.5 * len(texts):
             continue
         if not units and _are_units(labels):
-            units = labels
+            units, units_line = labels, number
             continue
         return replace(found, header=labels, units=units, header_line=number)
-    return found
+    # Nothing stands above the units: they are the only names that there are.
+    return replace(found, header=units, header_line=units_line) if units else found
 
 
 def _labels(line: str, found: Dialect) -> tuple[str, ...] | None:

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Creep that a fast record shows: too fast for a creep recording, too slow for the modes.
+
+Materials creep over all times alike. What goes on within the half period of a fast square wave is
+in no creep recording, and a fit of lag and modes alone would bend these until they explain it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import nnls
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit, independent
+from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH, fit_output_error
+from piezo_identification.estimators.dynamics.pole_search import free_fits
+from piezo_identification.estimators.estimate import (
+    SIGNIFICANT,
+    Estimate,
+    creep_of_partial_fractions,
+)
+from piezo_models.linear.dynamics import CreepDynamics
+
+RATES_PER_DECADE = 2.5
+"""Exponentials so close stand for any creep between them."""
+
+FASTER_THAN_KNOWN = 3.0
+"""Factor beyond the fastest known creep from which faster one is sought."""
+
+SLOWER_THAN_MODES = 0.2
+"""Part of the lowest frequency that rings up to which creep is sought."""
+
+RINGING = 0.5
+"""Damping ratio below which a mode rings."""
+
+MOST_MODES = 4
+"""Modes with free residues up to which those are sought that are right beside the creep."""
+
+
+AS_GOOD = 10.0
+"""Information by which free poles may be better: creep is what a stage has, a mode without
+oscillation is not."""
+
+
+@dataclass(frozen=True)
+class FastCreep:
+    """Creep beside the known one.
+
+    Parameters
+    ----------
+    model : CreepDynamics
+    deviations : dict
+        Standard deviations of its poles and zeros; the poles are given, not fitted.
+    """
+
+    model: CreepDynamics
+    deviations: dict[str, tuple[float, ...]]
+
+
+def fit_beside_fast_creep(
+    record_without: Callable[[CreepDynamics], FastRecord], creep: CreepDynamics,
+    mode_count: int | None = None, delay: float | None = None,
+) -> Estimate:
+    """Fit the dynamics of least output error, with fast creep where the record shows some.
+
+    Parameters
+    ----------
+    record_without : callable
+        Makes the record with a given creep removed.
+    creep : CreepDynamics
+        That is known.
+    mode_count : int, optional
+    delay : float, optional
+        See `output_error.fit_output_error`.
+
+    Returns
+    -------
+    Estimate
+        Its `creep` is what was found beside the known one.
+    """
+    record = record_without(creep)
+    found = fast_creep(record_without, creep)
+    if found is None:
+        return fit_output_error(record, mode_count, delay)
+    beside = fit_output_error(
+        record_without(joined_creep(creep, found.model)), mode_count, delay)
+    return replace(beside, creep=found.model, creep_deviations=found.deviations)
+
+
+def fast_creep(
+    record_without: Callable[[CreepDynamics], FastRecord], creep: CreepDynamics,
+) -> FastCreep | None:
+    """Find creep in a fast record: exponentials that are slower than all that rings.
+
+    Free poles tell whether there is any: one of them is real and slow. It is creep if the record
+    without it is explained as well by the information criterion, most often with fewer poles.
+
+    Parameters
+    ----------
+    record_without : callable
+    creep : CreepDynamics
+        See `fit_beside_fast_creep`.
+
+    Returns
+    -------
+    FastCreep or None
+    """
+    record = record_without(creep).thinned(ROWS_OF_SEARCH)
+    best = _best_free_fit(record)
+    fastest = SLOWER_THAN_MODES * _lowest_ringing(best)
+    duration_s = record.input.samples.size * record.input.sample_period_s
+    slowest = max(FASTER_THAN_KNOWN * max(creep.poles_rad_per_s, default=0.0), 1.0 / duration_s)
+    is_slow = np.abs(best.poles) < fastest
+    if slowest >= fastest or not is_slow.any():
+        return None
+    count = 1 + int(np.ceil(RATES_PER_DECADE * np.log10(fastest / slowest)))
+    dynamics = replace(best, poles=best.poles[~is_slow], residues=best.residues[~is_slow])
+    found = _positive_parts(record, dynamics, np.geomspace(slowest, fastest, count))
+    if found is None:
+        return None
+    without = record_without(joined_creep(creep, found.model)).thinned(ROWS_OF_SEARCH)
+    price = len(found.model.poles_rad_per_s) * np.log(record.kept.size)
+    gain = _information(record, best) - _information(without, _best_free_fit(without))
+    return found if gain > price - AS_GOOD else None
+
+
+def _best_free_fit(record: FastRecord) -> FreeFit:
+    """Free poles of the least information, of as many modes as bring it down."""
+    best: FreeFit | None = None
+    for free in free_fits(record, MOST_MODES):
+        if best is not None and _information(record, free) > _information(record, best):
+            break
+        best = free
+    assert best is not None
+    return best
+
+
+def joined_creep(first: CreepDynamics, second: CreepDynamics) -> CreepDynamics:
+    """Return the creep of two one after the other."""
+    return CreepDynamics(
+        tuple(sorted((*first.poles_rad_per_s, *second.poles_rad_per_s))),
+        tuple(sorted((*first.zeros_rad_per_s, *second.zeros_rad_per_s))))
+
+
+def _lowest_ringing(free: FreeFit) -> float:
+    """Lowest frequency (rad/s) of poles that ring; 0 where none do."""
+    frequencies = np.abs(free.poles)
+    rings = -free.poles.real < RINGING * frequencies
+    return float(frequencies[rings].min(initial=np.inf)) if rings.any() else 0.0
+
+
+def _responses(
+    record: FastRecord, free: FreeFit, rates: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Response of dynamics with unit gain at rest, (N,), and of exponentials behind them, (N, R).
+
+    The partial fractions of a product are those of its factors, weighted by the other factor.
+    """
+    poles, gain = free.poles, float(np.sum(-free.residues / free.poles).real)
+    residues = free.residues / gain
+    of_poles = record.input.responses(poles, free.delay, record.kept).value
+    of_rates = record.input.responses(-rates.astype(complex), free.delay, record.kept).value
+    at_rates = np.sum(residues / (-rates[:, None] - poles), axis=1)
+    weighted = residues[:, None] * rates / (rates + poles[:, None])
+    return (of_poles @ residues).real, (of_poles @ weighted + of_rates * (at_rates * rates)).real
+
+
+def _information(record: FastRecord, free: FreeFit) -> float:
+    """Bayesian information criterion of free poles and residues."""
+    rows = record.kept.size
+    return float(rows * np.log(free.cost / rows) + 2 * free.poles.size * np.log(rows))
+
+
+def _positive_parts(record: FastRecord, free: FreeFit, rates: FloatArray) -> FastCreep | None:
+    """Fit positive parts of exponentials, and keep those that are significant."""
+    response, exponentials = _responses(record, free, rates)
+    span = independent(record.fixed)
+    columns = np.column_stack([response, exponentials])
+    columns -= span @ (span.T @ columns)
+    target = record.measured_um - span @ (span.T @ record.measured_um)
+    used = np.arange(rates.size)
+    while used.size:
+        chosen = columns[:, [0, *(1 + used)]]
+        parts, left = nnls(chosen, target)
+        if parts[0] == 0.0:
+            return None
+        if not parts.all():
+            used = used[parts[1:] > 0.0]
+            continue
+        covariance = np.linalg.pinv(chosen.T @ chosen) * left**2 / target.size
+        told = parts[1:] / np.sqrt(np.diag(covariance)[1:])
+        if told.min() > SIGNIFICANT:
+            gains = parts[1:] / parts[0]
+            full = np.zeros((2 * used.size, 2 * used.size))
+            full[used.size :, used.size :] = covariance[1:, 1:] / parts[0] ** 2
+            return FastCreep(*creep_of_partial_fractions(rates[used], gains, full))
+        # One at a time: what a neighbour takes over makes the others sure.
+        used = np.delete(used, np.argmin(told))
+    return None

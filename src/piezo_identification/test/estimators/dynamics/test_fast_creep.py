@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Creep within the half period of a fast square wave does not bend lag and modes."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from piezo_identification.estimators.dynamics.fast_creep import fast_creep, joined_creep
+from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics, mean_period
+from piezo_models.linear.dynamics import CreepDynamics
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+RATE_HZ = 10_000.0
+PERIODS, PERIOD_SAMPLES = 10, 2000
+LAG_S, MODES_HZ, DAMPINGS, PARTS = 4e-4, (620.0, 1450.0), (0.02, 0.015), (0.94, 0.06)
+OVERSAMPLED = 10
+NOISE_UM = 2e-3
+
+
+def recording(creep_part):
+    """A stage in closed form but for a tenth of a sample, which creeps alike in every decade."""
+    step_s = 1.0 / (OVERSAMPLED * RATE_HZ)
+    level = np.tile(np.repeat([1.0, 0.0], PERIOD_SAMPLES // 2), PERIODS)
+    moved = np.repeat(level, OVERSAMPLED)
+
+    def passed(transfer, values):
+        numerator, denominator, _ = signal.cont2discrete(transfer, step_s)
+        return signal.lfilter(numerator.ravel(), denominator, values)
+
+    crept = moved + sum(
+        creep_part * passed(([rate], [1.0, rate]), moved) for rate in np.geomspace(1.0, 100.0, 7))
+    lagged = passed(([1.0], [LAG_S, 1.0]), crept)
+    rates = 2.0 * np.pi * np.array(MODES_HZ)
+    displacement_um = 3.0 * sum(
+        passed(([part * rate**2], [1.0, 2.0 * damping * rate, rate**2]), lagged)
+        for rate, damping, part in zip(rates, DAMPINGS, PARTS, strict=True))[::OVERSAMPLED]
+    noise_um = NOISE_UM * np.random.default_rng(1).normal(size=level.size)
+    return Recording("closed form", RATE_HZ, np.arange(level.size),
+                     np.full(level.size, 1.0 / RATE_HZ), 35.0 + 10.0 * level,
+                     displacement_um + noise_um,
+                     np.full(level.size, Flag.PLAYING, dtype=np.uint32))
+
+
+def test_dynamics_behind_creep_of_every_decade_are_those_without_it():
+    estimate = estimate_dynamics(recording(creep_part=0.01), CreepDynamics())
+    assert estimate.model.time_constant_s == pytest.approx(LAG_S, rel=0.01)
+    modes = (*estimate.model.mode_frequencies_rad_per_s,
+             *(mode.frequency_rad_per_s for mode in estimate.effects
+               if mode.place == "modes"))
+    assert sorted(modes) == pytest.approx(2.0 * np.pi * np.array(MODES_HZ), rel=1e-3)
+    assert max(estimate.model.damping_ratios) < 0.03
+    assert abs(estimate.delay_s) < 0.1 / RATE_HZ
+    assert estimate.residual_rms < 1.2 * NOISE_UM / np.sqrt(PERIODS - 3)
+    rates = np.array(estimate.creep.poles_rad_per_s)
+    assert rates.size and np.all(rates > 1.0) and np.all(rates < 800.0)
+    assert len(estimate.creep_deviations["zeros_rad_per_s"]) == rates.size
+
+
+def test_no_creep_is_found_where_there_is_none():
+    assert fast_creep(
+        lambda creep: mean_period(recording(creep_part=0.0), creep), CreepDynamics()) is None
+
+
+def test_creep_of_two_in_succession_is_the_product_of_their_responses():
+    first, second = CreepDynamics((0.1, 3.0), (0.11, 3.3)), CreepDynamics((1.0,), (1.2,))
+    frequency_hz = np.geomspace(1e-3, 10.0, 20)
+    np.testing.assert_allclose(
+        joined_creep(first, second).response(frequency_hz),
+        first.response(frequency_hz) * second.response(frequency_hz))
