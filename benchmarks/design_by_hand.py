@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Dynamics and a feedback by hand, with SciPy and python-control alone: what docs/comparison.md counts.
+"""Dynamics and a feedback by hand, with SciPy and python-control alone; see docs/comparison.md.
 
     python benchmarks/design_by_hand.py DYNAMICS.csv
 
@@ -18,6 +18,7 @@ SECOND_TICK_SHARE = 0.5  # a mean over a tick, held for a tick: one and a half t
 
 
 def plant(parameters):
+    """Return a gain, a lag and modes as a transfer function."""
     gain, lag_ms, *modes = parameters
     made = control.tf([gain], [1e-3 * lag_ms, 1.0])
     for at in range(0, len(modes), 2):
@@ -27,11 +28,13 @@ def plant(parameters):
 
 
 def simulated(parameters, voltage_v, period_s):
+    """Return the displacement (um) under held voltages."""
     sampled = control.c2d(control.ss(plant(parameters)), period_s, "zoh")
     return control.forced_response(sampled, inputs=voltage_v).outputs
 
 
 def identify(time_s, voltage_v, displacement_um):
+    """Fit the parameters from two starting points; return the better ones."""
     period_s = float(np.median(np.diff(time_s)))
     centred_v = voltage_v - voltage_v.mean()
     settled = slice(len(time_s) // 2, None)
@@ -48,6 +51,7 @@ def identify(time_s, voltage_v, displacement_um):
 
 
 def design(model):
+    """Return the delayed plant, an H-infinity feedback and its gamma."""
     delay = control.tf(*control.pade((1.0 + SECOND_TICK_SHARE) * TICK_S, 2))
     seen = control.ss(model * delay)
     error_weight = control.tf([0.5, 2 * np.pi * 60.0], [1.0, 2 * np.pi * 0.06])
@@ -58,6 +62,7 @@ def design(model):
 
 
 def main():
+    """Identify from the file that is named, design, and print both."""
     time_s, voltage_v, displacement_um = np.loadtxt(
         sys.argv[1], delimiter=",", skiprows=1, unpack=True)
     found = identify(time_s, voltage_v, displacement_um)
@@ -65,7 +70,8 @@ def main():
     seen, law, gamma = design(plant(found))
     loop = seen * law
     gain_margin, phase_margin_deg, *_ = control.margin(loop)
-    worst = max(abs(control.feedback(1, loop)(2j * np.pi * f)) for f in np.geomspace(0.1, 500, 400))
+    worst = max(abs(control.feedback(1, loop)(2j * np.pi * f))
+                for f in np.geomspace(0.1, 500, 400))
     print(f"gamma {gamma:.3f}, gain margin {gain_margin:.2f}, phase margin "
           f"{phase_margin_deg:.1f} deg, worst sensitivity {worst:.2f}, order {law.nstates}")
 

@@ -97,6 +97,7 @@ class Nv200:
     """
 
     name = "nv200"
+    failures: tuple[type[Exception], ...]
 
     def __init__(self, settings: Nv200Settings, library: SimpleNamespace | None = None):
         self._settings = settings
@@ -158,7 +159,7 @@ class Nv200:
         return value
 
     def hold(self, voltage_v: float) -> None:
-        """Command a voltage."""
+        """Put out a voltage by a single command (V)."""
         self._wait(self._device.move_to_voltage(voltage_v))
 
     def halt(self) -> None:

@@ -10,7 +10,7 @@ values of the open loop.
 import importlib
 import time
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from pydantic import model_validator
@@ -27,6 +27,8 @@ CURRENT_POSITION = 2
 POSITION_TABLE, VOLTAGE_TABLE = 1, 2
 START, STOP = 1, 0
 READ_POLL_S = 0.01
+
+Volts = TypeVar("Volts", float, np.ndarray)
 
 
 class PiSettings(Document):
@@ -116,6 +118,7 @@ class PiController:
     """
 
     name = "pi_gcs"
+    failures: tuple[type[Exception], ...]
 
     def __init__(self, settings: PiSettings, library: SimpleNamespace | None = None):
         self._settings = settings
@@ -186,19 +189,19 @@ class PiController:
 
     def hold(self, voltage_v: float) -> None:
         """Command a control value (SVA)."""
-        self._device.SVA(self._settings.axis, float(self._control(np.float64(voltage_v))))
+        self._device.SVA(self._settings.axis, self._control(voltage_v))
 
     def halt(self) -> None:
         """Stop the wave generator."""
         self._device.WGO(self._settings.wave_generator, STOP)
 
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from the controller."""
         device, self._device = self._device, None
         if device is not None:
             device.close()
 
-    def _control(self, voltage_v: np.ndarray) -> np.ndarray:
+    def _control(self, voltage_v: Volts) -> Volts:
         return self._settings.control_per_v * voltage_v + self._settings.control_at_0_v
 
     def _connected(self) -> Any:

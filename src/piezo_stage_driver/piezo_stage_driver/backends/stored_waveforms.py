@@ -69,7 +69,7 @@ class WaveformInstrument(Protocol):
         """End a waveform that plays; the voltage may stay where it is."""
 
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from the instrument."""
 
 
 class StoredWaveformStage:
@@ -155,8 +155,8 @@ class StoredWaveformStage:
             pass  # it is gone already
 
     def _forget(self) -> None:
-        self._planned_v = np.full(self.lead_samples, self._settings.rest_voltage_v)
-        self._recorded_um = np.empty(0)
+        self._planned_v: np.ndarray = np.full(self.lead_samples, self._settings.rest_voltage_v)
+        self._recorded_um: np.ndarray = np.empty(0)
         self._reading_um, self._read_at_s = 0.0, -np.inf
 
     def _at_rest(self, voltage_v: np.ndarray) -> bool:
