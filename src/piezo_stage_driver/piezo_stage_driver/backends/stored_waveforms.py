@@ -96,6 +96,9 @@ class StoredWaveformStage:
         If the longest waveform is shorter than a tick, or longer than the node lets a backend wait.
     """
 
+    _planned_v: np.ndarray
+    _recorded_um: np.ndarray
+
     def __init__(self, instrument: WaveformInstrument, settings: BackendSettings,
                  longest_program_samples: int, transfer_s: float):
         ticks = longest_program_samples // settings.samples_per_tick
@@ -155,8 +158,8 @@ class StoredWaveformStage:
             pass  # it is gone already
 
     def _forget(self) -> None:
-        self._planned_v: np.ndarray = np.full(self.lead_samples, self._settings.rest_voltage_v)
-        self._recorded_um: np.ndarray = np.empty(0)
+        self._planned_v = np.full(self.lead_samples, self._settings.rest_voltage_v)
+        self._recorded_um = np.empty(0)
         self._reading_um, self._read_at_s = 0.0, -np.inf
 
     def _at_rest(self, voltage_v: np.ndarray) -> bool:
