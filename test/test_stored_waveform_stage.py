@@ -4,6 +4,7 @@
 import os
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,11 @@ run_node(lambda: StageNode(make), sys.argv)
 """
 
 
+def end(block):
+    """Return the sample of the clock behind a block at the full rate."""
+    return block.first_sample + len(block.voltage_v)
+
+
 @pytest.fixture(scope="module")
 def stage(stage_client, tmp_path_factory):
     directory = tmp_path_factory.mktemp("stored")
@@ -56,13 +62,17 @@ def test_waveform_is_recorded_sample_by_sample(stage):
     stage.forget()
     waveform_v = 50.0 + 40.0 * np.sin(2.0 * np.pi * np.arange(2000) / 500.0)
     result = stage.play(waveform_v, 1.0 / RATE_HZ)
-    samples = stage.samples(result.last_sample)
-    assert samples.gapless
-    assert np.allclose(samples.since(result.first_sample, 2000), waveform_v)
+    stage.until(lambda: stage.blocks and end(stage.blocks[-1]) > result.last_sample)
+    blocks = list(stage.blocks)
+    assert all(end(block) == after.first_sample for block, after in pairwise(blocks))
+    voltage_v, displacement_um = (
+        np.concatenate([getattr(block, name) for block in blocks])
+        for name in ("voltage_v", "displacement_um"))
+    begin = result.first_sample - blocks[0].first_sample
+    assert np.allclose(voltage_v[begin:begin + 2000], waveform_v)
     # The stand-in's stage has 1 um/V and shows each voltage one sample later.
-    displacement_um = np.concatenate([block.displacement_um for block in samples.blocks])
-    moved = np.flatnonzero(samples.voltage_v)
-    assert np.allclose(displacement_um[moved + 1], samples.voltage_v[moved], atol=1e-4)
+    moved = np.flatnonzero(voltage_v)
+    assert np.allclose(displacement_um[moved + 1], voltage_v[moved], atol=1e-4)
 
 
 def test_what_the_controller_cannot_do_is_refused_by_name(stage):

@@ -20,6 +20,8 @@ from piezo_stage_driver.backends.registry import BackendSettings
 POLL_S = 0.01
 IDLE_READING_S = 0.05
 REST_STEP_S = 0.01
+FASTEST_TICK_S = 1e-3
+"""What the subscribers of samples take of a paced stage without losing any."""
 # Of the swing; the instrument rounds, and its own record of the voltage may lag by a sample.
 VOLTAGE_TOLERANCE = 0.05
 
@@ -139,6 +141,10 @@ class StoredWaveformStage:
         """Take what plays `lead_samples` later, return what belongs to what plays now."""
         self._planned_v = np.concatenate([self._planned_v, voltage_v])
         due_v, self._planned_v = np.split(self._planned_v, [len(voltage_v)])
+        # Nothing has to wait for the clock while a waveform is only taken, or handed out.
+        tick_s = len(due_v) / self.sample_rate_hz
+        idle = self._at_rest(due_v) and self._at_rest(self._planned_v)
+        time.sleep(tick_s if idle else min(tick_s, FASTEST_TICK_S))
         if not len(self._recorded_um):
             if self._at_rest(due_v):
                 return self._idle(len(due_v))
@@ -174,9 +180,7 @@ class StoredWaveformStage:
         return last + 2
 
     def _idle(self, samples: int) -> np.ndarray:
-        """Read the sensor now and then while nothing plays, at the pace of the clock."""
-        if self._at_rest(self._planned_v):
-            time.sleep(samples / self.sample_rate_hz)
+        """Read the sensor now and then while nothing plays."""
         if time.monotonic() - self._read_at_s >= IDLE_READING_S:
             try:
                 self._reading_um = self._instrument.displacement_um()
