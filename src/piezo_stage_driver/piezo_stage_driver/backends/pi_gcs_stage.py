@@ -141,7 +141,7 @@ class PiController:
             settings.axis][RECORD_POINTS]) // device.qTNR()
         if samples > table_samples:
             raise ValueError(f"{settings.controller} records {table_samples} samples at a time: "
-                             "set longest_program_samples to no more")
+                             "set longest_program_samples to no more, or fewer record tables")
         device.WTR(settings.wave_generator, divider, 0)
         device.RTR(divider)
         device.DRC(POSITION_TABLE, settings.axis, CURRENT_POSITION)
