@@ -22,6 +22,8 @@ DOCUMENTS = {
     "weights": "piezo_controller.feedback.synthesis.weights_document:WeightsDocument",
     "learned": "piezo_controller.learning.learned_file:LearnedDocument",
     "calibration": "piezo_stage_driver.backends.calibration:Calibration",
+    "pi_gcs": "piezo_stage_driver.backends.pi_gcs_stage:PiSettings",
+    "nv200": "piezo_stage_driver.backends.nv200_stage:Nv200Settings",
     "columns": "piezo_recorder.reading.columns:ColumnsDocument",
     "probe": "piezo_identification.experiments.probing.probe_file:ProbeDocument",
     "plant": "piezo_sim.plant.plant_file:PlantDocument",

@@ -28,6 +28,7 @@ setup(
             "diagnose = piezo_identification.commands.diagnose_command:main",
             "identify = piezo_identification.commands.identify_command:main",
             "simulate = piezo_identification.commands.simulate_command:main",
+            "waveforms = piezo_identification.commands.waveforms_command:main",
         ],
     },
 )

@@ -20,12 +20,20 @@ setup(
     maintainer_email="maintainers@example.org",
     description="The stage node over a backend: limits, watchdog, waveforms, feedback.",
     license="BSD-3-Clause",
+    # The vendors' libraries: each is asked for only where its backend is chosen.
+    extras_require={
+        "nidaqmx": ["nidaqmx>=1,<2"],
+        "nv200": ["nv200>=1.6,<2; python_version >= '3.12'"],
+        "pi_gcs": ["pipython>=2.11,<3"],
+    },
     entry_points={
         "console_scripts": [
             "stage = piezo_stage_driver.node.start:main",
         ],
         "piezo_stage_driver.backends": [
             "nidaqmx = piezo_stage_driver.backends.nidaqmx_stage:create",
+            "nv200 = piezo_stage_driver.backends.nv200_stage:create",
+            "pi_gcs = piezo_stage_driver.backends.pi_gcs_stage:create",
         ],
     },
 )

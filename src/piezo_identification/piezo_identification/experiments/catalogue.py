@@ -335,6 +335,10 @@ def _square_wave(
     """Return one period (N,) between two levels around the middle, the upper one first."""
     swing_v = SWING_FRACTION * limits.span_v if swing_v is None else swing_v
     half = round(0.5 * period_s / sample_period_s)
+    if half < 1:
+        raise ValueError(
+            f"a square wave of {period_s:g} s has no sample of {sample_period_s:g} s in half a "
+            "period: make its period longer, or the sample clock faster")
     levels_v = limits.middle_v + 0.5 * swing_v * np.array([1.0, -1.0])
     return np.repeat(levels_v, half)
 
@@ -344,6 +348,11 @@ def _arcs_and_tones(
     tones_s: float,
 ) -> FloatArray:
     """Smooth ways from turn to turn (N,), then tones about the last; both in parts of the range."""
+    highest_hz = max(frequency_hz for frequency_hz, _ in tones)
+    if limits.sample_rate_hz <= 2.0 * highest_hz:
+        raise ValueError(
+            f"tones up to {highest_hz:g} Hz need a sample clock of more than {2 * highest_hz:g} "
+            f"Hz, the stage has {limits.sample_rate_hz:g} Hz: choose lower tones or a faster clock")
     samples = round(arc_s * limits.sample_rate_hz)
     arcs = [arc(start, end, samples) for start, end in pairwise(turns)]
     time_s = np.arange(round(tones_s * limits.sample_rate_hz)) * (1.0 / limits.sample_rate_hz)

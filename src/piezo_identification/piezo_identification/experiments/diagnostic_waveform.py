@@ -45,8 +45,17 @@ def diagnostic_block(limits: StageLimits) -> FloatArray:
     -------
     ndarray, shape (N,)
         Voltage.
+
+    Raises
+    ------
+    ValueError
+        If the sample clock is too slow for the fastest loop.
     """
     rate_hz = limits.sample_rate_hz
+    if rate_hz <= 2.0 * max(RATES_HZ):
+        raise ValueError(
+            f"the diagnostic loops of up to {max(RATES_HZ):g} Hz need a sample clock of more than "
+            f"{2.0 * max(RATES_HZ):g} Hz, the stage has {rate_hz:g} Hz: take a faster clock")
     # A jump happens within a sample, and the stage may not allow the largest ones.
     highest_step = limits.slew_limit_v_per_s / rate_hz / limits.span_v
     parts = [

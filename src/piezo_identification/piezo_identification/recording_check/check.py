@@ -8,6 +8,7 @@ import numpy as np
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples, with_outliers_marked
+from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.diagnosis.residual.sensor_noise import (
     noise_floor_um,
     noise_from_repeats_um,
@@ -170,7 +171,8 @@ def check_recording(recording: Recording) -> RecordingCheck:
     RecordingCheck
     """
     playing = recording.playing | recording.tracking
-    return RecordingCheck(recording.select(playing) if playing.any() else recording)
+    # As identify does: a table of another program does not say which rows lead to a square wave.
+    return RecordingCheck(square_part(recording.select(playing) if playing.any() else recording))
 
 
 def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, period_s: float,

@@ -91,3 +91,15 @@ def test_the_step_back_between_repeats_counts_for_the_slew_limit():
 def test_an_unknown_experiment_is_refused_with_the_names_there_are():
     with pytest.raises(ValueError, match="'swep'.*creep, dynamics, hysteresis, validation"):
         named_experiment("swep")
+
+
+@pytest.mark.parametrize(("name", "rate_hz", "sentence"), [
+    ("validation", 1000.0, "tones up to 1000 Hz need a sample clock of more than 2000 Hz, the "),
+    ("multisine", 1000.0, "tones up to 600 Hz need a sample clock of more than 1200 Hz"),
+    ("dynamics", 40.0, "a square wave of 0.02 s has no sample of 0.025 s in half a period"),
+    ("hysteresis", 100.0, "holds each value for 0.001 s: make it a whole number of samples"),
+    ("diagnostic", 100.0, "loops of up to 150 Hz need a sample clock of more than 300 Hz"),
+])
+def test_clock_that_is_too_slow_for_an_experiment_is_refused(name, rate_hz, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        named_experiment(name, StageLimits(sample_rate_hz=rate_hz))

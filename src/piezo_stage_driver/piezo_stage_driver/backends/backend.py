@@ -42,6 +42,11 @@ class StageBackend(Protocol):
     An attribute ``name : str`` tells other nodes what drives the stage; the name of the class does
     where it is missing.
 
+    A backend that can only play whole waveforms, as one with a waveform memory does, says so by an
+    attribute ``longest_program_samples : int``, with as many ``lead_samples``: it is then asked for
+    nothing but waveforms that end at rest within so many samples. A method ``watch_stop(stopped)``
+    takes what tells it that the stage was stopped while a waveform plays.
+
     Attributes
     ----------
     sample_rate_hz : float

@@ -22,6 +22,8 @@ class BackendSettings:
     minimum_voltage_v, maximum_voltage_v, rest_voltage_v : float
     ramp_rate_v_per_s : float
         For a backend that must bring the amplifier to rest by itself.
+    exchange_timeout_s : float
+        How long the node waits for one exchange.
     """
 
     file: str
@@ -31,6 +33,7 @@ class BackendSettings:
     maximum_voltage_v: float
     rest_voltage_v: float
     ramp_rate_v_per_s: float
+    exchange_timeout_s: float = 2.0
 
 
 def create_backend(name: str, settings: BackendSettings) -> StageBackend:

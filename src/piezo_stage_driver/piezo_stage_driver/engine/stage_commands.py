@@ -82,6 +82,7 @@ class StageCommands:
         waveform = Waveform(voltage_v, hold_samples, repeats)
         approach = self._engine.ramp("approach", voltage_v[0], hold_samples)
         length = self._ticks.aligned(waveform.samples, hold_samples)
+        self._require_room(approach.samples + length, voltage_v, hold_at_end)
         way_back_samples = 0 if hold_at_end else self._ramps.samples(
             voltage_v[-1], self._engine.rest_voltage_v)
         self._engine.begin(Program(
@@ -105,6 +106,9 @@ class StageCommands:
         LimitError, StageRefusal
         """
         once_voltage_v = np.array(once_voltage_v, dtype=float)
+        if self._engine.longest_program_samples is not None:
+            raise StageRefusal("the backend plays stored waveforms only, and cannot be led sample "
+                               "by sample: play a waveform instead of tracking")
         if append:
             self._require_not_stopped()
             if self._feedforward is None or self._feedforward.periodic:
@@ -218,6 +222,26 @@ class StageCommands:
             raise StageRefusal("the stage still returns to rest: reset it afterwards")
         self._latch.reset()
         self._guards.begin()
+
+    def _require_room(self, samples: float, voltage_v: np.ndarray, hold_at_end: bool) -> None:
+        """Refuse what does not fit into the memory of a backend that plays whole waveforms."""
+        engine = self._engine
+        longest = engine.longest_program_samples
+        if longest is None:
+            return
+        if hold_at_end:
+            raise StageRefusal("the backend plays stored waveforms, which end at rest: "
+                               "set hold_at_end to false")
+        # A return that begins at any moment must fit as well, and one sample at rest.
+        farthest_v = voltage_v[np.argmax(np.abs(voltage_v - engine.rest_voltage_v))]
+        needed = int(samples + self._ramps.phase(
+            "return", farthest_v, engine.rest_voltage_v).samples) + self._ticks.samples_per_tick
+        if needed > longest:
+            raise StageRefusal(
+                f"the waveform takes {needed} samples with its ramps, {longest} are what the "
+                "backend plays at once: shorten it, or set the stage's sample_rate_hz lower")
+        if not engine.at_rest:
+            raise StageRefusal("the backend still plays the waveform before: wait for its end")
 
     def _require_not_stopped(self) -> None:
         if self._latch.cause:

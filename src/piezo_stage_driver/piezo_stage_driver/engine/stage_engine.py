@@ -68,6 +68,8 @@ class StageEngine:
         Of the clock, about to be played.
     client : str
         For whom the present program is played; empty where none is.
+    longest_program_samples : int or None
+        Of what a backend plays that takes whole waveforms only; None for any other.
     """
 
     def __init__(self, backend: StageBackend, limits: VoltageLimits, rest_voltage_v: float = 0.0,
@@ -98,6 +100,10 @@ class StageEngine:
         self._ahead = deque[tuple[np.ndarray, int, float | None]](
             [(np.full(samples_per_tick, rest_voltage_v), 0, None)] * lead_ticks)
         self.lead_ticks = lead_ticks
+        self.longest_program_samples = getattr(backend, "longest_program_samples", None)
+        watch_stop = getattr(backend, "watch_stop", None)
+        if watch_stop is not None:
+            watch_stop(lambda: bool(self._latch.cause))
         self._feedback: FeedbackHold | OnboardFeedback | None = None
         self._blocks, self._samples_per_block = BlockCollector(), samples_per_block
         self._program = Program()

@@ -68,7 +68,7 @@ class StageSettings:
             setattr(self, name, declare(
                 node, name, default, description, minimum, maximum, choices=choices))
 
-        take("sample_rate_hz", 40000.0, "Rate of the sample clock (Hz).", 1000.0, 200000.0)
+        take("sample_rate_hz", 40000.0, "Rate of the sample clock (Hz).", 10.0, 200000.0)
         take("samples_per_tick", 40, "Samples of one feedback period.", 1, 4000)
         take("samples_per_block", 800,
              "Samples of one message of samples while nobody has to answer it; at least a tick.",
@@ -127,7 +127,8 @@ class StageSettings:
         return BackendSettings(
             file=file, sample_rate_hz=self.sample_rate_hz, samples_per_tick=self.samples_per_tick,
             minimum_voltage_v=self.minimum_voltage_v, maximum_voltage_v=self.maximum_voltage_v,
-            rest_voltage_v=self.rest_voltage_v, ramp_rate_v_per_s=self.ramp_rate_v_per_s)
+            rest_voltage_v=self.rest_voltage_v, ramp_rate_v_per_s=self.ramp_rate_v_per_s,
+            exchange_timeout_s=self.exchange_timeout_s)
 
     def create_supervisor(self, backend: StageBackend, latch: StopLatch) -> StageSupervisor:
         """Return the supervisor of a backend.
@@ -138,7 +139,9 @@ class StageSettings:
             If the limits contradict each other.
         """
         # In lockstep time stands still after the last block, which tells that all is over.
-        closing_ticks = self._lead_ticks(backend) + 1 if self.lockstep else 0
+        # What plays stored waveforms begins with one only when all of it has been given.
+        lasting = self.lockstep or getattr(backend, "longest_program_samples", None) is not None
+        closing_ticks = self._lead_ticks(backend) + 1 if lasting else 0
         return StageSupervisor(backend, self.create_engine, latch, self.max_foreign_feedback,
                                self.exchange_timeout_s, closing_ticks=closing_ticks)
 

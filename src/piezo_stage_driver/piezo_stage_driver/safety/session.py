@@ -28,6 +28,7 @@ class BackendSession:
         self._backend, self._clock = backend, clock
         self.sample_rate_hz = backend.sample_rate_hz
         self.lead_samples = getattr(backend, "lead_samples", 0)
+        self.longest_program_samples = getattr(backend, "longest_program_samples", None)
         self._lock = threading.Lock()
         self._over = False
         self._began_s: float | None = None
@@ -46,6 +47,12 @@ class BackendSession:
     def open(self) -> None:
         """Open the backend; see ``StageBackend.open``."""
         self._backend.open()
+
+    def watch_stop(self, stopped: Callable[[], bool]) -> None:
+        """Tell a backend that plays for long by what it sees a stop."""
+        watch = getattr(self._backend, "watch_stop", None)
+        if watch is not None:
+            watch(stopped)
 
     def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
         """Play samples; see ``StageBackend.exchange``.

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`waveforms`: the voltages of the experiments as CSV, for instruments of any make."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from piezo_common.command_line import Command
+
+USUAL = ("sweep", "creep", "dynamics", "hysteresis", "validation")
+NAMES = (*USUAL, "multisine", "diagnostic", "distortion")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; see `piezo_common.command_line.Command.main`."""
+    return COMMAND.main(arguments)
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--directory", metavar="DIR", type=Path, required=True,
+                        help="where the files go, NAME.csv")
+    parser.add_argument("--range", metavar=("LOWEST", "HIGHEST"), type=float, nargs=2,
+                        required=True, help="of the voltage (V)")
+    parser.add_argument("--rate", metavar="HZ", type=float, required=True,
+                        help="sample rate of the instrument; slow experiments hold their values")
+    parser.add_argument("--rest", metavar="V", type=float,
+                        help="voltage before and after; by default 0, or the end of the range "
+                        "that is nearest to it")
+    parser.add_argument("--ramp-rate", metavar="V/S", type=float, default=2000.0,
+                        help="of the way from rest and back; by default 2000")
+    parser.add_argument("--slew-limit", metavar="V/S", type=float, default=2e6,
+                        help="of the amplifier: the largest jump within a sample; by default 2e6")
+    parser.add_argument("--levels", metavar="NUMBER", type=int,
+                        help="harmonics of the hysteresis, each of 2 s; by default 70")
+    parser.add_argument("--experiments", metavar="NAME", nargs="+", choices=NAMES,
+                        default=list(USUAL),
+                        help=f"of {', '.join(NAMES)}; by default {', '.join(USUAL)}")
+
+
+def _check(options: argparse.Namespace) -> None:
+    lowest_v, highest_v = options.range
+    if not lowest_v < highest_v:
+        raise ValueError(f"--range {lowest_v:g} {highest_v:g} is empty: give the lower end first")
+    for name in ("rate", "ramp_rate", "slew_limit"):
+        if not 0.0 < getattr(options, name) < float("inf"):
+            raise ValueError(f"--{name.replace('_', '-')} {getattr(options, name):g} is not above "
+                             "0: give a positive number")
+    if options.levels is not None and not 2 <= options.levels <= 300:
+        raise ValueError(f"--levels {options.levels} is not within 2 to 300: give one that is")
+    if options.rest is not None and not lowest_v <= options.rest <= highest_v:
+        raise ValueError(f"--rest {options.rest:g} is outside the range: give one within")
+
+
+COMMAND = Command(
+    "waveforms", "Write the voltages of the experiments as CSV.", _add_options,
+    "piezo_identification.commands.waveforms_work:write_waveforms",
+    epilog="Each file has the columns time_s and voltage_v, from rest and back. Play it, and put "
+    "the displacement beside it: `check` and `identify` read the result.",
+    check=_check, interrupted="the files that it named are complete")
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The work of `waveforms`: write the experiments as tables of time and voltage."""
+
+import argparse
+import math
+from pathlib import Path
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_common.command_line import print_next
+from piezo_identification.experiments.catalogue import Experiment, named_experiment
+from piezo_identification.experiments.input_designs import arc
+from piezo_identification.experiments.stage_limits import StageLimits
+
+SLOW_PERIODS_S = {"creep": 0.01, "hysteresis": 0.001, "sweep": 0.001}
+"""For how long an experiment holds a value where the clock is faster."""
+SWEEP_ARC_S, SWEEPS = 2.0, 2
+LINES_AT_ONCE = 100_000
+
+
+def write_waveforms(options: argparse.Namespace) -> None:
+    """Write a file for each experiment of the options.
+
+    Raises
+    ------
+    ValueError
+        If an experiment does not fit the range, the rate or the slew limit.
+    """
+    lowest_v, highest_v = options.range
+    rest_v = options.rest
+    if rest_v is None:
+        rest_v = min(max(0.0, lowest_v), highest_v)
+    limits = StageLimits(lowest_v, highest_v, options.slew_limit, options.rate, rest_v)
+    experiments = [_experiment(name, limits, options.levels) for name in options.experiments]
+    options.directory.mkdir(parents=True, exist_ok=True)
+    for experiment in experiments:
+        path = options.directory / f"{experiment.name}.csv"
+        voltage_v = with_ramps(experiment, rest_v, options.ramp_rate)
+        _write(path, voltage_v, experiment.sample_period_s)
+        print(f"{path}: {voltage_v.size} samples of {1e3 * experiment.sample_period_s:g} ms, "
+              f"{voltage_v.size * experiment.sample_period_s:.4g} s, {experiment.description}")
+    print_next(options, "piezo_identification", "check", "--data",
+               "<a recording of one, with the column displacement_um>")
+
+
+def with_ramps(experiment: Experiment, rest_v: float, ramp_v_per_s: float) -> FloatArray:
+    """Return every value of an experiment, shape (N,), with the ways from rest and back to it."""
+    played_v = np.tile(experiment.voltage_v, experiment.repeats)
+    step_v = ramp_v_per_s * experiment.sample_period_s
+
+    def way(start_v: float, end_v: float) -> FloatArray:
+        return np.linspace(start_v, end_v, math.ceil(abs(end_v - start_v) / step_v) + 1)
+
+    return np.concatenate([way(rest_v, played_v[0])[:-1], played_v,
+                           way(played_v[-1], rest_v)[1:], [rest_v]])
+
+
+def sweep(limits: StageLimits, sample_period_s: float) -> Experiment:
+    """Return slow ways over the whole range, which leave one known state behind.
+
+    Parameters
+    ----------
+    limits : StageLimits
+    sample_period_s : float
+    """
+    samples = round(SWEEP_ARC_S / sample_period_s)
+    once = np.concatenate([arc(0.0, 1.0, samples), arc(1.0, 0.0, samples)])
+    return Experiment("sweep", limits.voltage_min_v + limits.span_v * once, sample_period_s,
+                      SWEEPS, "over the whole range and back, before the recordings")
+
+
+def _experiment(name: str, limits: StageLimits, levels: int | None) -> Experiment:
+    parameters: dict[str, float] = {}
+    if name in SLOW_PERIODS_S:
+        samples = max(1, round(SLOW_PERIODS_S[name] * limits.sample_rate_hz))
+        parameters["sample_period_s"] = samples / limits.sample_rate_hz
+    if name == "hysteresis" and levels is not None:
+        parameters["level_count"] = levels
+    if name == "sweep":
+        return sweep(limits, parameters["sample_period_s"])
+    experiment = named_experiment(name, limits, parameters)
+    assert isinstance(experiment, Experiment)  # those that act in feedback are not offered
+    return experiment
+
+
+def _write(path: Path, voltage_v: FloatArray, sample_period_s: float) -> None:
+    with path.open("w", encoding="utf-8") as file:
+        file.write("time_s,voltage_v\n")
+        for first in range(0, voltage_v.size, LINES_AT_ONCE):
+            part_v = voltage_v[first:first + LINES_AT_ONCE]
+            time_s = np.arange(first, first + part_v.size) * sample_period_s
+            file.writelines(f"{time:.9g},{voltage:.7g}\n" for time, voltage
+                            in zip(time_s.tolist(), part_v.tolist(), strict=True))

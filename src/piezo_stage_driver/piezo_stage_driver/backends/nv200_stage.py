@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A stage behind an NV200 of piezosystem jena, by the package ``nv200``.
+
+Its waveform generator plays up to 1024 values, and its recorder stores up to 6144, both on a clock
+of 20 kHz divided by a whole number. The recorder is started by the generator. The loop is open, so
+that the values are voltages.
+"""
+
+import asyncio
+import importlib
+import threading
+from collections.abc import Coroutine
+from types import SimpleNamespace
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+from pydantic import model_validator
+
+from piezo_common.schema import Document, Number, SchemaError, entry, load_document, violation
+from piezo_stage_driver.backends.registry import BackendSettings
+from piezo_stage_driver.backends.stored_waveforms import StoredWaveformStage, whole_divider
+
+CLOCK_HZ = 20000.0
+GENERATOR_SAMPLES = 1024
+INTERFACES = ("serial", "telnet")
+POSITION_CHANNEL, VOLTAGE_CHANNEL = 0, 1
+
+Answer = TypeVar("Answer")
+
+
+class Nv200Settings(Document):
+    """What the backend must know of an NV200.
+
+    Attributes
+    ----------
+    interface, address : str
+        ``serial`` and a port, or ``telnet`` and an address of IP.
+    longest_program_samples : int
+    transfer_s : float
+    """
+
+    TITLE: ClassVar[str] = "settings of the backend nv200"
+    SYNTAX: ClassVar[str] = "yaml"
+    RENEW: ClassVar[str] = "add it"
+
+    interface: str = entry(f"One of {', '.join(INTERFACES)}.")
+    address: str = entry("Serial port, such as /dev/ttyUSB0; with telnet the IP address.")
+    longest_program_samples: int = entry(
+        "Longest waveform with its ramps; the stage is ahead by so much.",
+        at_least=1, at_most=GENERATOR_SAMPLES)
+    transfer_s: Number = entry("What storing a waveform and reading its record may take.",
+                               unit="s")
+
+    @model_validator(mode="after")
+    def _check_together(self) -> "Nv200Settings":
+        if self.interface not in INTERFACES:
+            raise violation(f"is none of {', '.join(INTERFACES)}", "give one of them", "interface")
+        if self.transfer_s <= 0.0:
+            raise violation("is not above 0", "give the time in s", "transfer_s")
+        return self
+
+
+def load_library() -> SimpleNamespace:
+    """Import the package ``nv200`` and return what is needed of it.
+
+    Raises
+    ------
+    ValueError
+        If it is not installed.
+    """
+    try:
+        device, types, connection, generator, recorder = (
+            importlib.import_module(f"nv200.{name}")
+            for name in ("nv200_device", "shared_types", "connection_utils", "waveform_generator",
+                         "data_recorder"))
+    except ImportError as error:
+        raise ValueError(f"the backend nv200 needs the Python package nv200 ({error}): install it "
+                         "by pip into a Python of 3.12 or later") from None
+    return SimpleNamespace(
+        connect=lambda interface, address: connection.connect_to_single_device(
+            device.NV200Device, types.TransportType[interface.upper()], address),
+        Generator=generator.WaveformGenerator, Unit=generator.WaveformUnit,
+        Recorder=recorder.DataRecorder, Source=recorder.DataRecorderSource,
+        AutoStart=recorder.RecorderAutoStartMode, Error=types.DeviceError)
+
+
+class Nv200:
+    """An NV200 as a `WaveformInstrument`.
+
+    Its library is asynchronous: a thread of its own runs it, and every call waits for its answer.
+
+    Parameters
+    ----------
+    settings : Nv200Settings
+    library : namespace, optional
+        By default what `load_library` returns.
+    """
+
+    name = "nv200"
+    failures: tuple[type[Exception], ...]
+
+    def __init__(self, settings: Nv200Settings, library: SimpleNamespace | None = None):
+        self._settings = settings
+        self._library = library or load_library()
+        self.failures = (self._library.Error, OSError, RuntimeError, asyncio.TimeoutError)
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._device: Any = None
+
+    def open(self, sample_rate_hz: float, samples: int) -> None:
+        """Connect, open the loop, and set the rates; see `WaveformInstrument`."""
+        self._divider = whole_divider(CLOCK_HZ, sample_rate_hz, "an NV200")
+        self._sample_period_ms = 1e3 / sample_rate_hz
+        self._loop = asyncio.new_event_loop()
+        threading.Thread(target=self._loop.run_forever, name="nv200", daemon=True).start()
+        library = self._library
+        self._device = self._wait(
+            library.connect(self._settings.interface, self._settings.address))
+        self._wait(self._device.pid.set_closed_loop(False))
+        if self._wait(self._device.pid.is_closed_loop()):
+            raise ValueError("the NV200 stays in closed loop: open it at the device")
+        self._range_v = self._wait(self._device.get_voltage_range())
+        self._generator = library.Generator(self._device)
+        self._recorder = library.Recorder(self._device)
+        self._wait(self._prepare_recorder())
+
+    def start(self, voltage_v: np.ndarray) -> None:
+        """Write the waveform, and start it once; see `WaveformInstrument`."""
+        lowest_v, highest_v = self._range_v
+        if voltage_v.min() < lowest_v or voltage_v.max() > highest_v:
+            raise RuntimeError(
+                f"it reaches {lowest_v:g} to {highest_v:g} V, the waveform "
+                f"{voltage_v.min():g} to {voltage_v.max():g} V")
+        self._wait(self._started(voltage_v))
+
+    def running(self) -> bool:
+        """Tell whether the generator or the recorder runs."""
+        return bool(self._wait(self._generator.is_running())
+                    or self._wait(self._recorder.is_recording()))
+
+    def recorded(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
+        """Read both channels of the recorder; see `WaveformInstrument`."""
+        position, voltage = (
+            np.asarray(self._wait(self._recorder.read_recorded_data_of_channel(channel)).values)
+            for channel in (POSITION_CHANNEL, VOLTAGE_CHANNEL))
+        if min(len(position), len(voltage)) < samples:
+            raise RuntimeError(f"it recorded {min(len(position), len(voltage))} of {samples} "
+                               "samples")
+        return voltage[:samples], position[:samples]
+
+    def displacement_um(self) -> float:
+        """Read the position once (um)."""
+        return float(self._wait(self._device.get_current_position()))
+
+    def held_v(self) -> float:
+        """Read the voltage once, by the recorder, as the device has no other way (V)."""
+        value = float(self._wait(
+            self._recorder.read_single_value_from(self._library.Source.PIEZO_VOLTAGE)))
+        self._wait(self._prepare_recorder())
+        return value
+
+    def hold(self, voltage_v: float) -> None:
+        """Put out a voltage by a single command (V)."""
+        self._wait(self._device.move_to_voltage(voltage_v))
+
+    def halt(self) -> None:
+        """Stop the waveform generator."""
+        self._wait(self._generator.stop())
+
+    def close(self) -> None:
+        """Disconnect, and end the thread."""
+        device, self._device = self._device, None
+        try:
+            if device is not None:
+                self._wait(device.close())
+        finally:
+            loop, self._loop = self._loop, None
+            if loop is not None:
+                loop.call_soon_threadsafe(loop.stop)
+
+    async def _prepare_recorder(self) -> None:
+        library, recorder = self._library, self._recorder
+        await recorder.set_data_source(POSITION_CHANNEL, library.Source.PIEZO_POSITION)
+        await recorder.set_data_source(VOLTAGE_CHANNEL, library.Source.PIEZO_VOLTAGE)
+        await recorder.set_autostart_mode(library.AutoStart.START_ON_WAVEFORM_GEN_RUN)
+        await recorder.set_recorder_stride(self._divider)
+
+    async def _started(self, voltage_v: np.ndarray) -> None:
+        await self._recorder.set_sample_buffer_size(len(voltage_v))
+        waveform = self._library.Generator.WaveformData(
+            voltage_v.tolist(), self._sample_period_ms)
+        await self._generator.set_waveform(waveform, self._library.Unit.VOLTAGE)
+        await self._generator.start(cycles=1)
+
+    def _wait(self, coroutine: Coroutine[Any, Any, Answer]) -> Answer:
+        assert self._loop is not None  # it is open
+        future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
+        try:
+            return future.result(self._settings.transfer_s)
+        except TimeoutError:
+            future.cancel()
+            raise RuntimeError(f"it has not answered for {self._settings.transfer_s:g} s") from None
+
+
+def create(settings: BackendSettings) -> StoredWaveformStage:
+    """Make the backend from its settings; the entry point ``nv200``.
+
+    Raises
+    ------
+    ValueError
+        If the file is missing or wrong, or the library is.
+    """
+    if not settings.file:
+        raise ValueError("the backend nv200 needs its settings: set the parameter backend_file")
+    try:
+        told = load_document(Nv200Settings, settings.file)
+    except SchemaError as error:
+        raise ValueError(f"{settings.file}: {error}") from None
+    return StoredWaveformStage(
+        Nv200(told), settings, told.longest_program_samples, told.transfer_s)

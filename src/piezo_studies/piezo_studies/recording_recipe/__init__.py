@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What fewer levels, shorter recordings and lower rates cost in accuracy."""

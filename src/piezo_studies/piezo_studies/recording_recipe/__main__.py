@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Run the trials of recordings, and write their tables into docs/recipe.md."""
+
+import argparse
+import re
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from piezo_studies.recording_recipe.trials import TABLES, Trial
+
+SECTION = re.compile(r"(<!-- trials of (\w+) -->\n).*?(<!-- end -->)", re.S)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Those of the command line by default.
+    """
+    parser = argparse.ArgumentParser(prog="recording_recipe", description=__doc__)
+    parser.add_argument("--page", type=Path, default=Path("docs/recipe.md"),
+                        help="page whose tables are written anew; its text stays")
+    options = parser.parse_args(arguments)
+    made = {}
+    for name, (_, _, trials) in TABLES.items():
+        made[name] = []
+        for trial in trials():
+            made[name].append(trial)
+            print(f"{name}: {trial.asked}: {trial.error_percent:.2g} %", file=sys.stderr,
+                  flush=True)
+    options.page.write_text(page(options.page.read_text(encoding="utf-8"), made),
+                            encoding="utf-8")
+    print(f"{sum(map(len, made.values()))} trials: {options.page}")
+
+
+def page(text: str, made: dict[str, list[Trial]]) -> str:
+    """Return the text of the page with its tables written anew.
+
+    Raises
+    ------
+    ValueError
+        If the page lacks the section of a table, or has one too many.
+    """
+    found = [match[2] for match in SECTION.finditer(text)]
+    if sorted(found) != sorted(made):
+        raise ValueError(f"the page has sections for {', '.join(found)}; give one for each of "
+                         f"{', '.join(made)}")
+    return SECTION.sub(lambda match: match[1] + table(match[2], made[match[2]]) + match[3], text)
+
+
+def table(name: str, trials: Iterable[Trial]) -> str:
+    """Return the rows of a table as Markdown."""
+    varied, predicted, _ = TABLES[name]
+    rows = [f"| {varied} | recorded for | samples | error on {predicted} |", "|---|---|---|---|",
+            *(f"| {trial.asked} | {trial.recorded_s:.3g} s | {trial.samples} | "
+              f"{trial.error_percent:.2g} % |" for trial in trials)]
+    return "\n".join(rows) + "\n"
+
+
+if __name__ == "__main__":
+    main()

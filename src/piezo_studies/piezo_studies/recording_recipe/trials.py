@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Record the simulated stage in many ways, identify from each, and predict what was not fitted.
+
+The stage is that of the demo, with 9 nm of sensor noise. Every trial changes one thing. The errors
+are relative errors (4.20) in per cent of recordings that no trial was fitted to.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
+from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+from piezo_identification.estimators.hysteresis.density_fit import estimate_hysteresis
+from piezo_identification.experiments import catalogue
+from piezo_identification.experiments.input_designs import arc
+from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_identification.prediction.prediction import predict
+from piezo_models.cascade import StageModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+from piezo_studies.thesis.laboratory import (
+    CLOCK_HZ,
+    ROWS_LATE,
+    record_experiment,
+    record_stage,
+)
+
+SLOW_HZ, CREEP_HZ = 1000.0, 100.0
+LEVELS, HARMONIC_S, CREEP_S, DYNAMICS_S = 20, 2.0, 400.0, 2.0
+"""What a trial has that does not change it; 20 levels keep the whole study short."""
+
+LEVEL_COUNTS = (3, 5, 10, 20)
+SAMPLES_PER_HARMONIC = (50, 2000)
+CREEP_PERIODS_S = (20.0, 50.0, 100.0, 400.0)
+CREEP_RATES_HZ = (2.0, 10.0, 100.0)
+FAST_RATES_HZ = (1250.0, 2500.0, 5000.0, 40_000.0)
+DYNAMICS_DURATIONS_S = (0.6, 1.0, 2.0)
+MIDDLE_TURNS = (0.45, 0.72, 0.31, 0.66, 0.38, 0.58, 0.45)
+"""Turning points of a motion about the middle, over the range."""
+STEP_LEVELS = (0.2, 0.7, 0.35)
+STEP_S, TONES_S, ARC_S = 100.0, 0.25, 0.25
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One way to record, and what it leads to.
+
+    Attributes
+    ----------
+    asked : str
+        What was changed.
+    recorded_s : float
+        How long it takes to record.
+    samples : int
+        How many samples that is.
+    error_percent : float
+        Of what was not fitted.
+    """
+
+    asked: str
+    recorded_s: float
+    samples: int
+    error_percent: float
+
+
+LIMITS = StageLimits()
+
+
+@cache
+def linear_parts() -> tuple[CreepDynamics, ElectricVibrationDynamics]:
+    """Identify creep and dynamics from the full recordings."""
+    slow, quick = creep_recording(CREEP_S), dynamics_recording(CLOCK_HZ, DYNAMICS_S)
+    dynamics = estimate_dynamics(quick, estimate_creep(slow).model, delay=ROWS_LATE).model
+    creep = estimate_creep(slow, dynamics).model
+    return creep, estimate_dynamics(quick, creep, delay=ROWS_LATE).model
+
+
+@cache
+def usual_model() -> StageModel:
+    """Identify the model that a trial keeps where it does not change it."""
+    return model_of(hysteresis_recording(LEVELS, SLOW_HZ))
+
+
+def model_of(harmonics: Recording) -> StageModel:
+    """Identify the hysteresis from a recording beside the usual creep and dynamics."""
+    creep, dynamics = linear_parts()
+    return StageModel(estimate_hysteresis(harmonics, creep, dynamics), creep, dynamics)
+
+
+def hysteresis_recording(levels: int, rate_hz: float) -> Recording:
+    """Record the harmonics of stair amplitude in the means of samples of this rate."""
+    experiment = catalogue.hysteresis(LIMITS, levels, HARMONIC_S, 1.0 / rate_hz)
+    return record_experiment(experiment, seed=3)
+
+
+def creep_recording(period_s: float, rate_hz: float = CREEP_HZ) -> Recording:
+    """Record one period of the long square wave."""
+    experiment = catalogue.creep(LIMITS, period_s, 1.0 / rate_hz)
+    return record_experiment(experiment, seed=1)
+
+
+def dynamics_recording(rate_hz: float, duration_s: float) -> Recording:
+    """Record the short square wave."""
+    limits = StageLimits(sample_rate_hz=rate_hz)
+    return record_experiment(catalogue.dynamics(limits, duration_s=duration_s), rate_hz, seed=2)
+
+
+@cache
+def unseen_loops() -> Recording:
+    """Record slow arcs between turning points off every level."""
+    turns = catalogue.VALIDATION_TURNS
+    return _recorded(_arcs(turns), SLOW_HZ, 4)
+
+
+@cache
+def unseen_steps() -> Recording:
+    """Record long steps to levels that the creep experiment does not have."""
+    return _recorded(np.repeat(STEP_LEVELS, round(STEP_S * CREEP_HZ)), CREEP_HZ, 5)
+
+
+@cache
+def unseen_tones() -> Recording:
+    """Record the tones of the validation experiment on the fastest clock."""
+    experiment = catalogue.validation(LIMITS, tones_s=TONES_S)
+    return record_experiment(experiment, seed=6)
+
+
+def number_of_levels() -> Iterator[Trial]:
+    """Vary the number of harmonics, and so of levels."""
+    for levels in LEVEL_COUNTS:
+        model = (usual_model() if levels == LEVELS
+                 else model_of(hysteresis_recording(levels, SLOW_HZ)))
+        yield Trial(f"{levels} levels", levels * HARMONIC_S,
+                    round(levels * HARMONIC_S * SLOW_HZ), _error(model, unseen_loops()))
+
+
+def rate_of_the_hysteresis() -> Iterator[Trial]:
+    """Vary the number of samples of a harmonic."""
+    for samples in SAMPLES_PER_HARMONIC:
+        rate_hz = samples / HARMONIC_S
+        model = (usual_model() if rate_hz == SLOW_HZ
+                 else model_of(hysteresis_recording(LEVELS, rate_hz)))
+        yield Trial(f"{samples} samples a harmonic ({rate_hz:g} Hz)", LEVELS * HARMONIC_S,
+                    LEVELS * samples, _error(model, unseen_loops()))
+
+
+def length_of_the_creep() -> Iterator[Trial]:
+    """Vary the period of the long square wave."""
+    for period_s in CREEP_PERIODS_S:
+        yield _creep_trial(f"a period of {period_s:g} s", period_s, CREEP_HZ)
+
+
+def rate_of_the_creep() -> Iterator[Trial]:
+    """Vary the rate of the long square wave."""
+    for rate_hz in CREEP_RATES_HZ:
+        yield _creep_trial(f"{rate_hz:g} Hz", CREEP_S, rate_hz)
+
+
+def rate_of_the_dynamics() -> Iterator[Trial]:
+    """Vary the clock of the short square wave."""
+    for rate_hz in FAST_RATES_HZ:
+        yield _dynamics_trial(f"{rate_hz / 1e3:g} kHz", rate_hz, DYNAMICS_S)
+
+
+def length_of_the_dynamics() -> Iterator[Trial]:
+    """Vary how long the short square wave is played."""
+    for duration_s in DYNAMICS_DURATIONS_S:
+        yield _dynamics_trial(f"{duration_s:g} s", CLOCK_HZ, duration_s)
+
+
+def sweep_before() -> Iterator[Trial]:
+    """Leave out, or record, a sweep over the full range before a motion about the middle."""
+    middle = _arcs(MIDDLE_TURNS)
+    sweep = _arcs((0.0, 1.0, 0.0, MIDDLE_TURNS[0]))
+    # What somebody did with the stage before; no recording has it.
+    past_v = _volts(_arcs((0.0, 0.9, 0.25, 0.62, MIDDLE_TURNS[0])))
+    for text, waveform in (("none", middle), ("one, recorded", np.r_[sweep, middle])):
+        recorded = record_stage("middle", _volts(waveform), past_v, _held(SLOW_HZ), seed=7)
+        recorded = recorded.select(recorded.playing)
+        prediction = predict(usual_model(), recorded)
+        about_middle = prediction.time_s > prediction.time_s[-1] - middle.size / SLOW_HZ
+        yield Trial(text, waveform.size / SLOW_HZ, waveform.size,
+                    prediction.e_y_percent(about_middle))
+
+
+TABLES: dict[str, tuple[str, str, Callable[[], Iterator[Trial]]]] = {
+    "levels": ("levels of the hysteresis", "unseen slow loops", number_of_levels),
+    "hysteresis_rate": ("rate of the hysteresis", "unseen slow loops", rate_of_the_hysteresis),
+    "creep": ("long square wave", f"unseen steps of {STEP_S:g} s", length_of_the_creep),
+    "creep_rate": ("rate of the long square wave", f"unseen steps of {STEP_S:g} s",
+                   rate_of_the_creep),
+    "dynamics_rate": ("clock of the dynamics", "unseen tones", rate_of_the_dynamics),
+    "dynamics_length": ("length of the dynamics", "unseen tones", length_of_the_dynamics),
+    "sweep": ("sweep before the recording", "the motion about the middle", sweep_before),
+}
+"""By the name in the page: what is varied, what is predicted, and the trials."""
+
+
+def _creep_trial(text: str, period_s: float, rate_hz: float) -> Trial:
+    usual = usual_model()
+    creep = estimate_creep(creep_recording(period_s, rate_hz), usual.dynamics).model
+    return Trial(text, period_s, round(period_s * rate_hz),
+                 _error(StageModel(usual.hysteresis, creep, usual.dynamics), unseen_steps()))
+
+
+def _dynamics_trial(text: str, rate_hz: float, duration_s: float) -> Trial:
+    usual = usual_model()
+    dynamics = estimate_dynamics(
+        dynamics_recording(rate_hz, duration_s), usual.creep, delay=ROWS_LATE).model
+    model = StageModel(usual.hysteresis, usual.creep, dynamics)
+    prediction = predict(model, unseen_tones())
+    tones = prediction.time_s > prediction.time_s[-1] - TONES_S
+    measured_um, simulated_um = prediction.measured_um[tones], prediction.simulated_um[tones]
+    # The offset that the loops before the tones leave is not the dynamics'.
+    error_um = measured_um - simulated_um
+    return Trial(text, duration_s, round(duration_s * rate_hz),
+                 100.0 * float(error_um.std() / measured_um.std()))
+
+
+def _error(model: StageModel, recording: Recording) -> float:
+    return predict(model, recording).e_y_percent()
+
+
+def _arcs(turns: tuple[float, ...]) -> np.ndarray:
+    samples = round(ARC_S * SLOW_HZ)
+    return np.concatenate([arc(start, end, samples)
+                           for start, end in zip(turns[:-1], turns[1:], strict=True)])
+
+
+def _volts(part: np.ndarray) -> np.ndarray:
+    return LIMITS.voltage_min_v + LIMITS.span_v * part
+
+
+def _held(rate_hz: float) -> int:
+    return round(CLOCK_HZ / rate_hz)
+
+
+def _recorded(part: np.ndarray, rate_hz: float, seed: int) -> Recording:
+    voltage_v = _volts(part)
+    before_v = np.linspace(0.0, voltage_v[0], max(1, round(0.1 * rate_hz)))
+    return record_stage("unseen", voltage_v, before_v, _held(rate_hz), seed=seed)

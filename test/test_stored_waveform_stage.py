@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The stage node over a controller that plays stored waveforms; the controller is a stand-in."""
+
+import os
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+
+from piezo_bringup.processes import Processes
+
+ROOT = Path(__file__).parents[1]
+RATE_HZ = 10_000.0
+NODE = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import gcs_stand_in
+from piezo_common.schema import load_document
+from piezo_ros.spinning import run_node
+from piezo_stage_driver.backends.pi_gcs_stage import PiController, PiSettings
+from piezo_stage_driver.backends.stored_waveforms import StoredWaveformStage
+from piezo_stage_driver.node.stage_node import StageNode
+
+def make(node):
+    told = load_document(PiSettings, sys.argv[2])
+    controller = PiController(told, gcs_stand_in.library(gcs_stand_in.Controller()))
+    return StoredWaveformStage(controller, node.settings.for_backend(sys.argv[2]), 4000, 1.0)
+
+run_node(lambda: StageNode(make), sys.argv)
+"""
+
+
+def end(block):
+    """Return the sample of the clock behind a block at the full rate."""
+    return block.first_sample + len(block.voltage_v)
+
+
+@pytest.fixture(scope="module")
+def stage(stage_client, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("stored")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
+    with (directory / "stage.log").open("w") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-c", NODE, str(ROOT / "src/piezo_stage_driver/test"),
+             str(ROOT / "src/piezo_stage_driver/config/pi_gcs_settings.yaml"), "--ros-args",
+             "-r", "__ns:=/stored", "-p", "autostart:=true", "-p", "timing:=paced",
+             "-p", f"sample_rate_hz:={RATE_HZ}"], env=environment, stdout=log, stderr=log)
+    client = stage_client("/stored", Processes(directory))
+    client.until(lambda: client.blocks)
+    yield client
+    client.close()
+    process.terminate()
+    assert process.wait() == 0
+
+
+def test_waveform_is_recorded_sample_by_sample(stage):
+    stage.forget()
+    waveform_v = 50.0 + 40.0 * np.sin(2.0 * np.pi * np.arange(2000) / 500.0)
+    result = stage.play(waveform_v, 1.0 / RATE_HZ)
+    stage.until(lambda: stage.blocks and end(stage.blocks[-1]) > result.last_sample)
+    blocks = list(stage.blocks)
+    assert all(end(block) == after.first_sample for block, after in pairwise(blocks))
+    voltage_v, displacement_um = (
+        np.concatenate([getattr(block, name) for block in blocks])
+        for name in ("voltage_v", "displacement_um"))
+    begin = result.first_sample - blocks[0].first_sample
+    assert np.allclose(voltage_v[begin:begin + 2000], waveform_v)
+    # The stand-in's stage has 1 um/V and shows each voltage one sample later.
+    moved = np.flatnonzero(voltage_v)
+    assert np.allclose(displacement_um[moved + 1], voltage_v[moved], atol=1e-4)
+
+
+def test_what_the_controller_cannot_do_is_refused_by_name(stage):
+    goal = stage.send_goal("play_waveform", voltage_v=np.full(5000, 10.0),
+                           sample_period_s=1.0 / RATE_HZ, repeats=1)
+    status, result = stage.result(goal)
+    assert status == GoalStatus.STATUS_ABORTED
+    assert "4000 are what the backend plays at once" in result.message
+    loaded = stage.load([0.0, 1.0])
+    assert not loaded.success
+    assert "stored waveforms only" in loaded.message
