@@ -82,7 +82,8 @@ class ControllerNode(LifecycleNode):
         described = self._stage.wait(progress.check)
         clock = _clock(described)
         prepared = prepare(
-            _request(goal, model_text, directory), clock, self._feedbacks(clock),
+            _request(goal, model_text, directory), clock,
+            self._feedbacks(clock).with_controller(goal.controller, goal.mode),
             _Preparing(progress, goal.tolerance_um), self._data_root.writable, REPORT_PERIOD_S)
         progress.check()
         self._stage.check_unchanged(described)
@@ -125,6 +126,7 @@ class ControllerNode(LifecycleNode):
     def _locate_files(self, goal: Track.Goal) -> None:
         """Take the relative paths of files to read from the data root."""
         goal.model = self._data_root.readable(goal.model)
+        goal.controller = self._data_root.readable(goal.controller)
         for reference in (goal.reference, *goal.then):
             reference.file = self._data_root.readable(reference.file)
 
