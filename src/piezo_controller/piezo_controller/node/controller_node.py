@@ -227,7 +227,7 @@ def _parameters(goal: Track.Goal) -> str:
     return json.dumps({
         "mode": goal.mode, "duration_s": goal.duration_s, "reference": references[0],
         "then": references[1:], "then_duration_s": list(goal.then_duration_s),
-        "inversion": goal.inversion}, indent=1)
+        "inversion": goal.inversion, "controller": goal.controller}, indent=1)
 
 
 def main(args: list[str] | None = None) -> None:

@@ -173,6 +173,21 @@ def test_controller_whose_gain_nobody_tells_passes_the_inverse_by_that_of_the_mo
     assert prepared.law.delay_ticks == 1
 
 
+def test_controller_of_a_goal_goes_before_that_of_the_node_and_has_a_mode_to_act_in(
+        request_of, controller, tmp_path):
+    path = tmp_path / "named.json"
+    save_controller(path, controller)
+    feedbacks = Feedbacks(FeedbackSettings(controller_file=str(tmp_path / "absent.json")), STAGE)
+    assert feedbacks.with_controller("", "composite") is feedbacks
+    for mode in "composite", "composite_single_rate":
+        prepared = prepare(request_of(mode, HARMONIC), STAGE,
+                           feedbacks.with_controller(str(path), mode), Heard())
+        assert prepared.law.delay_ticks == controller.delay_ticks
+    for mode in "pid", "feedforward", "learning":
+        with pytest.raises(ValueError, match=f"nothing to act on in the mode '{mode}': leave it"):
+            feedbacks.with_controller(str(path), mode)
+
+
 def _integrator():
     return FeedbackController(np.eye(1), np.full((1, 1), 0.1), np.eye(1), np.zeros((1, 1)), 1e-3,
                               {"hysteresis_gain_um_per_v": 1.0}, {})
