@@ -8,6 +8,7 @@ from functools import partial
 
 import control
 import numpy as np
+from scipy.signal import welch
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.approach import (
@@ -31,19 +32,21 @@ from piezo_controller.feedforward.online_inverse import (
     OnlineInverse,
     compensated_effects,
 )
+from piezo_controller.feedforward.periodic import LEFT_OUT
 from piezo_controller.feedforward.preview_inverse import PREVIEW_SAMPLES, preview_inverse
 from piezo_controller.references.kind import Watch
 from piezo_controller.references.smooth_rise import minimum_jerk, smooth_rise
 from piezo_controller.references.trajectory import KeptTrajectory, Trajectory
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachMemory
-from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh
+from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh, zoh_response
 
 REST_S = 0.02
 APPROACH_S = 0.15
 CHUNK_SAMPLES = 4000
 # As long as the longest period: of what repeats itself as fast all is checked before the run.
 CHECKED_S = 20.0
+BAND_CHECK_SAMPLES = 8192
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,8 +244,8 @@ class _StreamPlanner:
         self.sample_period_s = limits.sample_period_s
         self.start_voltage_v = start_voltage_v
         self.watch = watch
-        self.preview = preview_inverse(model.dynamics.state_space(model.effects_at("modes")),
-                                       self.sample_period_s, method, preview_samples)
+        self.fast = model.dynamics.state_space(model.effects_at("modes"))
+        self.preview = preview_inverse(self.fast, self.sample_period_s, method, preview_samples)
         self.slow = model.creep.state_space()
         for effect in model.effects_at("linear"):
             self.slow = effect.state_space() * self.slow
@@ -270,6 +273,7 @@ class _StreamPlanner:
                           self.margin)
         self._check_extremes(reference.survey(samples))
         checked = round(CHECKED_S / self.sample_period_s)
+        self._check_band(reference.sample(0, min(samples, checked)))
         plan.check(plan.begin_sample + min(samples, checked), self.watch)
         return plan
 
@@ -291,6 +295,22 @@ class _StreamPlanner:
         gains = np.array([1.0, float(np.real(self.slow(0.0)))])
         reached_um = np.outer(gains, self.hysteresis.output_range_um)
         check_range(reference_um, reached_um.min(), reached_um.max(), DISPLACEMENT)
+
+    def _check_band(self, reference_um: FloatArray) -> None:
+        """Refuse a reference of which the inverse of the dynamics leaves too much."""
+        frequency_hz, power_um2 = welch(reference_um, 1 / self.sample_period_s, scaling="spectrum",
+                                        nperseg=min(BAND_CHECK_SAMPLES, reference_um.size))
+        left = np.abs(1.0 - self.preview.response(frequency_hz, self.sample_period_s)
+                      * zoh_response(self.fast, frequency_hz, self.sample_period_s))
+        total_um2 = power_um2.sum()
+        left_um = reference_um.std() * math.sqrt(
+            (left**2 * power_um2).sum() / total_um2 if total_um2 else 0.0)
+        travel_um = np.ptp(reference_um)
+        if left_um > LEFT_OUT * travel_um:
+            raise UnreachableReference(
+                f"the inverse with {self.preview.preview_samples} samples of preview leaves an "
+                f"error of {100 * left_um / travel_um:.2g} % of this reference, as it moves too "
+                "fast for it: leave out what is above 2 kHz, or choose another inversion", math.nan)
 
     def _approach(self,
                   first_um: float) -> tuple[FloatArray, PreisachMemory, FloatArray, FloatArray]:
