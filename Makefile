@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test style quick long coverage kernels soak bench reproduce high-bandwidth measured diagnose-suite docs api clean
+.PHONY: help setup demo test style quick long coverage kernels soak bench reproduce high-bandwidth published-reference measured diagnose-suite docs api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -52,6 +52,9 @@ reproduce: setup ## run the studies of the thesis' chapters 2 to 5; writes docs/
 
 high-bandwidth: setup ## design feedbacks beyond the first mode; writes docs/high_bandwidth.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.high_bandwidth
+
+published-reference: setup ## follow a published reference by its preview; writes docs/published_reference.md
+	@$(in_environment) .venv/bin/python -m piezo_studies.published_reference
 
 CASES ?= 260
 diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite

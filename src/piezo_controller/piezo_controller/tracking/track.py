@@ -21,10 +21,11 @@ from piezo_controller.learning.learned_file import (
     save_learned,
 )
 from piezo_controller.learning.periodic_learner import PeriodicLearner
+from piezo_controller.references.live_reference import TOPIC, LiveReference
 from piezo_controller.references.reference import LONGEST_DURATION_S, Reference
 from piezo_controller.tracking.feedbacks import Feedback, Feedbacks
 from piezo_controller.tracking.plan import TrackingPlan
-from piezo_controller.tracking.run_plan import plan_learning, plan_references
+from piezo_controller.tracking.run_plan import plan_learning, plan_references, plan_topic
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock
 from piezo_controller.tracking.tracking_run import TrackingRun
 from piezo_models.cascade import StageModel
@@ -144,8 +145,8 @@ class PreparedRun:
 
 
 def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, steps: Steps,
-            writable: Callable[[str | Path], str | Path] = Path,
-            window_s: float = 0.1) -> PreparedRun:
+            writable: Callable[[str | Path], str | Path] = Path, window_s: float = 0.1,
+            live: LiveReference | None = None) -> PreparedRun:
     """Prepare the run of a request.
 
     Parameters
@@ -159,6 +160,8 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
         Returns the path under which a file may be written; raises ValueError if none may.
     window_s : float
         Of the running error (s).
+    live : LiveReference, optional
+        Of a request of the kind ``topic``, which begins with a value that has come.
 
     Raises
     ------
@@ -168,13 +171,17 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
     check_times(request)
     model = load_model(request.model).model
     steps.begin("plan")
-    learning, law = None, None
-    if request.mode == "learning":
+    plan: TrackingPlan
+    learning, law, feedback = None, None, None
+    if any(reference.kind == TOPIC for reference in request.references):
+        plan = plan_topic(request.mode, request.references,
+                          whole_ticks(sum(request.durations_s), stage), model, stage,
+                          request.inversion, live)
+    elif request.mode == "learning":
         plan, feedback, learning = prepare_learning(request, model, stage, feedbacks, writable)
     else:
         plan = plan_references(request.mode, request.references, request.durations_s, model, stage,
                                request.inversion, steps.watch)
-        feedback = None
     if request.mode in FEEDBACK_METHODS:
         steps.begin("design the feedback")
         described = request.mode, model, request.model_sha256, plan

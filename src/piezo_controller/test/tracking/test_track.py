@@ -10,7 +10,8 @@ from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.synthesis.weights import load_weights
-from piezo_controller.references.reference import Reference
+from piezo_controller.references.live_reference import LiveReference
+from piezo_controller.references.reference import Reference, trajectory
 from piezo_controller.tracking.feedbacks import Feedbacks, FeedbackSettings
 from piezo_controller.tracking.track import TrackRequest, prepare
 from piezo_controller.tracking.tracking_modes import StageClock
@@ -20,6 +21,10 @@ from piezo_models.model_file import save_model
 STAGE = StageClock()
 HARMONIC = Reference("harmonic", (100.0,), (10.0,), (), 50.0)
 RANDOM = Reference("random", (200.0,), (10.0,), (), 50.0, seed=1)
+
+
+RANDOM_LIVE = Reference("random", (100.0,), (10.0,), (), 50.0, seed=2)
+LIVE = Reference("topic", (100.0,), (10.0,))
 
 
 class Heard:
@@ -133,6 +138,7 @@ def test_feedback_is_a_step_of_its_own_and_a_design_is_made_once(request_of, mon
     ({"tolerance_um": -1.0}, "tolerance_um is -1: give a positive number"),
     ({"mode": "learning", "inversion": "zero_phase"}, "leave then and inversion empty"),
     ({"mode": "learnt"}, "unknown mode 'learnt'"),
+    ({"references": [LIVE]}, "a published reference is followed alone, in the modes feedforward"),
     ({"mode": "pi", "references": [RANDOM]}, "pi plays one reference that has a period"),
 ])
 def test_request_without_meaning_is_refused_in_one_sentence(request_of, change, message):
@@ -186,6 +192,40 @@ def test_controller_of_a_goal_goes_before_that_of_the_node_and_has_a_mode_to_act
     for mode in "pid", "feedforward", "learning":
         with pytest.raises(ValueError, match=f"nothing to act on in the mode '{mode}': leave it"):
             feedbacks.with_controller(str(path), mode)
+
+
+@pytest.mark.parametrize(("mode", "references"), [
+    ("learning", [LIVE]), ("pid", [LIVE]), ("feedforward", [LIVE, HARMONIC]),
+    ("feedforward", [HARMONIC, LIVE]), ("feedforward", [Reference("topic")])])
+def test_published_reference_is_refused_where_it_cannot_be_followed(request_of, mode, references):
+    live = LiveReference(STAGE.sample_period_s)
+    live.take(0, 0.0, 0, [50.0])
+    with pytest.raises(ValueError, match=r"followed alone|give one of each per component"):
+        prepare(request_of(mode, *references), STAGE, Feedbacks(FeedbackSettings(), STAGE),
+                Heard(), live=live)
+
+
+def test_published_reference_is_answered_behind_the_inverse_to_its_end(
+        request_of, exchange_with, stage_model, monkeypatch):
+    monkeypatch.setattr("piezo_controller.tracking.feedbacks.design_feedback",
+                        lambda *given, **options: _integrator())
+    live = LiveReference(STAGE.sample_period_s)
+    live.take(0, 0.0, 20, [50.0])
+    prepared = prepare(request_of("composite", LIVE), STAGE, Feedbacks(FeedbackSettings(), STAGE),
+                       Heard(), live=live)
+    assert isinstance(prepared.feedback, MultirateFeedback) and prepared.law is None
+    wanted_um = trajectory(RANDOM_LIVE).sample(0, 40_000)
+    exchange, sent = exchange_with(stage_model), [1]
+
+    def publish_and_exchange(voltage_v):
+        live.take(sent[0], 0.0, 20, wanted_um[sent[0]:sent[0] + 40])
+        sent[0] += 40
+        return exchange(voltage_v)
+
+    play(prepared, publish_and_exchange)
+    assert prepared.run.complete
+    assert prepared.run.e_rms_percent() < 1.0
+    assert "followed the reference" in prepared.plan.note
 
 
 def _integrator():
