@@ -174,7 +174,9 @@ class LivePlan:
             self._live.keep_newest(self._live.longest_samples)
             self.skipped += 1
         if not values_um.size and must and self._live.silent:
-            values_um = np.full(min(due, HELD_AT_ONCE_SAMPLES), self._value_um)
+            # Who is only late is waited for tick by tick; one tick costs a call of the stage.
+            most = due if self._live.patience_s else HELD_AT_ONCE_SAMPLES
+            values_um = np.full(min(due, most), self._value_um)
             self.held_samples += values_um.size
         return values_um
 

@@ -43,6 +43,7 @@ class LiveReference:
         How far the values lie ahead of the publisher's present, as its first message declares.
     longest_samples : int
         Samples of the longest message.
+    patience_s : float
     latest_um : float
         The last value; NaN before the first.
     """
@@ -50,7 +51,7 @@ class LiveReference:
     def __init__(self, sample_period_s: float, patience_s: float = 0.0, offset_um: float = 0.0,
                  clock: Callable[[], float] = time.monotonic) -> None:
         self._sample_period_s, self._offset_um = sample_period_s, offset_um
-        self._patience_s, self._clock = patience_s, clock
+        self.patience_s, self._clock = patience_s, clock
         self._most_samples = round(LONGEST_WAIT_S / sample_period_s)
         self._lock = threading.Lock()
         self._waiting = np.empty(0)
@@ -67,7 +68,7 @@ class LiveReference:
     @property
     def silent(self) -> bool:
         """Tell whether nothing has been published for too long."""
-        return self._clock() - self._heard_s >= self._patience_s
+        return self._clock() - self._heard_s >= self.patience_s
 
     @property
     def waiting_samples(self) -> int:
