@@ -225,7 +225,23 @@ def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samp
               model: StageModel, *, voltage_range_v: tuple[float, float] = (-20.0, 120.0),
               slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
               start_voltage_v: float = 0.0) -> LivePlan:
-    """Plan to follow what is published; see `LivePlan`, and `plan_stream` for the limits.
+    """Plan to follow what is published; see `LivePlan`.
+
+    Parameters
+    ----------
+    live : LiveReference
+        In which a value has come.
+    band_hz, amplitude_um : float
+        Highest frequency and peak-to-peak amplitude of what is published.
+    run_samples : int
+        How much of the reference is followed.
+    model : piezo_models.cascade.StageModel
+    voltage_range_v : tuple of float
+    slew_limit_v_per_s, sample_period_s, start_voltage_v : float
+
+    Returns
+    -------
+    LivePlan
 
     Raises
     ------

@@ -50,7 +50,7 @@ APPROACH_S = 0.15
 CHUNK_SAMPLES = 4000
 # As long as the longest period: of what repeats itself as fast all is checked before the run.
 CHECKED_S = 20.0
-BAND_CHECK_SAMPLES = 8192
+BAND_CHECK_SAMPLES, BAND_CHECKS = 8192, 4
 
 InverseDesign = Callable[[control.StateSpace, float], PreviewInverse]
 """Makes the inverse of fast dynamics at a sample period (s)."""
@@ -275,8 +275,8 @@ class StreamPlanner:
                           self.margin)
         self._check_extremes(reference.survey(samples))
         checked = round(CHECKED_S / self.sample_period_s)
-        self._check_band(reference.sample(0, min(samples, checked)))
         plan.check(plan.begin_sample + min(samples, checked), self.watch)
+        self._check_band(reference, samples)
         return plan
 
     def begin(self, first_um: float) -> tuple[FloatArray, FloatArray, float, OnlineInverse]:
@@ -312,17 +312,19 @@ class StreamPlanner:
         reached_um = np.outer(gains, self.hysteresis.output_range_um)
         check_range(reference_um, reached_um.min(), reached_um.max(), DISPLACEMENT)
 
-    def _check_band(self, reference_um: FloatArray) -> None:
+    def _check_band(self, reference: Trajectory, samples: int) -> None:
         """Refuse a reference of which the inverse of the dynamics leaves too much."""
-        frequency_hz, power_um2 = welch(reference_um, 1 / self.sample_period_s, scaling="spectrum",
-                                        nperseg=min(BAND_CHECK_SAMPLES, reference_um.size))
+        count = min(samples, BAND_CHECK_SAMPLES)
+        reference_um = np.array([reference.sample(int(first), count)
+                                 for first in np.linspace(0, samples - count, BAND_CHECKS)])
+        frequency_hz, powers_um2 = welch(reference_um, 1 / self.sample_period_s, nperseg=count)
+        power_um2 = powers_um2.mean(axis=0)
         left = np.abs(1.0 - self.preview.response(frequency_hz, self.sample_period_s)
                       * zoh_response(self.fast, frequency_hz, self.sample_period_s))
-        total_um2 = power_um2.sum()
-        left_um = reference_um.std() * math.sqrt(
-            (left**2 * power_um2).sum() / total_um2 if total_um2 else 0.0)
+        left_um = math.sqrt((left**2 * power_um2).sum() * frequency_hz[1])
         travel_um = np.ptp(reference_um)
-        if left_um > LEFT_OUT * travel_um:
+        # No error of rounding counts, as of a reference that stands still.
+        if left_um > max(LEFT_OUT * travel_um, 1e-9 * np.abs(reference_um).max()):
             raise UnreachableReference(
                 f"the inverse with {self.preview.preview_samples} samples of preview leaves an "
                 f"error of {100 * left_um / travel_um:.2g} % of this reference, as it moves too "
