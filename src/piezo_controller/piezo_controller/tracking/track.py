@@ -16,6 +16,7 @@ from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.integral_feedback import design_integral_feedback
 from piezo_controller.learning.learned_file import (
     Learned,
+    find_like,
     learned_path,
     load_correction,
     save_learned,
@@ -85,18 +86,19 @@ class Steps(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Learning:
-    """What a learning run learns, and the file that keeps it."""
+    """What a learning run learns, the file that keeps it, and what it began from."""
 
     learner: PeriodicLearner
     path: Path
     reference: Reference
     model_sha256: str
     sample_rate_hz: float
+    beginning: str = ""
 
     @property
     def account(self) -> str:
         """Return what to tell of the learning at its end."""
-        return (f"learning ended after {self.learner.iterations} iterations: "
+        return (f"learning{self.beginning} ended after {self.learner.iterations} iterations: "
                 f"{self.learner.finished}")
 
     def keep(self) -> None:
@@ -228,15 +230,17 @@ def prepare_learning(request: TrackRequest, model: StageModel, stage: StageClock
                          "leave then and inversion empty")
     reference, key = request.references[0], request.model_sha256
     path = Path(writable(request.learned or learned_path(request.directory, reference, key)))
-    correction_um = None
+    correction_um, beginning = None, ""
     if request.learned or path.exists():
         correction_um = load_correction(path, reference, key, stage.sample_rate_hz)
+    elif like := find_like(request.directory, reference, key, stage.sample_rate_hz):
+        beginning, correction_um = f" from {like[0].name} of a like reference", like[1]
     controller = design_integral_feedback(model, stage.tick_s, stage.sample_period_s, key)
     plan, learner = plan_learning(
         reference, whole_ticks(request.durations_s[0], stage), model, controller, stage,
         request.iterations or LEARNING_ITERATIONS, correction_um)
     return plan, feedbacks.limited(controller), Learning(
-        learner, path, reference, key, stage.sample_rate_hz)
+        learner, path, reference, key, stage.sample_rate_hz, beginning)
 
 
 def whole_ticks(duration_s: float, stage: StageClock) -> int:

@@ -118,6 +118,30 @@ def test_what_was_learned_is_kept_and_taken_up_again(
         prepared_for(other)
 
 
+def test_learning_begins_from_a_like_reference_with_a_smaller_error(
+        request_of, exchange_with, stage_model, tmp_path):
+    hysteresis = stage_model.hysteresis
+    stage = dataclasses.replace(stage_model, hysteresis=dataclasses.replace(
+        hysteresis, density_um_per_v2=1.05 * hysteresis.density_um_per_v2))
+    larger = dataclasses.replace(HARMONIC, amplitude_um=(12.0,))
+
+    def first_error_um(reference):
+        prepared = prepared_for(request_of("learning", reference, iterations=1))
+        begun_um = prepared.learning.learner.correction_um
+        play(prepared, exchange_with(stage))
+        return prepared.learning, begun_um, prepared.learning.learner.best_rms_um
+
+    cold, begun_um, cold_um = first_error_um(larger)
+    assert not begun_um.any() and "like" not in cold.account
+    prepared = prepared_for(request_of("learning", HARMONIC, iterations=4))
+    play(prepared, exchange_with(stage))
+    prepared.learning.keep()
+    warm, begun_um, warm_um = first_error_um(larger)
+    np.testing.assert_allclose(begun_um, 1.2 * prepared.learning.learner.best_um, atol=1e-9)
+    assert prepared.learning.path.name in warm.account
+    assert warm_um < 0.5 * cold_um
+
+
 def test_feedback_is_a_step_of_its_own_and_a_design_is_made_once(request_of, monkeypatch):
     designed = []
     monkeypatch.setattr(
