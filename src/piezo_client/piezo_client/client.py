@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment, Track
 from piezo_interfaces.msg import Reference, StageDescription
 from rclpy.action import ActionClient
@@ -19,6 +18,7 @@ from unique_identifier_msgs.msg import UUID
 
 from piezo_client.interrupts import HeldSignals
 from piezo_client.paths import AnyPath, with_absolute_paths
+from piezo_client.rejections import why_rejected
 from piezo_ros.calls import number_request
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.heartbeat import Heartbeat
@@ -36,8 +36,6 @@ CALL_TIMEOUT_S = 120.0
 LAST_ANSWER_S = 1.0
 ALIVE_PERIOD_S = 1.0
 WATCH_PERIOD_S = 0.2
-DIAGNOSTICS_S = 5.0
-"""Every node that has something to tell does so each second."""
 ACTIONS = {
     "play_waveform": (PlayWaveform, "play_waveform"),
     "run_experiment": (RunExperiment, "identification/run_experiment"),
@@ -263,25 +261,9 @@ class Client:
                 "log, send the goal again")))
         if not handle.accepted:
             raise GoalFailed(name, action_type.Result(message=(
-                f"the node that serves {topic} rejected the goal: {self._why_rejected(topic)}")))
+                f"the node that serves {topic} rejected the goal: "
+                f"{why_rejected(self.node, self.spin_until, topic)}")))
         return handle
-
-    def _why_rejected(self, topic: str) -> str:
-        """Return what the node that serves an action says of its present goal."""
-        node_name = f"{self.node.get_namespace().rstrip('/')}/{topic.partition('/')[0]}: goal"
-        heard: list[str] = []
-
-        def hear(array: DiagnosticArray) -> None:
-            heard.extend(status.message for status in array.status if status.name == node_name)
-
-        subscription = self.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
-        try:
-            self.spin_until(lambda: bool(heard), DIAGNOSTICS_S)
-        finally:
-            self.node.destroy_subscription(subscription)
-        if heard and not heard[-1].startswith("works on no goal"):
-            return f"it is {heard[-1]}"
-        return "it is busy with another goal or not active, its log tells which"
 
     def _accepted(self, client: ActionClient, sent: list[Future],
                   ask: Callable[[], Future]) -> ClientGoalHandle | None:
