@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The controller with a controller file, a tick of one sample, and feedback before the inverse."""
 
+import json
 from dataclasses import replace
 
 import pytest
 from piezo_interfaces.msg import Reference
 
 from piezo_client.client import GoalFailed
+from piezo_client.stage import Stage
 from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.feedback_design import design_feedback
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
+from piezo_recorder.reading.reader import read_recording
 
 REFERENCE = {"kind": "harmonic", "frequency_hz": [40.0], "amplitude_um": [20.0], "centre_um": 50.0}
 
@@ -43,11 +46,19 @@ def test_controller_file_is_used_and_the_feedback_may_pass_the_inverse(nodes, fi
 
 
 def test_controller_that_does_not_stabilise_the_model_is_refused_and_nothing_moves(
-        nodes, files, tmp_path):
+        nodes, files, tmp_path, monkeypatch):
     with pytest.raises(GoalFailed, match=r"unstable.json: the controller does not stabilise"):
         track(nodes, "/unstable", files, tmp_path,
               {"controller_file": str(files / "unstable.json")})
     assert list(tmp_path.iterdir()) == []
+    # That of a goal goes before that of the node; its path is of the folder of who asks.
+    monkeypatch.chdir(files)
+    with Stage("/unstable") as stage:
+        tracked = stage.track(REFERENCE, "model.json", duration_s=0.2, directory=tmp_path,
+                              controller="stable.json")
+    assert tracked.e_rms_percent < 0.5
+    parameters = json.loads(read_recording(tracked.path).attachments["parameters.json"])
+    assert parameters["controller"] == str(files / "stable.json")
 
 
 def test_single_rate_of_the_sample_clock_tracks_and_tells_that_it_is_too_slow_for_it(

@@ -12,6 +12,7 @@ from action_msgs.msg import GoalStatus
 from piezo_interfaces.msg import Reference, SampleBlock
 
 from piezo_client.client import GoalFailed
+from piezo_client.overview import status_lines
 from piezo_recorder.reading.reader import read_recording, sha256_of
 
 CENTRE_UM = 57.0
@@ -198,11 +199,18 @@ def test_unreachable_amplitude_is_refused_and_the_one_named_instead_is_reached(
 
 def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, model, tmp_path):
     goal = suite.begin("track", **goal_fields(model, tmp_path, duration_s=GOES_ON_S))
-    with pytest.raises(GoalFailed, match="rejected the goal: it is busy"):
+    with pytest.raises(GoalFailed, match=r"rejected the goal: it is busy with controller/track "
+                                         rf"for {suite.node.get_fully_qualified_name()} "
+                                         r"\("):
         suite.goal("track", **goal_fields(model, tmp_path))
+    told = "\n".join(status_lines(suite))
+    assert f"controller: busy with controller/track for {suite.node.get_fully_qualified_name()}" \
+        in told
+    assert "identification: works on no goal" in told
     with pytest.raises(GoalFailed, match="is being recorded: stop it first"):
         suite.run_experiment("dynamics", tmp_path)
-    with pytest.raises(GoalFailed, match=r"the stage is busy \(track for /left/controller\)"):
+    with pytest.raises(GoalFailed,
+                       match=r"the stage is busy \(track for /left/controller, .* s left"):
         suite.play([1.0])
     assert suite.blocks[-1].flags & SampleBlock.FLAG_TRACKING
     status, result = suite.cancel(goal)

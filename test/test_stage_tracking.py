@@ -200,7 +200,7 @@ def test_stop_tracking_ramps_to_rest_and_is_refused_when_nothing_tracks(stage):
     assert stage.load(np.linspace(0, 60, 400)).success
     assert stage.start_tracking(feedback=True).success
     stage.until(lambda: stage.blocks and stage.blocks[-1].voltage_v[-1] == 60.0)
-    with pytest.raises(GoalFailed, match=r"the stage is busy \(track\)"):
+    with pytest.raises(GoalFailed, match=r"the stage is busy \(track, until it is stopped\)"):
         stage.play([1.0])
     assert stage.trigger("stop_tracking").success
     samples = stage.samples()

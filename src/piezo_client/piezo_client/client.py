@@ -18,6 +18,7 @@ from unique_identifier_msgs.msg import UUID
 
 from piezo_client.interrupts import HeldSignals
 from piezo_client.paths import AnyPath, with_absolute_paths
+from piezo_client.rejections import why_rejected
 from piezo_ros.calls import number_request
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.heartbeat import Heartbeat
@@ -260,8 +261,8 @@ class Client:
                 "log, send the goal again")))
         if not handle.accepted:
             raise GoalFailed(name, action_type.Result(message=(
-                f"the node that serves {topic} rejected the goal: it is busy with another goal "
-                "or not active, its log tells which")))
+                f"the node that serves {topic} rejected the goal: "
+                f"{why_rejected(self.node, self.spin_until, topic)}")))
         return handle
 
     def _accepted(self, client: ActionClient, sent: list[Future],

@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tell which stages can be seen, and how one of them is."""
 
+import math
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.srv import GetState
 
 from piezo_client.client import Client, nobody_serves
+from piezo_client.rejections import DIAGNOSTICS_S
 from piezo_ros.stage_runs.described_stage import DescribedStage
 
 NODES = ("stage", "recorder", "identification", "controller")
-DIAGNOSTICS_S = 5.0
-"""Every node that has something to tell does so each second."""
+
+SERVE_GOALS = {"identification", "controller"}
 
 
 def stages_seen(client: Client, wait_s: float) -> list[str]:
@@ -71,6 +73,8 @@ def status_lines(client: Client) -> list[str]:
     name = f"{namespace}/stage: stage"
     if client.spin_until(lambda: name in heard, DIAGNOSTICS_S):
         lines += _present(heard[name])
+    at_work = {f"{namespace}/{node}: goal" for node in SERVE_GOALS & client.neighbours()}
+    client.spin_until(lambda: at_work <= heard.keys(), DIAGNOSTICS_S)
     lines += [f"{status.name.partition(': ')[0]}: {status.message}"
               for key, status in sorted(heard.items())
               if key.startswith(f"{namespace}/") and key.endswith(": goal")]
@@ -90,4 +94,6 @@ def _present(status: DiagnosticStatus) -> list[str]:
     values = {entry.key: entry.value for entry in status.values}
     client = f" for {values['client']}" if values.get("client") else ""
     voltage = f", {values['voltage_v']} V" if "voltage_v" in values else ""
-    return [f"now: {status.message}{client}{voltage}"]
+    seconds_left = float(values.get("seconds_left", 0.0))
+    left = f", {seconds_left:.3g} s left" if 0.0 < seconds_left < math.inf else ""
+    return [f"now: {status.message}{client}{voltage}{left}"]

@@ -167,7 +167,8 @@ class Stage:
             json.loads(result.adequacy_json or "{}"))
 
     def track(self, reference: Mapping[str, Any], model: AnyPath, mode: str = "composite",
-              duration_s: float = 1.0, directory: AnyPath = "") -> Tracking:
+              duration_s: float = 1.0, directory: AnyPath = "",
+              controller: AnyPath = "") -> Tracking:
         """Track a reference and record the run.
 
         Parameters
@@ -182,13 +183,15 @@ class Stage:
             Without the way to the beginning and back.
         directory : path-like
             Where the recording is made; by default where the node's parameter says.
+        controller : path-like
+            File that ``design`` wrote, for the composite modes; by default the node's own.
 
         Returns
         -------
         Tracking
         """
         result = self.client.track(
-            reference, model, mode, duration_s, directory,
+            reference, model, mode, duration_s, directory, controller=controller,
             on_feedback=self._shown(f"track, {mode}: "))
         return Tracking(Path(result.recording), result.e_rms_percent, result.largest_error_um,
                         result.missed_feedback, result.message)

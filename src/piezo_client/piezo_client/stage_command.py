@@ -106,6 +106,9 @@ def _add_identify(commands: Commands) -> None:
 def _add_track(commands: Commands) -> None:
     parser = _add(commands, "track", "track a periodic reference and record the run")
     parser.add_argument("--model", type=Path, required=True, help="model file")
+    parser.add_argument("--controller", type=Path, metavar="FILE",
+                        help="feedback of the composite modes, as design wrote it; by default it "
+                             "is designed for the model")
     parser.add_argument("--mode", default="composite",
                         help="such as open_loop, feedforward or composite (default: %(default)s)")
     parser.add_argument("--file", type=Path, metavar="CSV",

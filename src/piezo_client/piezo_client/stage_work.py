@@ -83,7 +83,8 @@ def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
     reference = (
         {"kind": "file", "file": str(options.file)} if options.file else
         SHAPES[options.shape](options.frequency_hz, options.amplitude_um, options.centre_um))
-    run = stage.track(reference, options.model, options.mode, options.duration_s, options.output)
+    run = stage.track(reference, options.model, options.mode, options.duration_s, options.output,
+                      options.controller or "")
     return [f"e_rms_percent {run.e_rms_percent:.4g}",
             f"largest_error_um {run.largest_error_um:.4g}",
             *filter(None, [run.message]), f"recorded {run.path}",

@@ -20,7 +20,8 @@ def test_paths_of_every_kind_become_those_of_the_caller(here):
     reference = Reference(kind="file", file="way.csv")
     fields = {
         "directory": Path("runs"), "model": "model.json", "holdout": "../held.csv",
-        "learned": "/abs/learned.json", "recordings": ["a", Path("b"), "/c"],
+        "learned": "/abs/learned.json", "controller": "controller.json",
+        "recordings": ["a", Path("b"), "/c"],
         "reference": reference, "then": [Reference(kind="file", file="next.csv"), Reference()],
         "mode": "composite", "name": "run"}
     made = with_absolute_paths(fields)
@@ -28,6 +29,7 @@ def test_paths_of_every_kind_become_those_of_the_caller(here):
     assert made["model"] == f"{here}/model.json"
     assert Path(made["holdout"]).resolve() == here.parent / "held.csv"
     assert made["learned"] == "/abs/learned.json"
+    assert made["controller"] == f"{here}/controller.json"
     assert made["recordings"] == [f"{here}/a", f"{here}/b", "/c"]
     assert made["reference"].file == f"{here}/way.csv"
     assert [following.file for following in made["then"]] == [f"{here}/next.csv", ""]

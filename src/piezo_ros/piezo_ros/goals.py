@@ -8,14 +8,21 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, ManagedEntity, TransitionCallbackReturn
 
 from piezo_ros.calls import Cancelled, InvalidHandle
 from piezo_ros.clock_guard import keep_clock
+from piezo_ros.diagnostics import diagnostic
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.presence import Presence
+
+DIAGNOSTICS_PERIOD_S = 1.0
+NO_GOAL = "works on no goal"
+NOT_ACTIVE = "not active: activate it first"
 
 
 class Progress:
@@ -38,6 +45,14 @@ class Progress:
         self._client = client
         self._why_ending = why_ending
         self._begin_s = time.monotonic()
+        self._fraction, self._left_s, self._step = 0.0, 0.0, "begins"
+
+    @property
+    def account(self) -> str:
+        """Tell for whom the work is done, and how far it was when it last reported."""
+        client = f" for {self._client.name}" if self._client.name else ""
+        left = f", {100 * self._fraction:.0f} %, {self._left_s:.3g} s left"
+        return f"{client} ({self._step}{left if self._fraction else ''})"
 
     @property
     def cause(self) -> str:
@@ -63,6 +78,8 @@ class Progress:
         """Publish feedback; the seconds left are estimated from the time taken so far."""
         taken_s = time.monotonic() - self._begin_s
         left_s = taken_s * (1.0 - fraction) / fraction if fraction > 0.0 else 0.0
+        self._fraction, self._left_s = float(fraction), float(left_s)
+        self._step = fields.get("stage", "") or "runs"
         self._goal_handle.publish_feedback(self._feedback_type(
             fraction=float(fraction), seconds_left=float(left_s), **fields))
 
@@ -89,6 +106,10 @@ class GoalServers(ManagedEntity):
         self._active = False
         self._why_ending = ""
         self._servers: list[ActionServer] = []
+        self._present: tuple[str, Progress] | None = None
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        node.create_timer(DIAGNOSTICS_PERIOD_S, self._tell,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
         node.add_managed_entity(self)
         keep_clock(node, lambda: "a goal runs" if self.busy else "")
 
@@ -110,7 +131,7 @@ class GoalServers(ManagedEntity):
         """
         self._servers.append(ActionServer(
             self._node, action_type, name, self._end_goal, goal_callback=self._examine,
-            handle_accepted_callback=lambda goal: self._begin_goal(goal, action_type, work),
+            handle_accepted_callback=lambda goal: self._begin_goal(goal, name, action_type, work),
             cancel_callback=lambda goal: CancelResponse.ACCEPT))
 
     def end(self) -> bool:
@@ -140,19 +161,34 @@ class GoalServers(ManagedEntity):
             reason = "is busy with another goal: wait or cancel it"
         if reason:
             self._node.get_logger().warning(f"goal rejected: {self._node.get_name()} {reason}")
+            self._tell()
         return GoalResponse.REJECT if reason else GoalResponse.ACCEPT
 
-    def _begin_goal(self, goal_handle: ServerGoalHandle, action_type: MessageType,
+    def _tell(self) -> None:
+        """Publish what the node works on; who was rejected learns from it why."""
+        present = self._present
+        if present is not None:
+            message = f"busy with {present[0]}{present[1].account}"
+        elif self._why_ending or not self._active:
+            message = NOT_ACTIVE
+        else:
+            message = NO_GOAL
+        self._diagnostics.publish(diagnostic(
+            self._node, "goal", DiagnosticStatus.OK, message, {}))
+
+    def _begin_goal(self, goal_handle: ServerGoalHandle, name: str, action_type: MessageType,
                     work: Work) -> None:
         # Free: the executor takes one goal after the other, and has just asked.
         self._one_at_a_time.acquire(blocking=False)
         client = Presence(self._node, goal_handle.request.client)
         progress = Progress(
             goal_handle, action_type.Feedback, client, lambda: self._why_ending)
+        self._present = name, progress
         threading.Thread(target=self._work, name="goal", args=(
             work, goal_handle, action_type.Result(), progress)).start()
 
     def _end_goal(self, goal_handle: ServerGoalHandle, result: Message, end: str) -> Message:
+        self._present = None
         self._one_at_a_time.release()
         getattr(goal_handle, end)()
         return result

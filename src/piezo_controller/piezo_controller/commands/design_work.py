@@ -75,9 +75,9 @@ def design_controller(options: argparse.Namespace) -> None:
     _print(controller.report, rules, samples_per_tick, robustness)
     pictures = _draw(options, model, weights, controller)
     print(f"written: {', '.join(str(path) for path in (options.output, *pictures))}")
-    print("the controller node takes it by its parameter controller_file, for the composite modes")
-    print("next: ./run piezo_controller controller --ros-args -p",
-          shlex.quote(f"controller_file:={options.output.absolute()}"))
+    print("next:", shlex.join([
+        "./run", "piezo_client", "stage", "track", "--model", str(options.model), "--controller",
+        str(options.output), "--output", "runs"]))
 
 
 def _print(report: dict[str, Any], rules: LoopRules, samples_per_tick: int,

@@ -66,11 +66,19 @@ class OnlineInverse:
         ------
         Infeasible
         """
-        hysteresis_um, self.creep_state = continue_linear(
-            self.creep_inverse, self._before_dynamics(displacement_um), self.creep_state)
+        hysteresis_um = self.before_linear(displacement_um)
         hysteresis = self.model.hysteresis
         check_range(hysteresis_um, *hysteresis.output_range_um, STATIC_DISPLACEMENT)
         return hysteresis.invert(hysteresis_um, self.hysteresis)
+
+    def before_linear(self, displacement_um: FloatArray) -> FloatArray:
+        """Return the output of the hysteresis for which the stage would have followed.
+
+        Parameters and result are as those of `continue_with`.
+        """
+        hysteresis_um, self.creep_state = continue_linear(
+            self.creep_inverse, self._before_dynamics(displacement_um), self.creep_state)
+        return hysteresis_um
 
     def _before_dynamics(self, displacement_um: FloatArray) -> FloatArray:
         """Return the output of the creep for which the sensor measures the displacement."""

@@ -31,8 +31,10 @@ from piezo_models.linear.periodic_inversion import invert_linear_periodic
 MODES = ("open_loop", "feedforward")
 
 SETTLE_S = 0.1
-# Above it the stage passes too little for an inverse; what a reference holds there is left out.
+# Above it the stage passes too little for an inverse. The little that a reference holds there is
+# left out, as long as that costs less than `LEFT_OUT` (rms) of its travel.
 BANDWIDTH_HZ = 2500.0
+LEFT_OUT = 0.01
 # What the compensation of an effect adds at reversals is cut off lower where it takes too much.
 COMPENSATION_BANDWIDTHS_HZ = BANDWIDTH_HZ, 1200.0, 600.0, 300.0
 NEGLIGIBLE_CONTENT = 1e-3
@@ -64,7 +66,7 @@ class FeedforwardPlan:
     uncompensated: tuple[str, ...] = ()
 
     streamed = open_ended = False
-    iteration = 0
+    iteration, note = 0, ""
 
     @property
     def begin_sample(self) -> int:
@@ -207,7 +209,7 @@ class FeedforwardPlanner:
     def _plan_target(self, target_um: FloatArray, reference_um: FloatArray) -> FeedforwardPlan:
         """Make the plan for which the linear part's output is the target, period by period."""
         mean_um = target_um.mean()
-        wave = self._wave(target_um - mean_um)
+        wave = self._wave(target_um - mean_um, bandwidth_hz(reference_um, self.sample_period_s))
         level, level_gain = mean_um, self._mean_over_run_um(
             np.arange(self.once + self.period) >= self.fade_start)
         if self.mode == "open_loop":
@@ -252,13 +254,13 @@ class FeedforwardPlanner:
                 raise Infeasible(str(error)) from None
         return wanted
 
-    def _wave(self, alternating_um: FloatArray) -> FloatArray:
+    def _wave(self, alternating_um: FloatArray, highest_hz: float) -> FloatArray:
         """Return a period of what drives the reference without its mean: um, or V in open loop."""
         if self.mode == "open_loop":
             return alternating_um / self.gain_um_per_v
         harmonics = np.fft.rfft(alternating_um)
         frequency_hz = np.fft.rfftfreq(self.period, self.sample_period_s)
-        harmonics[(frequency_hz > BANDWIDTH_HZ) | (frequency_hz == 0)] = 0
+        harmonics[(frequency_hz > highest_hz) | (frequency_hz == 0)] = 0
         within_um = np.fft.irfft(harmonics, self.period)
         return invert_linear_periodic(within_um, self.linear, self.sample_period_s)
 
@@ -308,6 +310,30 @@ class FeedforwardPlanner:
         lead = self.fade[:self.once - self.fade_start]
         expected_um[self.fade_start:] += lead * creep_um
         return expected_um
+
+
+def bandwidth_hz(reference_um: FloatArray, sample_period_s: float) -> float:
+    """Return the highest frequency of a period that has to be inverted (Hz).
+
+    Parameters
+    ----------
+    reference_um : ndarray, shape (m,)
+        One period.
+    sample_period_s : float
+
+    Returns
+    -------
+    float
+        `BANDWIDTH_HZ`, or more where what the period holds above it exceeds `LEFT_OUT`.
+    """
+    harmonics_um = np.abs(np.fft.rfft(reference_um)) / reference_um.size
+    harmonics_um[1:(reference_um.size + 1) // 2] *= np.sqrt(2)  # those that have a conjugate
+    above_um = np.sqrt(np.cumsum(harmonics_um[::-1] ** 2)[::-1])  # by Parseval
+    frequency_hz = np.fft.rfftfreq(reference_um.size, sample_period_s)
+    # No error of rounding counts, as of a reference that stands still.
+    allowed_um = max(LEFT_OUT * np.ptp(reference_um), 1e-9 * np.abs(reference_um).max())
+    needed_hz = frequency_hz[1:][above_um[1:] > allowed_um]
+    return max(BANDWIDTH_HZ, needed_hz.max(initial=0.0))
 
 
 def _play(once: FloatArray, period: FloatArray, first: int, count: int) -> FloatArray:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import control
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.signal import lfilter, lfilter_zi
 
 from piezo_common.arrays import ComplexArray, FloatArray
@@ -26,6 +26,11 @@ TAP_WEIGHT = 1e-6
 GRID = 400
 # Of the polynomial through the samples around one; its slope and curvatures are the derivatives.
 POLYNOMIAL_DEGREE = 9
+# Of an inverse that predicts: how far it looks back, and the weight of its taps, which bounds what
+# it makes of what lies beyond the band.
+MEMORY_S = 4e-3
+PREDICTION_WEIGHT = 1e-3
+MOST_LEFT = 0.3
 # Zeros closer to the unit circle than this would ring for long if they were cancelled.
 LARGEST_CANCELLED_ZERO = 0.8
 # Newton's steps double the digits: one takes eight to all, the second confirms them.
@@ -111,17 +116,63 @@ def preview_inverse(system: control.StateSpace, sample_period_s: float,
 
 def _least_squares(system: control.StateSpace, sample_period_s: float,
                    preview_samples: int) -> PreviewInverse:
-    frequency_hz = np.linspace(0.0, BANDWIDTH_HZ, GRID)
-    response = zoh_response(system, frequency_hz, sample_period_s)
     lag = np.arange(-preview_samples, preview_samples + 1)
+    taps = _fitted_taps(system, sample_period_s, lag, BANDWIDTH_HZ, TAP_WEIGHT)
+    return PreviewInverse(taps, np.ones(1), preview_samples)
+
+
+def _fitted_taps(system: control.StateSpace, sample_period_s: float, lag: NDArray[np.int64],
+                 band_hz: float, tap_weight: float) -> FloatArray:
+    """Return the taps at some lags that fit the inverse best up to a frequency."""
+    frequency_hz = np.linspace(0.0, band_hz, GRID)
+    response = zoh_response(system, frequency_hz, sample_period_s)
     turns = np.exp(-2j * np.pi * sample_period_s * np.outer(frequency_hz, lag))
     rows = response[:, None] * turns
     dc = np.sqrt(GRID) * rows[:1].real
-    matrix = np.vstack([rows.real, rows.imag, dc, TAP_WEIGHT * np.eye(lag.size)])
+    matrix = np.vstack([rows.real, rows.imag, dc, tap_weight * np.eye(lag.size)])
     wanted = np.concatenate([np.ones(GRID), np.zeros(GRID), [np.sqrt(GRID)], np.zeros(lag.size)])
     taps = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
-    taps /= taps.sum() * response[0].real  # exact at rest
-    return PreviewInverse(taps, np.ones(1), preview_samples)
+    return taps / (taps.sum() * response[0].real)  # exact at rest
+
+
+def short_preview_inverse(system: control.StateSpace, sample_period_s: float,
+                          preview_samples: int, band_hz: float) -> PreviewInverse:
+    """Design an inverse for a reference that is known for less than `PREVIEW_SAMPLES`.
+
+    A finite filter that looks back as well: within a band the past tells what comes next.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous, strictly proper, without creep.
+    sample_period_s : float
+    preview_samples : int
+        With `PREVIEW_SAMPLES` or more it is that of `preview_inverse`, whatever the band.
+    band_hz : float
+        Highest frequency of the reference.
+
+    Returns
+    -------
+    PreviewInverse
+
+    Raises
+    ------
+    ValueError
+        Most of what lies at the end of the band would be left.
+    """
+    if preview_samples >= PREVIEW_SAMPLES:
+        return preview_inverse(system, sample_period_s)
+    lag = np.arange(-preview_samples, round(MEMORY_S / sample_period_s) + 1)
+    taps = _fitted_taps(system, sample_period_s, lag, band_hz, PREDICTION_WEIGHT * np.sqrt(GRID))
+    inverse = PreviewInverse(taps, np.ones(1), preview_samples)
+    left = np.abs(1.0 - inverse.response(band_hz, sample_period_s)
+                  * zoh_response(system, [band_hz], sample_period_s))[0]
+    if left > MOST_LEFT:
+        raise ValueError(
+            f"with {preview_samples} samples of preview {100 * left:.0f} % of a reference at "
+            f"{band_hz:g} Hz would be left: declare a lower frequency, or publish "
+            f"{PREVIEW_SAMPLES} samples ahead")
+    return inverse
 
 
 def _zero_phase(system: control.StateSpace, sample_period_s: float,

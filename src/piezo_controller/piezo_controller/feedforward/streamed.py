@@ -8,6 +8,7 @@ from functools import partial
 
 import control
 import numpy as np
+from scipy.signal import welch
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.approach import (
@@ -31,19 +32,28 @@ from piezo_controller.feedforward.online_inverse import (
     OnlineInverse,
     compensated_effects,
 )
-from piezo_controller.feedforward.preview_inverse import PREVIEW_SAMPLES, preview_inverse
+from piezo_controller.feedforward.periodic import LEFT_OUT
+from piezo_controller.feedforward.preview_inverse import (
+    PREVIEW_SAMPLES,
+    PreviewInverse,
+    preview_inverse,
+)
 from piezo_controller.references.kind import Watch
 from piezo_controller.references.smooth_rise import minimum_jerk, smooth_rise
 from piezo_controller.references.trajectory import KeptTrajectory, Trajectory
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachMemory
-from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh
+from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh, zoh_response
 
 REST_S = 0.02
 APPROACH_S = 0.15
 CHUNK_SAMPLES = 4000
 # As long as the longest period: of what repeats itself as fast all is checked before the run.
 CHECKED_S = 20.0
+BAND_CHECK_SAMPLES, BAND_CHECKS = 8192, 4
+
+InverseDesign = Callable[[control.StateSpace, float], PreviewInverse]
+"""Makes the inverse of fast dynamics at a sample period (s)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +92,7 @@ class StreamPlan:
     margin_samples: int
 
     streamed, open_ended = True, False
-    iteration = 0
+    iteration, note = 0, ""
 
     @property
     def period_voltage_v(self) -> FloatArray:
@@ -216,8 +226,9 @@ def plan_stream(reference: Trajectory, samples: int, model: StageModel,
     check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
     limits = StreamLimits(model.hysteresis.voltage_min_v, voltage_range_v[1], slew_limit_v_per_s,
                           sample_period_s)
-    planner = _StreamPlanner(model, method, limits, start_voltage_v, preview_samples,
-                             watch or (lambda fraction: None))
+    planner = StreamPlanner(
+        model, partial(preview_inverse, method=method, preview_samples=preview_samples), limits,
+        start_voltage_v, watch or (lambda fraction: None))
     try:
         return planner.plan(reference, samples)
     except Infeasible as reason:
@@ -230,19 +241,19 @@ def approach_samples(sample_period_s: float = 25e-6) -> int:
     return aligned_samples(APPROACH_S, sample_period_s)
 
 
-class _StreamPlanner:
+class StreamPlanner:
     """Plans general references for one model; see `plan_stream`."""
 
-    def __init__(self, model: StageModel, method: str, limits: StreamLimits, start_voltage_v: float,
-                 preview_samples: int, watch: Watch) -> None:
+    def __init__(self, model: StageModel, inverse_of: InverseDesign, limits: StreamLimits,
+                 start_voltage_v: float, watch: Watch) -> None:
         self.model = model
         self.hysteresis = model.hysteresis
         self.limits = limits
         self.sample_period_s = limits.sample_period_s
         self.start_voltage_v = start_voltage_v
         self.watch = watch
-        self.preview = preview_inverse(model.dynamics.state_space(model.effects_at("modes")),
-                                       self.sample_period_s, method, preview_samples)
+        self.fast = model.dynamics.state_space(model.effects_at("modes"))
+        self.preview = inverse_of(self.fast, self.sample_period_s)
         self.slow = model.creep.state_space()
         for effect in model.effects_at("linear"):
             self.slow = effect.state_space() * self.slow
@@ -256,13 +267,7 @@ class _StreamPlanner:
     def plan(self, reference: Trajectory, samples: int) -> StreamPlan:
         """Plan one reference; raise `Infeasible`."""
         approach = approach_samples(self.sample_period_s)
-        once_v, memory, slow_um, slow_state = self._approach(reference.sample(-approach, 1)[0])
-        rest_um = slow_um[-1]
-        level_um = self.model.sensed(np.full(ALIGNMENT_SAMPLES, rest_um), self.sample_period_s)[-1]
-        inverse = OnlineInverse(
-            self.model, self.preview, _inverse(self.sampled_slow), self.sample_period_s,
-            self.preview.state(rest_um), slow_state, memory,
-            np.full(2 * EFFECT_MARGIN_SAMPLES, level_um))
+        once_v, slow_um, level_um, inverse = self.begin(reference.sample(-approach, 1)[0])
         expected = _FadedIn(slow_um, level_um, reference, approach,
                             aligned_samples(FADE_S, self.sample_period_s))
         plan = StreamPlan(once_v, KeptTrajectory(expected), reference, samples,
@@ -271,7 +276,22 @@ class _StreamPlanner:
         self._check_extremes(reference.survey(samples))
         checked = round(CHECKED_S / self.sample_period_s)
         plan.check(plan.begin_sample + min(samples, checked), self.watch)
+        self._check_band(reference, samples)
         return plan
+
+    def begin(self, first_um: float) -> tuple[FloatArray, FloatArray, float, OnlineInverse]:
+        """Plan the way to the first displacement; raise `Infeasible`.
+
+        Return its voltages, the displacements of the slow part meanwhile, the displacement that the
+        sensor then measures, and the inverse that goes on from there.
+        """
+        once_v, memory, slow_um, slow_state = self._approach(first_um)
+        rest_um = slow_um[-1]
+        level_um = self.model.sensed(np.full(ALIGNMENT_SAMPLES, rest_um), self.sample_period_s)[-1]
+        return once_v, slow_um, level_um, OnlineInverse(
+            self.model, self.preview, _inverse(self.sampled_slow), self.sample_period_s,
+            self.preview.state(rest_um), slow_state, memory,
+            np.full(2 * EFFECT_MARGIN_SAMPLES, level_um))
 
     def refusal(self, reference: Trajectory, samples: int,
                 reason: Infeasible) -> UnreachableReference:
@@ -291,6 +311,24 @@ class _StreamPlanner:
         gains = np.array([1.0, float(np.real(self.slow(0.0)))])
         reached_um = np.outer(gains, self.hysteresis.output_range_um)
         check_range(reference_um, reached_um.min(), reached_um.max(), DISPLACEMENT)
+
+    def _check_band(self, reference: Trajectory, samples: int) -> None:
+        """Refuse a reference of which the inverse of the dynamics leaves too much."""
+        count = min(samples, BAND_CHECK_SAMPLES)
+        reference_um = np.array([reference.sample(int(first), count)
+                                 for first in np.linspace(0, samples - count, BAND_CHECKS)])
+        frequency_hz, powers_um2 = welch(reference_um, 1 / self.sample_period_s, nperseg=count)
+        power_um2 = powers_um2.mean(axis=0)
+        left = np.abs(1.0 - self.preview.response(frequency_hz, self.sample_period_s)
+                      * zoh_response(self.fast, frequency_hz, self.sample_period_s))
+        left_um = math.sqrt((left**2 * power_um2).sum() * frequency_hz[1])
+        travel_um = np.ptp(reference_um)
+        # No error of rounding counts, as of a reference that stands still.
+        if left_um > max(LEFT_OUT * travel_um, 1e-9 * np.abs(reference_um).max()):
+            raise UnreachableReference(
+                f"the inverse with {self.preview.preview_samples} samples of preview leaves an "
+                f"error of {100 * left_um / travel_um:.2g} % of this reference, as it moves too "
+                "fast for it: leave out what is above 2 kHz, or choose another inversion", math.nan)
 
     def _approach(self,
                   first_um: float) -> tuple[FloatArray, PreisachMemory, FloatArray, FloatArray]:

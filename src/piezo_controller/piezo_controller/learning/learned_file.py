@@ -4,6 +4,7 @@
 import dataclasses
 import hashlib
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -18,6 +19,8 @@ from piezo_controller.references.kind import Reference
 
 FORMAT = "piezo_learned_feedforward"
 VERSION = 1
+MOST_FACTOR = 2.0
+"""Between the amplitudes of like references."""
 
 
 class LearnedFileError(ValueError):
@@ -122,6 +125,60 @@ def load_correction(path: str | Path, reference: Reference, model_sha256: str,
         if getattr(document, name) != wanted:
             raise LearnedFileError(f"{begin} was learned with another {name}: learn anew")
     return np.array(document.correction_um)
+
+
+def find_like(directory: str | Path, reference: Reference, model_sha256: str,
+              sample_rate_hz: float) -> tuple[Path, FloatArray] | None:
+    """Find what was learned of the like reference whose amplitude and centre are nearest.
+
+    Like are references that differ only in their centre and by one factor of all amplitudes: the
+    errors of a model grow about in proportion with the amplitude.
+
+    Parameters
+    ----------
+    directory : path-like
+    reference : Reference
+    model_sha256 : str
+    sample_rate_hz : float
+
+    Returns
+    -------
+    path : Path
+    correction_um : (P,) array
+        In proportion to the amplitude.
+    """
+    found = []
+    for path in sorted(Path(directory).glob("learned_*.json")):
+        try:
+            document = load_document(LearnedDocument, path)
+        except SchemaError:
+            continue
+        factor, shift_um = _likeness(reference, document.reference)
+        known = document.model_sha256, document.sample_rate_hz
+        if known == (model_sha256, sample_rate_hz) and 1 / MOST_FACTOR <= factor <= MOST_FACTOR:
+            far = abs(math.log(factor)) + shift_um / sum(reference.amplitude_um)
+            found.append((far, path, factor * np.array(document.correction_um)))
+    if not found:
+        return None
+    _, path, correction_um = min(found, key=lambda one: one[0])
+    return path, correction_um
+
+
+def _likeness(reference: Reference, other: dict[str, Any]) -> tuple[float, float]:
+    """Return how much larger a reference is than another, and how far apart they are (um).
+
+    The factor is zero if they are not alike.
+    """
+    wanted = _plain(reference)
+    differing = {name for name in wanted if wanted[name] != other.get(name)}
+    if not differing <= {"amplitude_um", "centre_um"} or not wanted["amplitude_um"]:
+        return 0.0, 0.0
+    try:
+        ratios = np.divide(wanted["amplitude_um"], other["amplitude_um"])
+        shift_um = abs(wanted["centre_um"] - other["centre_um"])
+    except (TypeError, ValueError):
+        return 0.0, 0.0
+    return float(ratios[0]) if np.ptp(ratios) <= 1e-9 * ratios[0] else 0.0, shift_um
 
 
 def _plain(reference: Reference) -> dict[str, Any]:

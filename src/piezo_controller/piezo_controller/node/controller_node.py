@@ -15,6 +15,8 @@ from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
 from piezo_controller.node.law_message import message_of
+from piezo_controller.node.reference_topic import ReferenceTopic
+from piezo_controller.references.live_reference import TOPIC
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.feedbacks import LOOPS, PLACES, Feedbacks, FeedbackSettings
 from piezo_controller.tracking.track import Learning, PreparedRun, TrackRequest, prepare
@@ -66,6 +68,7 @@ class ControllerNode(LifecycleNode):
         self._stage = DescribedStage(self)
         self._designed: tuple[StageClock, Feedbacks] | None = None
         self._tracker = StageTracker(self)
+        self._references = ReferenceTopic(self, self._tracker.wake)
         self._recorder = RecorderCaller(self)
         self._goals = GoalServers(self)
         self._goals.serve(Track, "controller/track", self._track)
@@ -76,14 +79,26 @@ class ControllerNode(LifecycleNode):
         return self._goals.end()
 
     def _track(self, goal: Track.Goal, result: Track.Result, progress: Progress) -> None:
+        try:
+            self._prepare_and_play(goal, result, progress)
+        finally:
+            self._references.end()
+
+    def _prepare_and_play(self, goal: Track.Goal, result: Track.Result,
+                          progress: Progress) -> None:
         directory = self._data_root.writable(goal.directory or self._directory)
         self._locate_files(goal)
         model_text = _read_text(goal.model)
         described = self._stage.wait(progress.check)
         clock = _clock(described)
+        live = None if goal.reference.kind != TOPIC else self._references.begin(
+            clock.sample_period_s, described.timing == "lockstep", goal.reference.centre_um,
+            progress.check)
         prepared = prepare(
-            _request(goal, model_text, directory), clock, self._feedbacks(clock),
-            _Preparing(progress, goal.tolerance_um), self._data_root.writable, REPORT_PERIOD_S)
+            _request(goal, model_text, directory), clock,
+            self._feedbacks(clock).with_controller(goal.controller, goal.mode),
+            _Preparing(progress, goal.tolerance_um), self._data_root.writable, REPORT_PERIOD_S,
+            live)
         progress.check()
         self._stage.check_unchanged(described)
         run, plan = prepared.run, prepared.plan
@@ -111,7 +126,7 @@ class ControllerNode(LifecycleNode):
         uncompensated = (
             f'the feedforward does not compensate: {", ".join(plan.uncompensated)}'
             if plan.uncompensated else "")
-        notes = learned, uncompensated, run.lateness, recording.note
+        notes = learned, uncompensated, run.lateness, plan.note, recording.note
         if account.failure:
             raise CallFailed("; ".join(filter(None, (account.failure, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))
@@ -125,6 +140,7 @@ class ControllerNode(LifecycleNode):
     def _locate_files(self, goal: Track.Goal) -> None:
         """Take the relative paths of files to read from the data root."""
         goal.model = self._data_root.readable(goal.model)
+        goal.controller = self._data_root.readable(goal.controller)
         for reference in (goal.reference, *goal.then):
             reference.file = self._data_root.readable(reference.file)
 
@@ -225,7 +241,7 @@ def _parameters(goal: Track.Goal) -> str:
     return json.dumps({
         "mode": goal.mode, "duration_s": goal.duration_s, "reference": references[0],
         "then": references[1:], "then_duration_s": list(goal.then_duration_s),
-        "inversion": goal.inversion}, indent=1)
+        "inversion": goal.inversion, "controller": goal.controller}, indent=1)
 
 
 def main(args: list[str] | None = None) -> None:

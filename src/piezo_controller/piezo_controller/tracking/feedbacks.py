@@ -156,6 +156,28 @@ class Feedbacks:
                 **controller.report, "hysteresis_gain_um_per_v": nominal})
         return controller
 
+    def with_controller(self, path: str, mode: str) -> "Feedbacks":
+        """Return what makes the same feedbacks, but takes that of the composite modes from a file.
+
+        Parameters
+        ----------
+        path : str
+            Controller file; with an empty one nothing changes.
+        mode : str
+            That the file is meant for.
+
+        Raises
+        ------
+        ValueError
+            If the feedback of the mode comes from no file.
+        """
+        if not path:
+            return self
+        if FEEDBACK_METHODS.get(mode) != "h_infinity":
+            raise ValueError(f"a controller file has nothing to act on in the mode {mode!r}: "
+                             "leave it out, or use composite")
+        return Feedbacks(replace(self._settings, controller_file=path), self._stage)
+
     def limited(self, controller: FeedbackController) -> Feedback:
         """Run a controller behind the inverse, within the largest voltage of a feedback."""
         return MultirateFeedback(controller, self._max_feedback_v)

@@ -10,7 +10,7 @@ from piezo_common.arrays import FloatArray
 class TrackingPlan(Protocol):
     """Voltages for the stage to play and displacements to expect, from the run's first sample on.
 
-    `FeedforwardPlan`, `StreamPlan` and `LearningFeedforward` fulfil it.
+    `FeedforwardPlan`, `StreamPlan`, `LivePlan` and `LearningFeedforward` fulfil it.
 
     Attributes
     ----------
@@ -31,6 +31,8 @@ class TrackingPlan(Protocol):
         The present iteration of the learning; 0 where none is made.
     uncompensated : tuple of str
         Effects of the model that stay in the error.
+    note : str
+        What to tell of the run at its end; may be empty.
     """
 
     # As properties, because a run only reads them.
@@ -65,6 +67,10 @@ class TrackingPlan(Protocol):
     @property
     def uncompensated(self) -> tuple[str, ...]:
         """Return the names of effects that stay in the error."""
+
+    @property
+    def note(self) -> str:
+        """Return what to tell of the run at its end."""
 
     def expected_um(self, first_sample: int, count: int) -> FloatArray:
         """Return the displacements to expect of some samples.

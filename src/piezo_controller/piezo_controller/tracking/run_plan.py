@@ -6,12 +6,14 @@ from typing import TypedDict
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.feedback_design import FeedbackController
+from piezo_controller.feedforward.live import LivePlan, plan_live
 from piezo_controller.feedforward.periodic import FeedforwardPlan, FeedforwardPlanner
 from piezo_controller.feedforward.streamed import StreamPlan, plan_stream
 from piezo_controller.learning.fast_sensitivity import fast_sensitivity
 from piezo_controller.learning.learning_feedforward import LearningFeedforward
 from piezo_controller.learning.periodic_learner import PeriodicLearner
-from piezo_controller.references.kind import Reference, Watch
+from piezo_controller.references.kind import Reference, Watch, one_component
+from piezo_controller.references.live_reference import LiveReference
 from piezo_controller.references.reference import (
     LONGEST_DURATION_S,
     InvalidReference,
@@ -86,6 +88,33 @@ def plan_references(mode: str, references: Sequence[Reference], durations_s: Seq
         ways, durations, round(TRANSITION_S * rate_hz))
     return plan_stream(way, sum(durations), model, inversion or "least_squares",
                        watch=watch, **_limits(stage))
+
+
+def plan_topic(mode: str, references: Sequence[Reference], run_samples: int, model: StageModel,
+               stage: StageClock, inversion: str, live: LiveReference | None) -> LivePlan:
+    """Plan to follow a reference that is published meanwhile.
+
+    Parameters
+    ----------
+    mode, references, model, stage, inversion
+        See `plan_references`.
+    run_samples : int
+    live : LiveReference or None
+        What was published so far.
+
+    Raises
+    ------
+    ValueError
+        There is more than the one reference, it does not declare its frequency and amplitude, or
+        the planner refuses it.
+    """
+    reference = references[0]
+    if live is None or len(references) > 1 or inversion or mode not in STREAMED_MODES:
+        raise InvalidReference(
+            f"a published reference is followed alone, in the modes {' and '.join(STREAMED_MODES)} "
+            "of the controller's node: leave then and inversion empty")
+    band_hz, amplitude_um, _ = one_component(reference, stage.sample_rate_hz)
+    return plan_live(live, band_hz, amplitude_um, run_samples, model, **_limits(stage))
 
 
 def plan_learning(reference: Reference, run_samples: int, model: StageModel,

@@ -16,15 +16,17 @@ from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.integral_feedback import design_integral_feedback
 from piezo_controller.learning.learned_file import (
     Learned,
+    find_like,
     learned_path,
     load_correction,
     save_learned,
 )
 from piezo_controller.learning.periodic_learner import PeriodicLearner
+from piezo_controller.references.live_reference import TOPIC, LiveReference
 from piezo_controller.references.reference import LONGEST_DURATION_S, Reference
 from piezo_controller.tracking.feedbacks import Feedback, Feedbacks
 from piezo_controller.tracking.plan import TrackingPlan
-from piezo_controller.tracking.run_plan import plan_learning, plan_references
+from piezo_controller.tracking.run_plan import plan_learning, plan_references, plan_topic
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock
 from piezo_controller.tracking.tracking_run import TrackingRun
 from piezo_models.cascade import StageModel
@@ -84,18 +86,19 @@ class Steps(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Learning:
-    """What a learning run learns, and the file that keeps it."""
+    """What a learning run learns, the file that keeps it, and what it began from."""
 
     learner: PeriodicLearner
     path: Path
     reference: Reference
     model_sha256: str
     sample_rate_hz: float
+    beginning: str = ""
 
     @property
     def account(self) -> str:
         """Return what to tell of the learning at its end."""
-        return (f"learning ended after {self.learner.iterations} iterations: "
+        return (f"learning{self.beginning} ended after {self.learner.iterations} iterations: "
                 f"{self.learner.finished}")
 
     def keep(self) -> None:
@@ -144,8 +147,8 @@ class PreparedRun:
 
 
 def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, steps: Steps,
-            writable: Callable[[str | Path], str | Path] = Path,
-            window_s: float = 0.1) -> PreparedRun:
+            writable: Callable[[str | Path], str | Path] = Path, window_s: float = 0.1,
+            live: LiveReference | None = None) -> PreparedRun:
     """Prepare the run of a request.
 
     Parameters
@@ -159,6 +162,8 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
         Returns the path under which a file may be written; raises ValueError if none may.
     window_s : float
         Of the running error (s).
+    live : LiveReference, optional
+        Of a request of the kind ``topic``, which begins with a value that has come.
 
     Raises
     ------
@@ -168,13 +173,17 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
     check_times(request)
     model = load_model(request.model).model
     steps.begin("plan")
-    learning, law = None, None
-    if request.mode == "learning":
+    plan: TrackingPlan
+    learning, law, feedback = None, None, None
+    if any(reference.kind == TOPIC for reference in request.references):
+        plan = plan_topic(request.mode, request.references,
+                          whole_ticks(sum(request.durations_s), stage), model, stage,
+                          request.inversion, live)
+    elif request.mode == "learning":
         plan, feedback, learning = prepare_learning(request, model, stage, feedbacks, writable)
     else:
         plan = plan_references(request.mode, request.references, request.durations_s, model, stage,
                                request.inversion, steps.watch)
-        feedback = None
     if request.mode in FEEDBACK_METHODS:
         steps.begin("design the feedback")
         described = request.mode, model, request.model_sha256, plan
@@ -221,15 +230,17 @@ def prepare_learning(request: TrackRequest, model: StageModel, stage: StageClock
                          "leave then and inversion empty")
     reference, key = request.references[0], request.model_sha256
     path = Path(writable(request.learned or learned_path(request.directory, reference, key)))
-    correction_um = None
+    correction_um, beginning = None, ""
     if request.learned or path.exists():
         correction_um = load_correction(path, reference, key, stage.sample_rate_hz)
+    elif like := find_like(request.directory, reference, key, stage.sample_rate_hz):
+        beginning, correction_um = f" from {like[0].name} of a like reference", like[1]
     controller = design_integral_feedback(model, stage.tick_s, stage.sample_period_s, key)
     plan, learner = plan_learning(
         reference, whole_ticks(request.durations_s[0], stage), model, controller, stage,
         request.iterations or LEARNING_ITERATIONS, correction_um)
     return plan, feedbacks.limited(controller), Learning(
-        learner, path, reference, key, stage.sample_rate_hz)
+        learner, path, reference, key, stage.sample_rate_hz, beginning)
 
 
 def whole_ticks(duration_s: float, stage: StageClock) -> int:

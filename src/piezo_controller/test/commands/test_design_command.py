@@ -39,6 +39,9 @@ def test_command_writes_the_controller_and_pictures_and_prints_the_report(model_
     assert f"{controller.report['mu']:.3f}" in printed
     assert "1000 Hz, 40 samples a tick; by (5.10) " in printed
     assert "200 of 200 drawn" in printed
+    assert printed.splitlines()[-1] == (
+        f"next: ./run piezo_client stage track --model {model_path} --controller {output} "
+        "--output runs")
 
 
 def test_design_for_no_computing_time_is_faster_and_says_so(model_path, tmp_path):

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from piezo_controller.feedforward.feasibility import UnreachableReference
-from piezo_controller.feedforward.periodic import plan_feedforward
+from piezo_controller.feedforward.periodic import BANDWIDTH_HZ, bandwidth_hz, plan_feedforward
 from piezo_controller.references.reference import Reference, sample_reference
 from piezo_controller.references.smooth_rise import minimum_jerk
 from piezo_models.cascade import StageModel
@@ -148,3 +148,28 @@ def test_minimum_jerk_starts_and_ends_without_speed():
     assert rise[0] == 0.0 and rise[-1] == pytest.approx(1, abs=1e-7)
     assert np.all(np.diff(rise) >= 0)
     assert np.abs(np.diff(rise, 2))[[0, -1]].max() < 0.05 * np.abs(np.diff(rise, 2)).max()
+
+
+@pytest.mark.parametrize(("frequency_hz", "amplitude_um"), [(2000.0, 1.0), (3000.0, 40.0)])
+def test_reference_out_of_reach_is_refused_at_any_frequency_and_what_is_named_instead_is_followed(
+        model_without_creep, frequency_hz, amplitude_um):
+    with pytest.raises(UnreachableReference) as refusal:
+        plan_feedforward(harmonic(frequency_hz, amplitude_um), model_without_creep)
+    reachable_um = refusal.value.reachable_um
+    assert 0.0 < reachable_um < amplitude_um
+    plan = plan_feedforward(harmonic(frequency_hz, reachable_um), model_without_creep)
+    begin = len(plan.once_voltage_v)
+    displacement_um = model_without_creep.simulate(
+        plan.voltage_v(0, begin + 4000), SAMPLE_PERIOD_S)[begin:]
+    error_um = displacement_um - plan.expected_um(begin, 4000)
+    assert np.sqrt(np.mean(error_um**2)) < 1e-3 * reachable_um
+
+
+def test_only_the_little_that_lies_beyond_the_bandwidth_is_left_out():
+    time_s = np.arange(400) * SAMPLE_PERIOD_S
+    slow_um, fast_um = (np.sin(2 * np.pi * hz * time_s) for hz in (100.0, 5000.0))
+    # Of a sine of amplitude a the rms is a / sqrt(2), of the travel of about 2 um.
+    assert bandwidth_hz(slow_um, SAMPLE_PERIOD_S) == BANDWIDTH_HZ
+    assert bandwidth_hz(slow_um + 0.027 * fast_um, SAMPLE_PERIOD_S) == BANDWIDTH_HZ
+    assert bandwidth_hz(slow_um + 0.030 * fast_um, SAMPLE_PERIOD_S) == 5000.0
+    assert bandwidth_hz(np.full(400, 3.0), SAMPLE_PERIOD_S) == BANDWIDTH_HZ

@@ -220,3 +220,13 @@ def test_planning_can_be_cancelled_also_while_the_amplitude_within_reach_is_soug
     reference = Reference("random", (1500.0,), (amplitude_um,), (), 50.0)
     with pytest.raises(Ended):
         plan_stream(trajectory(reference), HOUR, stage_model, watch=watch)
+
+
+@pytest.mark.parametrize(("frequency_hz", "amplitude_um", "message"), [
+    (3000.0, 40.0, "um peak to peak is within reach"),
+    (5000.0, 0.01, "leaves an error of 26 % of this reference, as it moves too fast")])
+def test_reference_that_is_too_fast_is_refused_in_place_of_being_left_out(
+        stage_model, frequency_hz, amplitude_um, message):
+    reference = Reference("harmonic", (frequency_hz,), (amplitude_um,), (), 50.0)
+    with pytest.raises(UnreachableReference, match=message):
+        planned(reference, stage_model)

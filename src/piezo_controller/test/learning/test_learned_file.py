@@ -7,6 +7,7 @@ import pytest
 from piezo_controller.learning.learned_file import (
     Learned,
     LearnedFileError,
+    find_like,
     learned_path,
     load_correction,
     save_learned,
@@ -59,3 +60,23 @@ def test_file_that_is_no_json_or_not_there_is_refused(path):
         load_correction(path, *SAME)
     with pytest.raises(LearnedFileError, match="No such file"):
         load_correction(path.with_name("none.json"), *SAME)
+
+
+def test_nearest_like_reference_is_found_and_its_correction_grows_with_the_amplitude(path):
+    save_learned(path.with_name("learned_far.json"), Learned(
+        Reference("harmonic", (100.0,), (24.0,), (), 57.0), *SAME[1:], np.ones(400), 0.002, 6))
+    wanted = Reference("harmonic", (100.0,), (44.0,), (), 55.0)
+    found, correction_um = find_like(path.parent, wanted, *SAME[1:])
+    assert found == path
+    np.testing.assert_allclose(correction_um, 1.1 * np.linspace(-0.1, 0.1, 400))
+
+
+@pytest.mark.parametrize("wanted", [
+    (Reference("harmonic", (100.0,), (81.0,), (), 57.0), "abc", 40_000.0),
+    (Reference("harmonic", (101.0,), (40.0,), (), 57.0), "abc", 40_000.0),
+    (Reference("triangle", (100.0,), (40.0,), (), 57.0), "abc", 40_000.0),
+    (Reference("multi_frequency", (100.0, 200.0), (40.0, 5.0)), "abc", 40_000.0),
+    (REFERENCE, "abd", 40_000.0), (REFERENCE, "abc", 20_000.0)])
+def test_what_is_not_alike_is_not_found(path, wanted):
+    (path.parent / "learned_broken.json").write_text("{")
+    assert find_like(path.parent, *wanted) is None

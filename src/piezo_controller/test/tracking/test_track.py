@@ -10,7 +10,8 @@ from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.synthesis.weights import load_weights
-from piezo_controller.references.reference import Reference
+from piezo_controller.references.live_reference import LiveReference
+from piezo_controller.references.reference import Reference, trajectory
 from piezo_controller.tracking.feedbacks import Feedbacks, FeedbackSettings
 from piezo_controller.tracking.track import TrackRequest, prepare
 from piezo_controller.tracking.tracking_modes import StageClock
@@ -20,6 +21,10 @@ from piezo_models.model_file import save_model
 STAGE = StageClock()
 HARMONIC = Reference("harmonic", (100.0,), (10.0,), (), 50.0)
 RANDOM = Reference("random", (200.0,), (10.0,), (), 50.0, seed=1)
+
+
+RANDOM_LIVE = Reference("random", (100.0,), (10.0,), (), 50.0, seed=2)
+LIVE = Reference("topic", (100.0,), (10.0,))
 
 
 class Heard:
@@ -113,6 +118,30 @@ def test_what_was_learned_is_kept_and_taken_up_again(
         prepared_for(other)
 
 
+def test_learning_begins_from_a_like_reference_with_a_smaller_error(
+        request_of, exchange_with, stage_model, tmp_path):
+    hysteresis = stage_model.hysteresis
+    stage = dataclasses.replace(stage_model, hysteresis=dataclasses.replace(
+        hysteresis, density_um_per_v2=1.05 * hysteresis.density_um_per_v2))
+    larger = dataclasses.replace(HARMONIC, amplitude_um=(12.0,))
+
+    def first_error_um(reference):
+        prepared = prepared_for(request_of("learning", reference, iterations=1))
+        begun_um = prepared.learning.learner.correction_um
+        play(prepared, exchange_with(stage))
+        return prepared.learning, begun_um, prepared.learning.learner.best_rms_um
+
+    cold, begun_um, cold_um = first_error_um(larger)
+    assert not begun_um.any() and "like" not in cold.account
+    prepared = prepared_for(request_of("learning", HARMONIC, iterations=4))
+    play(prepared, exchange_with(stage))
+    prepared.learning.keep()
+    warm, begun_um, warm_um = first_error_um(larger)
+    np.testing.assert_allclose(begun_um, 1.2 * prepared.learning.learner.best_um, atol=1e-9)
+    assert prepared.learning.path.name in warm.account
+    assert warm_um < 0.5 * cold_um
+
+
 def test_feedback_is_a_step_of_its_own_and_a_design_is_made_once(request_of, monkeypatch):
     designed = []
     monkeypatch.setattr(
@@ -133,6 +162,7 @@ def test_feedback_is_a_step_of_its_own_and_a_design_is_made_once(request_of, mon
     ({"tolerance_um": -1.0}, "tolerance_um is -1: give a positive number"),
     ({"mode": "learning", "inversion": "zero_phase"}, "leave then and inversion empty"),
     ({"mode": "learnt"}, "unknown mode 'learnt'"),
+    ({"references": [LIVE]}, "a published reference is followed alone, in the modes feedforward"),
     ({"mode": "pi", "references": [RANDOM]}, "pi plays one reference that has a period"),
 ])
 def test_request_without_meaning_is_refused_in_one_sentence(request_of, change, message):
@@ -171,6 +201,55 @@ def test_controller_whose_gain_nobody_tells_passes_the_inverse_by_that_of_the_mo
     assert prepared.law.inverse.gain_um_per_v == pytest.approx(
         controller.report["hysteresis_gain_um_per_v"])
     assert prepared.law.delay_ticks == 1
+
+
+def test_controller_of_a_goal_goes_before_that_of_the_node_and_has_a_mode_to_act_in(
+        request_of, controller, tmp_path):
+    path = tmp_path / "named.json"
+    save_controller(path, controller)
+    feedbacks = Feedbacks(FeedbackSettings(controller_file=str(tmp_path / "absent.json")), STAGE)
+    assert feedbacks.with_controller("", "composite") is feedbacks
+    for mode in "composite", "composite_single_rate":
+        prepared = prepare(request_of(mode, HARMONIC), STAGE,
+                           feedbacks.with_controller(str(path), mode), Heard())
+        assert prepared.law.delay_ticks == controller.delay_ticks
+    for mode in "pid", "feedforward", "learning":
+        with pytest.raises(ValueError, match=f"nothing to act on in the mode '{mode}': leave it"):
+            feedbacks.with_controller(str(path), mode)
+
+
+@pytest.mark.parametrize(("mode", "references"), [
+    ("learning", [LIVE]), ("pid", [LIVE]), ("feedforward", [LIVE, HARMONIC]),
+    ("feedforward", [HARMONIC, LIVE]), ("feedforward", [Reference("topic")])])
+def test_published_reference_is_refused_where_it_cannot_be_followed(request_of, mode, references):
+    live = LiveReference(STAGE.sample_period_s)
+    live.take(0, 0.0, 0, [50.0])
+    with pytest.raises(ValueError, match=r"followed alone|give one of each per component"):
+        prepare(request_of(mode, *references), STAGE, Feedbacks(FeedbackSettings(), STAGE),
+                Heard(), live=live)
+
+
+def test_published_reference_is_answered_behind_the_inverse_to_its_end(
+        request_of, exchange_with, stage_model, monkeypatch):
+    monkeypatch.setattr("piezo_controller.tracking.feedbacks.design_feedback",
+                        lambda *given, **options: _integrator())
+    live = LiveReference(STAGE.sample_period_s)
+    live.take(0, 0.0, 20, [50.0])
+    prepared = prepare(request_of("composite", LIVE), STAGE, Feedbacks(FeedbackSettings(), STAGE),
+                       Heard(), live=live)
+    assert isinstance(prepared.feedback, MultirateFeedback) and prepared.law is None
+    wanted_um = trajectory(RANDOM_LIVE).sample(0, 40_000)
+    exchange, sent = exchange_with(stage_model), [1]
+
+    def publish_and_exchange(voltage_v):
+        live.take(sent[0], 0.0, 20, wanted_um[sent[0]:sent[0] + 40])
+        sent[0] += 40
+        return exchange(voltage_v)
+
+    play(prepared, publish_and_exchange)
+    assert prepared.run.complete
+    assert prepared.run.e_rms_percent() < 1.0
+    assert "followed the reference" in prepared.plan.note
 
 
 def _integrator():

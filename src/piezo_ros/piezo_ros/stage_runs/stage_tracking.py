@@ -115,6 +115,10 @@ class StageTracker:
         finally:
             self._take = self._stream = None
 
+    def wake(self) -> None:
+        """Look at once whether further voltages of a stream can be told now; from any thread."""
+        self._awake.set()
+
     def why_ended(self) -> str:
         """Say why the stage ended the last run before its time, as far as the stage tells."""
         return self._stage.why_ended()

@@ -38,7 +38,8 @@ class Stream:
         self._loaded_samples = loaded_samples
         self._played_samples = 0
         self._ended = False
-        self._held_back: tuple[int, float] | None = None
+        # In order: a stage plays on before it misses the first of them.
+        self._held_back: list[tuple[int, float]] = []
         self._lock = threading.Lock()
 
     @property
@@ -57,16 +58,17 @@ class Stream:
             with self._lock:
                 self._loaded_samples += len(chunk_v)
                 self._ended = not len(chunk_v)
-                if self._held_back and not self._scarce:
-                    self._answer(*self._held_back)
-                    self._held_back = None
+                if not self._scarce:
+                    for held_back in self._held_back:
+                        self._answer(*held_back)
+                    self._held_back.clear()
 
     def answer(self, tick: int, voltage_v: float, played_samples: int) -> None:
         """Give an answer, at once or when enough is loaded for the stage to go on."""
         with self._lock:
             self._played_samples += played_samples
             if self._scarce:
-                self._held_back = tick, voltage_v
+                self._held_back.append((tick, voltage_v))
             else:
                 self._answer(tick, voltage_v)
 

@@ -42,15 +42,16 @@ def test_stream_never_has_more_loaded_than_is_to_be(stage):
     assert stage.answered == [(tick, 0.5) for tick in range(1, ticks + 1)]
 
 
-def test_answer_is_held_back_until_enough_is_loaded(stage):
+def test_answers_are_held_back_until_enough_is_loaded(stage):
     chunks = iter([[0.0] * LEAST_AHEAD_SAMPLES, None, [0.0] * CHUNK, []])
     stream = Stream(lambda: next(chunks), BLOCK, stage.append, stage.answer)
     stream.feed()  # the second chunk cannot be told yet
     stream.answer(1, 1.0, BLOCK)
     stream.answer(2, 2.0, BLOCK)
+    stream.answer(3, 3.0, BLOCK)  # of a stage that plays on before it misses the one before
     assert stage.answered == [(1, 1.0)]
     stream.feed()
-    assert stage.answered == [(1, 1.0), (2, 2.0)]
+    assert stage.answered == [(1, 1.0), (2, 2.0), (3, 3.0)]
 
 
 def test_chunk_that_cannot_be_computed_is_told_and_loads_nothing(stage):

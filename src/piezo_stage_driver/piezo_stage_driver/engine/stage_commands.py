@@ -252,5 +252,7 @@ class StageCommands:
         engine = self._engine
         if not engine.idle:
             client = f" for {engine.client}" if engine.client else ""
-            raise StageRefusal(
-                f"the stage is busy ({engine.phase_name}{client}): wait, or cancel that first")
+            left_s = engine.seconds_left
+            left = f", {left_s:.2g} s left" if math.isfinite(left_s) else ", until it is stopped"
+            raise StageRefusal(f"the stage is busy ({engine.phase_name}{client}{left}): "
+                               "wait, or cancel that first")

@@ -53,7 +53,7 @@ class StageReports:
             level, message = DiagnosticStatus.ERROR, f"{message}; {UNSAFE}"
         self._outputs.publish_diagnostics(level, message, {} if loop is None else {
             "phase": loop.engine.phase_name if loop.active else "not active",
-            "client": loop.engine.client,
+            "client": loop.engine.client, "seconds_left": f"{loop.engine.seconds_left:.3f}",
             "voltage_v": f"{loop.engine.voltage_v:.4f}", "next_sample": loop.engine.next_sample,
             "missed_feedback": loop.engine.missed_feedback, **loop.supervisor.described,
             **self.latency.described()})

@@ -268,10 +268,16 @@ def test_stop_at_any_moment_ramps_from_the_very_next_tick(work, after, again_aft
         assert ramp_v[TICK] < at_v
 
 
-def test_busy_stage_tells_for_whom():
+def test_busy_stage_tells_for_whom_and_how_long_still():
     engine = guarded_engine(ProportionalStage())
     engine.commands.play(np.full(4000, 60.0), PERIOD_S, client="/left/identification")
-    with pytest.raises(StageRefusal, match=r"busy \(approach for /left/identification\)"):
+    # Ramps of 60 V at 2 kV/s take 30 ms there and back, the waveform 100 ms.
+    with pytest.raises(StageRefusal, match=r"busy \(approach for /left/identification, 0.16 s "):
+        engine.commands.load_feedforward([0.0], [])
+    engine = guarded_engine(ProportionalStage())
+    engine.commands.load_feedforward([], [0.0])
+    engine.commands.start_tracking(feedback=False)
+    with pytest.raises(StageRefusal, match=r"busy \(track, until it is stopped\)"):
         engine.commands.load_feedforward([0.0], [])
 
 

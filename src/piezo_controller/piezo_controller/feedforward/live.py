@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Voltage for a reference that is made while the stage plays, computed as soon as it is known."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_controller.feedforward.approach import check_amplifier_range
+from piezo_controller.feedforward.feasibility import Infeasible, UnreachableReference
+from piezo_controller.feedforward.preview_inverse import short_preview_inverse
+from piezo_controller.feedforward.streamed import StreamLimits, StreamPlanner, approach_samples
+from piezo_controller.references.bounded_motion import BoundedMotion
+from piezo_controller.references.live_reference import LiveReference
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
+
+DELAY_SAMPLES = 800
+"""What is loaded ahead of the stage, at 40 kHz the 20 ms that messages may take at worst."""
+
+HOLD_BELOW_SAMPLES = 400
+"""With less ahead, what is not known is held. A stage in lockstep waits with still less ahead."""
+
+HELD_AT_ONCE_SAMPLES = 40
+RANGE_MARGIN = 0.02
+"""Of the travel: kept at both ends for the dynamics and for creep."""
+
+
+class LivePlan:
+    """Follow what comes, a constant time after it was published: a `TrackingPlan`.
+
+    What is not known in time is held. Speed, acceleration and range are bounded, and nothing jumps
+    at the beginning: see `BoundedMotion`.
+
+    Parameters
+    ----------
+    planner : StreamPlanner
+    live : LiveReference
+        In which a value has come.
+    band_hz, amplitude_um : float
+        Of what is published, see `BoundedMotion`.
+    run_samples : int
+        How much of the reference is followed.
+
+    Attributes
+    ----------
+    held_samples, clipped_samples, skipped : int
+        Samples that were held, and that were clipped to the reachable range; how often values were
+        left out because the publisher was faster than the stage.
+
+    Raises
+    ------
+    Infeasible
+        The amplifier does not reach the first value.
+    """
+
+    streamed, open_ended = True, False
+    iteration = 0
+
+    def __init__(self, planner: StreamPlanner, live: LiveReference, band_hz: float,
+                 amplitude_um: float, run_samples: int) -> None:
+        self._live, self._amplitude_um = live, amplitude_um
+        self._hysteresis, self._limits = planner.hysteresis, planner.limits
+        self._hysteresis_range_um = _within(planner.hysteresis, planner.limits.highest_v)
+        margin_um = RANGE_MARGIN * (self._hysteresis_range_um[1] - self._hysteresis_range_um[0])
+        self.range_um = (self._hysteresis_range_um[0] + margin_um,
+                         self._hysteresis_range_um[1] - margin_um)
+        self._value_um = float(np.clip(live.latest_um, *self.range_um))
+        self.once_voltage_v, once_um, level_um, self._inverse = planner.begin(self._value_um)
+        self._motion = BoundedMotion(
+            level_um, self._value_um, band_hz, amplitude_um, planner.sample_period_s)
+        self._last_v = self.once_voltage_v[-1:]
+        self.begin_sample = self.feedback_start_sample + approach_samples(planner.sample_period_s)
+        self._total = self.begin_sample + run_samples
+        self._known = _Recent(once_um)
+        self._loaded = self.once_voltage_v.size
+        self._played = self.held_samples = self.clipped_samples = self.skipped = 0
+        self.uncompensated = planner.uncompensated
+        if planner.margin:
+            self._inverse.look_ahead(self._move(np.full(planner.margin, self._value_um)))
+        self._following = False
+        self._compile()
+
+    @property
+    def period_voltage_v(self) -> FloatArray:
+        """Return no voltages, as nothing is repeated."""
+        return np.empty(0)
+
+    @property
+    def feedback_start_sample(self) -> int:
+        """Tell where feedback may begin."""
+        return len(self.once_voltage_v)
+
+    @property
+    def delay_samples(self) -> int:
+        """Return how long after it is published a value is reached, messages apart."""
+        return self._ahead_samples + self._inverse.preview.preview_samples - \
+            self._live.preview_samples
+
+    @property
+    def _ahead_samples(self) -> int:
+        # Two messages: one that waits, while the other is played.
+        return DELAY_SAMPLES + 2 * self._live.longest_samples
+
+    @property
+    def note(self) -> str:
+        """Return what to tell of the run."""
+        period_s = self._limits.sample_period_s
+        told = [f"followed the reference {1e3 * self.delay_samples * period_s:.3g} ms after it was "
+                "published"]
+        for samples, text in (
+                (self.held_samples, "held, as nothing was published"),
+                (self.clipped_samples, "clipped to {:.4g} to {:.4g} um".format(*self.range_um)),
+                (self._motion.bounded_samples, "faster than the declared band and amplitude")):
+            if samples:
+                told.append(f"for {1e3 * samples * period_s:.3g} ms it was {text}")
+        if self.skipped:
+            told.append(f"values were left out {self.skipped} times, as more were published than "
+                        "the stage plays")
+        return ", ".join(told)
+
+    def expected_um(self, first_sample: int, count: int) -> FloatArray:
+        """Return the displacements to expect of samples that are loaded (um)."""
+        return self._known.sample(first_sample, count)
+
+    def travel_um(self, samples: int) -> float:
+        """Return the declared amplitude (um)."""
+        return self._amplitude_um
+
+    def take(self, displacement_um: FloatArray) -> None:
+        """Count what was played."""
+        self._played += len(displacement_um)
+
+    def continuation(self) -> Callable[[], FloatArray | None]:
+        """Return what gives the next voltages, None until they are due and known."""
+        return self._next_voltages
+
+    def _compile(self) -> None:
+        """Let everything that is compiled be so before the stage moves."""
+        trial = self._inverse.copy()
+        trial.before_linear(np.full(1, self._value_um))
+        self._hysteresis.invert(np.full(1, self._value_um), trial.hysteresis)
+        self._motion.follow(np.empty(0))
+
+    def _next_voltages(self) -> FloatArray | None:
+        ahead, left = self._loaded - self._played, self._total - self._loaded
+        if left <= 0:
+            return np.empty(0)
+        due = min(left, self._ahead_samples - ahead)
+        if due <= 0:
+            return None
+        values_um = self._values(due, must=ahead < HOLD_BELOW_SAMPLES)
+        if not values_um.size:
+            return None
+        try:
+            voltage_v = self._voltages(values_um)
+        except Infeasible as reason:
+            raise UnreachableReference(
+                f"the amplifier cannot follow the published reference: {reason}; declare less "
+                "frequency_hz or amplitude_um", math.nan) from None
+        self._loaded += voltage_v.size
+        return voltage_v
+
+    def _values(self, due: int, must: bool) -> FloatArray:
+        """Return values to follow next, those before where there must be some."""
+        if not self._following:
+            # What came on the way to the beginning is past.
+            self._live.keep_newest(due)
+            self._following = True
+        values_um = self._live.give(due)
+        if values_um.size == due and self._live.waiting_samples > self._ahead_samples:
+            self._live.keep_newest(self._live.longest_samples)
+            self.skipped += 1
+        if not values_um.size and must and self._live.silent:
+            # Who is only late is waited for tick by tick; one tick costs a call of the stage.
+            most = due if self._live.patience_s else HELD_AT_ONCE_SAMPLES
+            values_um = np.full(min(due, most), self._value_um)
+            self.held_samples += values_um.size
+        return values_um
+
+    def _voltages(self, values_um: FloatArray) -> FloatArray:
+        """Return the voltages for the next values, a margin earlier."""
+        hysteresis_um = self._inverse.before_linear(self._move(values_um))
+        voltage_v = self._hysteresis.invert(
+            np.clip(hysteresis_um, *self._hysteresis_range_um), self._inverse.hysteresis)
+        self._limits.check(self._last_v, voltage_v)
+        self._last_v = voltage_v[-1:]
+        return voltage_v
+
+    def _move(self, values_um: FloatArray) -> FloatArray:
+        """Return the displacements to expect for the next values, and keep them."""
+        within_um = np.clip(values_um, *self.range_um)
+        self.clipped_samples += int(np.count_nonzero(within_um != values_um))
+        self._value_um = float(within_um[-1]) if within_um.size else self._value_um
+        moved_um = self._motion.follow(within_um)
+        self._known.append(moved_um)
+        return moved_um
+
+
+class _Recent:
+    """Displacements sample by sample, of which those that were asked for are forgotten."""
+
+    def __init__(self, displacement_um: FloatArray) -> None:
+        self._first, self._pieces = 0, [displacement_um]
+
+    def append(self, displacement_um: FloatArray) -> None:
+        self._pieces.append(displacement_um)
+
+    def sample(self, first: int, count: int) -> FloatArray:
+        while self._first + self._pieces[0].size <= first:
+            self._first += self._pieces.pop(0).size
+        at, pieces, missing = first - self._first, [], count
+        for piece in list(self._pieces):
+            if missing <= 0:
+                break
+            pieces.append(piece[at:at + missing])
+            missing -= pieces[-1].size
+            at = 0
+        return np.concatenate(pieces)
+
+
+def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samples: int,
+              model: StageModel, *, voltage_range_v: tuple[float, float] = (-20.0, 120.0),
+              slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
+              start_voltage_v: float = 0.0) -> LivePlan:
+    """Plan to follow what is published; see `LivePlan`.
+
+    Parameters
+    ----------
+    live : LiveReference
+        In which a value has come.
+    band_hz, amplitude_um : float
+        Highest frequency and peak-to-peak amplitude of what is published.
+    run_samples : int
+        How much of the reference is followed.
+    model : piezo_models.cascade.StageModel
+    voltage_range_v : tuple of float
+    slew_limit_v_per_s, sample_period_s, start_voltage_v : float
+
+    Returns
+    -------
+    LivePlan
+
+    Raises
+    ------
+    UnreachableReference
+        The amplifier does not reach the first value.
+    ValueError
+        The model's range does not fit the amplifier's, or there is too little preview for the band.
+    """
+    check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
+    limits = StreamLimits(model.hysteresis.voltage_min_v, voltage_range_v[1], slew_limit_v_per_s,
+                          sample_period_s)
+    planner = StreamPlanner(
+        model, partial(short_preview_inverse, preview_samples=live.preview_samples,
+                       band_hz=band_hz), limits, start_voltage_v, lambda fraction: None)
+    try:
+        return LivePlan(planner, live, band_hz, amplitude_um, run_samples)
+    except Infeasible as reason:
+        raise UnreachableReference(
+            f"the amplifier cannot go to the published {live.latest_um:.4g} um: {reason}",
+            math.nan) from None
+
+
+def _within(hysteresis: PreisachModel, highest_v: float) -> tuple[float, float]:
+    """Return the outputs that no past keeps the amplifier from (um)."""
+    return hysteresis.output_range_um[0], float(hysteresis.simulate([highest_v])[-1])

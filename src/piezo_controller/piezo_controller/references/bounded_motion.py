@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Follow values of which nobody knows what they do next, with bounded speed and acceleration.
+
+What moves within a band and an amplitude keeps to the bounds by Bernstein's inequality, and is
+followed exactly. Jumps, kinks and the way from another beginning go into an offset that fades out.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from piezo_common.arrays import FloatArray
+
+SLACK = 1.001
+"""For errors of rounding."""
+
+
+class BoundedMotion:
+    """Follow values sample by sample.
+
+    Parameters
+    ----------
+    start_um, first_um : float
+        Where the motion is at rest, and the value before the first that is followed.
+    band_hz, amplitude_um : float
+        Highest frequency and peak-to-peak amplitude of values that are followed exactly.
+    sample_period_s : float
+
+    Attributes
+    ----------
+    bounded_samples : int
+        Samples at which a bound acted.
+    """
+
+    def __init__(self, start_um: float, first_um: float, band_hz: float, amplitude_um: float,
+                 sample_period_s: float) -> None:
+        turn = 2.0 * math.pi * band_hz * sample_period_s
+        self._largest_step_um = SLACK * turn * amplitude_um / 2.0
+        self._largest_bend_um = self._largest_step_um * turn
+        self._decay = turn
+        # The value before, the step taken before, the offset and its step.
+        self._state = np.array([first_um, 0.0, start_um - first_um, 0.0])
+        self.bounded_samples = 0
+
+    def follow(self, values_um: FloatArray) -> FloatArray:
+        """Return the motion (um) for the next values, shape (n,)."""
+        followed_um, bounded = _follow(values_um, self._state, self._largest_step_um,
+                                       self._largest_bend_um, self._decay)
+        self.bounded_samples += bounded
+        return followed_um
+
+
+@njit(cache=True)
+def _follow(values: FloatArray, state: FloatArray, largest_step: float, largest_bend: float,
+            decay: float) -> tuple[FloatArray, int]:
+    followed = np.empty(values.size)
+    last, step, offset, fading = state
+    bounded = 0
+    for i in range(values.size):
+        wanted = values[i] - last
+        taken = min(max(wanted, step - largest_bend, -largest_step),
+                    step + largest_bend, largest_step)
+        if taken != wanted:
+            bounded += 1
+        offset += taken - wanted
+        # Critically damped: fades out without a swing.
+        fading -= decay * (2.0 * fading + decay * offset)
+        fading = min(max(fading, -largest_step), largest_step)
+        offset += fading
+        followed[i] = values[i] + offset
+        last, step = values[i], taken
+    state[:] = last, step, offset, fading
+    return followed, bounded

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A reference that is made while the stage follows it: what was published waits here in order."""
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezo_common.arrays import FloatArray
+from piezo_controller.references.kind import InvalidReference
+
+TOPIC = "topic"
+"""The kind of such a reference."""
+
+LONGEST_GAP_S = 0.1
+"""Values left out for longer are not bridged."""
+
+LONGEST_WAIT_S = 2.0
+"""Of what waits to be followed; what is older is forgotten."""
+
+
+class LiveReference:
+    """Take pieces of a reference from who publishes them, and give them sample by sample.
+
+    May be used from several threads.
+
+    Parameters
+    ----------
+    sample_period_s : float
+        Of the stage's clock.
+    patience_s : float
+        Who has published nothing for longer counts as silent.
+    offset_um : float
+        Added to every value.
+    clock : callable
+        Returns the time (s).
+
+    Attributes
+    ----------
+    preview_samples : int
+        How far the values lie ahead of the publisher's present, as its first message declares.
+    longest_samples : int
+        Samples of the longest message.
+    patience_s : float
+    latest_um : float
+        The last value; NaN before the first.
+    """
+
+    def __init__(self, sample_period_s: float, patience_s: float = 0.0, offset_um: float = 0.0,
+                 clock: Callable[[], float] = time.monotonic) -> None:
+        self._sample_period_s, self._offset_um = sample_period_s, offset_um
+        self.patience_s, self._clock = patience_s, clock
+        self._most_samples = round(LONGEST_WAIT_S / sample_period_s)
+        self._lock = threading.Lock()
+        self._waiting = np.empty(0)
+        self._next_number = 0
+        self._heard_s = clock()
+        self.preview_samples = self.longest_samples = 0
+        self.latest_um = np.nan
+
+    @property
+    def begun(self) -> bool:
+        """Tell whether a value has come."""
+        return not np.isnan(self.latest_um)
+
+    @property
+    def silent(self) -> bool:
+        """Tell whether nothing has been published for too long."""
+        return self._clock() - self._heard_s >= self.patience_s
+
+    @property
+    def waiting_samples(self) -> int:
+        """Count the samples that wait."""
+        return self._waiting.size
+
+    def take(self, first_sample: int, sample_period_s: float, preview_samples: int,
+             displacement_um: ArrayLike) -> None:
+        """Take a message, see ``piezo_interfaces/ReferenceSamples``.
+
+        Raises
+        ------
+        InvalidReference
+            If it makes no sense; it then has no effect.
+        """
+        values_um = np.asarray(displacement_um, dtype=float) + self._offset_um
+        repeat = self._clock_samples(sample_period_s)
+        if not values_um.size or not np.isfinite(values_um).all():
+            raise InvalidReference("a message of the reference holds no or no finite "
+                                   "displacements: publish numbers")
+        with self._lock:
+            if self.begun and preview_samples != self.preview_samples:
+                raise InvalidReference(
+                    f"preview_samples of the reference is now {preview_samples}, but was "
+                    f"{self.preview_samples}: keep it, or cancel the run")
+            self.preview_samples = preview_samples
+            self._heard_s = self._clock()
+            left_out = first_sample - self._next_number
+            if not self.begun or first_sample == 0 or \
+                    left_out * repeat * self._sample_period_s > LONGEST_GAP_S:
+                left_out = 0
+            values_um = values_um[max(-left_out, 0):]
+            if values_um.size:
+                self._append(values_um, max(left_out, 0), repeat)
+                self._next_number = first_sample + len(np.atleast_1d(displacement_um))
+
+    def _append(self, values_um: FloatArray, left_out: int, repeat: int) -> None:
+        """Let values wait, and straight lines between them and to the one before."""
+        before_um = self.latest_um if self.begun else values_um[0]
+        at = np.r_[0, left_out + 1 + np.arange(values_um.size)] * repeat
+        samples_um = np.interp(np.arange(1, at[-1] + 1), at, np.r_[before_um, values_um])
+        self._waiting = np.r_[self._waiting, samples_um][-self._most_samples:]
+        self.longest_samples = max(self.longest_samples, values_um.size * repeat)
+        self.latest_um = float(values_um[-1])
+
+    def _clock_samples(self, sample_period_s: float) -> int:
+        """Count the samples of the clock from value to value."""
+        ratio = sample_period_s / self._sample_period_s if sample_period_s else 1.0
+        if not 0.5 <= ratio <= self._most_samples or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            raise InvalidReference(
+                f"sample_period_s of the reference is {sample_period_s:g}: give a whole multiple "
+                f"of the sample clock's {self._sample_period_s:g} s, or 0")
+        return round(ratio)
+
+    def give(self, most_samples: int) -> FloatArray:
+        """Return the next samples (um), shape (n,), and forget them; n may be 0."""
+        with self._lock:
+            given, self._waiting = np.split(self._waiting, [most_samples])
+            return given
+
+    def keep_newest(self, samples: int) -> None:
+        """Forget all that waits but the newest."""
+        with self._lock:
+            self._waiting = self._waiting[max(self._waiting.size - samples, 0):]

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A stage follows what another node publishes while it does."""
+
+import math
+
+import numpy as np
+import pytest
+from piezo_interfaces.msg import Reference, ReferenceSamples, SampleBlock
+
+from piezo_controller.references import reference as references
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_file import save_model
+from piezo_recorder.reading.reader import read_recording
+
+TICK = 40
+PREVIEW = 20
+WAY = references.Reference("random", (100.0,), (10.0,), (), 50.0, seed=8)
+LIVE = Reference(kind="topic", frequency_hz=[100.0], amplitude_um=[10.0])
+
+
+class Publisher:
+    """Publishes a way tick by tick, for each block that the stage has measured."""
+
+    def __init__(self, client):
+        self._client = client
+        self._way = references.trajectory(WAY)
+        self._publisher = client.node.create_publisher(ReferenceSamples, "reference", 2000)
+        self.sent = self.blocks = 0
+        self.silent_after = math.inf
+        client.answer = self._on_block
+
+    def publish(self):
+        """Publish the next values."""
+        self._publisher.publish(ReferenceSamples(
+            first_sample=self.sent, preview_samples=PREVIEW,
+            displacement_um=self._way.sample(self.sent, TICK).tolist()))
+        self.sent += TICK
+
+    def _on_block(self, block):
+        if block.flags & SampleBlock.FLAG_TRACKING:
+            self.blocks += 1
+            if self.blocks < self.silent_after:
+                self.publish()
+        return None
+
+    def follow(self, model, directory, mode, duration_s):
+        """Send the goal, and publish the first values until the stage moves."""
+        self.blocks = 0
+        handle = self._client.send("track", reference=LIVE, model=str(model), mode=mode,
+                                   duration_s=duration_s, directory=str(directory))
+        outcome = handle.get_result_async()
+        while not (self.blocks or outcome.done()):
+            self.sent = 0
+            self.publish()
+            self._client.spin_until(lambda: self.blocks or outcome.done(), 0.1)
+        return self._client.wait(outcome).result
+
+
+@pytest.fixture
+def model(near_model, tmp_path):
+    save_model(tmp_path / "model.json", IdentifiedModel(near_model, (-20.0, 120.0)))
+    return tmp_path / "model.json"
+
+
+def test_published_reference_is_followed_and_held_where_its_publisher_falls_silent(
+        nodes, model, tmp_path):
+    publisher = Publisher(nodes.start("recorder", "controller", namespace="/published"))
+    publisher.silent_after = 420
+    followed = publisher.follow(model, tmp_path, "composite", 0.3)
+    assert followed.success, followed.message
+    assert followed.e_rms_percent < 1.0
+    assert "followed the reference" in followed.message
+    assert "it was held, as nothing was published" in followed.message
+    recording = read_recording(followed.recording)
+    assert recording.gaps == []
+    moving_um, held_um = (recording.displacement_um[recording.tracking][piece] for piece in (
+        slice(14000, 16000), slice(-2000, None)))
+    assert np.ptp(held_um) < 0.1 < 1.0 < np.ptp(moving_um)
