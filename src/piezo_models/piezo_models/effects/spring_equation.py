@@ -20,7 +20,7 @@ case: a fourth power is not known so far beyond the samples that it was fitted t
 
 PHASE_STEP = 0.3
 """Radians by which the mode turns in a step of the solution, at most, where its spring is stiffest:
-a rule of the fourth order is stable up to 2.8, and errs here by less than the samples leave open."""
+a rule of the fourth order is stable up to 2.8, and errs by less here than samples leave open."""
 
 VISITED = 1.5
 """Half ranges from the middle within which the stiffest place of the spring is sought."""
