@@ -130,11 +130,11 @@ def _swinging(loads: FloatArray, rest: float, centre: float, half_range: float,
               step_rad: float, substeps: int) -> FloatArray:
     """Simulate the mode under the force of its spring by Lawson's form of Runge and Kutta's rule.
 
-    What the force takes off and its speed turn exactly without the force; `half_step` turns them by
+    What the force removes and its speed turn exactly without the force; `half_step` turns them by
     half a substep.
     """
     balanced = np.empty(loads.size)
-    # Taken off by the force: at rest all of it.
+    # Removed by the force: at rest all of it.
     y, taken = _balanced(rest, 1.0, rest, centre, half_range, parts, low, high)
     speed = 0.0
     a, b, c, d = half_step[0, 0], half_step[0, 1], half_step[1, 0], half_step[1, 1]
