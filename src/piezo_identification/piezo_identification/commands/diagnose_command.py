@@ -35,7 +35,7 @@ COMMAND = Command(
     epilog="Writes verdict.json, extended_model.json and report.html. Effects are fitted on "
     "two thirds of the recordings and compared on the rest, the validation set.",
     inputs=("model", "data", "holdout"),
-    interrupted="results in --output, if there are any, are of an earlier run")
+    interrupted="nothing is known yet; results in --output, if any, are of an earlier run")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -2,9 +2,10 @@
 """The work of `diagnose`: find what the model lacks, write and print it."""
 
 import argparse
+import sys
 from typing import Any
 
-from piezo_common.command_line import print_next, print_progress
+from piezo_common.command_line import INTERRUPTED, print_next, print_progress
 from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
@@ -20,8 +21,14 @@ from piezo_identification.estimators.frequency_response.response_file import is_
 from piezo_recorder.reading.data_options import read_all_given
 
 
-def diagnose_given(options: argparse.Namespace) -> None:
-    """Diagnose the recordings of the options; write the results and print them."""
+def diagnose_given(options: argparse.Namespace) -> int | None:
+    """Diagnose the recordings of the options; write the results and print them.
+
+    Returns
+    -------
+    int or None
+        Exit status, where the comparison was interrupted.
+    """
     if is_frequency_response(options.data[0]):
         if len(options.data) > 1 or options.holdout:
             raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
@@ -29,7 +36,7 @@ def diagnose_given(options: argparse.Namespace) -> None:
             options.model, options.data[0], options.output, hold_s_of(options))
         _print_table(diagnosis, response_sentence(diagnosis))
         print(f"written to {options.output}")
-        return
+        return None
     for option in (name for name, given in useless_response_options(options).items() if given):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give a frequency "
                          "response as --data")
@@ -40,9 +47,14 @@ def diagnose_given(options: argparse.Namespace) -> None:
     for sentence in results.outside:
         print(sentence)
     print(f"written to {options.output}")
+    if results.diagnosis.selection.interrupted:
+        print(f"{options.prog}: interrupted; the results hold what was found until then",
+              file=sys.stderr)
+        return INTERRUPTED
     print_next(options, "piezo_controller", "design", "--model",
                options.output / "extended_model.json", "--output",
                options.output / "controller.json")
+    return None
 
 
 def _print_table(diagnosis: Any, sentence: str) -> None:

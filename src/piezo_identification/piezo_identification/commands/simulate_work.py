@@ -15,6 +15,7 @@ from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction import Prediction, predict
 from piezo_identification.prediction.outside_identified import outside_identified
 from piezo_identification.prediction.prediction_pictures import draw_displacement, draw_loops
+from piezo_identification.prediction.row_reading import read_as_identified, rows_sentence
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.data_options import read_given
 
@@ -24,6 +25,10 @@ def simulate_file(options: argparse.Namespace) -> None:
     model_path, data_path, directory = options.model, options.data, options.output
     identified = load_model(model_path)
     recording = rows_read_at_start(read_given(data_path, options), READINGS[options.rows_read])
+    if not READINGS[options.rows_read]:
+        recording, read_at = read_as_identified(identified, recording)
+        if read_at:
+            print(rows_sentence(data_path, read_at))
     prediction = predict(identified.model, recording)
     if prediction.reversed:
         print(sign_text(data_path))

@@ -71,6 +71,10 @@ class Diagnosis(Verdict):
 
     selection: Selection
 
+    def document(self) -> dict[str, Any]:
+        """Return the content of `verdict.json`."""
+        return super().document() | {"interrupted": self.selection.interrupted}
+
 
 @dataclass(frozen=True)
 class Conditioned:
@@ -136,6 +140,7 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
         If there is no recording, or one cannot be used.
     """
     given = condition(model, recordings, holdout)
+    # Ctrl-C ends the comparison alone: what was found until then becomes a verdict.
     selection = compare_effects(model, given.recordings, progress)
     validation = Validation(selection.regression, given.holdout)
     decision = decide(selection, validation)
@@ -198,6 +203,8 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
         residual = first_regression(dataset)
         selections.append(
             select_effects(residual, _part_of(progress, number, len(simulated))))
+        if selections[-1].interrupted:
+            return selections[-1]
     with_past, plain = selections[0], selections[-1]
     most_um = PastSearchSettings.largest_error_ratio * left_rms_um(plain)
     return with_past if left_rms_um(with_past) < most_um else plain
@@ -239,9 +246,9 @@ def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
     Returns
     -------
     Ceiling or None
-        None where what is left passes for noise.
+        None where what is left passes for noise, and where the comparison was interrupted.
     """
-    if is_noise(selection.regression, decision.fit):
+    if selection.interrupted or is_noise(selection.regression, decision.fit):
         return None
     # Its library takes a second to import, and most verdicts do not ask.
     from piezo_identification.diagnosis.evidence.ceiling import ceiling

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples, with_outliers_marked
 from piezo_identification.conditioning.sensor_sign import moves_against, reversed_displacement
 from piezo_identification.conditioning.settling import first_settled
@@ -155,6 +155,7 @@ class ModelRun:
         self._nuisance = np.column_stack([
             np.ones(time_s.size), *(np.exp(-rate * time_s) for rate in rates_rad_per_s)
         ])
+        self._span_of: tuple[BoolArray, FloatArray] | None = None
         if np.count_nonzero(self.good) <= self._nuisance.shape[1]:
             raise ValueError(
                 f"{recording.path} has {self.part.time_s.size} samples: record longer")
@@ -217,8 +218,9 @@ class ModelRun:
 
     def error_um(self, past_v: PastVoltages, highest_v: float | None = None) -> float:
         """Return the RMS of the difference that remains with a past."""
-        difference_um = self.measured_um - self.simulated_um(past_v, highest_v)
-        return float(np.sqrt(np.mean(difference_um[self.good] ** 2)))
+        difference_um = (self.measured_um - self._response_um(past_v, highest_v))[self.good]
+        difference_um -= self._span @ (self._span.T @ difference_um)
+        return float(np.sqrt(np.mean(difference_um**2)))
 
     def simulated_um(self, past_v: PastVoltages, highest_v: float | None = None) -> FloatArray:
         """Simulate the displacement after a past, with offset and initial creep fitted.
@@ -239,6 +241,14 @@ class ModelRun:
         nuisance, good = self._nuisance, self.good
         return simulated_um + nuisance @ np.linalg.lstsq(
             nuisance[good], difference_um[good], rcond=1e-12)[0]
+
+    @property
+    def _span(self) -> FloatArray:
+        """Orthonormal columns of what is fitted, at the samples that count; kept while these do."""
+        if self._span_of is None or self._span_of[0] is not self.good:
+            left, values, _ = np.linalg.svd(self._nuisance[self.good], full_matrices=False)
+            self._span_of = self.good, left[:, values > 1e-12 * values[0]]
+        return self._span_of[1]
 
     def _response_um(self, past_v: PastVoltages, highest_v: float | None = None) -> FloatArray:
         """Return the displacement after a past, without offset and initial creep."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 
 from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
@@ -55,9 +56,13 @@ class PeriodicDisturbance(Effect):
                 past: Any = None) -> tuple[FloatArray, Any]:
         """Continue the signal behind the effect; the past is the number of samples."""
         first = past or 0
-        tones = self._tones(signal.size, sample_period_s, first)
-        sizes = self.cosine_um, *self.harmonic_cosines_um, self.sine_um, *self.harmonic_sines_um
-        return signal + tones @ sizes, first + signal.size
+        sample = np.arange(first, first + signal.size)
+        phase = 2.0 * np.pi * self.frequency_hz * sample_period_s * sample
+        # A polynomial of one turning number: c cos n p + s sin n p = Re (c - i s) exp(i p)^n.
+        sizes = np.array([self.cosine_um, *self.harmonic_cosines_um]) - 1j * np.array(
+            [self.sine_um, *self.harmonic_sines_um])
+        tones = polyval(np.exp(1j * phase), [0.0, *sizes]).real
+        return signal + tones, first + signal.size
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:

@@ -4,7 +4,7 @@
 import json
 from dataclasses import asdict
 
-from piezo_studies.measured_devices import measured, measured_pictures
+from piezo_studies.measured_devices import measured, measured_pictures, oscillators
 from piezo_studies.measured_devices.measured_diagnosis import findings
 
 
@@ -16,8 +16,14 @@ def measure_devices(options):
     for name, run in SETS.items():
         print(f"fitting {name}", flush=True)
         figures += run(data, output)
+    found = []
+    for name, study in OSCILLATORS.items():
+        print(f"fitting and diagnosing {name}", flush=True)
+        benchmark = study(data)
+        figures += benchmark.figures
+        found.append(benchmark.finding)
     print("diagnosing poor models", flush=True)
-    found = list(findings(data))
+    found += findings(data)
     rows = [asdict(figure) | {"reached": figure.is_reached} for figure in figures]
     (output / "table.json").write_text(json.dumps(
         {"rows": rows, "findings": [asdict(finding) for finding in found]}, indent=1) + "\n")
@@ -65,6 +71,8 @@ def _nanopositioner(data, output):
 
 
 SETS = {"scanner": _scanner, "cantilever": _cantilever, "nanopositioner": _nanopositioner}
+
+OSCILLATORS = {"the circuit": oscillators.circuit, "Bouc-Wen": oscillators.bouc_wen}
 
 
 def table(figures):

@@ -9,6 +9,7 @@ import pytest
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_studies.measured_devices import measured_work
 from piezo_studies.measured_devices.measured import (
     CANTILEVER,
     MAJOR_LOOPS,
@@ -75,7 +76,10 @@ def data(tmp_path_factory):
 @pytest.fixture(scope="module")
 def output(data, tmp_path_factory, picture_faults):
     directory = tmp_path_factory.mktemp("output")
-    assert picture_faults(main, ["--data", str(data), "--output", str(directory / "new")]) == []
+    with pytest.MonkeyPatch.context() as patch:
+        # test_oscillators.py runs them; here they would take most of the time.
+        patch.setattr(measured_work, "OSCILLATORS", {})
+        assert picture_faults(main, ["--data", str(data), "--output", str(directory / "new")]) == []
     return directory / "new"
 
 

@@ -67,6 +67,9 @@ class Selection:
         Candidates that the data cannot tell from one that was chosen, and that one.
     not_shown : dict of str to str
         Effects that the data cannot show, and why.
+    interrupted : bool
+        The comparison was ended by Ctrl-C: more effects may be missing, and those found may not be
+        needed beside each other.
     """
 
     regression: Regression
@@ -75,6 +78,7 @@ class Selection:
     rounds: list[list[Attempt]]
     indistinguishable: dict[str, str]
     not_shown: dict[str, str]
+    interrupted: bool = False
 
 
 def select_effects(regression: Regression, progress: Progress | None = None) -> Selection:
@@ -100,32 +104,37 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
     indistinguishable: dict[str, str] = {}
     not_shown: dict[str, str] = {}
     sets = [best]
-    for turn in range(SETTINGS.most_effects):
-        attempts: list[Attempt] = []
-        for number, current in enumerate(sets):
-            report = _share_of(progress, turn + number / len(sets), 1.0 / len(sets))
-            attempts += try_each(regression, kinds, current, report)
-        if turn == 0:
-            not_shown = {attempt.name: attempt.remark for attempt in attempts if attempt.remark}
-        rounds.append(_best_first(regression, attempts[: len(kinds)]))
-        if turn == 0 and is_noise(regression, best):
-            break
-        larger = simplest_first(regression, _fitted_as_a_whole(regression, attempts))
-        if not larger or not is_convincing(regression, start, best, larger[0]):
-            break
-        before, best = lack_of_fit(regression, best), larger[0]
-        stuck = lack_of_fit(regression, best) > SETTINGS.stuck * before
-        regression = reweighted(regression, best.effects)
-        start = fit_without_effects(regression)
-        larger = [regression.fit(fit.effects, fit.covariance) for fit in larger]
-        best = larger[0]
-        indistinguishable = like_the_best(regression, larger)
-        if stuck or mean_square(regression, best) < 1.0 + CRITERIA.noticeable**2:
-            break
-        sets = alternatives(regression, larger)
-    best = _needed(regression, start, best)
-    not_shown |= explained_by_parameters(regression, kinds, best)
-    indistinguishable |= in_place_of_the_found(regression, kinds, best)
+    try:
+        for turn in range(SETTINGS.most_effects):
+            attempts: list[Attempt] = []
+            for number, current in enumerate(sets):
+                report = _share_of(progress, turn + number / len(sets), 1.0 / len(sets))
+                attempts += try_each(regression, kinds, current, report)
+            if turn == 0:
+                not_shown = {attempt.name: attempt.remark for attempt in attempts if attempt.remark}
+            rounds.append(_best_first(regression, attempts[: len(kinds)]))
+            if turn == 0 and is_noise(regression, best):
+                break
+            larger = simplest_first(regression, _fitted_as_a_whole(regression, attempts))
+            if not larger or not is_convincing(regression, start, best, larger[0]):
+                break
+            stuck = lack_of_fit(regression, larger[0]) > SETTINGS.stuck * lack_of_fit(
+                regression, best)
+            weighed = reweighted(regression, larger[0].effects)
+            larger = [weighed.fit(fit.effects, fit.covariance) for fit in larger]
+            # Together, so that they fit to each other whenever the comparison is interrupted.
+            regression, start, best = weighed, fit_without_effects(weighed), larger[0]
+            indistinguishable = like_the_best(regression, larger)
+            if stuck or mean_square(regression, best) < 1.0 + CRITERIA.noticeable**2:
+                break
+            sets = alternatives(regression, larger)
+        best = _needed(regression, start, best)
+        not_shown |= explained_by_parameters(regression, kinds, best)
+        indistinguishable |= in_place_of_the_found(regression, kinds, best)
+    except KeyboardInterrupt:
+        # What was found until then is worth more than nothing.
+        return Selection(
+            regression, start, best, rounds, indistinguishable, not_shown, interrupted=True)
     return Selection(regression, start, best, rounds, indistinguishable, not_shown)
 
 

@@ -12,6 +12,7 @@ from piezo_identification.diagnosis.diagnose import Diagnosis, Progress, diagnos
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_identification.prediction.outside_identified import outside_identified
+from piezo_identification.prediction.row_reading import read_as_identified, rows_sentence
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import only_recording, read_recordings, sha256_of
@@ -30,7 +31,8 @@ class DiagnosisResults:
     diagnosis : piezo_identification.diagnosis.diagnose.Diagnosis
     verdict, extended_model, report : Path
     outside : tuple of str
-        Sentences on what of the recordings leaves what the model was identified on.
+        Sentences on how rows were aligned, and on what of the recordings leaves what the model was
+        identified on.
     """
 
     diagnosis: Diagnosis
@@ -71,8 +73,11 @@ def diagnose_files(
     """
     progress("read the recordings", 0.0)
     identified = load_model(model)
-    read = [recording for path in recordings for recording in read_file(path)]
-    held_out = only_recording(holdout, read_file(holdout)) if holdout else None
+    given = [recording for path in recordings for recording in read_file(path)]
+    read, rows = _aligned(identified, given)
+    held_out = None
+    if holdout:
+        held_out, _ = read_as_identified(identified, only_recording(holdout, read_file(holdout)))
     directory = Path(directory).absolute()
     try:
         # Before the work, not after it.
@@ -84,7 +89,7 @@ def diagnose_files(
     progress("write the report", REPORT_FRACTION)
     results = DiagnosisResults(diagnosis, directory / "verdict.json",
                                directory / "extended_model.json", directory / "report.html",
-                               _outside(identified, read))
+                               (*rows, *_outside(identified, read)))
     write_verdict(results.verdict, diagnosis)
     save_extended_model(results.extended_model, identified, diagnosis, recordings)
     origin = [("diagnosed", datetime.now().astimezone().isoformat(" ", "seconds")),
@@ -94,6 +99,14 @@ def diagnose_files(
               ("extended model", str(results.extended_model))]
     results.report.write_text(render_report(diagnosis, origin), encoding="utf-8")
     return results
+
+
+def _aligned(identified: IdentifiedModel, recordings: Sequence[Recording],
+             ) -> tuple[list[Recording], list[str]]:
+    """Align the rows of recordings as the model's, and tell of those that were."""
+    aligned = [read_as_identified(identified, recording) for recording in recordings]
+    told = [rows_sentence(recording.path, read_at) for recording, read_at in aligned]
+    return [recording for recording, _ in aligned], [sentence for sentence in told if sentence]
 
 
 def _outside(identified: IdentifiedModel, recordings: Sequence[Recording]) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from itertools import combinations, product
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.diagnosis.residual.sensor_noise import noise_floor_um
 from piezo_identification.estimators.dynamics.fast_dynamics import (
     ModeOrder,
     ascending_places,
@@ -49,6 +50,10 @@ FAR_MORE = 2.0
 
 PATIENCE = 2
 """Numbers of modes in succession that may bring no gain before the search ends."""
+
+LACKING, WORTHWHILE_PART = 10.0, 0.02
+"""Where so many times the noise is left, a further mode has to explain this part of its power: tens
+of thousands of samples call every mode significant that bends to what no linear dynamics make."""
 
 MODES_LEFT_OUT = 2
 """Dynamics richer by up to so many modes are fitted, and the modes taken that explain most: those
@@ -140,6 +145,7 @@ class _Search:
         self._whole, self._known_delay = record, delay
         self._record, self._coarse = (
             record.thinned(rows) for rows in (ROWS_OF_TRIALS, ROWS_OF_SEARCH))
+        self._noise_um = noise_floor_um(record.measured_um, record.input.sample_period_s)
         self._fits: dict[ModeOrder, FastFit] = {}
         self._trials: dict[ModeOrder, OrderTrial] = {}
 
@@ -221,11 +227,14 @@ class _Search:
 
     def _could_gain(self, free: FreeFit) -> bool:
         """Whether a mode, two numbers, could pay with the least that any form leaves."""
-        best = self._best_trial()
+        samples, best = free.residual.size, self._best_trial()
         if best is None:
             return True
-        samples = free.residual.size
-        gain = samples * np.log(samples * best.residual_rms**2 / free.cost)
+        left = samples * best.residual_rms**2
+        is_much = best.residual_rms > LACKING * self._noise_um
+        if is_much and free.cost > (1.0 - WORTHWHILE_PART) * left:
+            return False
+        gain = samples * np.log(left / free.cost)
         return bool(gain > 2.0 * np.log(samples))
 
     def _try_forms(self, free: FreeFit) -> None:

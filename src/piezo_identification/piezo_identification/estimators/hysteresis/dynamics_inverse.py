@@ -2,6 +2,7 @@
 """The inverse of electric and vibration dynamics for cycles that are fast beside them."""
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.settling import low_frequency_delay_s
@@ -104,8 +105,12 @@ def held_response(
 
 
 def samples_added(count: int) -> int:
-    """Return by how many samples `closed_signal` is longer than a signal of so many."""
-    return max(2, int(TAPER_SHARE * count))
+    """Return by how many samples `closed_signal` is longer than a signal of so many.
+
+    A tenth of them, and as many more as make a length of small prime factors: others take the
+    transform five times as long.
+    """
+    return int(next_fast_len(count + max(2, int(TAPER_SHARE * count)), real=True)) - count
 
 
 def closed_signal(signal: FloatArray) -> FloatArray:

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recordings read as those that a model was identified from, where that explains them better."""
+
+from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
+from piezo_identification.prediction.model_run import ModelRun, conditioned
+from piezo_models.identified_model import IdentifiedModel
+from piezo_recorder.reading.recording import Recording
+
+
+def read_as_identified(identified: IdentifiedModel,
+                       recording: Recording) -> tuple[Recording, float]:
+    """Align the rows of a recording as the identification found those of its own to be read.
+
+    A model file tells when the logger of its recordings read their rows. A further recording may be
+    of the same logger or of another one: its rows are aligned if the model explains them better so.
+
+    Parameters
+    ----------
+    identified : IdentifiedModel
+    recording : Recording
+
+    Returns
+    -------
+    recording : Recording
+        Whose displacements are those at the instants of its rows.
+    read_at_samples : float
+        Instant at which they were read, in sample periods after the voltage of a row changed.
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps, or is too short.
+    """
+    instants = {read_as(recording, row["read_at_samples"]) for row in identified.rows.values()}
+    if instants <= {0.0}:
+        return recording, 0.0
+    tried = [(rows_read_at_start(recording, instant), instant)
+             for instant in sorted({0.0, *instants})]
+
+    def error_um(entry: tuple[Recording, float]) -> float:
+        signed, _ = conditioned(identified.model, entry[0])
+        return ModelRun(identified.model, signed).error_um(())
+
+    return min(tried, key=error_um)
+
+
+def rows_sentence(path: object, read_at_samples: float) -> str:
+    """Tell people when the rows of a recording were taken to be read; empty if with their voltage.
+
+    Parameters
+    ----------
+    path : object
+    read_at_samples : float
+        Of `read_as_identified`.
+
+    Returns
+    -------
+    str
+    """
+    if read_at_samples == 0.0:
+        return ""
+    return (f"{path}: rows are taken to be read {read_at_samples:.4g} sample periods after their "
+            "voltage, as those that the model was identified from")

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A comparison that Ctrl-C ends: what was found until then becomes the verdict."""
+
+import numpy as np
+import pytest
+
+from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+PERIOD_S = 1e-3
+
+
+@pytest.fixture(scope="module")
+def line():
+    return StageModel(PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0])),
+                      CreepDynamics(), ElectricVibrationDynamics())
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """A line with a loud hum and a sensor that bends a little: two effects in one record."""
+    draw = np.random.default_rng(5)
+    voltage_v = np.concatenate([[0.0], np.repeat(draw.uniform(0.0, 10.0, 150), 20)])
+    size = voltage_v.size
+    displacement_um = 2.0 * voltage_v
+    displacement_um = displacement_um + 0.03 * ((displacement_um - 10.0) / 10.0) ** 3 * 10.0
+    displacement_um += 1.5 * np.sin(2.0 * np.pi * 37.3 * PERIOD_S * np.arange(size))
+    displacement_um += draw.normal(scale=2e-3, size=size)
+    return Recording(
+        "a hum", 1.0 / PERIOD_S, np.arange(size), np.full(size, PERIOD_S), voltage_v,
+        displacement_um, np.full(size, Flag.PLAYING, dtype=np.uint32))
+
+
+def interrupted_at(beginning):
+    def progress(stage, fraction):
+        if stage.startswith(beginning):
+            raise KeyboardInterrupt
+    return progress
+
+
+def test_what_was_found_before_is_kept(line, recording):
+    found = diagnose(line, [recording], progress=interrupted_at("effect 2"))
+    document = found.document()
+    assert document["interrupted"]
+    assert [effect["name"] for effect in document["effects"]] == ["periodic_disturbance"]
+    assert document["after"]["rms_um"] < 0.2 * document["before"]["rms_um"]
+    assert document["ceiling"] is None
+
+
+def test_before_anything_is_found_the_verdict_names_nothing(line, recording):
+    found = diagnose(line, [recording], progress=interrupted_at("effect 1"))
+    document = found.document()
+    assert document["interrupted"]
+    assert (document["verdict"], document["effects"]) == ("unexplained", [])
+    assert document["after"] == document["before"]
+    assert found.model is line

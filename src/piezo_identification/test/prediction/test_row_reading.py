@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows of further recordings, read as those that a model was identified from."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+from piezo_identification.prediction.row_reading import read_as_identified, rows_sentence
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+PERIOD_S = 1e-3
+FINE = 10
+"""Instants of a sample period at which the displacement is known."""
+
+LAG_S = 4e-3
+
+
+def recorded(read_at_samples):
+    """A line with a lag, by a filter at ten times the rate, read by a logger of some habit."""
+    voltage_v = np.repeat(np.random.default_rng(3).uniform(0.0, 10.0, 4000), FINE)
+    fine_s = PERIOD_S / FINE
+    (b,), a, _ = cont2discrete(([1.0], [LAG_S, 1.0]), fine_s, "zoh")
+    displacement_um = 2.0 * lfilter(b, a, voltage_v)
+    instants = np.arange(0, voltage_v.size - 2 * FINE, FINE)
+    read = displacement_um[instants + round(read_at_samples * FINE)]
+    size = instants.size
+    return Recording(
+        "logger", 1.0 / PERIOD_S, np.arange(size), np.full(size, PERIOD_S), voltage_v[instants],
+        read, np.full(size, Flag.PLAYING, dtype=np.uint32))
+
+
+def identified(read_at_samples):
+    line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    model = StageModel(line, CreepDynamics(), ElectricVibrationDynamics(LAG_S))
+    rows = {"dynamics": {"read_at_samples": read_at_samples, "delay_s": 0.0,
+                         "standard_deviation_s": 0.0}}
+    return IdentifiedModel(model, (0.0, 10.0), rows=rows)
+
+
+@pytest.mark.parametrize("read_at_samples", [0.5, 1.0])
+def test_rows_of_the_same_logger_are_aligned_and_those_of_another_one_are_not(read_at_samples):
+    of_model = identified(read_at_samples)
+    same, found = read_as_identified(of_model, recorded(read_at_samples))
+    assert found == read_at_samples
+    assert same.sample_index[0] == 1
+    other = recorded(0.0)
+    kept, found = read_as_identified(of_model, other)
+    assert found == 0.0
+    assert kept is other
+
+
+def test_a_model_without_a_habit_leaves_rows_as_they_are():
+    recording = recorded(1.0)
+    for model in (identified(0.0), replace(identified(0.0), rows={})):
+        assert read_as_identified(model, recording) == (recording, 0.0)
+
+
+def test_what_was_aligned_is_said():
+    assert "read 0.5 sample periods after" in rows_sentence("b.csv", 0.5)
+    assert rows_sentence("b.csv", 0.0) == ""
