@@ -23,7 +23,7 @@ from piezo_recorder.reading.data_options import read_all_given
 def diagnose_given(options: argparse.Namespace) -> None:
     """Diagnose the recordings of the options; write the results and print them."""
     if is_frequency_response(options.data[0]):
-        if len(options.data) > 1 or options.holdout:
+        if len(options.data) > 1 or options.holdout or options.identified_from:
             raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
         diagnosis = diagnose_response_file(
             options.model, options.data[0], options.output, hold_s_of(options))
@@ -35,8 +35,10 @@ def diagnose_given(options: argparse.Namespace) -> None:
                          "response as --data")
     results = diagnose_files(
         options.model, options.data, options.holdout, options.output, print_progress,
-        lambda path: read_all_given(path, options))
+        lambda path: read_all_given(path, options), identified_from=options.identified_from)
     _print_table(results.diagnosis, verdict_sentence(results.diagnosis))
+    if results.identified_from.not_asked:
+        print(results.identified_from.not_asked)
     for sentence in results.outside:
         print(sentence)
     print(f"written to {options.output}")

@@ -27,6 +27,9 @@ from piezo_identification.diagnosis.evidence.found_outliers import (
     left_out,
 )
 from piezo_identification.diagnosis.evidence.residual_description import describe_residual
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+)
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.regression import Fit, Regression, first_regression
 from piezo_identification.diagnosis.verdict import Verdict
@@ -113,7 +116,8 @@ class Decision:
 
 
 def diagnose(model: StageModel, recordings: Sequence[Recording],
-             holdout: Recording | None = None, progress: Progress | None = None) -> Diagnosis:
+             holdout: Recording | None = None, progress: Progress | None = None,
+             identified_from: IdentificationRecordings | None = None) -> Diagnosis:
     """Find what a model lacks to explain recordings.
 
     Parameters
@@ -125,6 +129,8 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
         stretches of the recordings that were not fitted.
     progress : callable, optional
         Called with (what is done, fraction).
+    identified_from : IdentificationRecordings, optional
+        What is at hand of the recordings that the model was identified from; by default nothing.
 
     Returns
     -------
@@ -140,7 +146,9 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     validation = Validation(selection.regression, given.holdout)
     decision = decide(selection, validation)
     predictable = ceiling_of(selection, decision)
-    return tell(model, given, selection, validation, decision, predictable)
+    told = tell(model, given, selection, validation, decision, predictable)
+    known = identified_from or IdentificationRecordings()
+    return replace(told, identified_from=known.document())
 
 
 def condition(model: StageModel, recordings: Sequence[Recording],

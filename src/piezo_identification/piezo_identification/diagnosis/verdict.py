@@ -3,7 +3,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,9 @@ class Verdict:
     ceiling : dict of str to float or None
         How much of what is left a learner without any knowledge of stages predicts; None where
         what is left passes for noise, or was not asked. See `evidence.ceiling.Ceiling`.
+    identified_from : dict
+        `recordings` of the identification that were asked as well, and in `not_asked` what could
+        not be asked without the others; empty where nothing was asked of them.
     """
 
     verdict: str
@@ -56,6 +59,7 @@ class Verdict:
     reversed: list[str]
     left_out: list[str]
     ceiling: dict[str, float] | None
+    identified_from: dict[str, object] = field(default_factory=dict, kw_only=True)
 
     def document(self) -> dict[str, Any]:
         """Return the content of `verdict.json`."""
@@ -72,6 +76,7 @@ class Verdict:
             "reversed": self.reversed,
             "outliers_left_out": self.left_out,
             "ceiling": self.ceiling,
+            "identified_from": self.identified_from,
         }
 
 

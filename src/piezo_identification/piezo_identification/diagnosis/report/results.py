@@ -9,6 +9,10 @@ from pathlib import Path
 
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.diagnose import Diagnosis, Progress, diagnose
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+    find_identification_recordings,
+)
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_identification.prediction.outside_identified import outside_identified
@@ -31,6 +35,8 @@ class DiagnosisResults:
     verdict, extended_model, report : Path
     outside : tuple of str
         Sentences on what of the recordings leaves what the model was identified on.
+    identified_from : IdentificationRecordings
+        What was at hand of the recordings that the model was identified from.
     """
 
     diagnosis: Diagnosis
@@ -38,12 +44,14 @@ class DiagnosisResults:
     extended_model: Path
     report: Path
     outside: tuple[str, ...] = ()
+    identified_from: IdentificationRecordings = IdentificationRecordings()
 
 
 def diagnose_files(
     model: str | PathLike[str], recordings: Sequence[str | PathLike[str]],
     holdout: str | PathLike[str] | None, directory: str | PathLike[str], progress: Progress,
     read_file: Callable[[str | PathLike[str]], list[Recording]] = read_recordings,
+    identified_from: Sequence[str | PathLike[str]] = (),
 ) -> DiagnosisResults:
     """Diagnose recordings and write verdict, extended model and report.
 
@@ -59,6 +67,9 @@ def diagnose_files(
         Called with (what is done, fraction); what it raises ends the work.
     read_file : callable
         Returns the recordings of a file.
+    identified_from : sequence of path-like
+        The recordings that the model was identified from, where they are not at the paths that
+        the model file names.
 
     Returns
     -------
@@ -73,6 +84,9 @@ def diagnose_files(
     identified = load_model(model)
     read = [recording for path in recordings for recording in read_file(path)]
     held_out = only_recording(holdout, read_file(holdout)) if holdout else None
+    known = find_identification_recordings(
+        identified, model, read_file, identified_from,
+        [*recordings, *([holdout] if holdout else [])])
     directory = Path(directory).absolute()
     try:
         # Before the work, not after it.
@@ -80,11 +94,12 @@ def diagnose_files(
     except OSError as error:
         raise ValueError(f"{directory}: {error.strerror}; choose another directory") from None
     diagnosis = diagnose(identified.model, read, held_out, lambda stage, fraction: progress(
-        stage, READ_FRACTION + (REPORT_FRACTION - READ_FRACTION) * fraction))
+        stage, READ_FRACTION + (REPORT_FRACTION - READ_FRACTION) * fraction),
+        identified_from=known)
     progress("write the report", REPORT_FRACTION)
     results = DiagnosisResults(diagnosis, directory / "verdict.json",
                                directory / "extended_model.json", directory / "report.html",
-                               _outside(identified, read))
+                               _outside(identified, read), known)
     write_verdict(results.verdict, diagnosis)
     save_extended_model(results.extended_model, identified, diagnosis, recordings)
     origin = [("diagnosed", datetime.now().astimezone().isoformat(" ", "seconds")),
