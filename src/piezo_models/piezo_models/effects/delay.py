@@ -87,7 +87,8 @@ class Delay(Effect):
         """Begin with the delay of least squares: a short delay removes the velocity times it."""
         velocity = np.gradient(evidence.displacement_um, evidence.sample_period_s)
         gains, _ = evidence.reduction(-velocity[:, None])
-        delay_s = float(np.clip(gains[0], 0.0, LONGEST * evidence.duration_s))
+        longest_s = min(LONGEST * evidence.duration_s, 0.5 * 10.0)
+        delay_s = float(np.clip(gains[0], 0.0, longest_s))
         return [cls(delay_s), cls(2.0 * delay_s)] if delay_s > 0.0 else []
 
     @classmethod

@@ -67,6 +67,8 @@ class Selection:
         Candidates that the data cannot tell from one that was chosen, and that one.
     not_shown : dict of str to str
         Effects that the data cannot show, and why.
+    alternatives : tuple of Fit
+        Other sets of the last round that leave not much more than the best.
     """
 
     regression: Regression
@@ -75,6 +77,7 @@ class Selection:
     rounds: list[list[Attempt]]
     indistinguishable: dict[str, str]
     not_shown: dict[str, str]
+    alternatives: tuple[Fit, ...] = ()
 
 
 def select_effects(regression: Regression, progress: Progress | None = None) -> Selection:
@@ -100,6 +103,7 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
     indistinguishable: dict[str, str] = {}
     not_shown: dict[str, str] = {}
     sets = [best]
+    others: tuple[Fit, ...] = ()
     for turn in range(SETTINGS.most_effects):
         attempts: list[Attempt] = []
         for number, current in enumerate(sets):
@@ -118,7 +122,7 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
         regression = reweighted(regression, best.effects)
         start = fit_without_effects(regression)
         larger = [regression.fit(fit.effects, fit.covariance) for fit in larger]
-        best = larger[0]
+        best, others = larger[0], tuple(larger[1:])
         indistinguishable = like_the_best(regression, larger)
         if stuck or mean_square(regression, best) < 1.0 + CRITERIA.noticeable**2:
             break
@@ -126,7 +130,8 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
     best = _needed(regression, start, best)
     not_shown |= explained_by_parameters(regression, kinds, best)
     indistinguishable |= in_place_of_the_found(regression, kinds, best)
-    return Selection(regression, start, best, rounds, indistinguishable, not_shown)
+    return Selection(regression, start, best, rounds, indistinguishable, not_shown,
+                     tuple(alternatives(regression, [best, *others])[1:]))
 
 
 def left_rms_um(selection: Selection) -> float:

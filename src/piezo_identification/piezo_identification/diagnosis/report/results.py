@@ -95,7 +95,7 @@ def diagnose_files(
         raise ValueError(f"{directory}: {error.strerror}; choose another directory") from None
     diagnosis = diagnose(identified.model, read, held_out, lambda stage, fraction: progress(
         stage, READ_FRACTION + (REPORT_FRACTION - READ_FRACTION) * fraction),
-        identified_from=known)
+        identified_from=known, stated_um=stated_uncertainty_um(identified))
     progress("write the report", REPORT_FRACTION)
     results = DiagnosisResults(diagnosis, directory / "verdict.json",
                                directory / "extended_model.json", directory / "report.html",
@@ -109,6 +109,23 @@ def diagnose_files(
               ("extended model", str(results.extended_model))]
     results.report.write_text(render_report(diagnosis, origin), encoding="utf-8")
     return results
+
+
+def stated_uncertainty_um(identified: IdentifiedModel) -> float:
+    """Return by how much a model is known to be wrong: what its worst component leaves of its data.
+
+    Parameters
+    ----------
+    identified : IdentifiedModel
+
+    Returns
+    -------
+    float
+        RMS beyond the noise; 0 where the model file tells none.
+    """
+    beyond = [part["residual_rms_um"]**2 - part["noise_rms_um"]**2
+              for part in identified.adequacy.values()]
+    return max(0.0, *beyond, 0.0) ** 0.5
 
 
 def _outside(identified: IdentifiedModel, recordings: Sequence[Recording]) -> tuple[str, ...]:
