@@ -105,6 +105,9 @@ def compete(problem: JointProblem, since: Sequence[Sequence[Effect]],
     for names, effects in named.items():
         if names and not {effect.name for effect in own} & set(names):
             rivals.append(_rival(problem, names, problem.fit((*own, *effects), names), True))
+    if any(_leaves_noise(problem, rival, len(rival.mean_square_um2)) for rival in rivals):
+        # Nothing is left anywhere that another effect could explain.
+        return _possible(problem, rivals)
     best, asked = rivals[0], {name for names in named for name in names}
     for turn in range(SETTINGS.most_effects):
         regression = problem.start if turn == 0 else best.fit.regression
@@ -114,9 +117,9 @@ def compete(problem: JointProblem, since: Sequence[Sequence[Effect]],
                      (turn + 0.2 + 0.8 * number / len(guesses)) / SETTINGS.most_effects)
             names = (*best.names, guess.name)
             rivals.append(_rival(problem, names, problem.fit((*best.fit.effects, guess))))
-        rivals = [rivals[0], *(rival for rival in rivals[1:] if _is_possible(problem, rival))]
+        rivals = _possible(problem, rivals)
         now = most_probable(problem, rivals)
-        if now is best or now.since or _leaves_noise(problem, now):
+        if now is best or now.since or _leaves_noise(problem, now, problem.new_count):
             break
         best = now
     return rivals
@@ -140,15 +143,19 @@ def accuracies_um(problem: JointProblem) -> FloatArray:
                      for part in problem.dataset.simulated])
 
 
-def _leaves_noise(problem: JointProblem, rival: Rival) -> bool:
-    """Return whether no second effect is worth looking for in the new recordings."""
+def _leaves_noise(problem: JointProblem, rival: Rival, count: int) -> bool:
+    """Return whether no other effect is worth looking for in the first recordings."""
     noise = np.array(problem.noise.noise_um) ** 2 + accuracies_um(problem) ** 2
     left = np.array(rival.mean_square_um2) < SETTINGS.second * noise
-    return bool(np.all(left[: problem.new_count]))
+    return bool(np.all(left[:count]))
 
 
-def _is_possible(problem: JointProblem, rival: Rival) -> bool:
-    return not any(effect.impossible(problem.dataset.extent) for effect in rival.fit.effects)
+def _possible(problem: JointProblem, rivals: Sequence[Rival]) -> list[Rival]:
+    """Return the rivals without those that no stage can be; the first is always one."""
+    extent = problem.dataset.extent
+    return [rivals[0], *(
+        rival for rival in rivals[1:]
+        if not any(effect.impossible(extent) for effect in rival.fit.effects))]
 
 
 def _rival(problem: JointProblem, names: Sequence[str], fit: JointFit,
