@@ -19,6 +19,9 @@ from piezo_identification.diagnosis.response.response_results import (
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
 from piezo_recorder.reading.data_options import read_all_given
 
+LEAST_PROBABILITY = 1e-3
+"""Smaller ones are not printed."""
+
 
 def diagnose_given(options: argparse.Namespace) -> None:
     """Diagnose the recordings of the options; write the results and print them."""
@@ -53,6 +56,10 @@ def _print_table(diagnosis: Any, sentence: str) -> None:
     for text in diagnosis.left_out:
         print(text)
     print(f"verdict: {diagnosis.verdict}. {sentence}")
+    told = [f"{name} {share:.3f}" for name, share in diagnosis.probabilities.items()
+            if share >= LEAST_PROBABILITY]
+    if told:
+        print(f"probability: {', '.join(told)}")
     print(f"{'':28}{'before':>12}{'after':>12}")
     for name in ("rms_um", "e_y_percent"):
         print(f"{name:28}{diagnosis.before[name]:12.4g}{diagnosis.after[name]:12.4g}")
