@@ -21,6 +21,7 @@ from piezo_identification.diagnosis.joint.rivals import (
     compete,
     independent_samples,
     most_probable,
+    settled,
 )
 from piezo_identification.diagnosis.residual.dataset import Dataset
 from piezo_identification.diagnosis.residual.regression import (
@@ -76,8 +77,8 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     """
     if not old or is_noise(selection.regression, selection.start):
         return Competition(_of_new_recordings(selection, stated_um))
-    problem = JointProblem(model, new, old)
-    rivals = compete(problem, [selection.end.effects], progress)
+    problem, none = settled(JointProblem(model, new, old), progress)
+    rivals = compete(problem, none, [selection.end.effects], progress)
     best = most_probable(problem, rivals)
     noise_um = np.array(problem.noise.noise_um)
     least_um = accuracies_um(problem)

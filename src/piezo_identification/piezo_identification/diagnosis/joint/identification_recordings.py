@@ -88,18 +88,24 @@ def find_identification_recordings(
                 f"{path} is none of the recordings that {model_path} was identified from: its "
                 "SHA-256 is not in the model file; leave it out, or give the unchanged file")
     left_out = {sha256_of(path) for path in others}
-    found, missing = [], []
+    found: list[Recording] = []
+    missing: list[str] = []
     names = _names(identified)
     for digest, named in (hashes or {digest: str(path) for digest, path in given.items()}).items():
         if digest in left_out:
             continue
-        try:
-            path = given.get(digest) or _unchanged(named, digest, Path(model_path))
-            found += _usable(path, read_file, identified.rows.get(names.get(digest, ""), {}))
-        except (ValueError, OSError) as error:
-            if digest in given:
-                raise
-            missing.append(str(error).rstrip(".").split("\n")[0])
+        path, why_not = (Path(given[digest]), "") if digest in given else _unchanged(
+            named, digest, Path(model_path))
+        if not why_not and is_frequency_response(path):
+            why_not = f"{path} is a frequency response"
+        if not why_not:
+            try:
+                found += _usable(path, read_file, identified.rows.get(names.get(digest, ""), {}))
+            except (ValueError, OSError) as error:
+                if digest in given:
+                    raise
+                why_not = str(error).rstrip(".")
+        missing += [why_not] if why_not else []
     if not hashes and not given:
         missing.append(NOT_NAMED)
     return IdentificationRecordings(tuple(found), tuple(missing))
@@ -113,22 +119,18 @@ def _names(identified: IdentifiedModel) -> Mapping[str, str]:
         len(names), len(names) - 1) else {}
 
 
-def _unchanged(named: str, digest: str, model_path: Path) -> AnyPath:
-    """Return where a recording is, if it is still the one that the model came from."""
+def _unchanged(named: str, digest: str, model_path: Path) -> tuple[Path, str]:
+    """Return where a recording is, and why it is not the one that the model came from, if so."""
     path = Path(named)
     if not path.exists() and not path.is_absolute():
         path = model_path.parent / path
     if not path.exists():
-        raise ValueError(f"{named} is not there")
-    if sha256_of(path) != digest:
-        raise ValueError(f"{named} has changed since")
-    return path
+        return path, f"{named} is not there"
+    return path, "" if sha256_of(path) == digest else f"{named} has changed since"
 
 
 def _usable(path: AnyPath, read_file: ReadFile, rows: Mapping[str, float]) -> list[Recording]:
     """Read a recording, cut at its gaps, with its rows aligned as the identification did."""
-    if is_frequency_response(path):
-        raise ValueError(f"{path} is a frequency response")
     read_at = rows.get("read_at_samples", 0.0)
     return [
         rows_read_at_start(part, read_as(part, read_at))

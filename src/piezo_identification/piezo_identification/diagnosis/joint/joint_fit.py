@@ -61,12 +61,15 @@ class JointFit:
         Names of the effects that are in the new recordings only.
     covariance : (p, p) array or None
         Of the fitted values of the effects.
+    has_converged : bool
+        False if the last step gained so much that another would gain as well.
     """
 
     regression: Regression
     effects: tuple[Effect, ...]
     later: frozenset[str]
     covariance: FloatArray | None = None
+    has_converged: bool = True
 
     @property
     def model(self) -> StageModel:
@@ -124,9 +127,10 @@ class JointProblem:
         self.start = _weighed(
             self.dataset, self.noise, _scale_um(self.dataset, self.noise, left_um))
 
-    def as_given(self) -> JointFit:
-        """Return the model as it is."""
-        return JointFit(self.start, self.own, frozenset())
+    def about(self, fit: JointFit) -> "JointProblem":
+        """Return the problem with its derivatives at the model of a fit, from which fits begin."""
+        recordings = self.dataset.recordings
+        return JointProblem(fit.model, recordings[: self.new_count], recordings[self.new_count :])
 
     def fit(self, effects: Sequence[Effect], later: Iterable[str] = ()) -> JointFit:
         """Fit the model's parameters and those of effects, from where these are.
@@ -154,8 +158,9 @@ class JointProblem:
             moved, now = self._step(regression, fit, came)
             if now >= least:
                 break
-            found = JointFit(moved, fit.effects, came, fit.covariance)
-            if now > least + np.log(SETTINGS.worthwhile):
+            is_last = now > least + np.log(SETTINGS.worthwhile)
+            found = JointFit(moved, fit.effects, came, fit.covariance, is_last)
+            if is_last:
                 break
             least, regression = now, _reweighed(moved, fit.effects)
         return found

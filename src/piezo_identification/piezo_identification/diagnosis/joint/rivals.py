@@ -40,12 +40,15 @@ class RivalSettings:
     second : float
         Multiple of the noise's power that the best rival must leave for a second effect to be
         tried beside it.
+    turns : int
+        Of the fit without more effects, each with new derivatives.
     most_effects : int
         Of a rival that were there all along.
     """
 
     fitted: int = 4
     second: float = 1.3
+    turns: int = 3
     most_effects: int = 2
 
 
@@ -81,13 +84,38 @@ class Rival:
         return Evidence("+".join(self.names) or NONE, self.mean_square_um2, self.fit.count)
 
 
-def compete(problem: JointProblem, since: Sequence[Sequence[Effect]],
+def settled(problem: JointProblem, progress: Progress) -> tuple[JointProblem, JointFit]:
+    """Fit the model without more effects until its parameters no longer move.
+
+    Parameters
+    ----------
+    problem : JointProblem
+    progress : callable
+
+    Returns
+    -------
+    JointProblem
+        With its derivatives where the last fit began.
+    JointFit
+    """
+    for turn in range(SETTINGS.turns):
+        progress("all recordings together: no effect", 0.2 * turn / SETTINGS.turns)
+        fit = problem.fit(problem.own)
+        if fit.has_converged:
+            break
+        problem = problem.about(fit)
+    return problem, fit
+
+
+def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effect]],
             progress: Progress) -> list[Rival]:
     """Fit the rivals.
 
     Parameters
     ----------
     problem : JointProblem
+    none : JointFit
+        Without more effects; see `settled`.
     since : sequence of sequences of Effect
         Sets that may explain the new recordings alone.
     progress : callable
@@ -99,8 +127,7 @@ def compete(problem: JointProblem, since: Sequence[Sequence[Effect]],
         The model without more effects first.
     """
     own = problem.own
-    progress("all recordings together: no effect", 0.0)
-    rivals = [_rival(problem, (), problem.fit(own))]
+    rivals = [_rival(problem, (), none)]
     named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
     for names, effects in named.items():
         if names and not {effect.name for effect in own} & set(names):

@@ -19,7 +19,7 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
-PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 6000, 2e-3
+PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 3000, 2e-3
 MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.1
 
 
@@ -113,4 +113,4 @@ def test_free_sensitivities_are_the_derivatives_by_the_free_parameters():
         derivative = (high - low) / 2e-3
         derivative -= derivative.mean()
         column = columns[:, number] - columns[:, number].mean()
-        assert np.linalg.norm(derivative - column) < 0.02 * np.linalg.norm(column)
+        assert np.linalg.norm(derivative - column) < 0.02 * np.linalg.norm(column) + 1e-8
