@@ -69,6 +69,10 @@ class VerdictSettings:
 
 SETTINGS = VerdictSettings()
 
+MOST_OLD_SAMPLES = 50_000
+"""Samples of each recording of the identification that are asked: each costs as much as a new one,
+and an effect that bends a model shows in the first of them."""
+
 SHARE_ALONE = 0.4
 """Part of the work for the new recordings alone, where others are asked as well."""
 
@@ -236,6 +240,8 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
 def old_recordings(model: StageModel, known: IdentificationRecordings) -> list[Recording]:
     """Return the recordings of the identification that can be asked, conditioned like the new ones.
 
+    Of long ones the beginning is asked: whatever it is, a simulation begins there.
+
     Parameters
     ----------
     model : StageModel
@@ -248,8 +254,9 @@ def old_recordings(model: StageModel, known: IdentificationRecordings) -> list[R
     """
     usable = []
     for recording in known.recordings:
+        early = np.cumsum(recording.playing | recording.tracking) <= MOST_OLD_SAMPLES
         try:
-            signed, _ = conditioned(model, recording)
+            signed, _ = conditioned(model, recording.select(early))
             SimulatedRecording(model, signed, ())
         except ValueError:
             continue
