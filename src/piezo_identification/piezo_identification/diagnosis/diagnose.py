@@ -34,11 +34,11 @@ from piezo_identification.diagnosis.joint.competition import (
 )
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
+    old_recordings,
 )
 from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.regression import Fit, Regression, first_regression
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.prediction import PastSearchSettings, conditioned
 from piezo_models.cascade import StageModel
@@ -68,10 +68,6 @@ class VerdictSettings:
 
 
 SETTINGS = VerdictSettings()
-
-MOST_OLD_SAMPLES = 50_000
-"""Samples of each recording of the identification that are asked: each costs as much as a new one,
-and an effect that bends a model shows in the first of them."""
 
 SHARE_ALONE = 0.4
 """Part of the work for the new recordings alone, where others are asked as well."""
@@ -170,11 +166,11 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     competition = compare_models(
         model, given.recordings, old_recordings(model, known), selection, stated_um,
         _within(progress, share, 1.0))
-    decision, selection, validation = decide(selection, validation, competition)
-    predictable = ceiling_of(selection, decision)
-    told = tell(model, given, selection, validation, decision, predictable)
-    return replace(told, identified_from=known.document(),
-                   probabilities=competition.probabilities)
+    decision, found, believed = decide(selection, validation, competition)
+    predictable = ceiling_of(found, decision)
+    told = tell(model, given, found, believed, decision, predictable)
+    return replace(told, selection=replace(selection, end=found.end),
+                   identified_from=known.document(), probabilities=competition.probabilities)
 
 
 def condition(model: StageModel, recordings: Sequence[Recording],
@@ -237,33 +233,6 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
     return with_past if left_rms_um(with_past) < most_um else plain
 
 
-def old_recordings(model: StageModel, known: IdentificationRecordings) -> list[Recording]:
-    """Return the recordings of the identification that can be asked, conditioned like the new ones.
-
-    Of long ones the beginning is asked: whatever it is, a simulation begins there.
-
-    Parameters
-    ----------
-    model : StageModel
-    known : IdentificationRecordings
-
-    Returns
-    -------
-    list of Recording
-        Those that are too short to be compared are left out.
-    """
-    usable = []
-    for recording in known.recordings:
-        early = np.cumsum(recording.playing | recording.tracking) <= MOST_OLD_SAMPLES
-        try:
-            signed, _ = conditioned(model, recording.select(early))
-            SimulatedRecording(model, signed, ())
-        except ValueError:
-            continue
-        usable.append(signed)
-    return usable
-
-
 def decide(selection: Selection, validation: Validation,
            competition: Competition) -> tuple[Decision, Selection, Validation]:
     """Decide which effects are named, and whether they explain the residual.
@@ -299,8 +268,8 @@ def decide(selection: Selection, validation: Validation,
     verdict = "unexplained"
     if is_explained:
         verdict = "explained" if fit.effects or outliers else "none"
-    return Decision(verdict, fit, outliers, refused, _came(competition, found is selection)), (
-        found), believed
+    came = _came(competition, found is selection)
+    return Decision(verdict, fit, outliers, refused, came), found, believed
 
 
 def _came(competition: Competition, is_since: bool) -> str:

@@ -79,14 +79,14 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
         return Competition(_of_new_recordings(selection, stated_um))
     problem, none = settled(JointProblem(model, new, old), progress)
     rivals = compete(problem, none, [selection.end.effects], progress)
-    best = most_probable(problem, rivals)
+    best, = most_probable(problem, rivals)
     noise_um = np.array(problem.noise.noise_um)
     least_um = accuracies_um(problem)
     ranges_um = np.array([np.ptp(part.measured_um) for part in problem.dataset.simulated])
     count = len(new)
-    # What the best leaves of the identification is what it is uncertain by.
+    # What the best leaves even of what it explains best is what any model of its kind is wrong by.
     beyond = np.maximum(0.0, np.array(best.mean_square_um2) - noise_um**2) / ranges_um**2
-    wrong_um = np.sqrt(np.max(beyond[count:])) * ranges_um[:count]
+    wrong_um = np.sqrt(np.min(beyond[count:])) * ranges_um[:count]
     return Competition(
         probabilities([rival.evidence for rival in rivals], independent_samples(rivals), least_um,
                       _passing_um(noise_um[:count], least_um[:count], wrong_um)), best)

@@ -6,15 +6,24 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
+
 from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
 from piezo_identification.conditioning.segments import played_segments
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
+from piezo_identification.prediction import conditioned
+from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import sha256_of
 from piezo_recorder.reading.recording import Recording
 
 AnyPath = str | PathLike[str]
 ReadFile = Callable[[AnyPath], list[Recording]]
+
+MOST_OLD_SAMPLES = 50_000
+"""Samples of each recording of the identification that are asked: each costs as much as a new one,
+and an effect that bends a model shows in the first of them."""
 
 NOT_NAMED = "the model file names none"
 """Why no recording is at hand, where a model was not identified from files."""
@@ -109,6 +118,33 @@ def find_identification_recordings(
     if not hashes and not given:
         missing.append(NOT_NAMED)
     return IdentificationRecordings(tuple(found), tuple(missing))
+
+
+def old_recordings(model: StageModel, known: IdentificationRecordings) -> list[Recording]:
+    """Return the recordings of the identification that can be asked, conditioned like the new ones.
+
+    Of long ones the beginning is asked: whatever it is, a simulation begins there.
+
+    Parameters
+    ----------
+    model : StageModel
+    known : IdentificationRecordings
+
+    Returns
+    -------
+    list of Recording
+        Those that are too short to be compared are left out.
+    """
+    usable = []
+    for recording in known.recordings:
+        early = np.cumsum(recording.playing | recording.tracking) <= MOST_OLD_SAMPLES
+        try:
+            signed, _ = conditioned(model, recording.select(early))
+            SimulatedRecording(model, signed, ())
+        except ValueError:
+            continue
+        usable.append(signed)
+    return usable
 
 
 def _names(identified: IdentifiedModel) -> Mapping[str, str]:

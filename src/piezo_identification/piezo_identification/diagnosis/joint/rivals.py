@@ -41,7 +41,9 @@ class RivalSettings:
         Multiple of the noise's power that the best rival must leave for a second effect to be
         tried beside it.
     turns : int
-        Of the fit without more effects, each with new derivatives.
+        Of the fits without more effects and of the best rivals, each with new derivatives.
+    continued : int
+        Rivals that are fitted further, if they have not converged.
     most_effects : int
         Of a rival that were there all along.
     """
@@ -49,6 +51,7 @@ class RivalSettings:
     fitted: int = 4
     second: float = 1.3
     turns: int = 3
+    continued: int = 2
     most_effects: int = 2
 
 
@@ -127,11 +130,11 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         The model without more effects first.
     """
     own = problem.own
-    rivals = [_rival(problem, (), none)]
+    rivals = [_rival((), none)]
     named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
     for names, effects in named.items():
         if names and not {effect.name for effect in own} & set(names):
-            rivals.append(_rival(problem, names, problem.fit((*own, *effects), names), True))
+            rivals.append(_rival(names, problem.fit((*own, *effects), names), True))
     if any(_leaves_noise(problem, rival, len(rival.mean_square_um2)) for rival in rivals):
         # Nothing is left anywhere that another effect could explain.
         return _possible(problem, rivals)
@@ -143,20 +146,36 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
             progress(f"all recordings together: {guess.name}",
                      (turn + 0.2 + 0.8 * number / len(guesses)) / SETTINGS.most_effects)
             names = (*best.names, guess.name)
-            rivals.append(_rival(problem, names, problem.fit((*best.fit.effects, guess))))
+            rivals.append(_rival(names, problem.fit((*best.fit.effects, guess))))
         rivals = _possible(problem, rivals)
-        now = most_probable(problem, rivals)
+        rivals = [_continued(problem, rival) if rival in most_probable(
+            problem, rivals, SETTINGS.continued) else rival for rival in rivals]
+        now, = most_probable(problem, rivals)
         if now is best or now.since or _leaves_noise(problem, now, problem.new_count):
             break
         best = now
     return rivals
 
 
-def most_probable(problem: JointProblem, rivals: Sequence[Rival]) -> Rival:
-    """Return the rival with the largest evidence."""
+def _continued(problem: JointProblem, rival: Rival) -> Rival:
+    """Fit a rival further with new derivatives, where it has not converged and leaves much."""
+    for _ in range(SETTINGS.turns):
+        if rival.since or rival.fit.has_converged or _leaves_noise(
+                problem, rival, len(rival.mean_square_um2)):
+            break
+        again = problem.about(rival.fit)
+        further = _rival(rival.names, again.fit(again.own))
+        if sum(np.log(further.mean_square_um2)) >= sum(np.log(rival.mean_square_um2)):
+            break
+        rival = further
+    return rival
+
+
+def most_probable(problem: JointProblem, rivals: Sequence[Rival], count: int = 1) -> list[Rival]:
+    """Return the rivals with the largest evidence, the most probable first."""
     logarithms = logarithms_of_evidence(
         [rival.evidence for rival in rivals], independent_samples(rivals), accuracies_um(problem))
-    return rivals[int(np.argmax(logarithms))]
+    return [rivals[int(number)] for number in np.argsort(-logarithms)[:count]]
 
 
 def independent_samples(rivals: Sequence[Rival]) -> FloatArray:
@@ -185,8 +204,7 @@ def _possible(problem: JointProblem, rivals: Sequence[Rival]) -> list[Rival]:
         if not any(effect.impossible(extent) for effect in rival.fit.effects))]
 
 
-def _rival(problem: JointProblem, names: Sequence[str], fit: JointFit,
-           since: bool = False) -> Rival:
+def _rival(names: Sequence[str], fit: JointFit, since: bool = False) -> Rival:
     squares, effective = [], []
     for left_um, held_out in fit.left_um():
         squares.append(float(np.mean(left_um[held_out] ** 2)))
