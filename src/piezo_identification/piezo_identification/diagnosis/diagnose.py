@@ -256,7 +256,7 @@ def decide(selection: Selection, validation: Validation,
     fit, refused = validation.accepted(selection.end)
     found, believed = selection, validation
     if best is not None and not best.since:
-        beside = beside_rival(selection, best)
+        beside = beside_rival(selection, competition, best)
         validation_beside = validation.beside(beside.regression)
         if validation_beside.improves(beside.end):
             found, believed, fit, refused = beside, validation_beside, beside.end, {}

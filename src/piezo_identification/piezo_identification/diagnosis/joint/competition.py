@@ -12,6 +12,7 @@ from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.joint.joint_fit import JointProblem, correlated_scale
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
+    SOMETHING_ELSE,
     Evidence,
     probabilities,
 )
@@ -34,6 +35,9 @@ from piezo_identification.diagnosis.residual.simulated_recording import Simulate
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 
+LIKELY = 0.05
+"""Part of the largest probability from which another set cannot be told from the best."""
+
 
 @dataclass(frozen=True, eq=False)
 class Competition:
@@ -49,6 +53,18 @@ class Competition:
 
     probabilities: dict[str, float]
     best: Rival | None = None
+
+    def indistinguishable(self) -> dict[str, str]:
+        """Return likely effects of other rivals, and the one of the best that each replaces."""
+        if self.best is None:
+            return {}
+        own, found = set(self.best.names), {}
+        least = LIKELY * self.probabilities["+".join(self.best.names) or NONE]
+        for label, share in self.probabilities.items():
+            names = set(label.split("+")) - {NONE, SOMETHING_ELSE}
+            if share >= least and names - own and own - names:
+                found |= dict.fromkeys(names - own, min(own - names))
+        return found
 
 
 def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Recording],
@@ -128,14 +144,16 @@ def _held_out(regression: Regression, fit: Fit) -> tuple[tuple[float, ...], list
     return tuple(squares), samples
 
 
-def beside_rival(selection: Selection, rival: Rival) -> Selection:
+def beside_rival(selection: Selection, competition: Competition, rival: Rival) -> Selection:
     """Return a selection of the effects of a rival that were there all along.
 
     Parameters
     ----------
     selection : Selection
         Of effects beside the model as it was given.
+    competition : Competition
     rival : Rival
+        Its best.
 
     Returns
     -------
@@ -152,7 +170,8 @@ def beside_rival(selection: Selection, rival: Rival) -> Selection:
     if covariance is not None:
         numbers = regression.fit(added).parameter_count
         covariance = covariance[len(covariance) - numbers :, len(covariance) - numbers :]
-    return replace(selection, regression=regression, end=regression.fit(added, covariance))
+    return replace(selection, regression=regression, end=regression.fit(added, covariance),
+                   indistinguishable=competition.indistinguishable())
 
 
 def _with_model(dataset: Dataset, model: StageModel) -> Dataset:

@@ -69,13 +69,16 @@ def test_an_effect_that_was_there_all_along_is_told_from_a_bent_model():
     diagnosis = found(bent, new, *old)
     assert diagnosis.verdict == "explained"
     first = diagnosis.effects[0]
-    assert (first["name"], first["came"]) == ("sensor_nonlinearity", "before the identification")
+    assert first["came"] == "before the identification"
+    # A spring that acts at once bends the same curve.
+    alike = {"sensor_nonlinearity", "stiffening"}
+    assert alike == {first["name"], *diagnosis.not_decidable}
     assert diagnosis.after["rms_um"] < 1.05 * NOISE_UM
     dynamics = diagnosis.model.dynamics
     assert dynamics.mode_frequencies_rad_per_s[0] == pytest.approx(MODE_RAD_PER_S, rel=2e-3)
     assert dynamics.damping_ratios[0] == pytest.approx(DAMPING_RATIO, rel=0.02)
     assert sum(diagnosis.probabilities.values()) == pytest.approx(1.0)
-    assert max(diagnosis.probabilities, key=diagnosis.probabilities.get) == "sensor_nonlinearity"
+    assert sum(diagnosis.probabilities[name] for name in alike) > 0.9
     assert diagnosis.document()["identified_from"]["recordings"] == ["2", "3"]
 
 
