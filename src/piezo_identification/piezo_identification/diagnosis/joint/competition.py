@@ -9,6 +9,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_noise
 from piezo_identification.diagnosis.comparison.selection import Selection
+from piezo_identification.diagnosis.comparison.undecided import in_place_of_the_found
 from piezo_identification.diagnosis.joint.joint_fit import JointProblem, correlated_scale
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
@@ -33,6 +34,7 @@ from piezo_identification.diagnosis.residual.regression import (
 )
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
+from piezo_models.effects import known_effects
 from piezo_recorder.reading.recording import Recording
 
 LIKELY = 0.05
@@ -95,7 +97,7 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
         return Competition(_of_new_recordings(selection, stated_um))
     problem, none = settled(JointProblem(model, new, old), progress)
     rivals = compete(problem, none, [selection.end.effects], progress)
-    best, = most_probable(problem, rivals)
+    best = most_probable(problem, rivals)
     noise_um = np.array(problem.noise.noise_um)
     least_um = accuracies_um(problem)
     ranges_um = np.array([np.ptp(part.measured_um) for part in problem.dataset.simulated])
@@ -170,8 +172,10 @@ def beside_rival(selection: Selection, competition: Competition, rival: Rival) -
     if covariance is not None:
         numbers = regression.fit(added).parameter_count
         covariance = covariance[len(covariance) - numbers :, len(covariance) - numbers :]
-    return replace(selection, regression=regression, end=regression.fit(added, covariance),
-                   indistinguishable=competition.indistinguishable())
+    end = regression.fit(added, covariance)
+    alike = in_place_of_the_found(regression, list(known_effects().values()), end)
+    return replace(selection, regression=regression, end=end,
+                   indistinguishable=alike | competition.indistinguishable())
 
 
 def _with_model(dataset: Dataset, model: StageModel) -> Dataset:

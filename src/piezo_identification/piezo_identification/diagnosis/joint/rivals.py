@@ -41,17 +41,14 @@ class RivalSettings:
         Multiple of the noise's power that the best rival must leave for a second effect to be
         tried beside it.
     turns : int
-        Of the fits without more effects and of the best rivals, each with new derivatives.
-    continued : int
-        Rivals that are fitted further, if they have not converged.
+        Of the fits without more effects and of the best rival, each with new derivatives.
     most_effects : int
         Of a rival that were there all along.
     """
 
     fitted: int = 4
     second: float = 1.3
-    turns: int = 3
-    continued: int = 2
+    turns: int = 2
     most_effects: int = 2
 
 
@@ -148,9 +145,9 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
             names = (*best.names, guess.name)
             rivals.append(_rival(names, problem.fit((*best.fit.effects, guess))))
         rivals = _possible(problem, rivals)
-        rivals = [_continued(problem, rival) if rival in most_probable(
-            problem, rivals, SETTINGS.continued) else rival for rival in rivals]
-        now, = most_probable(problem, rivals)
+        leading = most_probable(problem, rivals)
+        rivals = [_continued(problem, rival) if rival is leading else rival for rival in rivals]
+        now = most_probable(problem, rivals)
         if now is best or now.since or _leaves_noise(problem, now, problem.new_count):
             break
         best = now
@@ -171,11 +168,11 @@ def _continued(problem: JointProblem, rival: Rival) -> Rival:
     return rival
 
 
-def most_probable(problem: JointProblem, rivals: Sequence[Rival], count: int = 1) -> list[Rival]:
-    """Return the rivals with the largest evidence, the most probable first."""
+def most_probable(problem: JointProblem, rivals: Sequence[Rival]) -> Rival:
+    """Return the rival with the largest evidence."""
     logarithms = logarithms_of_evidence(
         [rival.evidence for rival in rivals], independent_samples(rivals), accuracies_um(problem))
-    return [rivals[int(number)] for number in np.argsort(-logarithms)[:count]]
+    return rivals[int(np.argmax(logarithms))]
 
 
 def independent_samples(rivals: Sequence[Rival]) -> FloatArray:
