@@ -262,6 +262,9 @@ def decide(selection: Selection, validation: Validation,
             found, believed, fit, refused = beside, validation_beside, beside.end, {}
     outliers = found_outliers(found.regression)
     is_explained = competition.probabilities[SOMETHING_ELSE] < SETTINGS.believed
+    if refused:
+        # The probabilities are of the set with the effects that the held-out data refuse.
+        is_explained = is_noise(found.regression, fit)
     most = SETTINGS.guess * lack_of_fit(regression, selection.start)
     if not is_explained and lack_of_fit(found.regression, fit) > most:
         found, believed, fit = selection, validation, selection.start

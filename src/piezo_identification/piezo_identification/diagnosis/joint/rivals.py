@@ -48,7 +48,7 @@ class RivalSettings:
 
     fitted: int = 4
     second: float = 1.3
-    turns: int = 2
+    turns: int = 3
     most_effects: int = 2
 
 
