@@ -60,7 +60,8 @@ class Competition:
         """Return likely effects of other rivals, and the one of the best that each replaces."""
         if self.best is None:
             return {}
-        own, found = set(self.best.names), {}
+        found: dict[str, str] = {}
+        own = set(self.best.names)
         least = LIKELY * self.probabilities["+".join(self.best.names) or NONE]
         for label, share in self.probabilities.items():
             names = set(label.split("+")) - {NONE, SOMETHING_ELSE}

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 from piezo_common.arrays import FloatArray
@@ -67,39 +68,39 @@ class Evidence:
     count: int
 
 
-def logarithms_of_evidence(rivals: Sequence[Evidence], effective: Sequence[float],
-                           least_um: Sequence[float]) -> FloatArray:
+def logarithms_of_evidence(rivals: Sequence[Evidence], effective: ArrayLike,
+                           least_um: ArrayLike) -> FloatArray:
     """Return the logarithm of the evidence of each rival.
 
     Parameters
     ----------
     rivals : sequence of Evidence
-    effective : (R,) sequence of float
+    effective : (R,) array
         Independent samples of each recording.
-    least_um : (R,) sequence of float
+    least_um : (R,) array
         Accuracy of a good model in each recording.
 
     Returns
     -------
     (n,) array
     """
-    samples = np.minimum(effective, SETTINGS.most_effective)
-    squares = np.array([rival.mean_square_um2 for rival in rivals]) + np.square(least_um)
+    samples = np.minimum(np.asarray(effective), SETTINGS.most_effective)
+    squares = np.array([rival.mean_square_um2 for rival in rivals]) + np.square(np.asarray(least_um))
     counts = np.array([rival.count for rival in rivals])
     return -0.5 * np.log(squares) @ samples - 0.5 * counts * np.log(max(np.sum(samples), 2.0))
 
 
-def probabilities(rivals: Sequence[Evidence], effective: Sequence[float],
-                  least_um: Sequence[float], passing_um: Sequence[float]) -> dict[str, float]:
+def probabilities(rivals: Sequence[Evidence], effective: ArrayLike,
+                  least_um: ArrayLike, passing_um: ArrayLike) -> dict[str, float]:
     """Return the probability of each set of effects, of none, and of something else.
 
     Parameters
     ----------
     rivals : sequence of Evidence
         Rivals of the same label share their probability.
-    effective, least_um : (R,) sequence of float
+    effective, least_um : (R,) array
         See `logarithms_of_evidence`.
-    passing_um : (R',) sequence of float
+    passing_um : (R',) array
         What passes for noise in each of the new recordings, which come first.
 
     Returns
@@ -108,12 +109,12 @@ def probabilities(rivals: Sequence[Evidence], effective: Sequence[float],
         The largest first; they sum to one.
     """
     logarithms = logarithms_of_evidence(rivals, effective, least_um)
-    samples = np.minimum(effective, SETTINGS.most_effective)
+    samples = np.minimum(np.asarray(effective), SETTINGS.most_effective)
     best = int(np.argmax(logarithms))
     # What is not on the list would leave no more than passes for noise.
-    new = len(passing_um)
-    squares = np.array(rivals[best].mean_square_um2[:new]) + np.square(least_um[:new])
-    passing = np.square(passing_um)
+    passing, least = np.square(np.asarray(passing_um)), np.square(np.asarray(least_um))
+    new = passing.size
+    squares = np.array(rivals[best].mean_square_um2[:new]) + least[:new]
     gain = 0.5 * np.sum(samples[:new] * np.maximum(0.0, np.log(squares / passing)))
     scaled = np.append(logarithms, logarithms[best] + gain) / SETTINGS.temperature
     scaled[-1] += np.log(SETTINGS.something_else)
