@@ -85,7 +85,8 @@ def logarithms_of_evidence(rivals: Sequence[Evidence], effective: ArrayLike,
     (n,) array
     """
     samples = np.minimum(np.asarray(effective), SETTINGS.most_effective)
-    squares = np.array([rival.mean_square_um2 for rival in rivals]) + np.square(np.asarray(least_um))
+    left = np.array([rival.mean_square_um2 for rival in rivals])
+    squares = left + np.square(np.asarray(least_um))
     counts = np.array([rival.count for rival in rivals])
     return -0.5 * np.log(squares) @ samples - 0.5 * counts * np.log(max(np.sum(samples), 2.0))
 
