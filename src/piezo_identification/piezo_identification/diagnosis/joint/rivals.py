@@ -145,7 +145,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
             names = (*best.names, guess.name)
             rivals.append(_rival(names, problem.fit((*best.fit.effects, guess))))
         rivals = _possible(problem, rivals)
-        leading = most_probable(problem, rivals)
+        leading = most_probable(problem, [rival for rival in rivals if not rival.since])
         rivals = [_continued(problem, rival) if rival is leading else rival for rival in rivals]
         now = most_probable(problem, rivals)
         if now is best or now.since or _leaves_noise(problem, now, problem.new_count):
