@@ -29,7 +29,7 @@ from piezo_identification.diagnosis.evidence.found_outliers import (
 from piezo_identification.diagnosis.evidence.residual_description import describe_residual
 from piezo_identification.diagnosis.joint.competition import (
     Competition,
-    beside_rival,
+    beside_alternative,
     compare_models,
 )
 from piezo_identification.diagnosis.joint.identification_recordings import (
@@ -256,7 +256,7 @@ def decide(selection: Selection, validation: Validation,
     fit, refused = validation.accepted(selection.end)
     found, believed = selection, validation
     if best is not None and not best.since:
-        beside = beside_rival(selection, competition, best)
+        beside = beside_alternative(selection, competition, best)
         validation_beside = validation.beside(beside.regression)
         if validation_beside.improves(beside.end):
             found, believed, fit, refused = beside, validation_beside, beside.end, {}

@@ -131,7 +131,7 @@ def reliability(probabilities, true, bins=BINS):
 def fitted_temperature(results):
     """Return the temperature that makes the probabilities of some cases most likely.
 
-    It is to be judged on the cases of another seed.
+    It is to be tested on the cases of another seed.
 
     Parameters
     ----------

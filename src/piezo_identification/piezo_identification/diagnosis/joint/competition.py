@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the models that compete come to: probabilities, and the rival that is believed."""
+"""What the models that compete come to: probabilities, and the alternative that is believed."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -10,20 +10,20 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_noise
 from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.comparison.undecided import in_place_of_the_found
+from piezo_identification.diagnosis.joint.alternatives import (
+    Alternative,
+    accuracies_um,
+    compete,
+    independent_samples,
+    most_probable,
+    settled,
+)
 from piezo_identification.diagnosis.joint.joint_fit import JointProblem, correlated_scale
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     SOMETHING_ELSE,
     Evidence,
     probabilities,
-)
-from piezo_identification.diagnosis.joint.rivals import (
-    Rival,
-    accuracies_um,
-    compete,
-    independent_samples,
-    most_probable,
-    settled,
 )
 from piezo_identification.diagnosis.residual.dataset import Dataset
 from piezo_identification.diagnosis.residual.regression import (
@@ -43,21 +43,21 @@ LIKELY = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Competition:
-    """The outcome.
+    """Probabilities of the models that competed, and the one that is believed.
 
     Attributes
     ----------
     probabilities : dict of str to float
         Of each set of effects that matters, of `none` and of `something_else`; they sum to one.
-    best : Rival or None
+    best : Alternative or None
         The model that is believed; None where the recordings of the identification were not asked.
     """
 
     probabilities: dict[str, float]
-    best: Rival | None = None
+    best: Alternative | None = None
 
     def indistinguishable(self) -> dict[str, str]:
-        """Return likely effects of other rivals, and the one of the best that each replaces."""
+        """Return likely effects of others, and the one of the best that each replaces."""
         if self.best is None:
             return {}
         found: dict[str, str] = {}
@@ -97,8 +97,8 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     if not old or is_noise(selection.regression, selection.start):
         return Competition(_of_new_recordings(selection, stated_um))
     problem, none = settled(JointProblem(model, new, old), progress)
-    rivals = compete(problem, none, [selection.end.effects], progress)
-    best = most_probable(problem, rivals)
+    alternatives = compete(problem, none, [selection.end.effects], progress)
+    best = most_probable(problem, alternatives)
     noise_um = np.array(problem.noise.noise_um)
     least_um = accuracies_um(problem)
     ranges_um = np.array([np.ptp(part.measured_um) for part in problem.dataset.simulated])
@@ -107,7 +107,8 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     beyond = np.maximum(0.0, np.array(best.mean_square_um2) - noise_um**2) / ranges_um**2
     wrong_um = np.sqrt(np.min(beyond[count:])) * ranges_um[:count]
     return Competition(
-        probabilities([rival.evidence for rival in rivals], independent_samples(rivals), least_um,
+        probabilities([each.evidence for each in alternatives],
+                      independent_samples(alternatives), least_um,
                       _passing_um(noise_um[:count], least_um[:count], wrong_um)), best)
 
 
@@ -147,29 +148,30 @@ def _held_out(regression: Regression, fit: Fit) -> tuple[tuple[float, ...], list
     return tuple(squares), samples
 
 
-def beside_rival(selection: Selection, competition: Competition, rival: Rival) -> Selection:
-    """Return a selection of the effects of a rival that were there all along.
+def beside_alternative(selection: Selection, competition: Competition,
+                       alternative: Alternative) -> Selection:
+    """Return a selection of the effects of an alternative that were there all along.
 
     Parameters
     ----------
     selection : Selection
         Of effects beside the model as it was given.
     competition : Competition
-    rival : Rival
+    alternative : Alternative
         Its best.
 
     Returns
     -------
     Selection
-        Beside the rival's model.
+        Beside the alternative's model.
     """
-    effects, count = rival.fit.effects, len(rival.names)
+    effects, count = alternative.fit.effects, len(alternative.names)
     own, added = effects[: len(effects) - count], effects[len(effects) - count :]
-    model = replace(rival.fit.regression.dataset.model, effects=own)
+    model = replace(alternative.fit.regression.dataset.model, effects=own)
     before = selection.regression
     moved = replace(before, dataset=_with_model(before.dataset, model))
     regression = reweighted(moved, added)
-    covariance = rival.fit.covariance
+    covariance = alternative.fit.covariance
     if covariance is not None:
         numbers = regression.fit(added).parameter_count
         covariance = covariance[len(covariance) - numbers :, len(covariance) - numbers :]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Probabilities of what a model lacks, from what each rival leaves on held-out data.
+"""Probabilities of what a model lacks, from what each alternative leaves on held-out data.
 
-The evidence of a rival is that of Gaussian errors of unknown variance in each recording r, with
-the Bayesian penalty for its fitted numbers (Schwarz 1978):
+The evidence of an alternative is that of Gaussian errors of unknown variance in each recording r,
+with the Bayesian penalty for its fitted numbers (Schwarz 1978):
 
     ln p = - sum_r n_r / 2 ln(m_r + l_r^2) - k / 2 ln(sum_r n_r)
 
@@ -32,7 +32,7 @@ class ProbabilitySettings:
     temperature : float
         By which differences of evidence are divided: lack of fit makes them too sure.
     something_else : float
-        Prior probability of what is not on the list, over that of one of the rivals.
+        Prior probability of what is not on the list, over that of one of the alternatives.
     passes : float
         What may be left beyond the noise to pass for noise, over the tolerance.
     most_effective : float
@@ -51,7 +51,7 @@ SETTINGS = ProbabilitySettings()
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is known of one rival.
+    """What is known of one alternative.
 
     Attributes
     ----------
@@ -68,13 +68,13 @@ class Evidence:
     count: int
 
 
-def logarithms_of_evidence(rivals: Sequence[Evidence], effective: ArrayLike,
+def logarithms_of_evidence(alternatives: Sequence[Evidence], effective: ArrayLike,
                            least_um: ArrayLike) -> FloatArray:
-    """Return the logarithm of the evidence of each rival.
+    """Return the logarithm of the evidence of each alternative.
 
     Parameters
     ----------
-    rivals : sequence of Evidence
+    alternatives : sequence of Evidence
     effective : (R,) array
         Independent samples of each recording.
     least_um : (R,) array
@@ -85,20 +85,20 @@ def logarithms_of_evidence(rivals: Sequence[Evidence], effective: ArrayLike,
     (n,) array
     """
     samples = np.minimum(np.asarray(effective), SETTINGS.most_effective)
-    left = np.array([rival.mean_square_um2 for rival in rivals])
+    left = np.array([alternative.mean_square_um2 for alternative in alternatives])
     squares = left + np.square(np.asarray(least_um))
-    counts = np.array([rival.count for rival in rivals])
+    counts = np.array([alternative.count for alternative in alternatives])
     return -0.5 * np.log(squares) @ samples - 0.5 * counts * np.log(max(np.sum(samples), 2.0))
 
 
-def probabilities(rivals: Sequence[Evidence], effective: ArrayLike,
+def probabilities(alternatives: Sequence[Evidence], effective: ArrayLike,
                   least_um: ArrayLike, passing_um: ArrayLike) -> dict[str, float]:
     """Return the probability of each set of effects, of none, and of something else.
 
     Parameters
     ----------
-    rivals : sequence of Evidence
-        Rivals of the same label share their probability.
+    alternatives : sequence of Evidence
+        Alternatives of the same label share their probability.
     effective, least_um : (R,) array
         See `logarithms_of_evidence`.
     passing_um : (R',) array
@@ -109,19 +109,19 @@ def probabilities(rivals: Sequence[Evidence], effective: ArrayLike,
     dict of str to float
         The largest first; they sum to one.
     """
-    logarithms = logarithms_of_evidence(rivals, effective, least_um)
+    logarithms = logarithms_of_evidence(alternatives, effective, least_um)
     samples = np.minimum(np.asarray(effective), SETTINGS.most_effective)
     best = int(np.argmax(logarithms))
     # What is not on the list would leave no more than passes for noise.
     passing, least = np.square(np.asarray(passing_um)), np.square(np.asarray(least_um))
     new = passing.size
-    squares = np.array(rivals[best].mean_square_um2[:new]) + least[:new]
+    squares = np.array(alternatives[best].mean_square_um2[:new]) + least[:new]
     gain = 0.5 * np.sum(samples[:new] * np.maximum(0.0, np.log(squares / passing)))
     scaled = np.append(logarithms, logarithms[best] + gain) / SETTINGS.temperature
     scaled[-1] += np.log(SETTINGS.something_else)
     shares = np.exp(scaled - logsumexp(scaled))
     summed: dict[str, float] = {}
-    for label, share in zip([*(rival.label for rival in rivals), SOMETHING_ELSE], shares,
-                            strict=True):
+    labels = [*(each.label for each in alternatives), SOMETHING_ELSE]
+    for label, share in zip(labels, shares, strict=True):
         summed[label] = summed.get(label, 0.0) + float(share)
     return dict(sorted(summed.items(), key=lambda entry: -entry[1]))

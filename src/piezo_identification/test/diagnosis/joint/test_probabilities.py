@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Probabilities of rivals against what Gaussian errors of known variance say."""
+"""Probabilities of alternatives against what Gaussian errors of known variance say."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,9 @@ NOISE_UM = 0.01
 PASSING_UM = [1.2 * NOISE_UM]
 
 
-def shares(*rivals, effective=(400.0,)):
-    return probabilities([Evidence(*rival) for rival in rivals], effective, [0.0], PASSING_UM)
+def shares(*alternatives, effective=(400.0,)):
+    return probabilities(
+        [Evidence(*each) for each in alternatives], effective, [0.0], PASSING_UM)
 
 
 def test_they_sum_to_one_and_the_largest_comes_first():
@@ -29,12 +30,12 @@ def test_what_explains_nothing_is_less_probable_by_its_numbers():
 
 
 def test_fewer_independent_samples_tell_less():
-    rivals = ("none", (1.1e-4,), 0), ("delay", (1e-4,), 1)
-    many, few = (shares(*rivals, effective=[number])["delay"] for number in (900.0, 30.0))
+    alternatives = ("none", (1.1e-4,), 0), ("delay", (1e-4,), 1)
+    many, few = (shares(*alternatives, effective=[number])["delay"] for number in (900.0, 30.0))
     assert many > 0.9 > 0.5 > few
 
 
-def test_a_rival_in_two_ways_has_the_probability_of_both():
+def test_an_alternative_in_two_ways_has_the_probability_of_both():
     found = shares(("none", (1e-4,), 0), ("delay", (1e-4,), 0), ("delay", (1e-4,), 0))
     assert found["delay"] == pytest.approx(2.0 * found["none"])
 

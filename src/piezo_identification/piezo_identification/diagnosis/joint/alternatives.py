@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Whole models that compete: with each effect in the stage all along, or come since.
 
-A rival is a model with its parameters and its effects estimated on the recordings of the
+An alternative is a model with its parameters and its effects estimated on the recordings of the
 identification and the new ones together.
 """
 
@@ -30,20 +30,20 @@ Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class RivalSettings:
-    """Which rivals are fitted.
+class AlternativeSettings:
+    """Which alternatives are fitted.
 
     Attributes
     ----------
     fitted : int
         Effects that are fitted all along, the most promising guesses first.
     second : float
-        Multiple of the noise's power that the best rival must leave for a second effect to be
+        Multiple of the noise's power that the best alternative must leave for a second effect to be
         tried beside it.
     turns : int
-        Of the fits without more effects and of the best rival, each with new derivatives.
+        Of the fits without more effects and of the best alternative, each with new derivatives.
     most_effects : int
-        Of a rival that were there all along.
+        Of an alternative that were there all along.
     """
 
     fitted: int = 4
@@ -52,11 +52,11 @@ class RivalSettings:
     most_effects: int = 2
 
 
-SETTINGS = RivalSettings()
+SETTINGS = AlternativeSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
+class Alternative:
     """A model that competes.
 
     Attributes
@@ -108,8 +108,8 @@ def settled(problem: JointProblem, progress: Progress) -> tuple[JointProblem, Jo
 
 
 def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effect]],
-            progress: Progress) -> list[Rival]:
-    """Fit the rivals.
+            progress: Progress) -> list[Alternative]:
+    """Fit the alternatives.
 
     Parameters
     ----------
@@ -123,19 +123,19 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
 
     Returns
     -------
-    list of Rival
+    list of Alternative
         The model without more effects first.
     """
     own = problem.own
-    rivals = [_rival((), none)]
+    alternatives = [_alternative((), none)]
     named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
     for names, effects in named.items():
         if names and not {effect.name for effect in own} & set(names):
-            rivals.append(_rival(names, problem.fit((*own, *effects), names), True))
-    if any(_leaves_noise(problem, rival, len(rival.mean_square_um2)) for rival in rivals):
+            alternatives.append(_alternative(names, problem.fit((*own, *effects), names), True))
+    if any(_leaves_noise(problem, each, len(each.mean_square_um2)) for each in alternatives):
         # Nothing is left anywhere that another effect could explain.
-        return _possible(problem, rivals)
-    best, asked = rivals[0], {name for names in named for name in names}
+        return _possible(problem, alternatives)
+    best, asked = alternatives[0], {name for names in named for name in names}
     for turn in range(SETTINGS.most_effects):
         regression = problem.start if turn == 0 else best.fit.regression
         guesses = _promising(problem, regression, best.fit.effects, asked)
@@ -143,41 +143,43 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
             progress(f"all recordings together: {guess.name}",
                      (turn + 0.2 + 0.8 * number / len(guesses)) / SETTINGS.most_effects)
             names = (*best.names, guess.name)
-            rivals.append(_rival(names, problem.fit((*best.fit.effects, guess))))
-        rivals = _possible(problem, rivals)
-        leading = most_probable(problem, [rival for rival in rivals if not rival.since])
-        rivals = [_continued(problem, rival) if rival is leading else rival for rival in rivals]
-        now = most_probable(problem, rivals)
+            alternatives.append(_alternative(names, problem.fit((*best.fit.effects, guess))))
+        alternatives = _possible(problem, alternatives)
+        leading = most_probable(problem, [each for each in alternatives if not each.since])
+        alternatives = [_continued(problem, each) if each is leading else each
+                        for each in alternatives]
+        now = most_probable(problem, alternatives)
         if now is best or now.since or _leaves_noise(problem, now, problem.new_count):
             break
         best = now
-    return rivals
+    return alternatives
 
 
-def _continued(problem: JointProblem, rival: Rival) -> Rival:
-    """Fit a rival further with new derivatives, where it has not converged and leaves much."""
+def _continued(problem: JointProblem, alternative: Alternative) -> Alternative:
+    """Fit on with new derivatives, where a fit has not converged and leaves much."""
     for _ in range(SETTINGS.turns):
-        if rival.since or rival.fit.has_converged or _leaves_noise(
-                problem, rival, len(rival.mean_square_um2)):
+        if alternative.since or alternative.fit.has_converged or _leaves_noise(
+                problem, alternative, len(alternative.mean_square_um2)):
             break
-        again = problem.about(rival.fit)
-        further = _rival(rival.names, again.fit(again.own))
-        if sum(np.log(further.mean_square_um2)) >= sum(np.log(rival.mean_square_um2)):
+        again = problem.about(alternative.fit)
+        further = _alternative(alternative.names, again.fit(again.own))
+        if sum(np.log(further.mean_square_um2)) >= sum(np.log(alternative.mean_square_um2)):
             break
-        rival = further
-    return rival
+        alternative = further
+    return alternative
 
 
-def most_probable(problem: JointProblem, rivals: Sequence[Rival]) -> Rival:
-    """Return the rival with the largest evidence."""
+def most_probable(problem: JointProblem, alternatives: Sequence[Alternative]) -> Alternative:
+    """Return the alternative with the largest evidence."""
     logarithms = logarithms_of_evidence(
-        [rival.evidence for rival in rivals], independent_samples(rivals), accuracies_um(problem))
-    return rivals[int(np.argmax(logarithms))]
+        [each.evidence for each in alternatives], independent_samples(alternatives),
+        accuracies_um(problem))
+    return alternatives[int(np.argmax(logarithms))]
 
 
-def independent_samples(rivals: Sequence[Rival]) -> FloatArray:
+def independent_samples(alternatives: Sequence[Alternative]) -> FloatArray:
     """Return how many held-out samples of each recording err independently, beside the best."""
-    return np.max([rival.effective for rival in rivals], axis=0)
+    return np.max([alternative.effective for alternative in alternatives], axis=0)
 
 
 def accuracies_um(problem: JointProblem) -> FloatArray:
@@ -186,28 +188,28 @@ def accuracies_um(problem: JointProblem) -> FloatArray:
                      for part in problem.dataset.simulated])
 
 
-def _leaves_noise(problem: JointProblem, rival: Rival, count: int) -> bool:
+def _leaves_noise(problem: JointProblem, alternative: Alternative, count: int) -> bool:
     """Return whether no other effect is worth looking for in the first recordings."""
     noise = np.array(problem.noise.noise_um) ** 2 + accuracies_um(problem) ** 2
-    left = np.array(rival.mean_square_um2) < SETTINGS.second * noise
+    left = np.array(alternative.mean_square_um2) < SETTINGS.second * noise
     return bool(np.all(left[:count]))
 
 
-def _possible(problem: JointProblem, rivals: Sequence[Rival]) -> list[Rival]:
-    """Return the rivals without those that no stage can be; the first is always one."""
+def _possible(problem: JointProblem, alternatives: Sequence[Alternative]) -> list[Alternative]:
+    """Return the alternatives without those that no stage can be; the first is always one."""
     extent = problem.dataset.extent
-    return [rivals[0], *(
-        rival for rival in rivals[1:]
-        if not any(effect.impossible(extent) for effect in rival.fit.effects))]
+    return [alternatives[0], *(
+        alternative for alternative in alternatives[1:]
+        if not any(effect.impossible(extent) for effect in alternative.fit.effects))]
 
 
-def _rival(names: Sequence[str], fit: JointFit, since: bool = False) -> Rival:
+def _alternative(names: Sequence[str], fit: JointFit, since: bool = False) -> Alternative:
     squares, effective = [], []
     for left_um, held_out in fit.left_um():
         squares.append(float(np.mean(left_um[held_out] ** 2)))
         alike = (correlated_scale(left_um) ** 2) / np.mean(left_um**2)
         effective.append(float(np.count_nonzero(held_out) / alike))
-    return Rival(tuple(sorted(names)), since, fit, tuple(squares), tuple(effective))
+    return Alternative(tuple(sorted(names)), since, fit, tuple(squares), tuple(effective))
 
 
 def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effect],
