@@ -104,10 +104,6 @@ def test_the_command_says_what_it_could_not_ask(files, tmp_path, capsys):
         verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
         return verdict["identified_from"], capsys.readouterr().out
 
-    document, told = diagnose()
-    assert document == {"recordings": [str(files["creep"]), str(files["hysteresis"])],
-                        "not_asked": ""}
-    assert "not asked" not in told
     moved = files["creep"].rename(tmp_path / "elsewhere.csv")
     document, told = diagnose()
     assert "creep.csv is not there" in document["not_asked"]
@@ -115,3 +111,4 @@ def test_the_command_says_what_it_could_not_ask(files, tmp_path, capsys):
     assert "--identified-from" in document["not_asked"]
     document, told = diagnose("--identified-from", moved)
     assert document == {"recordings": [str(moved), str(files["hysteresis"])], "not_asked": ""}
+    assert "not asked" not in told
