@@ -2,8 +2,8 @@
 """From a model and recordings to a verdict: what the model lacks, and how much better it gets.
 
 `diagnose` reads from top to bottom. Each step takes what the steps before have returned:
-recordings, conditioned, simulated, residual, candidates, fits, comparison, decision, ceiling,
-verdict. The report of it is written by `piezo_identification.diagnosis.report.results`.
+recordings, conditioned, simulated, residual, candidates, fits, comparison, competition, decision,
+ceiling, verdict. The report of it is written by `piezo_identification.diagnosis.report.results`.
 """
 
 from collections.abc import Callable, Sequence
@@ -262,8 +262,8 @@ def decide(selection: Selection, validation: Validation,
             found, believed, fit, refused = beside, validation_beside, beside.end, {}
     outliers = found_outliers(found.regression)
     is_explained = competition.probabilities[SOMETHING_ELSE] < SETTINGS.believed
-    if refused:
-        # The probabilities are of the set with the effects that the held-out data refuse.
+    if refused or best is not None and not best.since and found is selection:
+        # The probabilities are of what the held-out data refuse.
         is_explained = is_noise(found.regression, fit)
     most = SETTINGS.guess * lack_of_fit(regression, selection.start)
     if not is_explained and lack_of_fit(found.regression, fit) > most:
