@@ -23,6 +23,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         "(frequency_hz,gain_re,gain_im)")
     parser.add_argument("--holdout", metavar="FILE", type=Path,
                         help="another recording, on which the errors are measured")
+    parser.add_argument("--identified-from", metavar="FILE", type=Path, nargs="+", default=[],
+                        help="the recordings that the model was identified from, where they are "
+                        "not at the paths that the model file names")
     parser.add_argument("--output", metavar="DIR", type=Path, required=True,
                         help="directory for the results; made if it is missing")
     add_columns_option(parser)
@@ -34,7 +37,7 @@ COMMAND = Command(
     "piezo_identification.commands.diagnose_work:diagnose_given",
     epilog="Writes verdict.json, extended_model.json and report.html. Effects are fitted on "
     "two thirds of the recordings and compared on the rest, the validation set.",
-    inputs=("model", "data", "holdout"),
+    inputs=("model", "data", "holdout", "identified_from"),
     interrupted="nothing is known yet; results in --output, if any, are of an earlier run")
 
 if __name__ == "__main__":

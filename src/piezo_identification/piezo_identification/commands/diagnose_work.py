@@ -20,6 +20,9 @@ from piezo_identification.diagnosis.response.response_results import (
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
 from piezo_recorder.reading.data_options import read_all_given
 
+LEAST_PROBABILITY = 1e-3
+"""Smaller ones are not printed."""
+
 
 def diagnose_given(options: argparse.Namespace) -> int | None:
     """Diagnose the recordings of the options; write the results and print them.
@@ -30,7 +33,7 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
         Exit status, where the comparison was interrupted.
     """
     if is_frequency_response(options.data[0]):
-        if len(options.data) > 1 or options.holdout:
+        if len(options.data) > 1 or options.holdout or options.identified_from:
             raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
         diagnosis = diagnose_response_file(
             options.model, options.data[0], options.output, hold_s_of(options))
@@ -42,8 +45,10 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
                          "response as --data")
     results = diagnose_files(
         options.model, options.data, options.holdout, options.output, print_progress,
-        lambda path: read_all_given(path, options))
+        lambda path: read_all_given(path, options), identified_from=options.identified_from)
     _print_table(results.diagnosis, verdict_sentence(results.diagnosis))
+    if results.identified_from.not_asked:
+        print(results.identified_from.not_asked)
     for sentence in results.outside:
         print(sentence)
     print(f"written to {options.output}")
@@ -63,6 +68,10 @@ def _print_table(diagnosis: Any, sentence: str) -> None:
     for text in diagnosis.left_out:
         print(text)
     print(f"verdict: {diagnosis.verdict}. {sentence}")
+    told = [f"{name} {share:.3f}" for name, share in diagnosis.probabilities.items()
+            if share >= LEAST_PROBABILITY]
+    if told:
+        print(f"probability: {', '.join(told)}")
     print(f"{'':28}{'before':>12}{'after':>12}")
     for name in ("rms_um", "e_y_percent"):
         print(f"{name:28}{diagnosis.before[name]:12.4g}{diagnosis.after[name]:12.4g}")

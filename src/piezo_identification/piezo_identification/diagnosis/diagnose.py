@@ -2,8 +2,8 @@
 """From a model and recordings to a verdict: what the model lacks, and how much better it gets.
 
 `diagnose` reads from top to bottom. Each step takes what the steps before have returned:
-recordings, conditioned, simulated, residual, candidates, fits, comparison, decision, ceiling,
-verdict. The report of it is written by `piezo_identification.diagnosis.report.results`.
+recordings, conditioned, simulated, residual, candidates, fits, comparison, competition, decision,
+ceiling, verdict. The report of it is written by `piezo_identification.diagnosis.report.results`.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_noise
+from piezo_identification.diagnosis.comparison.criteria import is_noise
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
 from piezo_identification.diagnosis.comparison.selection import (
     Selection,
@@ -27,6 +27,16 @@ from piezo_identification.diagnosis.evidence.found_outliers import (
     left_out,
 )
 from piezo_identification.diagnosis.evidence.residual_description import describe_residual
+from piezo_identification.diagnosis.joint.competition import (
+    Competition,
+    beside_alternative,
+    compare_models,
+)
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+    old_recordings,
+)
+from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.regression import Fit, Regression, first_regression
 from piezo_identification.diagnosis.verdict import Verdict
@@ -42,21 +52,25 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class VerdictSettings:
-    """Parts of the lack of fit that may be left.
+    """Thresholds of the verdict.
 
     Attributes
     ----------
-    explained : float
-        Where effects explain the residual: a sixth of its size.
+    believed : float
+        Probability of something else from which the recording is unexplained.
     guess : float
-        Before the effects found are mere guesses.
+        Part of the power of the lack of fit that may be left before the effects found are mere
+        guesses.
     """
 
-    explained: float = 0.03
+    believed: float = 0.5
     guess: float = 0.5
 
 
 SETTINGS = VerdictSettings()
+
+SHARE_ALONE = 0.4
+"""Part of the work for the new recordings alone, where others are asked as well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,16 +122,21 @@ class Decision:
     outliers : FoundOutliers or None
     refused : dict of str to str
         Effects that the held-out data refuse, and why.
+    came : str
+        When the effects came, as far as the recordings of the identification tell.
     """
 
     verdict: str
     fit: Fit
     outliers: FoundOutliers | None
     refused: dict[str, str]
+    came: str
 
 
 def diagnose(model: StageModel, recordings: Sequence[Recording],
-             holdout: Recording | None = None, progress: Progress | None = None) -> Diagnosis:
+             holdout: Recording | None = None, progress: Progress | None = None,
+             identified_from: IdentificationRecordings | None = None,
+             stated_um: float = 0.0) -> Diagnosis:
     """Find what a model lacks to explain recordings.
 
     Parameters
@@ -129,6 +148,10 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
         stretches of the recordings that were not fitted.
     progress : callable, optional
         Called with (what is done, fraction).
+    identified_from : IdentificationRecordings, optional
+        What is at hand of the recordings that the model was identified from; by default nothing.
+    stated_um : float
+        By how much the model is known to be wrong, RMS.
 
     Returns
     -------
@@ -141,11 +164,22 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     """
     given = condition(model, recordings, holdout)
     # Ctrl-C ends the comparison alone: what was found until then becomes a verdict.
-    selection = compare_effects(model, given.recordings, progress)
+    known = identified_from or IdentificationRecordings()
+    share = SHARE_ALONE if known.recordings else 1.0
+    selection = compare_effects(model, given.recordings, _within(progress, 0.0, share))
     validation = Validation(selection.regression, given.holdout)
-    decision = decide(selection, validation)
-    predictable = ceiling_of(selection, decision)
-    return tell(model, given, selection, validation, decision, predictable)
+    old = [] if selection.interrupted else old_recordings(model, known)
+    report = _within(progress, share, 1.0)
+    try:
+        competition = compare_models(model, given.recordings, old, selection, stated_um, report)
+    except KeyboardInterrupt:
+        selection = replace(selection, interrupted=True)
+        competition = compare_models(model, given.recordings, [], selection, stated_um, report)
+    decision, found, believed = decide(selection, validation, competition)
+    predictable = ceiling_of(found, decision)
+    told = tell(model, given, found, believed, decision, predictable)
+    return replace(told, selection=replace(selection, end=found.end),
+                   identified_from=known.document(), probabilities=competition.probabilities)
 
 
 def condition(model: StageModel, recordings: Sequence[Recording],
@@ -210,29 +244,53 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
     return with_past if left_rms_um(with_past) < most_um else plain
 
 
-def decide(selection: Selection, validation: Validation) -> Decision:
-    """Decide which of the selected effects are named, and whether they explain the residual.
+def decide(selection: Selection, validation: Validation,
+           competition: Competition) -> tuple[Decision, Selection, Validation]:
+    """Decide which effects are named, and whether they explain the residual.
+
+    Where the model that is believed has an effect that was there all along, everything is measured
+    beside that model.
 
     Parameters
     ----------
     selection : Selection
     validation : Validation
+    competition : Competition
 
     Returns
     -------
     Decision
+    Selection, Validation
+        Beside the model that is believed.
     """
-    regression = selection.regression
+    best, regression = competition.best, selection.regression
     fit, refused = validation.accepted(selection.end)
-    start, end = lack_of_fit(regression, selection.start), lack_of_fit(regression, fit)
-    is_explained = end <= max(CRITERIA.noise**2, SETTINGS.explained * start)
-    if not is_explained and end > SETTINGS.guess * start:
-        fit = selection.start
-    outliers = found_outliers(regression)
+    found, believed = selection, validation
+    if best is not None and not best.since:
+        beside = beside_alternative(selection, competition, best)
+        validation_beside = validation.beside(beside.regression)
+        if validation_beside.improves(beside.end):
+            found, believed, fit, refused = beside, validation_beside, beside.end, {}
+    outliers = found_outliers(found.regression)
+    is_explained = competition.probabilities[SOMETHING_ELSE] < SETTINGS.believed
+    if refused or best is not None and not best.since and found is selection:
+        # The probabilities are of what the held-out data refuse.
+        is_explained = is_noise(found.regression, fit)
+    most = SETTINGS.guess * lack_of_fit(regression, selection.start)
+    if not is_explained and lack_of_fit(found.regression, fit) > most:
+        found, believed, fit = selection, validation, selection.start
     verdict = "unexplained"
     if is_explained:
         verdict = "explained" if fit.effects or outliers else "none"
-    return Decision(verdict, fit, outliers, refused)
+    came = _came(competition, found is selection)
+    return Decision(verdict, fit, outliers, refused, came), found, believed
+
+
+def _came(competition: Competition, is_since: bool) -> str:
+    """Tell when the effects that are named came."""
+    if competition.best is None:
+        return "not asked"
+    return "after the identification" if is_since else "before the identification"
 
 
 def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
@@ -274,9 +332,10 @@ def tell(model: StageModel, given: Conditioned, selection: Selection, validation
     Diagnosis
     """
     regression, fit, outliers = selection.regression, decision.fit, decision.outliers
-    effects = effect_entries(regression, fit)
+    effects = [entry | {"came": decision.came} for entry in effect_entries(regression, fit)]
     # Outliers had bent the parameters of a model that was identified with them.
-    is_changed = bool(fit.effects or outliers and validation.improves(fit))
+    is_changed = bool(fit.effects or regression.dataset.model is not model
+                      or outliers and validation.improves(fit))
     extended = regression.extended_model(fit) if is_changed else model
     if outliers:
         effects.append(outliers.entry(regression, fit))
@@ -314,6 +373,13 @@ def _not_decidable(selection: Selection, decision: Decision,
         if name not in named and found in named:
             reasons[name] = f"the data does not tell it from {found}"
     return reasons
+
+
+def _within(progress: Progress | None, begin: float, end: float) -> Progress:
+    """Report a part of the work."""
+    if progress is None:
+        return lambda what, fraction: None
+    return lambda what, fraction: progress(what, begin + (end - begin) * fraction)
 
 
 def _part_of(progress: Progress | None, number: int, count: int) -> Progress | None:

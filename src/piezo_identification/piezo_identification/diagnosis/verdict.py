@@ -3,7 +3,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,12 @@ class Verdict:
     ceiling : dict of str to float or None
         How much of what is left a learner without any knowledge of stages predicts; None where
         what is left passes for noise, or was not asked. See `evidence.ceiling.Ceiling`.
+    probabilities : dict of str to float
+        Of each set of effects that matters, its names joined by +, of `none` and of
+        `something_else`; the largest first, and they sum to one. Empty where they were not asked.
+    identified_from : dict
+        `recordings` of the identification that were asked as well, and in `not_asked` what could
+        not be asked without the others; empty where nothing was asked of them.
     """
 
     verdict: str
@@ -56,6 +62,8 @@ class Verdict:
     reversed: list[str]
     left_out: list[str]
     ceiling: dict[str, float] | None
+    probabilities: dict[str, float] = field(default_factory=dict, kw_only=True)
+    identified_from: dict[str, object] = field(default_factory=dict, kw_only=True)
 
     def document(self) -> dict[str, Any]:
         """Return the content of `verdict.json`."""
@@ -72,6 +80,8 @@ class Verdict:
             "reversed": self.reversed,
             "outliers_left_out": self.left_out,
             "ceiling": self.ceiling,
+            "probabilities": self.probabilities,
+            "identified_from": self.identified_from,
         }
 
 

@@ -20,6 +20,9 @@ PADE_ORDER = 3
 LONGEST = 0.1
 """Part of a recording."""
 
+LARGEST_S = 10.0
+"""Of any delay."""
+
 
 @dataclass(frozen=True)
 class Delay(Effect):
@@ -30,7 +33,7 @@ class Delay(Effect):
     experiment: ClassVar[str] = "dynamics: steps, or tones up to the highest frequency of interest"
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("sensor_lag",)
 
-    delay_s: float = parameter("s", "linear", 0.0, 10.0)
+    delay_s: float = parameter("s", "linear", 0.0, LARGEST_S)
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
@@ -87,7 +90,8 @@ class Delay(Effect):
         """Begin with the delay of least squares: a short delay removes the velocity times it."""
         velocity = np.gradient(evidence.displacement_um, evidence.sample_period_s)
         gains, _ = evidence.reduction(-velocity[:, None])
-        delay_s = float(np.clip(gains[0], 0.0, LONGEST * evidence.duration_s))
+        longest_s = min(LONGEST * evidence.duration_s, 0.5 * LARGEST_S)
+        delay_s = float(np.clip(gains[0], 0.0, longest_s))
         return [cls(delay_s), cls(2.0 * delay_s)] if delay_s > 0.0 else []
 
     @classmethod

@@ -156,6 +156,8 @@ class Effect(ABC):
         A stage may have more than one.
     follows_voltage : bool
         False for what comes from outside, at times of its own.
+    of_the_stage : bool
+        False for what depends on when a recording begins: its parameters hold for one recording.
     remembers : bool
         False where every sample depends on itself alone.
     experiment : str
@@ -169,6 +171,7 @@ class Effect(ABC):
     place: ClassVar[str]
     several: ClassVar[bool] = False
     follows_voltage: ClassVar[bool] = True
+    of_the_stage: ClassVar[bool] = True
     remembers: ClassVar[bool] = True
     experiment: ClassVar[str]
     indistinguishable_from: ClassVar[tuple[str, ...]] = ()

@@ -25,6 +25,7 @@ class Outliers(Effect):
 
     name: ClassVar[str] = "outliers"
     place: ClassVar[str] = "sensor"
+    of_the_stage: ClassVar[bool] = False
     follows_voltage: ClassVar[bool] = False
     remembers: ClassVar[bool] = False
     experiment: ClassVar[str] = "rest, at the full sample clock"

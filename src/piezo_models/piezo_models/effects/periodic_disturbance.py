@@ -28,6 +28,7 @@ class PeriodicDisturbance(Effect):
 
     name: ClassVar[str] = "periodic_disturbance"
     place: ClassVar[str] = "displacement"
+    of_the_stage: ClassVar[bool] = False
     several: ClassVar[bool] = True
     follows_voltage: ClassVar[bool] = False
     experiment: ClassVar[str] = "rest, at the full sample clock"

@@ -14,6 +14,10 @@ from piezo_models.effects.spring_equation import FARTHEST, SOFTEST, balance, str
 STRONGEST = 100.0
 """Force of a part at the end of the range over that of the linear spring, at most."""
 
+UNRESOLVED = 20.0
+"""Radians of the mode between two samples from which its motion is not followed: none of it shows
+in recordings of that kind, and following it over minutes takes minutes."""
+
 
 @dataclass(frozen=True)
 class Stiffening(Effect):
@@ -65,8 +69,10 @@ class Stiffening(Effect):
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
         """Return the solution of the spring's equation of motion for the signal as its load."""
+        turned = self.frequency_rad_per_s * sample_period_s
         return balance(
-            signal, self._parts, self.centre_um, self.half_range_um, self.frequency_rad_per_s,
+            signal, self._parts, self.centre_um, self.half_range_um,
+            self.frequency_rad_per_s if turned < UNRESOLVED else 0.0,
             self.damping_ratio, sample_period_s, signal[0] if rest is None else rest,
         )
 

@@ -30,6 +30,7 @@ class ThermalDrift(Effect):
 
     name: ClassVar[str] = "thermal_drift"
     place: ClassVar[str] = "displacement"
+    of_the_stage: ClassVar[bool] = False
     follows_voltage: ClassVar[bool] = False
     experiment: ClassVar[str] = "rest for minutes, and the same waveform repeated at later times"
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("creep",)

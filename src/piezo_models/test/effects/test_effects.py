@@ -15,6 +15,7 @@ from piezo_models.effects import (
     EFFECTS,
     GROUP,
     Effect,
+    Evidence,
     fitted_values,
     known_effects,
     with_fitted_values,
@@ -249,6 +250,17 @@ def test_an_effect_remembers_no_more_the_longer_it_goes_on(effect):
         return np.size(past)
 
     assert remembered(20) == remembered(2)
+
+
+def test_a_guess_of_a_delay_stays_within_its_bounds_in_a_recording_of_minutes():
+    displacement_um = wave(4000)
+    velocity = np.gradient(displacement_um, 0.1)
+    # What drifts for minutes explains a slow motion as a delay of 20 s would.
+    shown = Evidence(
+        0.1, displacement_um, displacement_um, -20.0 * velocity, 1e-3,
+        ElectricVibrationDynamics(), displacement_um,
+        lambda contributions: (np.array([20.0]), 1.0), lambda contribution: 1.0)
+    assert all(guess.delay_s <= 10.0 for guess in Delay.starts(shown))
 
 
 def test_a_delay_of_part_of_a_sample_is_exact_for_slow_signals():

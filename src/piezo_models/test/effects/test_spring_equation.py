@@ -87,3 +87,13 @@ def test_a_spring_that_gives_way_within_the_range_is_impossible():
     assert spring(SPRINGS["soft"]).impossible(None) is None
     assert "softer" in spring((0.0, 0.0, -4.0, 0.0)).impossible(None)
     assert "softer" in spring((-9.5, 0.0, 0.0, 0.0)).impossible(None)
+
+
+def test_a_mode_far_faster_than_the_samples_is_at_its_rest_at_each_of_them():
+    # The period of the mode is 0.6 of a sample, as in minutes of creep.
+    slow_um = 5.0 * np.sin(np.linspace(0.0, 20.0, 2000))
+    parts = SPRINGS["hard"]
+    np.testing.assert_array_equal(
+        spring(parts, 1000.0, 0.02).apply(slow_um, 2.1e-2), spring(parts).apply(slow_um, 2.1e-2))
+    assert np.any(spring(parts, 1000.0, 0.02).apply(slow_um, 1.9e-2)
+                  != spring(parts).apply(slow_um, 1.9e-2))

@@ -26,7 +26,8 @@ def strongest(result):
     """Return the causes that may come first, and the contribution of the strongest over the noise.
 
     An effect that was there when the model was identified is in its parameters as far as they can
-    explain it: what counts is the rest, and no more than what the model lacks in all.
+    explain it, and may be one of its own effects: what counts is the rest, and no more than what
+    the model lacks in all.
     """
     found = result["contributions"]
     if result["model"] == "identified before":
@@ -75,7 +76,7 @@ def outcome(result):
     if set(causes) & CAUSES_OUTSIDE.keys():
         return "outside", "right" if result["verdict"] == "unexplained" else result["verdict"]
     group = "clear" if most > CLEAR else "weak"
-    if first in causes:
+    if first in causes or result["verdict"] == "none" and set(causes) <= set(result["in_model"]):
         return group, "right"
     if set(causes) & set(result["not_decidable"]):
         return group, "not decidable"

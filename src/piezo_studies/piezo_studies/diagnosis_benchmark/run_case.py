@@ -9,6 +9,9 @@ import numpy as np
 
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
 from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+)
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.parameter_sensitivities import (
     nuisance_regressors,
@@ -30,7 +33,7 @@ WEAKEST_MULTIPLE = 1e-2
 
 
 def identified_model(plant, seed):
-    """Return the model that `identify` finds from designed experiments on a plant, effects and all.
+    """Return what `identify` finds from designed experiments on a plant, effects and all.
 
     Parameters
     ----------
@@ -40,6 +43,8 @@ def identified_model(plant, seed):
     Returns
     -------
     StageModel
+    tuple of Recording
+        From which the model was identified.
     """
     experiments = records.identification_experiments()
     with tempfile.TemporaryDirectory() as folder:
@@ -50,7 +55,7 @@ def identified_model(plant, seed):
             path.touch()
             recording = records.record(plant, experiment, 10 * seed + index)
             recordings[name] = replace(recording, path=str(path))
-        return _identified(recordings, STRUCTURE)
+        return _identified(recordings, STRUCTURE), tuple(recordings.values())
 
 
 def _identified(recordings, order):
@@ -62,18 +67,18 @@ def _identified(recordings, order):
 
 
 def clean_model(seed, plant):
-    """Return the model of a plant without effects, by the numbers of suite and plant."""
+    """Return model and recordings of a plant without effects, by the numbers of suite and plant."""
     return identified_model(draw_plant((seed, plant)), 1000 * seed + plant)
 
 
-def run_case(case, model):
+def run_case(case, clean):
     """Record a drawn case, diagnose it, and return what was found.
 
     Parameters
     ----------
     case : Case
-    model : StageModel
-        Of the plant without effects.
+    clean : (StageModel, tuple of Recording)
+        Of the plant without effects; see `identified_model`.
 
     Returns
     -------
@@ -92,11 +97,12 @@ def run_case(case, model):
         drawn.append(_drawn(
             cause, beside, voltage_v, surroundings, multiple, seed + index, clock_samples))
     hidden = drawn[-1].plant if drawn else plant
-    known = model
+    (model, _), (known, identified_from) = clean, clean
     if drawn and not case.later:
-        known = identified_model(hidden, seed % 2**20)
+        known, identified_from = identified_model(hidden, seed % 2**20)
     recording = records.record(hidden, experiment, seed)
-    diagnosis = diagnose(known, [recording])
+    diagnosis = diagnose(
+        known, [recording], identified_from=IdentificationRecordings(identified_from, ()))
     # With the same noise and no effect: what perfect knowledge of the effects would leave.
     perfect_um = _least_error_um(model, records.record(plant, experiment, seed))
     noise = noise_um(plant)
@@ -118,7 +124,8 @@ def run_case(case, model):
         "logger": "slow" if case.slow else "fast",
         "model": "identified before" if case.later else "identified with the effects",
         "contributions": contributions,
-        "verdict": diagnosis.verdict,
+        "in_model": [effect.name for effect in known.effects],
+        "verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
         "effects": [entry["name"] for entry in diagnosis.effects],
         "not_decidable": sorted(diagnosis.not_decidable),
         "lacking_over_noise": _lacking_um(diagnosis) / noise,

@@ -6,6 +6,7 @@ import json
 from distributed import Client, LocalCluster, as_completed
 
 from piezo_common.progress_line import ProgressLine
+from piezo_studies.diagnosis_benchmark.calibration import calibrate
 from piezo_studies.diagnosis_benchmark.cases import draw_cases
 from piezo_studies.diagnosis_benchmark.outcome import as_text, refused, summary
 from piezo_studies.diagnosis_benchmark.run_case import clean_model, run_case
@@ -40,7 +41,8 @@ def run_suite(client, count, seed, progress=None):
     results = [
         _result(case, future) for case, future in zip(cases, running, strict=True)
     ]
-    return {"seed": seed, "cases": count, **summary(results), "results": results}
+    return {"seed": seed, "cases": count, **summary(results),
+            "calibration": calibrate(results).document(), "results": results}
 
 
 def _result(case, future):
@@ -73,5 +75,7 @@ def diagnose_cases(options):
     path = options.output / "table.json"
     path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     print(as_text(document))
+    print("expected calibration error "
+          f"{document['calibration']['expected_calibration_error']:.3f}")
     print(f"{options.cases} cases of seed {options.seed}: {path}")
     return 0

@@ -17,7 +17,8 @@ from piezo_studies.diagnosis_benchmark.suite_command import main
 COUNT, SEED = 2, 190
 
 
-def result(causes=(), effects=(), verdict="explained", not_decidable=(), later=True, lacking=9.0):
+def result(causes=(), effects=(), verdict="explained", not_decidable=(), later=True, lacking=9.0,
+           in_model=()):
     return {
         "model": "identified before" if later else "identified with the effects",
         "contributions": [
@@ -26,6 +27,7 @@ def result(causes=(), effects=(), verdict="explained", not_decidable=(), later=T
         ],
         "effects": list(effects), "verdict": verdict, "not_decidable": list(not_decidable),
         "lacking_over_noise": lacking, "after_um": 1.1, "perfect_um": 1.0,
+        "in_model": list(in_model), "probabilities": {},
     }
 
 
@@ -49,6 +51,10 @@ def test_the_suite_has_the_cases_it_must_have_and_the_same_for_the_same_seed():
     (result([("delay", 9.0, 2.0)], ["delay"], later=False), ("weak", "right")),
     (result([("delay", 9.0, 5.0)], ["delay"], later=False), ("clear", "right")),
     (result([("delay", 9.0, 5.0)], later=False, lacking=1.0), ("weak", "no name")),
+    (result([("delay", 9.0, 5.0)], verdict="none", later=False, in_model=["delay"]),
+     ("clear", "right")),
+    (result([("delay", 9.0, 5.0)], verdict="none", later=False, in_model=["sensor_lag"]),
+     ("clear", "no name")),
     (result([("delay", 9.0, 2.0)], ["creep"]), ("clear", "wrong")),
     (result([("delay", 9.0, 2.0)], ["sensor_lag"], not_decidable=["delay"]),
      ("clear", "not decidable")),

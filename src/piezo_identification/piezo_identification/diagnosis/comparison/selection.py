@@ -67,6 +67,8 @@ class Selection:
         Candidates that the data cannot tell from one that was chosen, and that one.
     not_shown : dict of str to str
         Effects that the data cannot show, and why.
+    alternatives : tuple of Fit
+        Other sets of the last round that leave not much more than the best.
     interrupted : bool
         The comparison was ended by Ctrl-C: more effects may be missing, and those found may not be
         needed beside each other.
@@ -78,6 +80,7 @@ class Selection:
     rounds: list[list[Attempt]]
     indistinguishable: dict[str, str]
     not_shown: dict[str, str]
+    alternatives: tuple[Fit, ...] = ()
     interrupted: bool = False
 
 
@@ -104,6 +107,7 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
     indistinguishable: dict[str, str] = {}
     not_shown: dict[str, str] = {}
     sets = [best]
+    others: tuple[Fit, ...] = ()
     try:
         for turn in range(SETTINGS.most_effects):
             attempts: list[Attempt] = []
@@ -124,6 +128,7 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
             larger = [weighed.fit(fit.effects, fit.covariance) for fit in larger]
             # Together, so that they fit to each other whenever the comparison is interrupted.
             regression, start, best = weighed, fit_without_effects(weighed), larger[0]
+            others = tuple(larger[1:])
             indistinguishable = like_the_best(regression, larger)
             if stuck or mean_square(regression, best) < 1.0 + CRITERIA.noticeable**2:
                 break
@@ -135,7 +140,8 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
         # What was found until then is worth more than nothing.
         return Selection(
             regression, start, best, rounds, indistinguishable, not_shown, interrupted=True)
-    return Selection(regression, start, best, rounds, indistinguishable, not_shown)
+    return Selection(regression, start, best, rounds, indistinguishable, not_shown,
+                     tuple(alternatives(regression, [best, *others])[1:]))
 
 
 def left_rms_um(selection: Selection) -> float:

@@ -41,10 +41,17 @@ class Validation:
     regression : Regression
     holdout : Recording or None
         With the sign of the model, and its outliers marked.
+    reference : Validation, optional
+        That knows the model as given, where the regression is beside another.
     """
 
-    def __init__(self, regression: Regression, holdout: Recording | None = None) -> None:
-        self.regression, self.holdout = regression, holdout
+    def __init__(self, regression: Regression, holdout: Recording | None = None,
+                 reference: "Validation | None" = None) -> None:
+        self.regression, self.holdout, self.reference = regression, holdout, reference
+
+    def beside(self, regression: Regression) -> "Validation":
+        """Return the validation of fits beside another model, against the model as given."""
+        return Validation(regression, self.holdout, self)
 
     @property
     def source(self) -> str:
@@ -139,6 +146,8 @@ class Validation:
     @cached_property
     def _given(self) -> "_Samples":
         """Return the samples of the model as given."""
+        if self.reference is not None:
+            return self.reference._given
         regression = self.regression
         if self.holdout is not None:
             return _predicted(regression.dataset.model, self.holdout)

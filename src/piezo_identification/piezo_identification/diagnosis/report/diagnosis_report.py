@@ -30,7 +30,9 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     before, after = (1e3 * errors["rms_um"] for errors in (diagnosis.before, diagnosis.after))
     names = " and ".join(entry["name"] for entry in diagnosis.effects)
     if diagnosis.verdict == "none":
-        return f"The model lacks nothing that the data shows: {before:.3g} nm RMS are left."
+        anew = "" if after == before else (
+            f", and {after:.3g} nm with its parameters estimated anew on all recordings")
+        return f"The model lacks nothing that the data shows: {before:.3g} nm RMS are left{anew}."
     if diagnosis.verdict == "explained":
         if [entry["name"] for entry in diagnosis.effects] == ["outliers"]:
             # They are left out before and after; what changes is the model's own parameters.

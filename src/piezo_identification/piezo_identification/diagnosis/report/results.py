@@ -9,6 +9,10 @@ from pathlib import Path
 
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.diagnose import Diagnosis, Progress, diagnose
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+    find_identification_recordings,
+)
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_identification.prediction.outside_identified import outside_identified
@@ -33,6 +37,8 @@ class DiagnosisResults:
     outside : tuple of str
         Sentences on how rows were aligned, and on what of the recordings leaves what the model was
         identified on.
+    identified_from : IdentificationRecordings
+        What was at hand of the recordings that the model was identified from.
     """
 
     diagnosis: Diagnosis
@@ -40,12 +46,14 @@ class DiagnosisResults:
     extended_model: Path
     report: Path
     outside: tuple[str, ...] = ()
+    identified_from: IdentificationRecordings = IdentificationRecordings()
 
 
 def diagnose_files(
     model: str | PathLike[str], recordings: Sequence[str | PathLike[str]],
     holdout: str | PathLike[str] | None, directory: str | PathLike[str], progress: Progress,
     read_file: Callable[[str | PathLike[str]], list[Recording]] = read_recordings,
+    identified_from: Sequence[str | PathLike[str]] = (),
 ) -> DiagnosisResults:
     """Diagnose recordings and write verdict, extended model and report.
 
@@ -61,6 +69,9 @@ def diagnose_files(
         Called with (what is done, fraction); what it raises ends the work.
     read_file : callable
         Returns the recordings of a file.
+    identified_from : sequence of path-like
+        The recordings that the model was identified from, where they are not at the paths that
+        the model file names.
 
     Returns
     -------
@@ -78,6 +89,9 @@ def diagnose_files(
     held_out = None
     if holdout:
         held_out, _ = read_as_identified(identified, only_recording(holdout, read_file(holdout)))
+    known = find_identification_recordings(
+        identified, model, read_file, identified_from,
+        [*recordings, *([holdout] if holdout else [])])
     directory = Path(directory).absolute()
     try:
         # Before the work, not after it.
@@ -85,11 +99,12 @@ def diagnose_files(
     except OSError as error:
         raise ValueError(f"{directory}: {error.strerror}; choose another directory") from None
     diagnosis = diagnose(identified.model, read, held_out, lambda stage, fraction: progress(
-        stage, READ_FRACTION + (REPORT_FRACTION - READ_FRACTION) * fraction))
+        stage, READ_FRACTION + (REPORT_FRACTION - READ_FRACTION) * fraction),
+        identified_from=known, stated_um=stated_uncertainty_um(identified))
     progress("write the report", REPORT_FRACTION)
     results = DiagnosisResults(diagnosis, directory / "verdict.json",
                                directory / "extended_model.json", directory / "report.html",
-                               (*rows, *_outside(identified, read)))
+                               (*rows, *_outside(identified, read)), known)
     write_verdict(results.verdict, diagnosis)
     save_extended_model(results.extended_model, identified, diagnosis, recordings)
     origin = [("diagnosed", datetime.now().astimezone().isoformat(" ", "seconds")),
@@ -107,6 +122,23 @@ def _aligned(identified: IdentifiedModel, recordings: Sequence[Recording],
     aligned = [read_as_identified(identified, recording) for recording in recordings]
     told = [rows_sentence(recording.path, read_at) for recording, read_at in aligned]
     return [recording for recording, _ in aligned], [sentence for sentence in told if sentence]
+
+
+def stated_uncertainty_um(identified: IdentifiedModel) -> float:
+    """Return by how much a model is known to be wrong: what its worst component leaves of its data.
+
+    Parameters
+    ----------
+    identified : IdentifiedModel
+
+    Returns
+    -------
+    float
+        RMS beyond the noise; 0 where the model file tells none.
+    """
+    beyond = [part["residual_rms_um"]**2 - part["noise_rms_um"]**2
+              for part in identified.adequacy.values()]
+    return max(0.0, *beyond, 0.0) ** 0.5
 
 
 def _outside(identified: IdentifiedModel, recordings: Sequence[Recording]) -> tuple[str, ...]:

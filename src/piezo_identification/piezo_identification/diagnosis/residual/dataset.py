@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The rows of simulated recordings that are fitted, and those of the validation set."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +42,8 @@ class SplitSettings:
 
 
 SPLIT = SplitSettings()
+
+Sensitivities = Callable[[SimulatedRecording, NDArray[np.intp]], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,8 @@ class Dataset:
 
 
 def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
-                        past_v: tuple[float, ...] | None = None) -> Dataset:
+                        past_v: tuple[float, ...] | None = None,
+                        sensitivities: Sensitivities = parameter_sensitivities) -> Dataset:
     """Simulate recordings, and split their samples into rows to fit and a validation set.
 
     Parameters
@@ -114,6 +117,8 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
     past_v : (float, float) or (), optional
         Voltages that the hysteresis met before each recording; by default those of
         `starting_past_v`.
+    sensitivities : callable
+        Returns the change of the displacement with each parameter that is free.
 
     Returns
     -------
@@ -127,16 +132,16 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
     simulated = tuple(SimulatedRecording(model, recording, past_v) for recording in recordings)
     rows, stretch, for_estimation = _split(simulated)
     nuisance = [nuisance_regressors(part, used) for part, used in zip(simulated, rows, strict=True)]
-    sensitivities = np.vstack([
-        parameter_sensitivities(part, used) for part, used in zip(simulated, rows, strict=True)
+    changes = np.vstack([
+        sensitivities(part, used) for part, used in zip(simulated, rows, strict=True)
     ])
     nuisance_count = sum(block.shape[1] for block in nuisance)
-    regressors = np.zeros((len(sensitivities), nuisance_count + sensitivities.shape[1]))
+    regressors = np.zeros((len(changes), nuisance_count + changes.shape[1]))
     row = column = 0
     for block in nuisance:
         regressors[row : row + block.shape[0], column : column + block.shape[1]] = block
         row, column = row + block.shape[0], column + block.shape[1]
-    regressors[:, nuisance_count:] = sensitivities
+    regressors[:, nuisance_count:] = changes
     return Dataset(model, tuple(recordings), simulated, rows, stretch, for_estimation, regressors,
                    nuisance_count, _extent(simulated))
 

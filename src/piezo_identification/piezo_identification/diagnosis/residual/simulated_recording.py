@@ -165,6 +165,11 @@ class SimulatedRecording:
         without_modes = replace(self.model, dynamics=lag, effects=self.model.effects_at("linear"))
         return self.respond(without_modes.linear(), self.input_um)
 
+    @cached_property
+    def _linear(self) -> control.StateSpace:
+        """Return the linear part of the model as it is."""
+        return self.model.linear()
+
     def _hysteresis(self, hysteresis: PreisachModel,
                     amplified_v: FloatArray) -> tuple[FloatArray, float]:
         """Return the output while the waveform plays, and at the first sample of the recording."""
@@ -200,7 +205,8 @@ class SimulatedRecording:
                 amplified_v = self.model.amplified(voltage_v, self.sample_period_s)
                 hysteresis_um, _ = self._hysteresis(self.model.hysteresis, amplified_v)
                 input_um = self._with_creep(hysteresis_um, amplified_v)
-            linear = replace(self.model, effects=(*self.model.effects, *in_series)).linear()
+            linear = self._linear if not in_series else replace(
+                self.model, effects=(*self.model.effects, *in_series)).linear()
             # A fit tries many; the first and the last few are worth the memory.
             while len(self._outputs) > SETTINGS.kept_outputs:
                 del self._outputs[list(self._outputs)[1]]

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whole models that compete: with each effect in the stage all along, or come since.
+
+An alternative is a model with its parameters and its effects estimated on the recordings of the
+identification and the new ones together.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
+from piezo_identification.diagnosis.joint.joint_fit import (
+    JointFit,
+    JointProblem,
+    correlated_scale,
+)
+from piezo_identification.diagnosis.joint.probabilities import (
+    NONE,
+    Evidence,
+    logarithms_of_evidence,
+)
+from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
+from piezo_identification.diagnosis.residual.regression import Regression
+from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class AlternativeSettings:
+    """Which alternatives are fitted.
+
+    Attributes
+    ----------
+    fitted : int
+        Effects that are fitted all along, the most promising guesses first.
+    second : float
+        Multiple of the noise's power that the best alternative must leave for a second effect to be
+        tried beside it.
+    turns : int
+        Of the fits without more effects and of the best alternative, each with new derivatives.
+    most_effects : int
+        Of an alternative that were there all along.
+    """
+
+    fitted: int = 4
+    second: float = 1.3
+    turns: int = 3
+    most_effects: int = 2
+
+
+SETTINGS = AlternativeSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """A model that competes.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the effects that the given model lacks, sorted; none of them for the model alone.
+    since : bool
+        The effects came after the identification.
+    fit : JointFit
+    mean_square_um2 : tuple of float
+        What is left on the held-out stretches of each recording, noise and all.
+    effective : tuple of float
+        How many of these rows err independently.
+    """
+
+    names: tuple[str, ...]
+    since: bool
+    fit: JointFit
+    mean_square_um2: tuple[float, ...]
+    effective: tuple[float, ...]
+
+    @property
+    def evidence(self) -> Evidence:
+        """Return what its probability depends on."""
+        return Evidence("+".join(self.names) or NONE, self.mean_square_um2, self.fit.count)
+
+
+def settled(problem: JointProblem, progress: Progress) -> tuple[JointProblem, JointFit]:
+    """Fit the model without more effects until its parameters no longer move.
+
+    Parameters
+    ----------
+    problem : JointProblem
+    progress : callable
+
+    Returns
+    -------
+    JointProblem
+        With its derivatives where the last fit began.
+    JointFit
+    """
+    for turn in range(SETTINGS.turns):
+        progress("all recordings together: no effect", 0.2 * turn / SETTINGS.turns)
+        fit = problem.fit(problem.own)
+        if fit.has_converged:
+            break
+        problem = problem.about(fit)
+    return problem, fit
+
+
+def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effect]],
+            progress: Progress) -> list[Alternative]:
+    """Fit the alternatives.
+
+    Parameters
+    ----------
+    problem : JointProblem
+    none : JointFit
+        Without more effects; see `settled`.
+    since : sequence of sequences of Effect
+        Sets that may explain the new recordings alone.
+    progress : callable
+        Called with (what is done, fraction).
+
+    Returns
+    -------
+    list of Alternative
+        The model without more effects first.
+    """
+    own = problem.own
+    alternatives = [_alternative((), none)]
+    named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
+    for names, effects in named.items():
+        if names and not {effect.name for effect in own} & set(names):
+            alternatives.append(_alternative(names, problem.fit((*own, *effects), names), True))
+    if any(_leaves_noise(problem, each, len(each.mean_square_um2)) for each in alternatives):
+        # Nothing is left anywhere that another effect could explain.
+        return _possible(problem, alternatives)
+    best, asked = alternatives[0], {name for names in named for name in names}
+    for turn in range(SETTINGS.most_effects):
+        regression = problem.start if turn == 0 else best.fit.regression
+        guesses = _promising(problem, regression, best.fit.effects, asked)
+        for number, guess in enumerate(guesses):
+            progress(f"all recordings together: {guess.name}",
+                     (turn + 0.2 + 0.8 * number / len(guesses)) / SETTINGS.most_effects)
+            names = (*best.names, guess.name)
+            alternatives.append(_alternative(names, problem.fit((*best.fit.effects, guess))))
+        alternatives = _possible(problem, alternatives)
+        leading = most_probable(problem, [each for each in alternatives if not each.since])
+        alternatives = [_continued(problem, each) if each is leading else each
+                        for each in alternatives]
+        now = most_probable(problem, alternatives)
+        if now is best or now.since or _leaves_noise(problem, now, problem.new_count):
+            break
+        best = now
+    return alternatives
+
+
+def _continued(problem: JointProblem, alternative: Alternative) -> Alternative:
+    """Fit on with new derivatives, where a fit has not converged and leaves much."""
+    for _ in range(SETTINGS.turns):
+        if alternative.since or alternative.fit.has_converged or _leaves_noise(
+                problem, alternative, len(alternative.mean_square_um2)):
+            break
+        again = problem.about(alternative.fit)
+        further = _alternative(alternative.names, again.fit(again.own))
+        if sum(np.log(further.mean_square_um2)) >= sum(np.log(alternative.mean_square_um2)):
+            break
+        alternative = further
+    return alternative
+
+
+def most_probable(problem: JointProblem, alternatives: Sequence[Alternative]) -> Alternative:
+    """Return the alternative with the largest evidence."""
+    logarithms = logarithms_of_evidence(
+        [each.evidence for each in alternatives], independent_samples(alternatives),
+        accuracies_um(problem))
+    return alternatives[int(np.argmax(logarithms))]
+
+
+def independent_samples(alternatives: Sequence[Alternative]) -> FloatArray:
+    """Return how many held-out samples of each recording err independently, beside the best."""
+    return np.max([alternative.effective for alternative in alternatives], axis=0)
+
+
+def accuracies_um(problem: JointProblem) -> FloatArray:
+    """Return the accuracy that a good model has in each recording."""
+    return np.array([TOLERANCE.model_tolerance * np.ptp(part.measured_um)
+                     for part in problem.dataset.simulated])
+
+
+def _leaves_noise(problem: JointProblem, alternative: Alternative, count: int) -> bool:
+    """Return whether no other effect is worth looking for in the first recordings."""
+    noise = np.array(problem.noise.noise_um) ** 2 + accuracies_um(problem) ** 2
+    left = np.array(alternative.mean_square_um2) < SETTINGS.second * noise
+    return bool(np.all(left[:count]))
+
+
+def _possible(problem: JointProblem, alternatives: Sequence[Alternative]) -> list[Alternative]:
+    """Return the alternatives without those that no stage can be; the first is always one."""
+    extent = problem.dataset.extent
+    return [alternatives[0], *(
+        alternative for alternative in alternatives[1:]
+        if not any(effect.impossible(extent) for effect in alternative.fit.effects))]
+
+
+def _alternative(names: Sequence[str], fit: JointFit, since: bool = False) -> Alternative:
+    squares, effective = [], []
+    for left_um, held_out in fit.left_um():
+        squares.append(float(np.mean(left_um[held_out] ** 2)))
+        alike = (correlated_scale(left_um) ** 2) / np.mean(left_um**2)
+        effective.append(float(np.count_nonzero(held_out) / alike))
+    return Alternative(tuple(sorted(names)), since, fit, tuple(squares), tuple(effective))
+
+
+def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effect],
+               asked: set[str]) -> list[Effect]:
+    """Return the best guess of each of the few effects that would explain most beside the model.
+
+    Effects that were named for the new recordings are always among them.
+    """
+    evidence = recording_evidence(regression, own)
+    # Those diagnosed, and that of the identification which the model fits least.
+    old = range(problem.new_count, len(evidence))
+    worst = max(old, key=lambda index: np.std(evidence[index].residual_um)
+                / evidence[index].noise_um)
+    telling = [*evidence[: problem.new_count], evidence[worst]]
+    present = {effect.name for effect in own}
+    tried: list[tuple[float, Effect]] = []
+    for kind in known_effects().values():
+        if not kind.of_the_stage or (kind.name in present and not kind.several):
+            continue
+        if all(kind.lacks_excitation(shown) for shown in evidence):
+            continue
+        guesses = [with_fitted_values(guess, fitted_values(guess, problem.dataset.extent)[0])
+                   for shown in telling for guess in kind.starts(shown)]
+        costs = [_cost(regression.remainder(regression.difference((*own, guess), (guess,))))
+                 for guess in guesses]
+        if guesses:
+            best = int(np.argmin(costs))
+            tried.append((costs[best], guesses[best]))
+    tried.sort(key=lambda entry: (entry[1].name not in asked, entry[0]))
+    return [guess for _, guess in tried[: SETTINGS.fitted + len(asked)]]
+
+
+def _cost(left: FloatArray) -> float:
+    return float(left @ left)

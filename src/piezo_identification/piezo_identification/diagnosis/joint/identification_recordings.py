@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The recordings that a model was identified from: found by path, known by their hash."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
+from piezo_identification.conditioning.segments import played_segments
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
+from piezo_identification.prediction import conditioned
+from piezo_models.cascade import StageModel
+from piezo_models.identified_model import IdentifiedModel
+from piezo_recorder.reading.reader import sha256_of
+from piezo_recorder.reading.recording import Recording
+
+AnyPath = str | PathLike[str]
+ReadFile = Callable[[AnyPath], list[Recording]]
+
+MOST_OLD_SAMPLES = 50_000
+"""Samples of each recording of the identification that are asked: each costs as much as a new one,
+and an effect that bends a model shows in the first of them."""
+
+NOT_NAMED = "the model file names none"
+"""Why no recording is at hand, where a model was not identified from files."""
+
+
+@dataclass(frozen=True)
+class IdentificationRecordings:
+    """What is at hand of the recordings that a model was identified from.
+
+    Attributes
+    ----------
+    recordings : tuple of Recording
+        Without gaps, and with the rows aligned as they were for the identification.
+    missing : tuple of str
+        Why others are not at hand, one sentence without its end for each.
+    """
+
+    recordings: tuple[Recording, ...] = ()
+    missing: tuple[str, ...] = (NOT_NAMED,)
+
+    @property
+    def not_asked(self) -> str:
+        """Tell what cannot be asked without the missing recordings; empty if none is missing."""
+        if not self.missing:
+            return ""
+        among = "of some of" if self.recordings else "of"
+        return ("not asked: which effects were in the stage already when the model was identified, "
+                f"{among} the recordings that it was identified from ({'; '.join(self.missing)}; "
+                "give them with --identified-from FILE...)")
+
+    def document(self) -> dict[str, object]:
+        """Return what `verdict.json` tells of them."""
+        return {"recordings": [str(recording.path) for recording in self.recordings],
+                "not_asked": self.not_asked}
+
+
+def find_identification_recordings(
+    identified: IdentifiedModel, model_path: AnyPath, read_file: ReadFile,
+    moved: Sequence[AnyPath] = (), others: Sequence[AnyPath] = (),
+) -> IdentificationRecordings:
+    """Find the recordings that a model was identified from, and read those that are unchanged.
+
+    A relative path counts from the working directory, or else from the folder of the model.
+
+    Parameters
+    ----------
+    identified : IdentifiedModel
+    model_path : path-like
+        Of its file.
+    read_file : callable
+        Returns the recordings of a file.
+    moved : sequence of path-like
+        Files that are recordings of the identification, wherever they are now.
+    others : sequence of path-like
+        Files that are diagnosed, or held out: they are left out here.
+
+    Returns
+    -------
+    IdentificationRecordings
+
+    Raises
+    ------
+    ValueError
+        If a file that was named by hand is none of the identification, or cannot be read.
+    """
+    hashes = {entry["sha256"]: entry["path"] for entry in identified.recordings}
+    given = {sha256_of(path): path for path in moved}
+    for digest, path in given.items():
+        if hashes and digest not in hashes:
+            raise ValueError(
+                f"{path} is none of the recordings that {model_path} was identified from: its "
+                "SHA-256 is not in the model file; leave it out, or give the unchanged file")
+    left_out = {sha256_of(path) for path in others}
+    found: list[Recording] = []
+    missing: list[str] = []
+    names = _names(identified)
+    for digest, named in (hashes or {digest: str(path) for digest, path in given.items()}).items():
+        if digest in left_out:
+            continue
+        path, why_not = (Path(given[digest]), "") if digest in given else _unchanged(
+            named, digest, Path(model_path))
+        if not why_not and is_frequency_response(path):
+            why_not = f"{path} is a frequency response"
+        if not why_not:
+            try:
+                found += _usable(path, read_file, identified.rows.get(names.get(digest, ""), {}))
+            except (ValueError, OSError) as error:
+                if digest in given:
+                    raise
+                why_not = str(error).rstrip(".")
+        missing += [why_not] if why_not else []
+    if not hashes and not given:
+        missing.append(NOT_NAMED)
+    return IdentificationRecordings(tuple(found), tuple(missing))
+
+
+def old_recordings(model: StageModel, known: IdentificationRecordings) -> list[Recording]:
+    """Return the recordings of the identification that can be asked, conditioned like the new ones.
+
+    Of long ones the beginning is asked: whatever it is, a simulation begins there.
+
+    Parameters
+    ----------
+    model : StageModel
+    known : IdentificationRecordings
+
+    Returns
+    -------
+    list of Recording
+        Those that are too short to be compared are left out.
+    """
+    usable = []
+    for recording in known.recordings:
+        early = np.cumsum(recording.playing | recording.tracking) <= MOST_OLD_SAMPLES
+        try:
+            signed, _ = conditioned(model, recording.select(early))
+            SimulatedRecording(model, signed, ())
+        except ValueError:
+            continue
+        usable.append(signed)
+    return usable
+
+
+def _names(identified: IdentifiedModel) -> Mapping[str, str]:
+    """Return the experiment of each recording by its hash, where every file is one experiment."""
+    names = [*identified.sample_periods_s, "validation"]
+    digests = [entry["sha256"] for entry in identified.recordings]
+    return dict(zip(digests, names, strict=False)) if len(digests) in (
+        len(names), len(names) - 1) else {}
+
+
+def _unchanged(named: str, digest: str, model_path: Path) -> tuple[Path, str]:
+    """Return where a recording is, and why it is not the one that the model came from, if so."""
+    path = Path(named)
+    if not path.exists() and not path.is_absolute():
+        path = model_path.parent / path
+    if not path.exists():
+        return path, f"{named} is not there"
+    return path, "" if sha256_of(path) == digest else f"{named} has changed since"
+
+
+def _usable(path: AnyPath, read_file: ReadFile, rows: Mapping[str, float]) -> list[Recording]:
+    """Read a recording, cut at its gaps, with its rows aligned as the identification did."""
+    read_at = rows.get("read_at_samples", 0.0)
+    return [
+        rows_read_at_start(part, read_as(part, read_at))
+        for recording in read_file(path)
+        for part in (played_segments(recording) if recording.gaps else [recording])]

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Probabilities of what a model lacks, from what each alternative leaves on held-out data.
+
+The evidence of an alternative is that of Gaussian errors of unknown variance in each recording r,
+with the Bayesian penalty for its fitted numbers (Schwarz 1978):
+
+    ln p = - sum_r n_r / 2 ln(m_r + l_r^2) - k / 2 ln(sum_r n_r)
+
+Here m_r is the mean square left on held-out stretches, n_r how many of its samples err
+independently, l_r the accuracy that a good model has, and k the count of fitted numbers. What is
+not on the list, `something_else`, leaves what passes for noise in the new recordings.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import logsumexp
+
+from piezo_common.arrays import FloatArray
+
+NONE, SOMETHING_ELSE = "none", "something_else"
+
+
+@dataclass(frozen=True)
+class ProbabilitySettings:
+    """The model of probability.
+
+    Attributes
+    ----------
+    temperature : float
+        By which differences of evidence are divided: lack of fit makes them too sure.
+    something_else : float
+        Prior probability of what is not on the list, over that of one of the alternatives.
+    passes : float
+        What may be left beyond the noise to pass for noise, over the tolerance.
+    most_effective : float
+        Samples of a recording that count as independent at most: the noise of a stage is no more
+        stationary than that.
+    """
+
+    temperature: float = 1.0
+    something_else: float = 0.05
+    passes: float = 0.8
+    most_effective: float = 1000.0
+
+
+SETTINGS = ProbabilitySettings()
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is known of one alternative.
+
+    Attributes
+    ----------
+    label : str
+        Names of its effects with + between them, or `none`.
+    mean_square_um2 : (R,) tuple of float
+        Left on held-out stretches of each recording.
+    count : int
+        Fitted numbers of the effects.
+    """
+
+    label: str
+    mean_square_um2: tuple[float, ...]
+    count: int
+
+
+def logarithms_of_evidence(alternatives: Sequence[Evidence], effective: ArrayLike,
+                           least_um: ArrayLike) -> FloatArray:
+    """Return the logarithm of the evidence of each alternative.
+
+    Parameters
+    ----------
+    alternatives : sequence of Evidence
+    effective : (R,) array
+        Independent samples of each recording.
+    least_um : (R,) array
+        Accuracy of a good model in each recording.
+
+    Returns
+    -------
+    (n,) array
+    """
+    samples = np.minimum(np.asarray(effective), SETTINGS.most_effective)
+    left = np.array([alternative.mean_square_um2 for alternative in alternatives])
+    squares = left + np.square(np.asarray(least_um))
+    counts = np.array([alternative.count for alternative in alternatives])
+    return -0.5 * np.log(squares) @ samples - 0.5 * counts * np.log(max(np.sum(samples), 2.0))
+
+
+def probabilities(alternatives: Sequence[Evidence], effective: ArrayLike,
+                  least_um: ArrayLike, passing_um: ArrayLike) -> dict[str, float]:
+    """Return the probability of each set of effects, of none, and of something else.
+
+    Parameters
+    ----------
+    alternatives : sequence of Evidence
+        Alternatives of the same label share their probability.
+    effective, least_um : (R,) array
+        See `logarithms_of_evidence`.
+    passing_um : (R',) array
+        What passes for noise in each of the new recordings, which come first.
+
+    Returns
+    -------
+    dict of str to float
+        The largest first; they sum to one.
+    """
+    logarithms = logarithms_of_evidence(alternatives, effective, least_um)
+    samples = np.minimum(np.asarray(effective), SETTINGS.most_effective)
+    best = int(np.argmax(logarithms))
+    # What is not on the list would leave no more than passes for noise.
+    passing, least = np.square(np.asarray(passing_um)), np.square(np.asarray(least_um))
+    new = passing.size
+    squares = np.array(alternatives[best].mean_square_um2[:new]) + least[:new]
+    gain = 0.5 * np.sum(samples[:new] * np.maximum(0.0, np.log(squares / passing)))
+    scaled = np.append(logarithms, logarithms[best] + gain) / SETTINGS.temperature
+    scaled[-1] += np.log(SETTINGS.something_else)
+    shares = np.exp(scaled - logsumexp(scaled))
+    summed: dict[str, float] = {}
+    labels = [*(each.label for each in alternatives), SOMETHING_ELSE]
+    for label, share in zip(labels, shares, strict=True):
+        summed[label] = summed.get(label, 0.0) + float(share)
+    return dict(sorted(summed.items(), key=lambda entry: -entry[1]))

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Models compete on recordings that SciPy alone has made: effects there all along, and since."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.joint.free_parameters import changed_model, free_sensitivities
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+)
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 3000, 2e-3
+MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.1
+
+
+def stage(mode_rad_per_s=MODE_RAD_PER_S, damping_ratio=DAMPING_RATIO, reversible=0.06):
+    """Return a stage with a mode, and with a hysteresis of one density."""
+    density = np.tril(np.full((4, 4), 0.5e-4))
+    return StageModel(
+        PreisachModel(-100.0, 100.0, density, -10.0, np.full(4, reversible)),
+        CreepDynamics((0.5,), (0.52,)),
+        ElectricVibrationDynamics(0.0, (mode_rad_per_s,), (damping_ratio,)))
+
+
+def recording(name, seed, measure=lambda displacement_um: displacement_um):
+    """Record a line with a mode, and what the sensor makes of it."""
+    generator = np.random.default_rng(seed)
+    voltage_v = np.convolve(generator.normal(size=SAMPLES), np.hanning(20), mode="same")
+    voltage_v *= 50.0 / np.abs(voltage_v).max()
+    w, z = MODE_RAD_PER_S, DAMPING_RATIO
+    numerator, denominator, _ = cont2discrete(
+        ([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
+    displacement_um = lfilter(numerator[0], denominator, 0.1 * voltage_v)
+    return Recording(
+        path=name, sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
+        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
+        displacement_um=measure(displacement_um) + NOISE_UM * generator.normal(size=SAMPLES),
+        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+
+
+def curved(displacement_um):
+    """Read a displacement with a sensor whose scale is bent by 3 % at its ends."""
+    return displacement_um + 0.03 * displacement_um**2 / 10.0
+
+
+LINE = replace(
+    stage(), creep=CreepDynamics(),
+    hysteresis=PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])))
+
+
+def found(model, new, *old):
+    return diagnose(model, [new], identified_from=IdentificationRecordings(old, ()))
+
+
+def test_an_effect_that_was_there_all_along_is_told_from_a_bent_model():
+    # A model that was identified with the effect in the recordings has a mode that is off.
+    bent = replace(LINE, dynamics=ElectricVibrationDynamics(0.0, (380.0,), (0.13,)))
+    new, *old = (recording(f"{seed}", seed, curved) for seed in (1, 2, 3))
+    diagnosis = found(bent, new, *old)
+    assert diagnosis.verdict == "explained"
+    first = diagnosis.effects[0]
+    assert first["came"] == "before the identification"
+    # A spring that acts at once bends the same curve.
+    alike = {"sensor_nonlinearity", "stiffening"}
+    assert first["name"] in alike <= {first["name"], *diagnosis.not_decidable}
+    assert diagnosis.after["rms_um"] < 1.05 * NOISE_UM
+    dynamics = diagnosis.model.dynamics
+    assert dynamics.mode_frequencies_rad_per_s[0] == pytest.approx(MODE_RAD_PER_S, rel=2e-3)
+    assert dynamics.damping_ratios[0] == pytest.approx(DAMPING_RATIO, rel=0.02)
+    assert sum(diagnosis.probabilities.values()) == pytest.approx(1.0)
+    assert sum(diagnosis.probabilities.get(name, 0.0) for name in alike) > 0.9
+    assert diagnosis.document()["identified_from"]["recordings"] == ["2", "3"]
+
+
+def test_an_effect_that_came_later_is_not_put_into_the_identification():
+    new = recording("1", 1, curved)
+    diagnosis = found(LINE, new, recording("2", 2), recording("3", 3))
+    first = diagnosis.effects[0]
+    assert (diagnosis.verdict, first["name"], first["came"]) == (
+        "explained", "sensor_nonlinearity", "after the identification")
+    assert diagnosis.model.dynamics.mode_frequencies_rad_per_s[0] == pytest.approx(
+        MODE_RAD_PER_S, rel=2e-3)
+
+
+def test_a_model_with_other_parameters_lacks_no_effect():
+    bent = replace(LINE, dynamics=ElectricVibrationDynamics(0.0, (380.0,), (0.13,)))
+    diagnosis = found(bent, *(recording(f"{seed}", seed) for seed in (1, 2, 3)))
+    assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
+    assert diagnosis.probabilities["none"] > 0.9
+    assert diagnosis.after["rms_um"] < 1.05 * NOISE_UM < diagnosis.before["rms_um"]
+    assert diagnosis.model.dynamics.mode_frequencies_rad_per_s[0] == pytest.approx(
+        MODE_RAD_PER_S, rel=2e-3)
+
+
+def test_free_sensitivities_are_the_derivatives_by_the_free_parameters():
+    model, made = stage(), recording("1", 1)
+    part = SimulatedRecording(model, made, ())
+    rows = np.arange(part.begin, SAMPLES)
+    columns = free_sensitivities(part, rows)
+    for number in range(columns.shape[1]):
+        step = np.zeros(columns.shape[1])
+        step[number] = 1e-3
+        high, low = (
+            SimulatedRecording(changed_model(model, sign * step), made, ()).simulate()[rows]
+            for sign in (1.0, -1.0))
+        derivative = (high - low) / 2e-3
+        derivative -= derivative.mean()
+        column = columns[:, number] - columns[:, number].mean()
+        assert np.linalg.norm(derivative - column) < 0.02 * np.linalg.norm(column) + 1e-8

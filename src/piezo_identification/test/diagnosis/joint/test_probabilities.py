@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Probabilities of alternatives against what Gaussian errors of known variance say."""
+
+import numpy as np
+import pytest
+
+from piezo_identification.diagnosis.joint.joint_fit import correlated_scale
+from piezo_identification.diagnosis.joint.probabilities import Evidence, probabilities
+
+NOISE_UM = 0.01
+PASSING_UM = [1.2 * NOISE_UM]
+
+
+def shares(*alternatives, effective=(400.0,)):
+    return probabilities(
+        [Evidence(*each) for each in alternatives], effective, [0.0], PASSING_UM)
+
+
+def test_they_sum_to_one_and_the_largest_comes_first():
+    found = shares(("none", (4e-4,), 0), ("delay", (1e-4,), 1), ("creep", (1.1e-4,), 3))
+    assert sum(found.values()) == pytest.approx(1.0)
+    assert list(found) == sorted(found, key=found.get, reverse=True)
+    assert next(iter(found)) == "delay"
+    assert found["none"] < 1e-6
+
+
+def test_what_explains_nothing_is_less_probable_by_its_numbers():
+    found = shares(("none", (1e-4,), 0), ("delay", (1e-4,), 1))
+    assert found["none"] / found["delay"] == pytest.approx(np.sqrt(400.0))
+
+
+def test_fewer_independent_samples_tell_less():
+    alternatives = ("none", (1.1e-4,), 0), ("delay", (1e-4,), 1)
+    many, few = (shares(*alternatives, effective=[number])["delay"] for number in (900.0, 30.0))
+    assert many > 0.9 > 0.5 > few
+
+
+def test_an_alternative_in_two_ways_has_the_probability_of_both():
+    found = shares(("none", (1e-4,), 0), ("delay", (1e-4,), 0), ("delay", (1e-4,), 0))
+    assert found["delay"] == pytest.approx(2.0 * found["none"])
+
+
+@pytest.mark.parametrize(("left", "is_believed"), [(1.0, False), (1.15, False), (1.5, True)])
+def test_something_else_is_believed_where_more_is_left_than_passes_for_noise(left, is_believed):
+    found = shares(("none", (16e-4,), 0), ("delay", ((left * NOISE_UM) ** 2,), 1))
+    assert (found["something_else"] > 0.5) is is_believed
+
+
+def test_a_share_of_a_large_error_does_not_pass_for_noise():
+    # 489 nm beside 9 nm of noise were once explained, as they are little of 4369 nm.
+    found = probabilities(
+        [Evidence("none", (4.369**2,), 0), Evidence("vibration_mode", (0.489**2,), 3)],
+        [40.0], [0.0], [np.hypot(0.009, 0.8 * 0.009)])
+    assert found["something_else"] > 0.99
+
+
+def test_errors_that_are_alike_count_once():
+    generator = np.random.default_rng(5)
+    white = generator.normal(size=100_000)
+    assert correlated_scale(white) == pytest.approx(1.0, rel=0.3)
+    alike = np.repeat(generator.normal(size=1000), 100)
+    # A hundred equal samples tell as much as one: the scale grows by the root of a hundred.
+    assert correlated_scale(alike) == pytest.approx(10.0, rel=0.3)

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whether the probabilities of verdicts come true: reliability, and the expected calibration error.
+
+The most probable statement of each case counts, as in Guo et al. (2017), "On calibration of modern
+neural networks".
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from piezo_identification.diagnosis.joint.probabilities import NONE, SOMETHING_ELSE
+from piezo_studies.diagnosis_benchmark.outcome import outcome, strongest
+
+BINS = 10
+LARGEST_TEMPERATURE = 100.0
+LEAST_PROBABILITY = 1e-12
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """How often statements of some probability come true.
+
+    Attributes
+    ----------
+    edges : (B + 1,) tuple of float
+        Of the bins of probability.
+    stated, true : (B,) tuple of float or None
+        Mean probability and share of true statements in each bin; None where there is none.
+    counts : (B,) tuple of int
+    expected_calibration_error : float
+        Mean distance of the two, by the counts.
+    """
+
+    edges: tuple
+    stated: tuple
+    true: tuple
+    counts: tuple
+    expected_calibration_error: float
+
+    def document(self):
+        """Return it as plain values."""
+        return {"bins": [
+            {"from": low, "to": high, "stated": stated, "true": true, "cases": count}
+            for low, high, stated, true, count in zip(
+                self.edges[:-1], self.edges[1:], self.stated, self.true, self.counts, strict=True)
+        ], "expected_calibration_error": self.expected_calibration_error}
+
+
+def is_true(result, label):
+    """Return whether a statement of a diagnosis holds in a case.
+
+    Parameters
+    ----------
+    result : dict
+        As `run_case` returns it.
+    label : str
+        A key of `probabilities`.
+
+    Returns
+    -------
+    bool
+        A set of effects is true if all that it names are there, the strongest among them; none is
+        true where nothing is there, or too little to be clear; something else, where the cause is
+        outside the list.
+    """
+    group, _ = outcome(result)
+    if label == NONE:
+        held = set(result["in_model"])
+        causes = {entry["cause"] for entry in result["contributions"]}
+        return group in ("clean", "weak") or bool(causes) and causes <= held
+    if label == SOMETHING_ELSE:
+        return group == "outside"
+    names = set(label.split("+"))
+    causes, _ = strongest(result)
+    return names <= {entry["cause"] for entry in result["contributions"]} and bool(
+        names & set(causes))
+
+
+def first_statements(results):
+    """Return the largest probability of each case, and whether its statement is true.
+
+    Parameters
+    ----------
+    results : list of dict
+
+    Returns
+    -------
+    probabilities : (n,) array of float
+    true : (n,) array of bool
+    """
+    told = [result for result in results if result.get("probabilities")]
+    first = [max(result["probabilities"], key=result["probabilities"].get) for result in told]
+    return (np.array([result["probabilities"][label]
+                      for result, label in zip(told, first, strict=True)]),
+            np.array([is_true(result, label)
+                      for result, label in zip(told, first, strict=True)], dtype=bool))
+
+
+def reliability(probabilities, true, bins=BINS):
+    """Return how often statements come true, in bins of their probability.
+
+    Parameters
+    ----------
+    probabilities : (n,) array of float
+    true : (n,) array of bool
+    bins : int
+
+    Returns
+    -------
+    Reliability
+    """
+    edges = np.linspace(0.0, 1.0, bins + 1)
+    number = np.minimum((np.asarray(probabilities) * bins).astype(int), bins - 1)
+    stated, came_true, counts, error = [], [], [], 0.0
+    for each in range(bins):
+        inside = number == each
+        counts.append(int(np.count_nonzero(inside)))
+        if not counts[-1]:
+            stated.append(None)
+            came_true.append(None)
+            continue
+        stated.append(float(np.mean(probabilities[inside])))
+        came_true.append(float(np.mean(true[inside])))
+        error += counts[-1] * abs(stated[-1] - came_true[-1])
+    return Reliability(tuple(edges.tolist()), tuple(stated), tuple(came_true), tuple(counts),
+                       float(error / max(1, len(probabilities))))
+
+
+def fitted_temperature(results):
+    """Return the temperature that makes the probabilities of some cases most likely.
+
+    It is to be tested on the cases of another seed.
+
+    Parameters
+    ----------
+    results : list of dict
+
+    Returns
+    -------
+    float
+        By which the logarithms of the probabilities are to be divided.
+    """
+    told = [result for result in results if result.get("probabilities")]
+
+    def surprise(logarithm):
+        return -sum(np.log(max(LEAST_PROBABILITY, sum(
+            share for label, share in tempered(
+                result["probabilities"], np.exp(logarithm)).items()
+            if is_true(result, label)))) for result in told)
+
+    solution = minimize_scalar(
+        surprise, bounds=(0.0, np.log(LARGEST_TEMPERATURE)), method="bounded")
+    return float(np.exp(solution.x))
+
+
+def tempered(probabilities, temperature):
+    """Return probabilities with their logarithms over a temperature, summing to one.
+
+    Parameters
+    ----------
+    probabilities : dict of str to float
+    temperature : float
+
+    Returns
+    -------
+    dict of str to float
+    """
+    powers = {label: max(share, LEAST_PROBABILITY) ** (1.0 / temperature)
+              for label, share in probabilities.items()}
+    whole = sum(powers.values())
+    return {label: power / whole for label, power in powers.items()}
+
+
+def draw_reliability(axes, found):
+    """Draw the reliability diagram: how often statements come true over their probability.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    found : Reliability
+    """
+    shown = [(stated, true, count) for stated, true, count in zip(
+        found.stated, found.true, found.counts, strict=True) if count]
+    stated, true, counts = (np.array(part) for part in zip(*shown, strict=True))
+    axes.plot([0.0, 1.0], [0.0, 1.0], linestyle="--", label="calibrated")
+    # One standard deviation of a share of so many cases.
+    spread = np.sqrt(stated * (1.0 - stated) / counts)
+    axes.errorbar(stated, true, yerr=spread, fmt="o", label="cases")
+    for x, y, count in shown:
+        axes.annotate(str(count), (x, y), textcoords="offset points", xytext=(6, -10))
+    axes.set(xlabel="probability stated", ylabel="share that is true", xlim=(0.0, 1.02),
+             ylim=(-0.02, 1.05))
+    axes.legend()
+
+
+def calibrate(results):
+    """Return the calibration of a table of cases.
+
+    Parameters
+    ----------
+    results : list of dict
+        As `run_case` returns them.
+
+    Returns
+    -------
+    Reliability
+    """
+    return reliability(*first_statements(results))

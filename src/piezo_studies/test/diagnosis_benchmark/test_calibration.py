@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The calibration of probabilities that are known to be right, or known to be too sure."""
+
+import matplotlib.figure
+import numpy as np
+import pytest
+
+from piezo_studies.diagnosis_benchmark.calibration import (
+    calibrate,
+    draw_reliability,
+    fitted_temperature,
+    is_true,
+    reliability,
+    tempered,
+)
+
+
+def result(probabilities, *causes, over_noise=9.0, verdict="explained", in_model=()):
+    return {
+        "model": "identified before", "lacking_over_noise": over_noise, "verdict": verdict,
+        "contributions": [
+            {"cause": cause, "over_noise": over_noise, "beyond_model_over_noise": over_noise}
+            for cause in causes],
+        "effects": [], "not_decidable": [], "probabilities": probabilities,
+        "in_model": list(in_model),
+    }
+
+
+def drawn(count, too_sure=1.0, seed=3):
+    """Return cases whose probabilities are right before they are sharpened."""
+    generator = np.random.default_rng(seed)
+    cases = []
+    for share in generator.uniform(0.05, 0.95, count):
+        right = {"delay": float(share), "creep": float(1.0 - share)}
+        cause = "delay" if generator.random() < share else "creep"
+        cases.append(result(tempered(right, 1.0 / too_sure), cause))
+    return cases
+
+
+def test_probabilities_that_come_true_are_calibrated():
+    found = calibrate(drawn(4000))
+    assert found.expected_calibration_error < 0.03
+    assert sum(found.counts) == 4000
+    assert calibrate(drawn(4000, too_sure=4.0)).expected_calibration_error > 0.1
+
+
+def test_the_error_is_the_mean_distance_by_the_counts():
+    found = reliability(np.array([0.9, 0.9, 0.9, 0.3]), np.array([True, True, False, False]), 2)
+    assert found.counts == (1, 3)
+    assert found.expected_calibration_error == pytest.approx(
+        0.25 * 0.3 + 0.75 * abs(0.9 - 2.0 / 3.0))
+
+
+def test_the_temperature_of_one_seed_calibrates_another():
+    temperature = fitted_temperature(drawn(2000, too_sure=4.0, seed=1))
+    assert temperature == pytest.approx(4.0, rel=0.15)
+    others = drawn(2000, too_sure=4.0, seed=2)
+    for case in others:
+        case["probabilities"] = tempered(case["probabilities"], temperature)
+    assert calibrate(others).expected_calibration_error < 0.04
+
+
+@pytest.mark.parametrize(("label", "case", "expected"), [
+    ("none", result({}), True),
+    ("none", result({}, "delay"), False),
+    ("none", result({}, "delay", over_noise=2.0), True),
+    ("none", result({}, "delay", in_model=["delay"]), True),
+    ("something_else", result({}, "self_heating"), True),
+    ("something_else", result({}, "delay"), False),
+    ("delay", result({}, "delay", "creep"), True),
+    ("creep+delay", result({}, "delay", "creep"), True),
+    ("creep+delay", result({}, "delay"), False),
+    ("creep", result({}, "self_heating"), False),
+])
+def test_which_statements_are_true(label, case, expected):
+    assert is_true(case, label) is expected
+
+
+def test_the_diagram_shows_every_bin_that_has_cases():
+    figure = matplotlib.figure.Figure()
+    axes = figure.add_subplot()
+    found = calibrate(drawn(50))
+    draw_reliability(axes, found)
+    assert sorted(int(text.get_text()) for text in axes.texts) == sorted(filter(None, found.counts))
