@@ -20,6 +20,7 @@ from piezo_identification.diagnosis.comparison.undecided import (
     in_place_of_the_found,
     like_the_best,
 )
+from piezo_identification.diagnosis.evidence.distortion_evidence import excluded_by_distortion
 from piezo_identification.diagnosis.residual.regression import (
     Fit,
     Regression,
@@ -95,6 +96,8 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
     Selection
     """
     kinds = [kind for kind in known_effects().values() if kind is not Outliers]
+    excluded = excluded_by_distortion(regression.dataset.simulated, kinds)
+    kinds = [kind for kind in kinds if kind.name not in excluded]
     start = best = regression.fit(())
     rounds: list[list[Attempt]] = []
     indistinguishable: dict[str, str] = {}
