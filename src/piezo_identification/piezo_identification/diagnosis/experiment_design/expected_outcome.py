@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How surely a waveform would tell rival explanations apart, before it is played.
+
+The distance of two rivals on a waveform is what remains of the difference of their predictions
+when the parameters of the wrong one are fitted to it, as far as the recordings so far let them
+move, over the errors to be expected (Box and Hill, Discrimination among mechanistic models,
+Technometrics 9, 1967).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.diagnosis.experiment_design.rivals import Rival, Rivals, sensitivities
+from piezo_identification.diagnosis.residual.dataset import SPLIT, simulate_recordings
+from piezo_identification.diagnosis.residual.regression import SETTINGS
+from piezo_identification.experiments.catalogue import Experiment
+from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+SURE = 0.95
+"""A rival with this probability is decided for."""
+RAMP_S = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class ExpectedOutcome:
+    """What a waveform is expected to show.
+
+    Attributes
+    ----------
+    rms_um : (n, n) array
+        RMS difference of the predictions of rivals i and j, its parameters fitted to those of i.
+    distance : (n, n) array
+        The same in standard deviations of the errors, where i is true.
+    deciding : (n,) array
+        Probability that rival i has 95 % after the recording, if it is true.
+    probability : float
+        That the recording decides, whichever is true.
+    """
+
+    rms_um: FloatArray
+    distance: FloatArray
+    deciding: FloatArray
+    probability: float
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Return what the best waveform has the most of: it decides, and by how much."""
+        apart = self.distance + np.where(np.eye(len(self.distance), dtype=bool), np.inf, 0.0)
+        return round(self.probability, 2), float(apart.min())
+
+
+def expected_outcome(rivals: Rivals, experiment: Experiment,
+                     limits: StageLimits) -> ExpectedOutcome:
+    """Simulate a waveform with each rival, and compare them.
+
+    Parameters
+    ----------
+    rivals : Rivals
+    experiment : Experiment
+    limits : StageLimits
+
+    Returns
+    -------
+    ExpectedOutcome
+    """
+    old, count = rivals.regression, len(rivals.rivals)
+    dataset = simulate_recordings(
+        old.dataset.model, [_unplayed(experiment, limits)], past_v=())
+    part, rows = dataset.simulated[0], dataset.rows[0]
+    nuisance = dataset.regressors[:, : dataset.nuisance_count]
+    of_model = dataset.regressors[:, dataset.nuisance_count :]
+
+    def predicted_um(rival: Rival) -> FloatArray:
+        changes = rival.fit.coefficients[old.dataset.nuisance_count :]
+        return np.asarray(part.simulate(rival.fit.effects)[rows] + of_model @ changes)
+
+    predictions = [predicted_um(rival) for rival in rivals.rivals]
+    tolerance_um = np.hypot(
+        _noise_um(rivals, part.sample_period_s),
+        SETTINGS.model_tolerance * max(np.ptp(predicted) for predicted in predictions))
+    rms_um, distance = np.zeros((count, count)), np.zeros((count, count))
+    for other, rival in enumerate(rivals.rivals):
+        of_effects = sensitivities(
+            lambda effects: part.simulate(effects)[rows], rival.fit.effects)
+        columns = np.hstack([nuisance, of_model, of_effects]) / tolerance_um
+        known = np.hstack([
+            np.zeros((len(rival.information), nuisance.shape[1])), rival.information])
+        basis, _ = np.linalg.qr(np.vstack([columns, known]))
+        for true, predicted in enumerate(predictions):
+            if true != other:
+                difference = np.concatenate([
+                    (predicted - predictions[other]) / tolerance_um, np.zeros(len(known))])
+                left = difference - basis @ (basis.T @ difference)
+                rms_um[true, other] = tolerance_um * np.sqrt(np.mean(left[: rows.size] ** 2))
+                alike = rivals.misfit * np.std(predicted) / tolerance_um * np.sqrt(rows.size)
+                size = float(np.linalg.norm(left))
+                # Rivals are compared on the part of the data that is held out.
+                distance[true, other] = np.sqrt(
+                    max(0.0, size * (size - 2.0 * alike)) / (rivals.variance * SPLIT.held_out))
+    chances = np.array([rival.probability for rival in rivals.rivals])
+    deciding = _deciding(distance, chances)
+    return ExpectedOutcome(rms_um, distance, deciding, float(deciding @ chances))
+
+
+def _deciding(distance: FloatArray, chances: FloatArray) -> FloatArray:
+    """Return for each rival how probably it is decided for if it is true, (n,).
+
+    With Gaussian errors the logarithm of the ratio of two probabilities grows by half of the
+    squared distance, with the distance as its standard deviation.
+    """
+    count = len(chances)
+    needed = np.log(SURE / (1.0 - SURE) * max(1, count - 1))
+    found = np.ones(count)
+    for true in range(count):
+        for other in range(count):
+            if other != true:
+                apart = max(distance[true, other], 1e-9)
+                before = np.log(max(chances[true], 1e-12) / max(chances[other], 1e-12))
+                found[true] = min(
+                    found[true], norm.cdf((0.5 * apart**2 + before - needed) / apart))
+    return found
+
+
+def _noise_um(rivals: Rivals, sample_period_s: float) -> float:
+    """Return the noise of a sample to be expected: not less than the recordings so far had."""
+    regression = rivals.regression
+    return max(
+        noise_um * max(1.0, float(np.sqrt(part.sample_period_s / sample_period_s)))
+        for part, noise_um in zip(
+            regression.dataset.simulated, regression.noise.noise_um, strict=True))
+
+
+def _unplayed(experiment: Experiment, limits: StageLimits) -> Recording:
+    """Return the recording of an experiment from rest, with nothing measured yet."""
+    period_s = experiment.sample_period_s
+    waveform_v = np.tile(experiment.voltage_v, experiment.repeats)
+    samples = max(1, round(RAMP_S / period_s))
+    ramp = np.arange(samples) / samples
+    rest_v = limits.rest_voltage_v
+    voltage_v = np.concatenate([rest_v + ramp * (waveform_v[0] - rest_v), waveform_v])
+    flags = np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32)
+    flags[:samples] = Flag.RAMPING
+    held = max(1, round(period_s * limits.sample_rate_hz))
+    return Recording(
+        experiment.name, limits.sample_rate_hz, held * np.arange(voltage_v.size),
+        np.full(voltage_v.size, period_s), voltage_v, np.zeros(voltage_v.size), flags)
