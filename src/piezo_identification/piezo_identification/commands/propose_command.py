@@ -49,7 +49,7 @@ COMMAND = Command(
     "propose", "Design the recording that tells apart what a diagnosis could not.", _add_options,
     "piezo_identification.commands.propose_work:propose_given",
     epilog="Writes next_experiment.csv, which `stage play` plays, and next_experiment.json with "
-    "what each rival predicts.",
+    "what each alternative predicts.",
     inputs=("model", "verdict", "data"), check=_check)
 
 if __name__ == "__main__":

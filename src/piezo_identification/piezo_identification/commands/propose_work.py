@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The work of `propose`: fit the rivals, look for the waveform, write and print it."""
+"""The work of `propose`: fit the alternatives, look for the waveform, write and print it."""
 
 import argparse
 import json
@@ -8,8 +8,8 @@ from typing import Any
 
 from piezo_common.command_line import print_next, print_progress
 from piezo_identification.diagnosis.experiment_design.propose import (
+    alternatives_of_files,
     propose,
-    rivals_of_files,
     save_proposal,
 )
 from piezo_identification.experiments.stage_limits import StageLimits
@@ -24,11 +24,11 @@ def propose_given(options: argparse.Namespace) -> None:
     recordings = [recording for path in options.data for recording in read_all_given(path, options)]
     limits = StageLimits(options.lowest_v, options.highest_v, options.slew_limit_v_per_s,
                          options.sample_rate_hz, options.rest_v)
-    print_progress("fit the rivals", 0.0)
-    rivals = rivals_of_files(model, recordings, verdict)
-    proposal = propose(rivals, limits, options.longest_s, print_progress)
-    for rival in rivals.rivals:
-        print(f"{rival.name:40}{100.0 * rival.probability:6.1f} %")
+    print_progress("fit the alternatives", 0.0)
+    alternatives = alternatives_of_files(model, recordings, verdict)
+    proposal = propose(alternatives, limits, options.longest_s, print_progress)
+    for alternative in alternatives.alternatives:
+        print(f"{alternative.name:40}{100.0 * alternative.probability:6.1f} %")
     if proposal is None:
         print("one explanation is left: there is nothing to decide")
         return

@@ -31,7 +31,7 @@ def test_one_recording_decides(cause):
     assert last["probabilities"][cause] >= 0.95
 
 
-def test_a_diagnosis_without_rivals_asks_for_nothing(monkeypatch):
+def test_a_diagnosis_without_alternatives_asks_for_nothing(monkeypatch):
     played = []
     model = object()
     module = "piezo_identification.diagnosis.experiment_design.decide."
@@ -43,7 +43,7 @@ def test_a_diagnosis_without_rivals_asks_for_nothing(monkeypatch):
             return {}
 
     class Alone:
-        rivals = ()
+        alternatives = ()
 
         def __init__(self, chances):
             self.probabilities = chances
@@ -53,7 +53,7 @@ def test_a_diagnosis_without_rivals_asks_for_nothing(monkeypatch):
     for chances, budget, count in (({"delay": 1.0}, 3, 0), ({"a": 0.5, "b": 0.5}, 2, 2),
                                    ({"a": 0.5, "b": 0.5}, 0, 0)):
         played.clear()
-        monkeypatch.setattr(module + "find_rivals", lambda *_, c=chances: Alone(c))
+        monkeypatch.setattr(module + "find_alternatives", lambda *_, c=chances: Alone(c))
         steps = decide(model, [], lambda wave: played.append(wave) or wave, budget)
         assert len(played) == count and len(steps) == count + 1
         assert steps[-1].proposal is None

@@ -4,6 +4,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from piezo_identification.analysis.error_distortion import excluded_by_distortion
 from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, impossible_effects
 from piezo_identification.diagnosis.comparison.attempts import Attempt, try_each
 from piezo_identification.diagnosis.comparison.criteria import (
@@ -20,7 +21,6 @@ from piezo_identification.diagnosis.comparison.undecided import (
     in_place_of_the_found,
     like_the_best,
 )
-from piezo_identification.diagnosis.evidence.distortion_evidence import excluded_by_distortion
 from piezo_identification.diagnosis.residual.regression import (
     Fit,
     Regression,

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""From rival explanations to the recording that tells them apart."""
+"""From alternative explanations to the recording that tells them apart."""

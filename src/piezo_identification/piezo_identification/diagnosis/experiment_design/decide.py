@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Play what tells the rivals apart, and diagnose again, until one is left."""
+"""Play what tells the alternatives apart, and diagnose again, until one is left."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
+from piezo_identification.diagnosis.experiment_design.alternatives import find_alternatives
 from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
 from piezo_identification.diagnosis.experiment_design.propose import LONGEST_S, Proposal, propose
-from piezo_identification.diagnosis.experiment_design.rivals import find_rivals
 from piezo_identification.experiments.catalogue import Experiment
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
 from piezo_models.cascade import StageModel
@@ -23,7 +23,7 @@ class DecisionStep:
     diagnosis : Diagnosis
         On all recordings up to then.
     probabilities : dict of str to float
-        Of the rivals that it leaves.
+        Of the alternatives that it leaves.
     proposal : Proposal or None
         What was played next; None where the decision was made or the budget spent.
     """
@@ -34,14 +34,14 @@ class DecisionStep:
 
     @property
     def is_decided(self) -> bool:
-        """Tell whether one rival is sure enough, or no other is left."""
+        """Tell whether one alternative is sure enough, or no other is left."""
         return max(self.probabilities.values()) >= SURE
 
 
 def decide(model: StageModel, recordings: Sequence[Recording],
            play: Callable[[Experiment], Recording], budget: int,
            limits: StageLimits = USUAL_LIMITS, longest_s: float = LONGEST_S) -> list[DecisionStep]:
-    """Diagnose, play what tells the rivals apart, and diagnose again.
+    """Diagnose, play what tells the alternatives apart, and diagnose again.
 
     Parameters
     ----------
@@ -64,12 +64,12 @@ def decide(model: StageModel, recordings: Sequence[Recording],
     known, steps = list(recordings), []
     while True:
         diagnosis = diagnose(model, known)
-        rivals = find_rivals(diagnosis.selection.regression, diagnosis.document())
-        step = DecisionStep(diagnosis, rivals.probabilities, None)
+        alternatives = find_alternatives(diagnosis.selection.regression, diagnosis.document())
+        step = DecisionStep(diagnosis, alternatives.probabilities, None)
         proposal = None
         if not step.is_decided and len(steps) < budget:
-            proposal = propose(rivals, limits, longest_s)
-        steps.append(DecisionStep(diagnosis, rivals.probabilities, proposal))
+            proposal = propose(alternatives, limits, longest_s)
+        steps.append(DecisionStep(diagnosis, alternatives.probabilities, proposal))
         if proposal is None:
             return steps
         known.append(play(proposal.experiment))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How surely a waveform would tell rival explanations apart, before it is played.
+"""How surely a waveform would tell alternative explanations apart, before it is played.
 
-The distance of two rivals on a waveform is what remains of the difference of their predictions
-when the parameters of the wrong one are fitted to it, as far as the recordings so far let them
-move, over the errors to be expected (Box and Hill, Discrimination among mechanistic models,
-Technometrics 9, 1967).
+The distance of two alternatives on a waveform is what remains of the difference of their
+predictions when the parameters of the wrong one are fitted to it, as far as the recordings so far
+let them move, over the errors to be expected (Box and Hill, Discrimination among mechanistic
+models, Technometrics 9, 1967).
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,12 @@ import numpy as np
 from scipy.stats import norm
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.diagnosis.experiment_design.rivals import Rival, Rivals, sensitivities
+from piezo_identification.diagnosis.experiment_design.alternatives import (
+    RESEMBLING,
+    Alternative,
+    Alternatives,
+    sensitivities,
+)
 from piezo_identification.diagnosis.residual.dataset import SPLIT, simulate_recordings
 from piezo_identification.diagnosis.residual.regression import SETTINGS
 from piezo_identification.experiments.catalogue import Experiment
@@ -22,7 +27,7 @@ from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 SURE = 0.95
-"""A rival with this probability is decided for."""
+"""A alternative with this probability is decided for."""
 RAMP_S = 0.1
 
 
@@ -33,11 +38,11 @@ class ExpectedOutcome:
     Attributes
     ----------
     rms_um : (n, n) array
-        RMS difference of the predictions of rivals i and j, its parameters fitted to those of i.
+        RMS difference of the predictions of i and j, the parameters of j fitted to i.
     distance : (n, n) array
         The same in standard deviations of the errors, where i is true.
     deciding : (n,) array
-        Probability that rival i has 95 % after the recording, if it is true.
+        Probability that alternative i has 95 % after the recording, if it is true.
     probability : float
         That the recording decides, whichever is true.
     """
@@ -48,19 +53,20 @@ class ExpectedOutcome:
     probability: float
 
     @property
-    def rank(self) -> tuple[float, float]:
+    def rank(self) -> tuple[float, float, float]:
         """Return what the best waveform has the most of: it decides, and by how much."""
-        apart = self.distance + np.where(np.eye(len(self.distance), dtype=bool), np.inf, 0.0)
-        return round(self.probability, 2), float(apart.min())
+        apart = ~np.eye(len(self.distance), dtype=bool)
+        return (round(self.probability, 2), float(self.distance[apart].min()),
+                float(self.rms_um[apart].min()))
 
 
-def expected_outcome(rivals: Rivals, experiment: Experiment,
+def expected_outcome(alternatives: Alternatives, experiment: Experiment,
                      limits: StageLimits) -> ExpectedOutcome:
-    """Simulate a waveform with each rival, and compare them.
+    """Simulate a waveform with each alternative, and compare them.
 
     Parameters
     ----------
-    rivals : Rivals
+    alternatives : Alternatives
     experiment : Experiment
     limits : StageLimits
 
@@ -68,28 +74,28 @@ def expected_outcome(rivals: Rivals, experiment: Experiment,
     -------
     ExpectedOutcome
     """
-    old, count = rivals.regression, len(rivals.rivals)
+    old, count = alternatives.regression, len(alternatives.alternatives)
     dataset = simulate_recordings(
         old.dataset.model, [_unplayed(experiment, limits)], past_v=())
     part, rows = dataset.simulated[0], dataset.rows[0]
     nuisance = dataset.regressors[:, : dataset.nuisance_count]
     of_model = dataset.regressors[:, dataset.nuisance_count :]
 
-    def predicted_um(rival: Rival) -> FloatArray:
-        changes = rival.fit.coefficients[old.dataset.nuisance_count :]
-        return np.asarray(part.simulate(rival.fit.effects)[rows] + of_model @ changes)
+    def predicted_um(alternative: Alternative) -> FloatArray:
+        changes = alternative.fit.coefficients[old.dataset.nuisance_count :]
+        return np.asarray(part.simulate(alternative.fit.effects)[rows] + of_model @ changes)
 
-    predictions = [predicted_um(rival) for rival in rivals.rivals]
+    predictions = [predicted_um(alternative) for alternative in alternatives.alternatives]
     tolerance_um = np.hypot(
-        _noise_um(rivals, part.sample_period_s),
+        _noise_um(alternatives, part.sample_period_s),
         SETTINGS.model_tolerance * max(np.ptp(predicted) for predicted in predictions))
     rms_um, distance = np.zeros((count, count)), np.zeros((count, count))
-    for other, rival in enumerate(rivals.rivals):
+    for other, alternative in enumerate(alternatives.alternatives):
         of_effects = sensitivities(
-            lambda effects: part.simulate(effects)[rows], rival.fit.effects)
+            lambda effects: part.simulate(effects)[rows], alternative.fit.effects)
         columns = np.hstack([nuisance, of_model, of_effects]) / tolerance_um
         known = np.hstack([
-            np.zeros((len(rival.information), nuisance.shape[1])), rival.information])
+            np.zeros((len(alternative.information), nuisance.shape[1])), alternative.information])
         basis, _ = np.linalg.qr(np.vstack([columns, known]))
         for true, predicted in enumerate(predictions):
             if true != other:
@@ -97,18 +103,19 @@ def expected_outcome(rivals: Rivals, experiment: Experiment,
                     (predicted - predictions[other]) / tolerance_um, np.zeros(len(known))])
                 left = difference - basis @ (basis.T @ difference)
                 rms_um[true, other] = tolerance_um * np.sqrt(np.mean(left[: rows.size] ** 2))
-                alike = rivals.misfit * np.std(predicted) / tolerance_um * np.sqrt(rows.size)
+                alike = RESEMBLING * alternatives.misfit * np.std(predicted) / tolerance_um * np.sqrt(rows.size)
                 size = float(np.linalg.norm(left))
-                # Rivals are compared on the part of the data that is held out.
+                # Alternatives are compared on the part of the data that is held out.
+                apart = max(0.0, size * (size - 2.0 * alike))
                 distance[true, other] = np.sqrt(
-                    max(0.0, size * (size - 2.0 * alike)) / (rivals.variance * SPLIT.held_out))
-    chances = np.array([rival.probability for rival in rivals.rivals])
+                    apart / (alternatives.variance * SPLIT.held_out))
+    chances = np.array([alternative.probability for alternative in alternatives.alternatives])
     deciding = _deciding(distance, chances)
     return ExpectedOutcome(rms_um, distance, deciding, float(deciding @ chances))
 
 
 def _deciding(distance: FloatArray, chances: FloatArray) -> FloatArray:
-    """Return for each rival how probably it is decided for if it is true, (n,).
+    """Return for each alternative how probably it is decided for if it is true, (n,).
 
     With Gaussian errors the logarithm of the ratio of two probabilities grows by half of the
     squared distance, with the distance as its standard deviation.
@@ -126,9 +133,9 @@ def _deciding(distance: FloatArray, chances: FloatArray) -> FloatArray:
     return found
 
 
-def _noise_um(rivals: Rivals, sample_period_s: float) -> float:
+def _noise_um(alternatives: Alternatives, sample_period_s: float) -> float:
     """Return the noise of a sample to be expected: not less than the recordings so far had."""
-    regression = rivals.regression
+    regression = alternatives.regression
     return max(
         noise_um * max(1.0, float(np.sqrt(part.sample_period_s / sample_period_s)))
         for part, noise_um in zip(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Design the recording that tells the rival explanations of a diagnosis apart."""
+"""Design the recording that tells the alternative explanations of a diagnosis apart."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -10,6 +10,11 @@ from typing import Any
 import numpy as np
 
 from piezo_identification.diagnosis.diagnose import condition
+from piezo_identification.diagnosis.experiment_design.alternatives import (
+    Alternatives,
+    effects_of,
+    find_alternatives,
+)
 from piezo_identification.diagnosis.experiment_design.candidate_waveforms import (
     Point,
     grid,
@@ -18,11 +23,6 @@ from piezo_identification.diagnosis.experiment_design.candidate_waveforms import
 from piezo_identification.diagnosis.experiment_design.expected_outcome import (
     ExpectedOutcome,
     expected_outcome,
-)
-from piezo_identification.diagnosis.experiment_design.rivals import (
-    Rivals,
-    effects_of,
-    find_rivals,
 )
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.regression import first_regression, reweighted
@@ -45,24 +45,24 @@ class Proposal:
     Attributes
     ----------
     experiment : Experiment
-    rivals : Rivals
+    alternatives : Alternatives
     outcome : ExpectedOutcome
     """
 
     experiment: Experiment
-    rivals: Rivals
+    alternatives: Alternatives
     outcome: ExpectedOutcome
 
     def document(self) -> dict[str, Any]:
         """Return the content of the file with the expected outcome."""
-        names = [rival.name for rival in self.rivals.rivals]
+        names = [alternative.name for alternative in self.alternatives.alternatives]
         return {
             "waveform": self.experiment.name, "description": self.experiment.description,
             "duration_s": self.experiment.duration_s,
             "sample_period_s": self.experiment.sample_period_s,
             "probability_of_deciding": self.outcome.probability,
-            "rivals": [
-                {"effects": name, "probability": self.rivals.rivals[index].probability,
+            "alternatives": [
+                {"effects": name, "probability": self.alternatives.alternatives[index].probability,
                  "probability_of_deciding": float(self.outcome.deciding[index]),
                  "expected_rms_difference_um": {
                      other: float(self.outcome.rms_um[index, number])
@@ -72,15 +72,15 @@ class Proposal:
 
     def sentence(self) -> str:
         """Tell what the recording is expected to decide."""
-        names = " from ".join(rival.name for rival in self.rivals.rivals[:2])
+        names = " from ".join(each.name for each in self.alternatives.alternatives[:2])
         apart_um = self.outcome.rms_um[0, 1]
         return (f"{self.experiment.description}, for {self.experiment.duration_s:.3g} s, tells "
                 f"{names} with probability {self.outcome.probability:.2f}: their predictions "
                 f"differ by {1e3 * apart_um:.3g} nm RMS.")
 
 
-def rivals_of_files(model: StageModel, recordings: Sequence[Recording],
-                    verdict: Mapping[str, Any]) -> Rivals:
+def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
+                    verdict: Mapping[str, Any]) -> Alternatives:
     """Fit the explanations that a verdict leaves to the recordings that it came from.
 
     Parameters
@@ -94,22 +94,22 @@ def rivals_of_files(model: StageModel, recordings: Sequence[Recording],
 
     Returns
     -------
-    Rivals
+    Alternatives
     """
     given = condition(model, recordings, None)
     first = first_regression(simulate_recordings(model, given.recordings))
-    return find_rivals(reweighted(first, effects_of(verdict)), verdict)
+    return find_alternatives(reweighted(first, effects_of(verdict)), verdict)
 
 
-def propose(rivals: Rivals, limits: StageLimits, longest_s: float = LONGEST_S,
+def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = LONGEST_S,
             progress: Progress | None = None) -> Proposal | None:
-    """Find the waveform that tells rivals apart most surely.
+    """Find the waveform that tells alternatives apart most surely.
 
     All families are tried on a grid of level and rate, and the best is improved around there.
 
     Parameters
     ----------
-    rivals : Rivals
+    alternatives : Alternatives
     limits : StageLimits
         Within which the waveform must stay; the model's voltage range is kept to as well.
     longest_s : float
@@ -120,27 +120,27 @@ def propose(rivals: Rivals, limits: StageLimits, longest_s: float = LONGEST_S,
     Returns
     -------
     Proposal or None
-        None where one rival is left.
+        None where one alternative is left.
 
     Raises
     ------
     ValueError
         If the stage may not go anywhere within the model's voltage range.
     """
-    if len(rivals.rivals) < 2:
+    if len(alternatives.alternatives) < 2:
         return None
-    limits = _within_model(limits, rivals.regression.dataset.model)
+    limits = _within_model(limits, alternatives.regression.dataset.model)
     steps = len(grid()) + 4 * len(FACTORS)
     done = 0
 
-    def tried(point: Point) -> tuple[tuple[float, float], Proposal, Point]:
+    def tried(point: Point) -> tuple[tuple[float, ...], Proposal, Point]:
         nonlocal done
         if progress is not None:
             progress(f"try {point.family.name.replace('_', ' ')}", done / steps)
         done += 1
         experiment = waveform(limits, longest_s, point)
-        outcome = expected_outcome(rivals, experiment, limits)
-        return outcome.rank, Proposal(experiment, rivals, outcome), point
+        outcome = expected_outcome(alternatives, experiment, limits)
+        return outcome.rank, Proposal(experiment, alternatives, outcome), point
 
     best = max((tried(point) for point in grid()), key=_rank)
     for factor in FACTORS:
@@ -174,7 +174,7 @@ def save_proposal(proposal: Proposal, directory: Path) -> tuple[Path, Path]:
     return paths
 
 
-def _rank(tried: tuple[tuple[float, float], Proposal, Point]) -> tuple[float, float]:
+def _rank(tried: tuple[tuple[float, ...], Proposal, Point]) -> tuple[float, ...]:
     return tried[0]
 
 

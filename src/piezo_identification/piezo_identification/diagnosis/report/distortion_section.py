@@ -7,7 +7,7 @@ from piezo_identification.analysis.distortion_over_frequency import (
     distortion_png,
     distortion_rows,
 )
-from piezo_identification.diagnosis.evidence.distortion_evidence import error_distortion
+from piezo_identification.analysis.error_distortion import error_distortion
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rivals, expected outcomes and proposals against what is known of the effects."""
+"""Alternatives, expected outcomes and proposals against what is known of the effects."""
 
 import json
 from dataclasses import replace
@@ -7,17 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezo_client.waveform_file import read_waveform
 from piezo_identification.commands.propose_command import main
 from piezo_identification.diagnosis.experiment_design import expected_outcome as expected
+from piezo_identification.diagnosis.experiment_design.alternatives import effects_of
 from piezo_identification.diagnosis.experiment_design.candidate_waveforms import grid, waveform
 from piezo_identification.diagnosis.experiment_design.propose import (
     Proposal,
+    alternatives_of_files,
     propose,
-    rivals_of_files,
     save_proposal,
 )
-from piezo_identification.diagnosis.experiment_design.rivals import effects_of
 from piezo_identification.experiments.catalogue import Experiment, StageLimits
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
@@ -45,8 +44,8 @@ def scanned(plant, play):
 
 
 @pytest.fixture(scope="module")
-def rivals(plant, scanned):
-    return rivals_of_files(plant, [scanned], VERDICT)
+def alternatives(plant, scanned):
+    return alternatives_of_files(plant, [scanned], VERDICT)
 
 
 def chirp(highest_hz, duration_s=0.3):
@@ -55,14 +54,15 @@ def chirp(highest_hz, duration_s=0.3):
     return Experiment("chirp", 50.0 + 8.0 * wave, 1.0 / LIMITS.sample_rate_hz, 1, "")
 
 
-def test_rivals_are_those_that_the_data_does_not_tell_apart(rivals):
-    assert set(rivals.probabilities) == {"delay", "sensor_lag"}
-    assert sum(rivals.probabilities.values()) == pytest.approx(1.0)
-    assert max(rivals.probabilities.values()) < 0.95
-    for rival in rivals.rivals:
-        effect, = rival.fit.effects
-        assert effect.name == rival.name
-    lag = next(rival.fit.effects[0] for rival in rivals.rivals if rival.name == "sensor_lag")
+def test_alternatives_are_those_that_the_data_does_not_tell_apart(alternatives):
+    assert set(alternatives.probabilities) == {"delay", "sensor_lag"}
+    assert sum(alternatives.probabilities.values()) == pytest.approx(1.0)
+    assert max(alternatives.probabilities.values()) < 0.95
+    for alternative in alternatives.alternatives:
+        effect, = alternative.fit.effects
+        assert effect.name == alternative.name
+    lag = next(each.fit.effects[0] for each in alternatives.alternatives
+               if each.name == "sensor_lag")
     assert isinstance(lag, SensorLag)
     # Slow motion shows the sum of the lags alone.
     assert lag.lag().D.size == 1 and -lag.lag()(1e-3j).imag * 1e3 == pytest.approx(
@@ -71,18 +71,18 @@ def test_rivals_are_those_that_the_data_does_not_tell_apart(rivals):
 
 def test_probabilities_of_a_verdict_are_taken(plant, scanned):
     given = {"delay": 0.6, "sensor_lag": 0.3, "none": 0.0, "something_else": 0.1}
-    rivals = rivals_of_files(plant, [scanned], VERDICT | {"probabilities": given})
-    assert rivals.probabilities == pytest.approx({"delay": 2 / 3, "sensor_lag": 1 / 3})
-    only = rivals_of_files(
+    alternatives = alternatives_of_files(plant, [scanned], VERDICT | {"probabilities": given})
+    assert alternatives.probabilities == pytest.approx({"delay": 2 / 3, "sensor_lag": 1 / 3})
+    only = alternatives_of_files(
         plant, [scanned], VERDICT | {"probabilities": {"delay": 0.9999, "sensor_lag": 1e-9}})
     assert set(only.probabilities) == {"delay"}
     assert propose(only, LIMITS) is None
 
 
-def test_fast_motion_tells_a_delay_from_a_lag_and_slow_motion_does_not(rivals):
-    slow, fast = (expected.expected_outcome(rivals, chirp(frequency_hz), LIMITS)
+def test_fast_motion_tells_a_delay_from_a_lag_and_slow_motion_does_not(alternatives):
+    slow, fast = (expected.expected_outcome(alternatives, chirp(frequency_hz), LIMITS)
                   for frequency_hz in (10.0, 1500.0))
-    order = [rival.name for rival in rivals.rivals]
+    order = [alternative.name for alternative in alternatives.alternatives]
     true, other = order.index("delay"), order.index("sensor_lag")
     assert slow.distance[true, other] < 1.0
     assert slow.probability < 0.5
@@ -90,10 +90,11 @@ def test_fast_motion_tells_a_delay_from_a_lag_and_slow_motion_does_not(rivals):
     assert np.all(np.diag(fast.rms_um) == 0.0)
 
 
-def test_more_noise_and_more_misfit_bring_rivals_together(rivals):
-    before = expected.expected_outcome(rivals, chirp(1500.0), LIMITS)
-    for change in ({"variance": 4.0 * rivals.variance}, {"misfit": rivals.misfit + 0.01}):
-        after = expected.expected_outcome(replace(rivals, **change), chirp(1500.0), LIMITS)
+def test_more_noise_and_more_misfit_bring_alternatives_together(alternatives):
+    before = expected.expected_outcome(alternatives, chirp(1500.0), LIMITS)
+    for change in ({"variance": 4.0 * alternatives.variance},
+                   {"misfit": alternatives.misfit + 0.01}):
+        after = expected.expected_outcome(replace(alternatives, **change), chirp(1500.0), LIMITS)
         assert after.rms_um == pytest.approx(before.rms_um)
         assert after.distance[0, 1] < before.distance[0, 1]
 
@@ -124,29 +125,31 @@ def test_waveforms_stay_within_the_limits(point, limits):
     assert held == pytest.approx(round(held))
 
 
-def test_the_best_waveform_is_found_and_written_for_stage_play(rivals, monkeypatch, tmp_path):
+def test_the_best_waveform_is_found_and_written_for_stage_play(alternatives, monkeypatch, tmp_path):
     design = "piezo_identification.diagnosis.experiment_design.propose."
     few = [point for point in grid() if point.family.name in ("sweep", "slow_sweep")]
     few = few[:1] + few[-1:]
     monkeypatch.setattr(design + "grid", lambda: few)
     monkeypatch.setattr(design + "FACTORS", (1.6,))
     told = []
-    proposal = propose(rivals, LIMITS, 0.5, lambda what, fraction: told.append(fraction))
+    proposal = propose(alternatives, LIMITS, 0.5, lambda what, fraction: told.append(fraction))
     assert isinstance(proposal, Proposal)
     assert told == sorted(told) and told[-1] < 1.0
     assert proposal.outcome.probability > 0.9
     for point in few:
-        outcome = expected.expected_outcome(rivals, waveform(LIMITS, 0.5, point), LIMITS)
+        outcome = expected.expected_outcome(alternatives, waveform(LIMITS, 0.5, point), LIMITS)
         assert proposal.outcome.rank >= outcome.rank
     table, told_of = save_proposal(proposal, tmp_path / "next")
-    voltage_v, period_s = read_waveform(table)
-    assert period_s == proposal.experiment.sample_period_s
+    # `stage play` reads these columns.
+    columns = np.genfromtxt(table, delimiter=",", names=True)
+    voltage_v = columns["voltage_v"]
+    assert np.allclose(np.diff(columns["time_s"]), proposal.experiment.sample_period_s, rtol=1e-3)
     assert np.allclose(voltage_v, proposal.experiment.voltage_v, rtol=1e-8)
     document = json.loads(told_of.read_text())
-    assert {rival["effects"] for rival in document["rivals"]} == {"delay", "sensor_lag"}
+    assert {each["effects"] for each in document["alternatives"]} == {"delay", "sensor_lag"}
     assert document["probability_of_deciding"] == proposal.outcome.probability
-    assert all(difference > 0.0 for rival in document["rivals"]
-               for difference in rival["expected_rms_difference_um"].values())
+    assert all(difference > 0.0 for alternative in document["alternatives"]
+               for difference in alternative["expected_rms_difference_um"].values())
 
 
 def test_command_writes_waveform_and_outcome(plant, play, csv_of, tmp_path, monkeypatch, capsys):
@@ -182,6 +185,6 @@ def test_effects_that_nobody_knows_are_refused():
         effects_of({"effects": [{"name": "delay", "parameters": {"colour": 1.0}}]})
 
 
-def test_limits_apart_from_the_model_are_refused(rivals):
+def test_limits_apart_from_the_model_are_refused(alternatives):
     with pytest.raises(ValueError, match="give limits within the model's"):
-        propose(rivals, StageLimits(130.0, 200.0))
+        propose(alternatives, StageLimits(130.0, 200.0))

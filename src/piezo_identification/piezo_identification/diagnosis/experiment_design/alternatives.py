@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rival explanations of recordings, each with its parameters and how far these are known."""
+"""Alternative explanations of recordings, each with its parameters and how far these are known."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,13 +32,16 @@ from piezo_models.effects.outliers import Outliers
 
 NONE = "none"
 LEAST_PROBABLE = 0.01
-"""Sets of effects that a verdict gives less are no rivals."""
+"""Sets of effects that a verdict gives less are no alternatives."""
+RESEMBLING = 0.4
+"""Part of the misfit that may resemble the difference of two alternatives: set on drawn cases, in
+which one with more numbers made up for a quarter of it."""
 STEP = 1e-4
 """Change of a fitted number from which its sensitivity is taken, over the number."""
 
 
 @dataclass(frozen=True, eq=False)
-class Rival:
+class Alternative:
     """A set of effects as fitted to the recordings so far.
 
     Attributes
@@ -47,7 +50,7 @@ class Rival:
         Names of the effects joined by +, or "none".
     fit : Fit
     probability : float
-        By the recordings so far; what is missing to one have rivals too improbable to be listed.
+        By the recordings so far; those too improbable to be listed have what is missing to one.
     information : (p, p) array
         Root of the information on the model's parameters, in prior widths, and then on the fitted
         numbers of the effects: a change x of them costs |information x|^2 in tolerances.
@@ -60,31 +63,31 @@ class Rival:
 
 
 @dataclass(frozen=True, eq=False)
-class Rivals:
-    """The rivals, and how errors count when they are compared.
+class Alternatives:
+    """The alternatives, and how errors count when they are compared.
 
     Attributes
     ----------
-    rivals : tuple of Rival
+    alternatives : tuple of Alternative
         The most probable first.
     regression : Regression
         On the recordings so far.
     variance : float
-        Of the errors of the best rival in tolerances, times how many neighbouring errors are alike.
+        Of the errors of the best one in tolerances, times how many neighbouring errors are alike.
     misfit : float
-        What the best rival leaves beyond the noise, RMS over that of the motion: it may resemble
-        the difference of two rivals, and such a difference decides nothing.
+        What the best one leaves beyond the noise, RMS over that of the motion: it may resemble the
+        difference of two alternatives, and such a difference decides nothing.
     """
 
-    rivals: tuple[Rival, ...]
+    alternatives: tuple[Alternative, ...]
     regression: Regression
     variance: float
     misfit: float
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """Return the probability of each rival by its name."""
-        return {rival.name: rival.probability for rival in self.rivals}
+        """Return the probability of each alternative by its name."""
+        return {alternative.name: alternative.probability for alternative in self.alternatives}
 
 
 def effects_of(verdict: Mapping[str, Any]) -> tuple[Effect, ...]:
@@ -115,7 +118,7 @@ def effects_of(verdict: Mapping[str, Any]) -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def find_rivals(regression: Regression, verdict: Mapping[str, Any]) -> Rivals:
+def find_alternatives(regression: Regression, verdict: Mapping[str, Any]) -> Alternatives:
     """Fit the explanations that a verdict leaves, and say how probable each is.
 
     Parameters
@@ -127,7 +130,7 @@ def find_rivals(regression: Regression, verdict: Mapping[str, Any]) -> Rivals:
 
     Returns
     -------
-    Rivals
+    Alternatives
     """
     found = effects_of(verdict)
     fits = {_name(found): fit_effects(regression, found) if found else regression.fit(())}
@@ -141,15 +144,15 @@ def find_rivals(regression: Regression, verdict: Mapping[str, Any]) -> Rivals:
     chances = _probabilities(
         regression, fits, best, variance, verdict.get("probabilities") or {})
     fits = {name: fit for name, fit in fits.items() if chances[name] >= LEAST_PROBABLE}
-    rivals = [Rival(name, fit, chances[name], _information(regression, fit))
+    alternatives = [Alternative(name, fit, chances[name], _information(regression, fit))
               for name, fit in fits.items()]
-    rivals.sort(key=lambda rival: -rival.probability)
+    alternatives.sort(key=lambda alternative: -alternative.probability)
     motion = np.concatenate([
         part.measured_um[rows] - part.measured_um[rows].mean() for part, rows in zip(
             regression.dataset.simulated, regression.dataset.rows, strict=True)])
     misfit = np.sqrt(lack_of_fit(regression, best)
                      / np.mean((motion / regression.tolerance_um)[regression.validation] ** 2))
-    return Rivals(tuple(rivals), regression, variance, float(misfit))
+    return Alternatives(tuple(alternatives), regression, variance, float(misfit))
 
 
 def _name(effects: Sequence[Effect]) -> str:
@@ -197,7 +200,7 @@ def _probable(regression: Regression, found: tuple[Effect, ...],
 
 
 def _alike(regression: Regression, best: Fit, other: Fit) -> float:
-    """Return how many errors count as one where two rivals are compared, at least one."""
+    """Return how many errors count as one where two alternatives are compared, at least one."""
     rows = regression.validation
     change, left = (other.residual - best.residual)[rows], best.residual[rows]
     sums = np.bincount(regression.dataset.stretch[rows], left * change)
@@ -216,8 +219,8 @@ def _probabilities(regression: Regression, fits: Mapping[str, Fit], best: Fit, v
                    given: Mapping[str, float]) -> dict[str, float]:
     """Return the probabilities that a verdict gives; else those of the errors on held-out data.
 
-    The errors of a rival may resemble its difference to another one, as far as they are more than
-    noise. As much is taken off what speaks for the best.
+    Errors beyond the noise may resemble the difference of two alternatives. What they could make up
+    for is subtracted from what speaks for the best.
     """
     if sum(given.get(name, 0.0) for name in fits) > 0.0:
         weights = np.array([max(given.get(name, 0.0), LEAST_PROBABLE**2) for name in fits])
@@ -226,7 +229,7 @@ def _probabilities(regression: Regression, fits: Mapping[str, Fit], best: Fit, v
     left = np.sqrt(lack_of_fit(regression, best))
     logs = []
     for fit in fits.values():
-        unsure = 2.0 * count * left * distance(regression, best, fit)
+        unsure = 2.0 * RESEMBLING * count * left * distance(regression, best, fit)
         gained = _cost(regression, fit) - _cost(regression, best)
         logs.append(-0.5 * max(0.0, gained - unsure) / variance)
     return dict(zip(fits, np.exp(np.array(logs) - logsumexp(logs)).tolist(), strict=True))

@@ -22,7 +22,7 @@ def run_length(threshold: float, allowance: float, shift: float = 0.0) -> float:
     threshold : float
         In standard deviations of a value.
     allowance : float
-        Taken off each value.
+        Subtracted from each value.
     shift : float
         Mean of the values: 0 for the run length between false alarms.
 

@@ -12,11 +12,11 @@ from piezo_identification.analysis.distortion_over_frequency import (
     distortion_png,
     distortion_rows,
 )
-from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.evidence.distortion_evidence import (
+from piezo_identification.analysis.error_distortion import (
     error_distortion,
     excluded_by_distortion,
 )
+from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.report.distortion_section import distortion_sections
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.monitor.cusum import Cusum, threshold_of
+from piezo_identification.prediction.cusum import Cusum, threshold_of
 from piezo_models.cascade import StageMemory, StageModel
 from piezo_models.effects import Effect
 
@@ -50,7 +50,7 @@ class MonitorSettings:
 
     @property
     def allowance(self) -> float:
-        """Return what each sum takes off a value, in standard deviations."""
+        """Return what each sum subtracts from a value, in standard deviations."""
         return 0.5 * self.shift + self.unsure / float(np.sqrt(self.learning_blocks))
 
     @property
