@@ -64,8 +64,8 @@ class NonlinearDistortion:
     @property
     def linear_um(self) -> float:
         """Answer at excited lines, less what noise and odd distortion give there."""
-        power = self._power_um2(self.is_excited, np.count_nonzero(self.is_excited))
-        odd = self._power_um2(self.is_odd_detection, np.count_nonzero(self.is_excited))
+        power = self._power_um2(self.is_excited, int(np.count_nonzero(self.is_excited)))
+        odd = self._power_um2(self.is_odd_detection, int(np.count_nonzero(self.is_excited)))
         return float(np.sqrt(max(0.0, power - odd)))
 
     @property
@@ -76,7 +76,8 @@ class NonlinearDistortion:
     @property
     def even_um(self) -> float:
         """Even distortion, less what noise gives."""
-        return float(np.sqrt(self._power_um2(self.is_even, np.count_nonzero(self.is_even))))
+        return float(np.sqrt(
+            self._power_um2(self.is_even, int(np.count_nonzero(self.is_even)))))
 
     @property
     def odd_um(self) -> float:
@@ -85,7 +86,7 @@ class NonlinearDistortion:
         Excited lines are taken to have as much of it as the odd ones that are left out.
         """
         return float(np.sqrt(
-            self._power_um2(self.is_odd_detection, np.count_nonzero(~self.is_even))))
+            self._power_um2(self.is_odd_detection, int(np.count_nonzero(~self.is_even)))))
 
     @property
     def significant_um(self) -> float:

@@ -267,6 +267,6 @@ def _information(regression: Regression, fit: Fit) -> FloatArray:
     of_effects = -sensitivities(regression.difference, fit.effects)
     columns = np.hstack([regression.weighted, of_effects])[regression.estimation]
     prior = np.hstack([regression.prior, np.zeros((len(regression.prior), of_effects.shape[1]))])
-    root = np.linalg.qr(np.vstack([columns, prior]), mode="r")
+    root = np.asarray(np.linalg.qr(np.vstack([columns, prior]), mode="r"))
     nuisance = regression.dataset.nuisance_count
     return np.asarray(root[nuisance:, nuisance:])

@@ -164,7 +164,7 @@ def waveform(limits: StageLimits, longest_s: float, point: Point) -> Experiment:
     if not family.fast:
         period_s = clock_s * max(1, round(longest_s / SLOW_SAMPLES / clock_s))
     duration_s = min(longest_s, FAST_S) if family.fast else longest_s
-    time_s = period_s * np.arange(round(duration_s / period_s))
+    time_s = period_s * np.arange(round(duration_s / period_s), dtype=np.float64)
     rate_hz = min(point.rate_hz, FASTEST_OF_CLOCK / period_s)
     wave = family.shape(time_s, rate_hz)
     if not family.fast:

@@ -61,7 +61,8 @@ def decide(model: StageModel, recordings: Sequence[Recording],
     list of DecisionStep
         The last one has the decision, if there is one.
     """
-    known, steps = list(recordings), []
+    known = list(recordings)
+    steps: list[DecisionStep] = []
     while True:
         diagnosis = diagnose(model, known)
         alternatives = find_alternatives(diagnosis.selection.regression, diagnosis.document())

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How surely a waveform would tell alternative explanations apart, before it is played.
 
-The distance of two alternatives on a waveform is what remains of the difference of their
-predictions when the parameters of the wrong one are fitted to it, as far as the recordings so far
-let them move, over the errors to be expected (Box and Hill, Discrimination among mechanistic
-models, Technometrics 9, 1967).
+Two alternatives predict a waveform. The parameters of the wrong one are fitted to what the other
+predicts, as far as the recordings so far let them move. What remains, over the errors to be
+expected, is their distance (Box and Hill, Discrimination among mechanistic models, Technometrics
+9, 1967).
 """
 
 from dataclasses import dataclass
@@ -103,7 +103,8 @@ def expected_outcome(alternatives: Alternatives, experiment: Experiment,
                     (predicted - predictions[other]) / tolerance_um, np.zeros(len(known))])
                 left = difference - basis @ (basis.T @ difference)
                 rms_um[true, other] = tolerance_um * np.sqrt(np.mean(left[: rows.size] ** 2))
-                alike = RESEMBLING * alternatives.misfit * np.std(predicted) / tolerance_um * np.sqrt(rows.size)
+                misfit_um = RESEMBLING * alternatives.misfit * np.std(predicted)
+                alike = misfit_um / tolerance_um * np.sqrt(rows.size)
                 size = float(np.linalg.norm(left))
                 # Alternatives are compared on the part of the data that is held out.
                 apart = max(0.0, size * (size - 2.0 * alike))

@@ -29,7 +29,8 @@ def distortion_sections(part: SimulatedRecording, before_um: FloatArray,
     if before is None or after is None:
         return []
     answer = before.answer
-    rows = [("part of the answer (%)", "stage", "error before", "error after")]
+    rows: list[tuple[str, ...]] = [
+        ("part of the answer (%)", "stage", "error before", "error after")]
     for name, value in (("linear", "linear_um"), ("even distortion", "even_um"),
                         ("odd distortion", "odd_um"), ("noise of a period", "noise_of_period_um"),
                         ("told from the noise above", "significant_um")):
