@@ -8,6 +8,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 
 from piezo_client.client import GoalFailed
+from piezo_identification.analysis.nonlinear_distortion import distortion_of
 from piezo_identification.experiments.catalogue import EXPERIMENTS, named_experiment
 from piezo_identification.experiments.relay_feedback import relay_oscillation
 from piezo_recorder.reading.reader import read_recording
@@ -48,6 +49,21 @@ def test_experiment_is_recorded_as_designed(suite, tmp_path, name):
     assert fractions == sorted(fractions)
     assert 0.0 <= fractions[0] < fractions[-1] <= 1.0
     assert all(feedback.seconds_left >= 0.0 for feedback in told)
+
+
+def test_distortion_experiment_separates_the_noise_of_the_sensor_from_the_hysteresis(
+        suite, tmp_path):
+    recording = read_recording(suite.run_experiment("distortion", tmp_path).recording)
+    designed = named_experiment("distortion")
+    played = recording.select(recording.playing)
+    found = distortion_of(played)
+    assert found.periods == designed.repeats - 1
+    # White noise of variance s^2 has the power 4 s^2 / N at each line.
+    noise_um = np.sqrt(np.median(found.noise_um**2) / 4.0 * designed.voltage_v.size)
+    assert noise_um == pytest.approx(0.009, rel=0.3)
+    # Hysteresis is odd about the middle of its loops; the stage's is nearly so.
+    assert found.odd_percent > 10.0 * found.significant_percent
+    assert found.even_percent < 0.5 * found.odd_percent
 
 
 def test_unknown_experiment_is_refused_and_nothing_moves(suite, tmp_path):

@@ -26,6 +26,7 @@ setup(
             "measured = piezo_identification.node.moved:measured",
             "check = piezo_identification.commands.check_command:main",
             "diagnose = piezo_identification.commands.diagnose_command:main",
+            "propose = piezo_identification.commands.propose_command:main",
             "identify = piezo_identification.commands.identify_command:main",
             "simulate = piezo_identification.commands.simulate_command:main",
             "waveforms = piezo_identification.commands.waveforms_command:main",

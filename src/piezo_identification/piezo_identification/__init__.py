@@ -7,6 +7,11 @@ from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from piezo_identification.diagnosis.diagnose import diagnose
+    from piezo_identification.diagnosis.experiment_design.decide import decide
+    from piezo_identification.diagnosis.experiment_design.propose import (
+        alternatives_of_files,
+        propose,
+    )
     from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
     from piezo_identification.estimators.dynamics.multisine import estimate_dynamics_multisine
     from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
@@ -28,11 +33,16 @@ if TYPE_CHECKING:
     )
     from piezo_identification.identification.identify import identify
     from piezo_identification.identification.progress import IdentificationCancelled
+    from piezo_identification.prediction.model_monitor import ModelMonitor
     from piezo_identification.prediction.prediction import Prediction, predict
     from piezo_identification.prediction.prediction_errors import unseen_errors
 
 _HOMES = {
     "diagnose": "diagnosis.diagnose",
+    "alternatives_of_files": "diagnosis.experiment_design.propose",
+    "decide": "diagnosis.experiment_design.decide",
+    "propose": "diagnosis.experiment_design.propose",
+    "ModelMonitor": "prediction.model_monitor",
     "estimate_creep": "estimators.creep.square_wave_creep",
     "estimate_dynamics": "estimators.dynamics.square_wave",
     "estimate_dynamics_multisine": "estimators.dynamics.multisine",
@@ -56,7 +66,8 @@ __getattr__, __dir__ = lazy_exports(__name__, _HOMES)
 
 __all__ = [
     "DensityEstimate", "Estimate", "Experiment", "FrequencyResponse", "IdentificationCancelled",
-    "Prediction", "ResponseOrder", "StageLimits", "diagnose", "estimate_creep", "estimate_density",
-    "estimate_dynamics", "estimate_dynamics_multisine", "estimate_from_response", "identify",
-    "named_experiment", "predict", "read_frequency_response", "unseen_errors",
+    "ModelMonitor", "Prediction", "ResponseOrder", "StageLimits", "alternatives_of_files", "decide",
+    "diagnose", "estimate_creep", "estimate_density", "estimate_dynamics",
+    "estimate_dynamics_multisine", "estimate_from_response", "identify", "named_experiment",
+    "predict", "propose", "read_frequency_response", "unseen_errors",
 ]

@@ -20,6 +20,9 @@ EXCITED = 1e-3
 FEWEST_LINES = 8
 """A voltage with fewer tones says too little about the lines between them."""
 
+DRIFT_ORDER = 2
+"""Degree of the polynomial of time that is taken for creep or drift over the periods."""
+
 FEWEST_PERIODS = 2
 """Periods without the one that settles: noise is what differs between them."""
 
@@ -34,7 +37,7 @@ class NonlinearDistortion:
         Of all lines up to the highest excited one, without 0.
     is_excited, is_even : ndarray of bool, shape (L,)
     amplitude_um : ndarray, shape (L,)
-        Of the mean period; at lines that are not excited without what the voltage has there.
+        Of the mean period; at lines that are not excited without what a linear cause passes on.
     noise_um : ndarray, shape (L,)
         Standard deviation of the amplitude of one period.
     periods : int
@@ -54,42 +57,74 @@ class NonlinearDistortion:
         return ~self.is_excited & ~self.is_even
 
     @property
-    def noise_percent(self) -> float:
-        """RMS of the noise of a period, within the band, over that of the answer."""
-        return self._percent(float(np.sum(self.noise_um**2)))
+    def answer_um(self) -> float:
+        """RMS over lines, as all below: the root of the sum of the squares at excited lines."""
+        return float(np.sqrt(np.sum(self.amplitude_um[self.is_excited] ** 2)))
 
     @property
-    def even_percent(self) -> float:
-        """RMS of the even distortion over that of the answer, less what noise gives."""
-        return self._percent(self._mean_power_um2(self.is_even) * np.count_nonzero(self.is_even))
+    def linear_um(self) -> float:
+        """Answer at excited lines, less what noise and odd distortion give there."""
+        power = self._power_um2(self.is_excited, int(np.count_nonzero(self.is_excited)))
+        odd = self._power_um2(self.is_odd_detection, int(np.count_nonzero(self.is_excited)))
+        return float(np.sqrt(max(0.0, power - odd)))
 
     @property
-    def odd_percent(self) -> float:
-        """RMS of the odd distortion over that of the answer, less what noise gives.
+    def noise_of_period_um(self) -> float:
+        """Noise of one period within the band."""
+        return float(np.sqrt(np.sum(self.noise_um**2)))
+
+    @property
+    def even_um(self) -> float:
+        """Even distortion, less what noise gives."""
+        return float(np.sqrt(
+            self._power_um2(self.is_even, int(np.count_nonzero(self.is_even)))))
+
+    @property
+    def odd_um(self) -> float:
+        """Odd distortion, less what noise gives.
 
         Excited lines are taken to have as much of it as the odd ones that are left out.
         """
-        return self._percent(
-            self._mean_power_um2(self.is_odd_detection) * np.count_nonzero(~self.is_even))
+        return float(np.sqrt(
+            self._power_um2(self.is_odd_detection, int(np.count_nonzero(~self.is_even)))))
+
+    @property
+    def significant_um(self) -> float:
+        """Distortion above which it is told from the noise: three standard deviations of it."""
+        lines = max(1, int(np.count_nonzero(self.is_odd_detection)))
+        return self.noise_of_period_um * float(np.sqrt(3.0 / (self.periods * np.sqrt(lines))))
+
+    @property
+    def noise_percent(self) -> float:
+        """Noise of one period over the answer."""
+        return 100.0 * self.noise_of_period_um / self.answer_um
+
+    @property
+    def even_percent(self) -> float:
+        """Even distortion over the answer."""
+        return 100.0 * self.even_um / self.answer_um
+
+    @property
+    def odd_percent(self) -> float:
+        """Odd distortion over the answer."""
+        return 100.0 * self.odd_um / self.answer_um
 
     @property
     def significant_percent(self) -> float:
-        """Distortion above which it is told from the noise: three standard deviations of it."""
-        power = float(np.sum(self.noise_um**2)) / self.periods
-        lines = max(1, int(np.count_nonzero(self.is_odd_detection)))
-        return self._percent(power * 3.0 / np.sqrt(lines))
+        """Distortion that is told from the noise over the answer."""
+        return 100.0 * self.significant_um / self.answer_um
 
-    def _mean_power_um2(self, lines: BoolArray) -> float:
+    def _power_um2(self, lines: BoolArray, count: int) -> float:
+        """Power that so many lines have, by the mean of some and without the noise."""
+        if not np.any(lines):
+            return 0.0
         power = self.amplitude_um[lines] ** 2 - self.noise_um[lines] ** 2 / self.periods
-        return max(0.0, float(np.mean(power)))
-
-    def _percent(self, power_um2: float) -> float:
-        answer_um2 = float(np.sum(self.amplitude_um[self.is_excited] ** 2))
-        return float(100.0 * np.sqrt(power_um2 / answer_um2))
+        return max(0.0, float(np.mean(power))) * count
 
 
 def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
-                         sample_period_s: float) -> NonlinearDistortion:
+                         sample_period_s: float, driving: FloatArray | None = None,
+                         ) -> NonlinearDistortion:
     """Separate noise, even and odd distortion.
 
     Parameters
@@ -97,6 +132,8 @@ def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
     voltage_v, displacement_um : ndarray, shape (P, N)
         Periods of the multisine, without the one in which the stage settles.
     sample_period_s : float
+    driving : ndarray, shape (P, N), optional
+        What a linear cause would pass on, distortion and all; the voltage by default.
 
     Returns
     -------
@@ -112,11 +149,14 @@ def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
         raise ValueError(f"{periods} settled periods are given: give at least {FEWEST_PERIODS}, "
                          "as noise is what differs between them")
     inputs = 2.0 * np.fft.rfft(voltage_v.mean(axis=0))[1:] / samples
-    outputs = 2.0 * np.fft.rfft(displacement_um, axis=1)[:, 1:] / samples
+    steady_um = _without_drift(displacement_um)
+    outputs = 2.0 * np.fft.rfft(steady_um, axis=1)[:, 1:] / samples
     sizes = np.abs(inputs)
     is_excited = sizes > EXCITED * sizes.max()
     count = int(np.flatnonzero(is_excited)[-1]) + 1
     lines = np.arange(1, count + 1)
+    if driving is not None:
+        inputs = 2.0 * np.fft.rfft(_without_drift(driving).mean(axis=0))[1:] / samples
     inputs, is_excited, is_even = inputs[:count], is_excited[:count], lines % 2 == 0
     if np.any(is_excited & is_even) or np.all(is_excited | is_even):
         raise ValueError("the voltage excites even lines or leaves no odd one out: "
@@ -130,8 +170,20 @@ def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
         periods)
 
 
+def _without_drift(periods_um: FloatArray) -> FloatArray:
+    """Remove the drift that the means of the periods show: creep would leak into all lines."""
+    count, samples = periods_um.shape
+    order = min(DRIFT_ORDER, count - 1)
+    basis = np.polynomial.legendre.legvander(
+        np.linspace(-1.0, 1.0, periods_um.size), order)[:, 1:].reshape(count, samples, order)
+    means = basis.mean(axis=1)
+    middle_um = periods_um.mean(axis=1)
+    sizes = np.linalg.lstsq(means - means.mean(axis=0), middle_um - middle_um.mean(), rcond=None)[0]
+    return np.asarray(periods_um - basis @ sizes)
+
+
 def _linear_um(inputs: ComplexArray, mean_um: ComplexArray, is_excited: BoolArray) -> ComplexArray:
-    """Return the answer to what the voltage has at each line, by the gain of excited lines."""
+    """Return the answer to what the input has at each line, by the gain of excited lines."""
     lines = np.arange(inputs.size)
     gains = mean_um[is_excited] / inputs[is_excited]
     return np.asarray(np.interp(lines, lines[is_excited], gains) * inputs)
@@ -150,7 +202,28 @@ def distortion_of(recording: Recording) -> NonlinearDistortion | None:
     NonlinearDistortion or None
         None where the voltage is no repeated multisine with odd and even lines left out.
     """
-    voltage_v = np.asarray(recording.voltage_v, dtype=float)
+    return distortion_of_signal(
+        np.asarray(recording.voltage_v, dtype=float),
+        np.asarray(recording.displacement_um, dtype=float), recording.sample_period_s)
+
+
+def distortion_of_signal(voltage_v: FloatArray, signal_um: FloatArray, sample_period_s: float,
+                         driving: FloatArray | None = None) -> NonlinearDistortion | None:
+    """Separate noise and distortion of what comes of a voltage, such as a model's residual.
+
+    Parameters
+    ----------
+    voltage_v, signal_um : ndarray, shape (N,)
+        Of which the first period settles.
+    sample_period_s : float
+    driving : ndarray, shape (N,), optional
+        What a linear cause would pass on; the voltage by default.
+
+    Returns
+    -------
+    NonlinearDistortion or None
+        None where the voltage is no repeated multisine with odd and even lines left out.
+    """
     period = repeated_period(voltage_v)
     if period is None or voltage_v.size // period < FEWEST_PERIODS + 1:
         return None
@@ -159,7 +232,6 @@ def distortion_of(recording: Recording) -> NonlinearDistortion | None:
     lines = 1 + np.flatnonzero(sizes > EXCITED * sizes.max())
     if lines.size < FEWEST_LINES or np.any(lines % 2 == 0) or 2 * lines.size > lines[-1]:
         return None
-    displacement_um = np.asarray(recording.displacement_um, dtype=float)
     return nonlinear_distortion(
-        voltage_v[whole].reshape(-1, period), displacement_um[whole].reshape(-1, period),
-        recording.sample_period_s)
+        voltage_v[whole].reshape(-1, period), signal_um[whole].reshape(-1, period),
+        sample_period_s, None if driving is None else driving[whole].reshape(-1, period))

@@ -7,6 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from piezo_common.command_line import print_next
+from piezo_identification.analysis.distortion_over_frequency import (
+    distortion_png,
+    distortion_rows,
+)
+from piezo_identification.analysis.nonlinear_distortion import distortion_of
 from piezo_identification.estimators.frequency_response.response_file import (
     is_frequency_response,
     read_frequency_response,
@@ -41,6 +46,12 @@ def _check_one(recording: Recording, picture: Path) -> None:
     print("\n".join(check_table(check, suitability(check))))
     draw_check(picture, check)
     print(f"drawn {picture}")
+    found = None if check.gaps or check.has_few_rows else distortion_of(check.recording)
+    if found is not None:
+        drawn = picture.with_name(picture.name.removesuffix("_check.png") + "_distortion.png")
+        print("\n".join("".join(f"{cell:>24}" for cell in row) for row in distortion_rows(found)))
+        drawn.write_bytes(distortion_png(found))
+        print(f"drawn {drawn}")
 
 
 def _print_response(path: Path) -> None:

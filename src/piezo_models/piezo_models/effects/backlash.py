@@ -28,6 +28,7 @@ class Backlash(Effect):
     name: ClassVar[str] = "backlash"
     place: ClassVar[str] = "displacement"
     experiment: ClassVar[str] = "hysteresis: harmonics of small and large amplitude"
+    distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
 
     width_um: float = parameter("um", "logarithm", 1e-9, 1e6)
 

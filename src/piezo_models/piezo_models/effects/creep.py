@@ -29,6 +29,7 @@ class Creep(Effect):
     name: ClassVar[str] = "creep"
     place: ClassVar[str] = "linear"
     experiment: ClassVar[str] = "creep: long square wave, steps held for minutes"
+    distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("thermal_drift",)
 
     gains: tuple[float, ...] = parameter("1", "linear", 0.0, 1.0)

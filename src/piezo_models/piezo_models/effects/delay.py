@@ -31,6 +31,7 @@ class Delay(Effect):
     name: ClassVar[str] = "delay"
     place: ClassVar[str] = "displacement"
     experiment: ClassVar[str] = "dynamics: steps, or tones up to the highest frequency of interest"
+    distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("sensor_lag",)
 
     delay_s: float = parameter("s", "linear", 0.0, LARGEST_S)

@@ -162,6 +162,9 @@ class Effect(ABC):
         False where every sample depends on itself alone.
     experiment : str
         What to play so that the effect shows.
+    distortion : frozenset of str or None
+        Of a multisine of odd lines: "odd" where the effect always has odd distortion, both where it
+        has "even" or "odd" one, and none where it is linear. None where it is not known.
     indistinguishable_from : tuple of str
         Names of effects that do much the same to most recordings. Where the diagnosis finds one of
         two, it also tries the other in its place. One of the two is enough to name the other.
@@ -174,6 +177,7 @@ class Effect(ABC):
     of_the_stage: ClassVar[bool] = True
     remembers: ClassVar[bool] = True
     experiment: ClassVar[str]
+    distortion: ClassVar[frozenset[str] | None] = None
     indistinguishable_from: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod

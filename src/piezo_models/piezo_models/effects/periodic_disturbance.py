@@ -32,6 +32,7 @@ class PeriodicDisturbance(Effect):
     several: ClassVar[bool] = True
     follows_voltage: ClassVar[bool] = False
     experiment: ClassVar[str] = "rest, at the full sample clock"
+    distortion: ClassVar[frozenset[str] | None] = frozenset()
 
     frequency_hz: float = parameter("Hz", "linear", 1e-9, 1e9)
     cosine_um: float = parameter("um")

@@ -28,6 +28,7 @@ class RateDependentHysteresis(Effect):
     name: ClassVar[str] = "rate_dependent_hysteresis"
     place: ClassVar[str] = "voltage"
     experiment: ClassVar[str] = "the same loop at frequencies over two decades"
+    distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
 
     widening_v: float = parameter("V")
     onset_v_per_s: float = parameter("V/s", "logarithm", 1e-9, 1e12)

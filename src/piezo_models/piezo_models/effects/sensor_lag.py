@@ -29,6 +29,7 @@ class SensorLag(Effect):
     name: ClassVar[str] = "sensor_lag"
     place: ClassVar[str] = "sensor"
     experiment: ClassVar[str] = Delay.experiment
+    distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("delay",)
 
     time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e6)

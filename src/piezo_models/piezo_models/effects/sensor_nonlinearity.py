@@ -18,6 +18,7 @@ class SensorNonlinearity(Effect):
     place: ClassVar[str] = "sensor"
     remembers: ClassVar[bool] = False
     experiment: ClassVar[str] = "hysteresis: harmonics over the whole range, and fast tones"
+    distortion: ClassVar[frozenset[str] | None] = frozenset({"even", "odd"})
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("stiffening",)
 
     first_um: float = parameter("um")

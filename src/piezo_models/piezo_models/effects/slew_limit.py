@@ -42,6 +42,7 @@ class SlewLimit(Effect):
     name: ClassVar[str] = "slew_limit"
     place: ClassVar[str] = "voltage"
     experiment: ClassVar[str] = "dynamics: steps of several sizes"
+    distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("vibration_mode",)
 
     slew_limit_v_per_s: float = parameter("V/s", "logarithm", 1e-6, 1e12)

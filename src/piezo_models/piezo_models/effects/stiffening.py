@@ -33,6 +33,7 @@ class Stiffening(Effect):
     name: ClassVar[str] = "stiffening"
     place: ClassVar[str] = "displacement"
     experiment: ClassVar[str] = "hysteresis: harmonics over the whole range, and large fast tones"
+    distortion: ClassVar[frozenset[str] | None] = frozenset({"even", "odd"})
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("sensor_nonlinearity",)
 
     linear_um: float = parameter("um")

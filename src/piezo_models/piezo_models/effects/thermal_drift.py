@@ -33,6 +33,7 @@ class ThermalDrift(Effect):
     of_the_stage: ClassVar[bool] = False
     follows_voltage: ClassVar[bool] = False
     experiment: ClassVar[str] = "rest for minutes, and the same waveform repeated at later times"
+    distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("creep",)
 
     rate_um_per_s: float = parameter("um/s")

@@ -28,6 +28,7 @@ class VibrationMode(Effect):
     place: ClassVar[str] = "modes"
     several: ClassVar[bool] = True
     experiment: ClassVar[str] = "dynamics: steps, or tones up to the highest frequency of interest"
+    distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("slew_limit",)
 
     frequency_rad_per_s: float = parameter("rad/s", "logarithm", 1e-3, 1e7)

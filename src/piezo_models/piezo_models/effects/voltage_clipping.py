@@ -35,6 +35,7 @@ class VoltageClipping(Effect):
     place: ClassVar[str] = "voltage"
     remembers: ClassVar[bool] = False
     experiment: ClassVar[str] = "hysteresis: harmonics over the whole range"
+    distortion: ClassVar[frozenset[str] | None] = frozenset({"even", "odd"})
 
     lowest_v: float = parameter("V")
     highest_v: float = parameter("V")

@@ -4,6 +4,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from piezo_identification.analysis.error_distortion import excluded_by_distortion
 from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, impossible_effects
 from piezo_identification.diagnosis.comparison.attempts import Attempt, try_each
 from piezo_identification.diagnosis.comparison.criteria import (
@@ -102,6 +103,8 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
     Selection
     """
     kinds = [kind for kind in known_effects().values() if kind is not Outliers]
+    excluded = excluded_by_distortion(regression.dataset.simulated, kinds)
+    kinds = [kind for kind in kinds if kind.name not in excluded]
     start = best = regression.fit(())
     rounds: list[list[Attempt]] = []
     indistinguishable: dict[str, str] = {}

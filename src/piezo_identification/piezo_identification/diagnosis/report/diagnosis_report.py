@@ -16,6 +16,7 @@ from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.diagnose import Diagnosis
 from piezo_identification.diagnosis.evidence.residual_tests import input_correlation, whiteness
 from piezo_identification.diagnosis.report import diagnosis_pictures as pictures
+from piezo_identification.diagnosis.report.distortion_section import distortion_sections
 from piezo_identification.diagnosis.residual.noise_estimate import (
     residual_of_model_um,
     residual_um,
@@ -65,6 +66,10 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
                    residual_of_model_um(dataset, index, diagnosis.model, noise),
                    noise.noise_um[index])
         for index, part in enumerate(dataset.simulated)]
+    for index, part in enumerate(dataset.simulated):
+        sections += distortion_sections(
+            part, residual_um(dataset, index, noise=noise),
+            residual_of_model_um(dataset, index, diagnosis.model, noise))
     if diagnosis.model is not dataset.model:
         sections.append(_other_parameters(dataset.model, diagnosis.model))
     sections += [*_tried(diagnosis.selection), _undecided(diagnosis)]

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The work of `propose`: fit the alternatives, look for the waveform, write and print it."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from piezo_common.command_line import print_next, print_progress
+from piezo_identification.diagnosis.experiment_design.propose import (
+    alternatives_of_files,
+    propose,
+    save_proposal,
+)
+from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_models.model_file import load_model
+from piezo_recorder.reading.data_options import read_all_given
+
+
+def propose_given(options: argparse.Namespace) -> None:
+    """Design the recording that decides, by the files of the options; write and print it."""
+    verdict = _read_verdict(options.verdict)
+    model = load_model(options.model).model
+    recordings = [recording for path in options.data for recording in read_all_given(path, options)]
+    limits = StageLimits(options.lowest_v, options.highest_v, options.slew_limit_v_per_s,
+                         options.sample_rate_hz, options.rest_v)
+    print_progress("fit the alternatives", 0.0)
+    alternatives = alternatives_of_files(model, recordings, verdict)
+    proposal = propose(alternatives, limits, options.longest_s, print_progress)
+    for alternative in alternatives.alternatives:
+        print(f"{alternative.name:40}{100.0 * alternative.probability:6.1f} %")
+    if proposal is None:
+        print("one explanation is left: there is nothing to decide")
+        return
+    waveform, outcome = save_proposal(proposal, options.output)
+    print(proposal.sentence())
+    print(f"written {waveform} and {outcome}")
+    print_next(options, "piezo_client", "stage", "play", waveform, "--output", options.output)
+
+
+def _read_verdict(path: Path) -> dict[str, Any]:
+    try:
+        verdict = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError):
+        raise ValueError(f"{path} is no JSON: give the verdict.json of a diagnosis") from None
+    if not isinstance(verdict, dict) or not isinstance(verdict.get("effects"), list):
+        raise ValueError(f"{path} has no effects: give the verdict.json of a diagnosis")
+    return verdict

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The families of waveforms among which an experiment is looked for.
+
+Each family has two numbers: a level, the part of the voltage range that it takes, and a rate. What
+is slow lasts for the whole time allowed and is held for milliseconds; what is fast lasts for a
+second or two at the sample clock.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.experiments.catalogue import Experiment
+from piezo_identification.experiments.distortion_multisine import random_phase_multisine
+from piezo_identification.experiments.stage_limits import StageLimits
+
+SLOW_SAMPLES = 30_000
+"""A slow waveform has about so many samples: what a diagnosis fits of one recording."""
+ROUNDED = 41
+"""Samples over which an edge of a slow waveform is rounded."""
+FAST_S = 2.0
+FASTEST_OF_CLOCK = 0.1
+"""Highest frequency over the sample rate: above, a held voltage is stairs."""
+MOST_OF_RANGE = 0.95
+SEED = 0
+"""Of levels and phases."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """A family of waveforms.
+
+    Attributes
+    ----------
+    name : str
+    levels : tuple of float
+        Parts of the voltage range that are tried.
+    rates : tuple of float
+        In Hz: of triangles their frequency, of steps their number a second, of multisines and
+        sweeps the highest frequency.
+    fast : bool
+        Played at the sample clock.
+    shape : callable
+        Given time in s, shape (N,), and the rate: the wave about zero, within -1 and 1.
+    """
+
+    name: str
+    levels: tuple[float, ...]
+    rates: tuple[float, ...]
+    fast: bool
+    shape: Callable[[FloatArray, float], FloatArray]
+
+
+def _triangles(time_s: FloatArray, rate_hz: float) -> FloatArray:
+    """Triangles whose amplitude rises to the middle of the time and falls again."""
+    triangle = 4.0 * np.abs((rate_hz * time_s + 0.25) % 1.0 - 0.5) - 1.0
+    position = time_s / time_s[-1]
+    return triangle * (0.1 + 0.9 * (1.0 - np.abs(2.0 * position - 1.0)))
+
+
+def _steps(time_s: FloatArray, rate_hz: float) -> FloatArray:
+    """Levels at random, each held for a time of its own."""
+    random = np.random.default_rng(SEED)
+    count = max(2, round(rate_hz * time_s[-1]))
+    holds = random.uniform(0.3, 1.7, count)
+    edges_s = np.cumsum(holds)[:-1] * time_s[-1] / holds.sum()
+    return random.uniform(-1.0, 1.0, count)[np.searchsorted(edges_s, time_s, side="right")]
+
+
+def _rest_and_creep(time_s: FloatArray, rate_hz: float) -> FloatArray:
+    """Rest, a step up and a rest, a step down and a rest: drift goes on, creep begins anew."""
+    rate_hz = max(rate_hz, 1.0 / float(time_s[-1]))
+    return np.where((rate_hz * time_s + 0.75) % 1.0 < 0.5, 1.0, -1.0) * np.where(
+        rate_hz * time_s < 0.25, 0.0, 1.0)
+
+
+def _sweep(time_s: FloatArray, highest_hz: float) -> FloatArray:
+    """Rise in frequency over two and a half decades."""
+    ratio, duration_s = np.log(300.0), time_s[-1]
+    first_hz = highest_hz / 300.0
+    return np.sin(2.0 * np.pi * first_hz * duration_s / ratio
+                  * np.expm1(ratio * time_s / duration_s))
+
+
+def _multisine(time_s: FloatArray, highest_hz: float) -> FloatArray:
+    """All tones up to the highest, two periods of them."""
+    samples = time_s.size // 2
+    period_s = samples * float(time_s[1] - time_s[0])
+    lines = np.arange(1, max(2, round(highest_hz * period_s)) + 1)
+    wave = random_phase_multisine(lines, samples, np.random.default_rng(SEED))
+    return np.asarray(np.resize(wave, time_s.size))
+
+
+FAMILIES = (
+    Family("triangles", (0.3, 0.9), (0.2, 2.0), False, _triangles),
+    Family("steps", (0.3, 0.8), (0.3, 2.0), False, _steps),
+    Family("rest_and_creep", (0.3, 0.8), (0.035, 0.1), False, _rest_and_creep),
+    Family("slow_sweep", (0.3, 0.9), (30.0,), False, _sweep),
+    Family("fast_triangles", (0.2, 0.7), (20.0, 100.0), True, _triangles),
+    Family("fast_steps", (0.1, 0.35), (50.0, 200.0), True, _steps),
+    Family("sweep", (0.1, 0.4), (500.0, 3000.0), True, _sweep),
+    Family("multisine", (0.2, 0.6), (300.0, 3000.0), True, _multisine),
+)
+
+
+def _rounded(wave: FloatArray) -> FloatArray:
+    """Round the edges off: between two slow samples a model's fast error would decide."""
+    window = np.hanning(ROUNDED + 2)[1:-1]
+    padded = np.concatenate([np.full(ROUNDED // 2, wave[0]), wave,
+                             np.full(ROUNDED - 1 - ROUNDED // 2, wave[-1])])
+    return np.asarray(np.convolve(padded, window / window.sum(), mode="valid"))
+
+
+@dataclass(frozen=True)
+class Point:
+    """One waveform of a family.
+
+    Attributes
+    ----------
+    family : Family
+    level : float
+        Part of the voltage range.
+    rate_hz : float
+        Lowered where the sample clock asks for it.
+    """
+
+    family: Family
+    level: float
+    rate_hz: float
+
+    def neighbours(self, factor: float) -> "list[Point]":
+        """Return the points with the level or the rate multiplied or divided by a factor."""
+        return [replace(self, level=min(MOST_OF_RANGE, self.level * factor)),
+                replace(self, level=self.level / factor),
+                replace(self, rate_hz=self.rate_hz * factor),
+                replace(self, rate_hz=self.rate_hz / factor)]
+
+
+def grid() -> list[Point]:
+    """Return the points of all families on their grids."""
+    return [Point(family, level, rate_hz) for family in FAMILIES for level in family.levels
+            for rate_hz in family.rates]
+
+
+def waveform(limits: StageLimits, longest_s: float, point: Point) -> Experiment:
+    """Make a waveform as large as its level asks and the slew limit allows.
+
+    Parameters
+    ----------
+    limits : StageLimits
+    longest_s : float
+        That it may last.
+    point : Point
+
+    Returns
+    -------
+    Experiment
+    """
+    family = point.family
+    clock_s = 1.0 / limits.sample_rate_hz
+    period_s = clock_s
+    if not family.fast:
+        period_s = clock_s * max(1, round(longest_s / SLOW_SAMPLES / clock_s))
+    duration_s = min(longest_s, FAST_S) if family.fast else longest_s
+    time_s = period_s * np.arange(round(duration_s / period_s), dtype=np.float64)
+    rate_hz = min(point.rate_hz, FASTEST_OF_CLOCK / period_s)
+    wave = family.shape(time_s, rate_hz)
+    if not family.fast:
+        wave = _rounded(wave)
+    largest_v = 0.99 * limits.slew_limit_v_per_s * clock_s
+    step = float(np.abs(np.diff(wave)).max())
+    amplitude_v = min(0.5 * point.level * limits.span_v, largest_v / max(step, 1e-12))
+    return Experiment(
+        f"{family.name}_{point.level:.3g}_{rate_hz:.4g}Hz",
+        limits.clip(limits.middle_v + amplitude_v * wave), period_s, 1,
+        f"{family.name.replace('_', ' ')} of {2.0 * amplitude_v:.3g} V, {rate_hz:.3g} Hz")

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Design the recording that tells the alternative explanations of a diagnosis apart."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from piezo_identification.diagnosis.diagnose import condition
+from piezo_identification.diagnosis.experiment_design.alternatives import (
+    Alternatives,
+    effects_of,
+    find_alternatives,
+)
+from piezo_identification.diagnosis.experiment_design.candidate_waveforms import (
+    Point,
+    grid,
+    waveform,
+)
+from piezo_identification.diagnosis.experiment_design.expected_outcome import (
+    ExpectedOutcome,
+    expected_outcome,
+)
+from piezo_identification.diagnosis.residual.dataset import simulate_recordings
+from piezo_identification.diagnosis.residual.regression import first_regression, reweighted
+from piezo_identification.experiments.catalogue import Experiment
+from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_models.cascade import StageModel
+from piezo_recorder.reading.recording import Recording
+
+LONGEST_S = 30.0
+FACTORS = (1.6, 1.25)
+"""By which level and rate of the best waveform of the grid are varied, one after the other."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """The waveform to play next, and what to expect of it.
+
+    Attributes
+    ----------
+    experiment : Experiment
+    alternatives : Alternatives
+    outcome : ExpectedOutcome
+    """
+
+    experiment: Experiment
+    alternatives: Alternatives
+    outcome: ExpectedOutcome
+
+    def document(self) -> dict[str, Any]:
+        """Return the content of the file with the expected outcome."""
+        names = [alternative.name for alternative in self.alternatives.alternatives]
+        return {
+            "waveform": self.experiment.name, "description": self.experiment.description,
+            "duration_s": self.experiment.duration_s,
+            "sample_period_s": self.experiment.sample_period_s,
+            "probability_of_deciding": self.outcome.probability,
+            "alternatives": [
+                {"effects": name, "probability": self.alternatives.alternatives[index].probability,
+                 "probability_of_deciding": float(self.outcome.deciding[index]),
+                 "expected_rms_difference_um": {
+                     other: float(self.outcome.rms_um[index, number])
+                     for number, other in enumerate(names) if number != index}}
+                for index, name in enumerate(names)],
+        }
+
+    def sentence(self) -> str:
+        """Tell what the recording is expected to decide."""
+        names = " from ".join(each.name for each in self.alternatives.alternatives[:2])
+        apart_um = self.outcome.rms_um[0, 1]
+        return (f"{self.experiment.description}, for {self.experiment.duration_s:.3g} s, tells "
+                f"{names} with probability {self.outcome.probability:.2f}: their predictions "
+                f"differ by {1e3 * apart_um:.3g} nm RMS.")
+
+
+def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
+                    verdict: Mapping[str, Any]) -> Alternatives:
+    """Fit the explanations that a verdict leaves to the recordings that it came from.
+
+    Parameters
+    ----------
+    model : StageModel
+        That was diagnosed.
+    recordings : sequence of Recording
+        That were diagnosed.
+    verdict : dict
+        Content of `verdict.json`.
+
+    Returns
+    -------
+    Alternatives
+    """
+    given = condition(model, recordings, None)
+    first = first_regression(simulate_recordings(model, given.recordings))
+    return find_alternatives(reweighted(first, effects_of(verdict)), verdict)
+
+
+def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = LONGEST_S,
+            progress: Progress | None = None) -> Proposal | None:
+    """Find the waveform that tells alternatives apart most surely.
+
+    All families are tried on a grid of level and rate, and the best is improved around there.
+
+    Parameters
+    ----------
+    alternatives : Alternatives
+    limits : StageLimits
+        Within which the waveform must stay; the model's voltage range is kept to as well.
+    longest_s : float
+        That the waveform may last.
+    progress : callable, optional
+        Called with (what is done, fraction).
+
+    Returns
+    -------
+    Proposal or None
+        None where one alternative is left.
+
+    Raises
+    ------
+    ValueError
+        If the stage may not go anywhere within the model's voltage range.
+    """
+    if len(alternatives.alternatives) < 2:
+        return None
+    limits = _within_model(limits, alternatives.regression.dataset.model)
+    steps = len(grid()) + 4 * len(FACTORS)
+    done = 0
+
+    def tried(point: Point) -> tuple[tuple[float, ...], Proposal, Point]:
+        nonlocal done
+        if progress is not None:
+            progress(f"try {point.family.name.replace('_', ' ')}", done / steps)
+        done += 1
+        experiment = waveform(limits, longest_s, point)
+        outcome = expected_outcome(alternatives, experiment, limits)
+        return outcome.rank, Proposal(experiment, alternatives, outcome), point
+
+    best = max((tried(point) for point in grid()), key=_rank)
+    for factor in FACTORS:
+        best = max([best, *(tried(point) for point in best[2].neighbours(factor))], key=_rank)
+    return best[1]
+
+
+def save_proposal(proposal: Proposal, directory: Path) -> tuple[Path, Path]:
+    """Write the waveform, and what to expect of it.
+
+    Parameters
+    ----------
+    proposal : Proposal
+    directory : Path
+        Made if it is missing.
+
+    Returns
+    -------
+    waveform, outcome : Path
+        `next_experiment.csv` with the columns time_s,voltage_v, and `next_experiment.json`.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    experiment = proposal.experiment
+    voltage_v = np.tile(experiment.voltage_v, experiment.repeats)
+    time_s = experiment.sample_period_s * np.arange(voltage_v.size)
+    paths = directory / "next_experiment.csv", directory / "next_experiment.json"
+    np.savetxt(paths[0], np.column_stack([time_s, voltage_v]), "%.9g", ",",
+               header="time_s,voltage_v", comments="", encoding="utf-8")
+    paths[1].write_text(
+        json.dumps(proposal.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return paths
+
+
+def _rank(tried: tuple[tuple[float, ...], Proposal, Point]) -> tuple[float, ...]:
+    return tried[0]
+
+
+def _within_model(limits: StageLimits, model: StageModel) -> StageLimits:
+    """Return the limits without the voltages for which the model has no hysteresis."""
+    lowest_v = max(limits.voltage_min_v, model.hysteresis.voltage_min_v)
+    highest_v = min(limits.voltage_max_v, model.hysteresis.voltage_max_v)
+    if lowest_v >= highest_v:
+        raise ValueError(
+            f"the stage allows {limits.voltage_min_v:g}..{limits.voltage_max_v:g} V and the model "
+            f"is for {model.hysteresis.voltage_min_v:g}..{model.hysteresis.voltage_max_v:g} V: "
+            "give limits within the model's")
+    return replace(limits, voltage_min_v=lowest_v, voltage_max_v=highest_v)

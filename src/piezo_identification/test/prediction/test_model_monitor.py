@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A model beside a stage that changes while it is watched."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezo_identification.prediction.model_monitor import (
+    ModelMonitor,
+    MonitorSettings,
+    block_statistics,
+    long_run_deviation,
+)
+from piezo_models.effects.stiffening import Stiffening
+
+PERIOD_S = 1e-3
+SETTINGS = MonitorSettings(block_s=0.2, learning_blocks=60)
+LEARNED_S = SETTINGS.block_s * SETTINGS.learning_blocks
+CHANGE_S = 16.0
+NOISE_UM = 0.009
+
+
+def tracked_v(duration_s):
+    time_s = PERIOD_S * np.arange(round(duration_s / PERIOD_S))
+    return 50.0 - 30.0 * np.cos(2 * np.pi * 5.0 * time_s) + 3.0 * np.sin(2 * np.pi * 45.0 * time_s)
+
+
+def measured_um(stages, voltage_v, change=CHANGE_S, seed=0):
+    """Return what the first stage measures before the change, and the second from then on."""
+    first, second = (stage.simulate(voltage_v, PERIOD_S) for stage in stages)
+    at = PERIOD_S * np.arange(voltage_v.size) < change
+    noise = NOISE_UM * np.random.default_rng(seed).normal(size=voltage_v.size)
+    return np.where(at, first, second) + noise
+
+
+def watched(plant, voltage_v, displacement_um, parts=40, settings=SETTINGS):
+    monitor = ModelMonitor(plant, PERIOD_S, settings)
+    raised = []
+    for start in range(0, voltage_v.size, parts):
+        raised += monitor.watch(voltage_v[start : start + parts],
+                                displacement_um[start : start + parts])
+    return monitor, raised
+
+
+def with_mode(plant, factor):
+    frequencies = plant.dynamics.mode_frequencies_rad_per_s
+    dynamics = replace(plant.dynamics, mode_frequencies_rad_per_s=(
+        frequencies[0] * factor, *frequencies[1:]))
+    return replace(plant, dynamics=dynamics)
+
+
+@pytest.fixture(scope="module")
+def real(plant):
+    """A stage from which the model differs a little from the beginning."""
+    return replace(with_mode(plant, 1.004), hysteresis=replace(
+        plant.hysteresis, density_um_per_v2=1.001 * plant.hysteresis.density_um_per_v2))
+
+
+def test_a_stage_that_stays_as_it_was_raises_nothing(plant, real):
+    voltage_v = tracked_v(40.0)
+    monitor, raised = watched(plant, voltage_v, measured_um((real, real), voltage_v))
+    assert raised == []
+    assert not monitor.is_learning
+
+
+def test_a_mode_that_changes_by_three_percent_is_found_in_two_seconds(plant, real):
+    voltage_v = tracked_v(20.0)
+    changed = with_mode(real, 1.03)
+    _, raised = watched(plant, voltage_v, measured_um((real, changed), voltage_v))
+    first = raised[0]
+    assert CHANGE_S < first.at_s < CHANGE_S + 2.0
+    assert abs(first.since_s - CHANGE_S) < 0.5
+    assert {"lag", "scatter"} & {suspicion.statistic for suspicion in raised}
+
+
+def test_a_load_that_takes_half_a_percent_of_the_motion_is_a_change_of_gain(plant, real):
+    voltage_v = tracked_v(20.0)
+    displacement_um = measured_um((real, real), voltage_v)
+    loaded = PERIOD_S * np.arange(voltage_v.size) >= CHANGE_S
+    displacement_um[loaded] *= 0.995
+    _, raised = watched(plant, voltage_v, displacement_um)
+    assert CHANGE_S < raised[0].at_s < CHANGE_S + 2.0
+    gain = next(found for found in raised if found.statistic == "gain")
+    assert gain.change < 0.0
+
+
+def test_a_drift_that_begins_is_found_before_it_is_twice_the_noise(plant, real):
+    voltage_v = tracked_v(26.0)
+    time_s = PERIOD_S * np.arange(voltage_v.size)
+    rate_um_per_s = 0.002
+    drift_um = rate_um_per_s * np.maximum(0.0, time_s - CHANGE_S)
+    displacement_um = measured_um((real, real), voltage_v) + drift_um
+    _, raised = watched(plant, voltage_v, displacement_um)
+    assert raised[0].statistic == "mean" and raised[0].change > 0.0
+    assert raised[0].at_s < CHANGE_S + 2.0 * NOISE_UM / rate_um_per_s
+    assert "offset that the model lacks" in raised[0].sentence()
+
+
+def test_parts_of_any_size_raise_the_same(plant, real):
+    voltage_v = tracked_v(18.0)
+    displacement_um = measured_um((real, with_mode(real, 1.03)), voltage_v)
+    raised = [watched(plant, voltage_v, displacement_um, parts)[1] for parts in (37, 1000, 18_000)]
+    assert raised[0] and raised[0] == raised[1] == raised[2]
+
+
+def test_what_it_holds_does_not_grow(plant, real):
+    voltage_v = tracked_v(20.0)
+    monitor = ModelMonitor(plant, PERIOD_S, SETTINGS)
+    displacement_um = measured_um((real, real), voltage_v)
+
+    def held():
+        return (sum(part.size for part in monitor._waiting_v), len(monitor._learned),
+                len(monitor._memory.effects))
+
+    monitor.watch(voltage_v[:15_000], displacement_um[:15_000])
+    before = held()
+    for _ in range(3):
+        monitor.watch(voltage_v[15_000:], displacement_um[15_000:])
+    assert held() == before
+
+
+def test_it_learns_anew_when_told(plant, real):
+    voltage_v = tracked_v(14.0)
+    displacement_um = measured_um((real, real), voltage_v)
+    monitor, _ = watched(plant, voltage_v, displacement_um)
+    monitor.begin_anew()
+    assert monitor.is_learning
+    assert monitor.watch(voltage_v[-2000:], displacement_um[-2000:] + 1.0) == []
+
+
+def test_a_model_that_remembers_everything_is_refused(plant):
+    spring = Stiffening(0.0, 0.0, 1.0, 30.0, 30.0, 3000.0, 0.5)
+    with pytest.raises(ValueError, match="stiffening, which remembers all of the past"):
+        ModelMonitor(replace(plant, effects=(spring,)), PERIOD_S)
+    with pytest.raises(ValueError, match="make it longer"):
+        ModelMonitor(plant, PERIOD_S, MonitorSettings(block_s=0.002))
+
+
+def test_statistics_of_a_block_are_offset_gain_lag_and_scatter():
+    time = np.arange(400)
+    motion = np.sin(2.0 * np.pi * time / 40.0)
+    late = 0.3 * np.gradient(motion)
+    mean, gain, lag, scatter = block_statistics(0.5 + 0.02 * motion - late, motion)
+    assert (mean, gain, lag) == pytest.approx((0.5, 0.02, 0.3))
+    assert scatter == pytest.approx(np.log(np.std(0.02 * motion - late)))
+
+
+def test_values_that_are_alike_count_less():
+    random = np.random.default_rng(5)
+    white = random.normal(size=4000)
+    alike = np.zeros(4000)
+    for n in range(1, 4000):
+        alike[n] = 0.6 * alike[n - 1] + white[n]
+    assert long_run_deviation(white) == pytest.approx(1.0, rel=0.06)
+    # A first-order autoregression has the long-run deviation 1 / (1 - 0.6).
+    assert long_run_deviation(alike) == pytest.approx(2.5, rel=0.1)
+
+
+@pytest.mark.long
+def test_alarms_of_an_ordinary_day_are_as_rare_as_stated(plant, real):
+    """More false alarms are asked for than anybody would, so that there are some to count."""
+    settings = MonitorSettings(learning_blocks=100, false_alarms_per_hour=20.0)
+    voltage_v = tracked_v(10.0)
+    # Periodic from the second part on: only the noise differs.
+    displacement_um = real.simulate(np.tile(voltage_v, 2), PERIOD_S)[voltage_v.size:]
+    raised, watched_s = 0, 0.0
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        memory = plant.memory()
+        plant.simulate(voltage_v, PERIOD_S, memory)
+        monitor = ModelMonitor(plant, PERIOD_S, settings, memory)
+        for _ in range(60):
+            noise = NOISE_UM * random.normal(size=voltage_v.size)
+            raised += len(monitor.watch(voltage_v, displacement_um + noise))
+        watched_s += 600.0 - 20.0
+    assert raised <= settings.false_alarms_per_hour * watched_s / 3600.0 * 1.5 + 1

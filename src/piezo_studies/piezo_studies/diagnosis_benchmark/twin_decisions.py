@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Effects that resemble each other, decided by one proposed recording on a plant of its own."""
+
+import numpy as np
+
+from piezo_identification.diagnosis.experiment_design.decide import decide
+from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_recorder.reading.recording import Recording
+from piezo_sim.plant.plant_effect import Surroundings
+from piezo_studies.diagnosis_benchmark import records
+from piezo_studies.diagnosis_benchmark.effect_draws import draw_effect, respond
+from piezo_studies.diagnosis_benchmark.plants import draw_plant
+
+TWINS = {"delay": False, "sensor_lag": False, "creep": True, "thermal_drift": True,
+         "slew_limit": False, "vibration_mode": False, "stiffening": False,
+         "sensor_nonlinearity": False}
+"""Effects that another one resembles, and whether they need a slow logger."""
+
+LIMITS = StageLimits(0.0, 100.0, 1.8e6)
+OVER_NOISE = 6.0
+"""Contribution to the first recording over the noise: clear, and far from overwhelming."""
+
+
+def decide_twin(cause, model, plant_seed, seed, budget=1, over_noise=OVER_NOISE):
+    """Record a plant with one effect as on an ordinary day, and decide by proposed recordings.
+
+    Parameters
+    ----------
+    cause : str
+        A key of `TWINS`.
+    model : StageModel
+        Of the plant without effects.
+    plant_seed : sequence of int
+    seed, budget : int
+    over_noise : float
+        Contribution of the effect to the first recording.
+
+    Returns
+    -------
+    dict
+        Effects, probabilities and the waveform proposed, of the first and the last diagnosis.
+    """
+    plant = draw_plant(plant_seed)
+    experiment = records.tracking(np.random.default_rng(seed), TWINS[cause])
+    voltage_v, _ = records.commanded(experiment)
+    drawn = draw_effect(cause, plant, voltage_v, records.surroundings(experiment, seed), over_noise,
+                        seed, records.clock_samples(experiment))
+    count = 0
+
+    def play(proposed):
+        nonlocal count
+        count += 1
+        return _played(drawn.plant, proposed, seed + count)
+
+    steps = decide(model, [records.record(drawn.plant, experiment, seed)], play, budget, LIMITS)
+    return {"cause": cause, "steps": [
+        {"verdict": step.diagnosis.verdict,
+         "effects": [entry["name"] for entry in step.diagnosis.effects],
+         "not_decidable": sorted(step.diagnosis.not_decidable),
+         "probabilities": step.probabilities, "is_decided": step.is_decided,
+         "proposed": None if step.proposal is None else step.proposal.document()}
+        for step in steps]}
+
+
+def _played(plant, experiment, seed):
+    """Play an experiment as the stage does: at its clock, with means where values are held."""
+    held = round(experiment.sample_period_s * LIMITS.sample_rate_hz)
+    voltage_v, flags = records.commanded(experiment)
+    clock = Surroundings(1.0 / LIMITS.sample_rate_hz, records.REST_V, seed)
+    measured_um = respond(plant, np.repeat(voltage_v, held), clock, 1)
+    return Recording(
+        experiment.name, LIMITS.sample_rate_hz, held * np.arange(voltage_v.size),
+        np.full(voltage_v.size, experiment.sample_period_s), voltage_v,
+        measured_um.reshape(-1, held).mean(axis=1), flags)
