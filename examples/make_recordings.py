@@ -20,7 +20,7 @@ PLAYS_V = np.linspace(0.0, 24.0, 481)  # half widths
 GAINS_UM_PER_V = 0.005 * np.exp(-PLAYS_V / 3.0)
 GAINS_UM_PER_V[0] = 0.15
 HIGHEST_V = 100.0
-NOISE_UM = 0.002
+NOISE_UM = 0.005
 
 
 def displacement_um(voltage_v, sample_period_s, rng):
@@ -51,14 +51,14 @@ def voltages():
     """Return name, sample period (s) and voltage (V) of each recording."""
     half_period = 600
     creep_v = np.tile(np.repeat([80.0, 20.0], half_period), 2)
-    dynamics_v = np.tile(np.repeat([60.0, 40.0], 400), 25)
-    phase = np.linspace(0.0, 2.0 * np.pi, 1000, endpoint=False)
+    dynamics_v = np.tile(np.repeat([60.0, 40.0], 400), 10)
+    phase = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
     cycle = 0.5 - 0.5 * np.cos(phase)
-    hysteresis_v = HIGHEST_V * np.concatenate([part * cycle for part in np.linspace(0.1, 1.0, 10)])
+    hysteresis_v = HIGHEST_V * np.concatenate([part * cycle for part in np.linspace(0.2, 1.0, 5)])
     validation_v = 50.0 + 25.0 * np.sin(5 * phase) + 15.0 * np.sin(3 * phase + 1.0)
     return [("creep", 0.1, creep_v), ("dynamics", 2.5e-5, dynamics_v),
-            ("hysteresis", 0.02, hysteresis_v),
-            ("validation", 0.02, np.concatenate([np.linspace(0.0, validation_v[0], 100),
+            ("hysteresis", 0.05, hysteresis_v),
+            ("validation", 0.05, np.concatenate([np.linspace(0.0, validation_v[0], 100),
                                                  np.tile(validation_v, 2)]))]
 
 

@@ -23,6 +23,7 @@ from piezo_identification.diagnosis.response.response_diagnosis import diagnose_
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.identification.dynamics_methods import METHODS as FITS
+from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify as identify_recordings
 from piezo_identification.prediction.prediction import Prediction, predict
 from piezo_identification.recording_check.check import check_recording
@@ -38,7 +39,8 @@ AnyModel = IdentifiedModel | StageModel | str | PathLike[str]
 def identify(
     creep: Any = None, dynamics: Any = None, hysteresis: Any = None, validation: Any = None, *,
     columns: Sequence[str] = (), method: str = FITS[0], creep_pairs: int | None = None,
-    modes: int | None = None, refine: bool = False, rows_read: str = "start",
+    modes: int | None = None, grid: int | None = None, refine: bool = False,
+    rows_read: str = "start",
     progress: Callable[[str, float], object] | None = None,
     note: Callable[[str], object] | None = None,
 ) -> IdentifiedModel:
@@ -56,6 +58,8 @@ def identify(
         How recorded dynamics are fitted; the choices of ``piezo identify --method``.
     creep_pairs, modes : int, optional
         Orders; chosen from the data by default.
+    grid : int, optional
+        Cells of the hysteresis along each threshold; chosen from the data by default.
     refine : bool
         Whether to fit all components together at the end.
     rows_read : str
@@ -97,7 +101,8 @@ def identify(
 
     return identify_recordings(
         **given, progress=progress, refine=refine, method=method, note=tell,
-        order=ResponseOrder(creep_pairs, modes, None), read_at_samples=_read_at(rows_read))
+        order=ResponseOrder(creep_pairs, modes, None), density=DensityOptions(grid),
+        read_at_samples=_read_at(rows_read))
 
 
 def simulate(model: AnyModel, data: Any, *, columns: Sequence[str] = (),
