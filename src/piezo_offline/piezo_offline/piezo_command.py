@@ -10,11 +10,12 @@ from piezo_identification.commands.check_command import COMMAND as CHECK
 from piezo_identification.commands.diagnose_command import COMMAND as DIAGNOSE
 from piezo_identification.commands.identify_command import COMMAND as IDENTIFY
 from piezo_identification.commands.simulate_command import COMMAND as SIMULATE
+from piezo_offline.completion_command import COMMAND as COMPLETION
 from piezo_recorder.commands.convert_command import COMMAND as CONVERT
 from piezo_recorder.commands.report_command import COMMAND as REPORT
 
 COMMANDS = {command.name: command for command in (
-    CONVERT, REPORT, CHECK, IDENTIFY, SIMULATE, DIAGNOSE, DESIGN)}
+    CONVERT, REPORT, CHECK, IDENTIFY, SIMULATE, DIAGNOSE, DESIGN, COMPLETION)}
 """In the order in which they are used."""
 
 
