@@ -113,7 +113,14 @@ def write_verdict(path: Path, verdict: Verdict) -> None:
 
 def save_extended_model(path: Path, identified: IdentifiedModel, verdict: Verdict,
                         data: Sequence[str | PathLike[str] | Recording]) -> None:
-    """Save the model that a verdict leads to; see `extended_model`."""
+    """Save the model that a verdict leads to.
+
+    Parameters
+    ----------
+    path : Path
+    identified, verdict, data
+        Of `extended_model`.
+    """
     save_model(path, extended_model(identified, verdict, data))
 
 
