@@ -95,7 +95,7 @@ def recordings_in(data: "Mapping[str, ArrayLike] | pandas.DataFrame",
 
 def _columns_of(data: Any) -> dict[str, Any]:
     """Return the columns by label; of a frame the index too, if it is more than a row number."""
-    index = getattr(data, "index", None)
+    index: Any = getattr(data, "index", None)
     if hasattr(index, "to_numpy"):
         counts = index.name is None and getattr(index, "step", None) == 1
         time = {} if counts else {str(index.name or "time"): index.to_numpy()}
