@@ -8,7 +8,14 @@ from piezo_common.lazy_exports import lazy_exports
 if TYPE_CHECKING:
     from piezo_offline.files import load_controller, load_model, save_controller, save_model
     from piezo_offline.given_data import DataWarning, read
-    from piezo_offline.steps import design, diagnose, extend, identify, simulate
+    from piezo_offline.steps import (
+        design,
+        diagnose,
+        extend,
+        identify,
+        plot_residuals,
+        simulate,
+    )
 
 _HOMES = {
     "load_controller": "files",
@@ -21,11 +28,12 @@ _HOMES = {
     "diagnose": "steps",
     "extend": "steps",
     "identify": "steps",
+    "plot_residuals": "steps",
     "simulate": "steps",
 }
 __getattr__, __dir__ = lazy_exports(__name__, _HOMES)
 
 __all__ = [
     "DataWarning", "design", "diagnose", "extend", "identify", "load_controller", "load_model",
-    "read", "save_controller", "save_model", "simulate",
+    "plot_residuals", "read", "save_controller", "save_model", "simulate",
 ]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from hashlib import sha256
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from piezo_controller.feedback.design_choices import (
     DEFAULT_WEIGHTS,
@@ -18,6 +18,7 @@ from piezo_controller.feedback.stage_design import design_for_stage
 from piezo_identification.commands.row_options import READINGS
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_sign import sign_text
+from piezo_identification.diagnosis.diagnose import Diagnosis
 from piezo_identification.diagnosis.diagnose import diagnose as diagnose_recordings
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
@@ -32,6 +33,9 @@ from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model
 from piezo_offline.given_data import DataWarning, read, recordings_of, response_in
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 AnyModel = IdentifiedModel | StageModel | str | PathLike[str]
 
@@ -166,6 +170,25 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, columns: Sequen
     held_out = None if holdout is None else read(holdout, columns, "held-out data")
     return diagnose_recordings(
         stage_model, recordings_of(data, columns, "data"), held_out, progress)
+
+
+def plot_residuals(verdict: Diagnosis, recording: int = 0) -> "Figure":
+    """Draw what a model leaves of a recording over time, before and after its extension.
+
+    Parameters
+    ----------
+    verdict : Diagnosis
+        Of recordings, by `diagnose`.
+    recording : int
+        Which of those that were diagnosed.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from piezo_identification.diagnosis.report.diagnosis_pictures import residuals_of
+
+    return residuals_of(verdict, recording)
 
 
 def extend(model: IdentifiedModel | str | PathLike[str], verdict: Verdict, data: Any, *,

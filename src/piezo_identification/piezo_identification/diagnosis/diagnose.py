@@ -35,8 +35,6 @@ from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from piezo_identification.diagnosis.evidence.ceiling import Ceiling
 
 Progress = Callable[[str, float], None]
@@ -72,12 +70,6 @@ class Diagnosis(Verdict):
     """
 
     selection: Selection
-
-    def plot_residuals(self, recording: int = 0) -> "Figure":
-        """Draw what the model leaves of one of the recordings, before and after, over time."""
-        from piezo_identification.diagnosis.report.diagnosis_pictures import residuals_of
-
-        return residuals_of(self, recording)
 
 
 @dataclass(frozen=True)
