@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The distribution at the root: what it asks for, what it holds, and that its command works."""
 
+import ast
 import os
 import subprocess
 import sys
@@ -8,21 +9,49 @@ import sysconfig
 import tomllib
 import venv
 import zipfile
+from importlib import metadata
+from itertools import chain
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 HALF = {"piezo_common", "piezo_models", "piezo_recorder", "piezo_identification",
         "piezo_controller", "piezo_offline"}
+OF_ROS = {"ament_index_python"}
+"""Imported where ROS is there, and done without where it is not."""
 
 
 def asked_for():
     project = PROJECT["project"]
-    formats = project["optional-dependencies"]["formats"]
-    return map(Requirement, [*project["dependencies"], *formats])
+    extras = chain.from_iterable(project["optional-dependencies"].values())
+    return [Requirement(each) for each in [*project["dependencies"], *extras]]
+
+
+def imported_libraries():
+    """Top names of what the modules of the distribution import, but for ours and Python's own."""
+    for package in sorted(HALF):
+        for path in (ROOT / "src" / package / package).rglob("*.py"):
+            if path.parent.name == "node":
+                continue
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                names = [alias.name for alias in node.names] if isinstance(
+                    node, ast.Import) else [node.module] if isinstance(
+                    node, ast.ImportFrom) and node.module else []
+                yield from ((name.split(".")[0], path) for name in names)
+
+
+def test_it_asks_for_every_library_that_it_imports():
+    homes = metadata.packages_distributions()
+    declared = {canonicalize_name(requirement.name) for requirement in asked_for()}
+    missing = {
+        (name, path.name) for name, path in imported_libraries()
+        if name not in HALF and name not in sys.stdlib_module_names and name not in OF_ROS
+        and not declared & {canonicalize_name(home) for home in homes.get(name, [name])}}
+    assert missing == set()
 
 
 @pytest.mark.parametrize("lock", ["wheels", "jazzy"])

@@ -10,7 +10,10 @@ import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 ON_LEFT = ("--ros-args", "-r", "__ns:=/left")
-COVERED = {"identify_and_track", "track_any_trajectory", "play_a_waveform", "analyse_offline"}
+COVERED = {"identify_and_track", "track_any_trajectory", "play_a_waveform", "analyse_offline",
+           "with_the_stage"}
+OFFLINE = {"make_recordings", "from_your_data"}
+"""Those of test_from_python.py."""
 
 
 def run_example(name, *arguments):
@@ -25,7 +28,18 @@ def run_example(name, *arguments):
 
 
 def test_every_example_has_its_test():
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == COVERED
+    examples = [*EXAMPLES.glob("*.py"), *EXAMPLES.glob("*.ipynb")]
+    assert {path.stem for path in examples} == COVERED | OFFLINE
+
+
+def test_notebook_drives_the_stage_and_shows_what_it_did(suite, model, tmp_path):
+    printed = suite.beside(
+        run_example, "../tools/run_cells", EXAMPLES / "with_the_stage.ipynb", "namespace=left",
+        f"folder={tmp_path}", f"model_file={model}")
+    assert printed.count("[png, ") == 3
+    assert "<IdentifiedModel" not in printed and "mode frequency" in printed
+    assert 0.0 < float(printed.split("e_rms ")[1].split(" %")[0]) < 1.0
+    assert (tmp_path / "cosine" / "metadata.yaml").exists()
 
 
 def test_identify_and_track_takes_recordings_and_tracks_well(suite, identification, tmp_path):

@@ -3,6 +3,7 @@
 
 import importlib.util
 import re
+import subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -23,3 +24,22 @@ def test_each_executable_is_listed_with_a_sentence_of_its_own():
 
 def test_run_lists_by_this_program():
     assert "tools/executables.py" in (ROOT / "run").read_text()
+
+
+def test_run_is_completed_with_packages_then_executables(tmp_path):
+    for package, executable in (("piezo_a", "identify"), ("piezo_a", "check"), ("piezo_b", "x")):
+        path = tmp_path / "install" / package / "lib" / package / executable
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+
+    def completed(*words):
+        done = subprocess.run(
+            ["bash", "-c", 'source "$1"; shift; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); '
+             '_piezo_run; echo "${COMPREPLY[@]}"', "bash", ROOT / "tools" / "completion.sh",
+             "./run", *words], capture_output=True, text=True, cwd=tmp_path, check=True)
+        return done.stdout.split()
+
+    assert completed("") == ["piezo_a", "piezo_b"]
+    assert completed("piezo_a", "") == ["check", "identify"]
+    assert completed("piezo_a", "id") == ["identify"]
+    assert completed("piezo_a", "identify", "--") == []

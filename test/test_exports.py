@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-PACKAGES = ("piezo_recorder", "piezo_sim", "piezo_stage_driver")
+PACKAGES = ("piezo_offline", "piezo_recorder", "piezo_sim", "piezo_stage_driver")
 
 
 @pytest.mark.parametrize("name", PACKAGES)

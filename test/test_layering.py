@@ -18,7 +18,7 @@ NUMERICS = {
     "piezo_sim": {"piezo_common", "piezo_stage_driver"},
     "piezo_identification": {"piezo_common", "piezo_models", "piezo_recorder"},
     "piezo_controller": {"piezo_common", "piezo_models", "piezo_recorder"},
-    "piezo_offline": {"piezo_common", "piezo_recorder", "piezo_identification",
+    "piezo_offline": {"piezo_common", "piezo_models", "piezo_recorder", "piezo_identification",
                       "piezo_controller"},
     "piezo_ros": {"piezo_common"},
     "piezo_client": {"piezo_common", "piezo_models", "piezo_recorder"},

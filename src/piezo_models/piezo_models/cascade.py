@@ -5,13 +5,14 @@ What these three do not explain is added as effects, each at its place in the ca
 """
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import control
 import numpy as np
 from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.summary_table import SummaryTable
 from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.first_rise import CYCLED, FirstRise
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
@@ -23,6 +24,10 @@ from piezo_models.linear.dynamics import (
     equilibrium_state,
     zoh,
 )
+from piezo_models.model_summary import summary_of_model, text_of_model
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(eq=False)
@@ -73,6 +78,22 @@ class StageModel:
     hysteretic_creep: HystereticCreep | None = None
     effects: tuple[Effect, ...] = ()
     first_rise: FirstRise | None = None
+
+    def __repr__(self) -> str:
+        return text_of_model(self)
+
+    def _repr_html_(self) -> str:
+        return self.summary()._repr_html_()
+
+    def summary(self) -> SummaryTable:
+        """Return the parameters as a table, with Hz beside rad/s."""
+        return summary_of_model(self)
+
+    def plot(self) -> "Figure":
+        """Draw Preisach plane, loops and frequency response; see `model_pictures.draw_model`."""
+        from piezo_models.model_pictures import draw_model
+
+        return draw_model(self)
 
     def effects_at(self, place: str) -> tuple[Any, ...]:
         """Return the effects at one of `piezo_models.effects.effect.PLACES`."""

@@ -3,12 +3,17 @@
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piezo_common.summary_table import SummaryTable
 from piezo_models.cascade import StageModel
+from piezo_models.model_summary import summary_of_identified
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass
@@ -53,3 +58,19 @@ class IdentifiedModel:
     rows: dict[str, dict[str, float]] = field(default_factory=dict)
     visited: NDArray[np.bool_] | None = None
     adequacy: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"<IdentifiedModel of {self.created}: {self.model!r}>"
+
+    def _repr_html_(self) -> str:
+        return self.summary()._repr_html_()
+
+    def summary(self) -> SummaryTable:
+        """Return parameters with standard deviations, coverage, errors and adequacy as a table."""
+        return summary_of_identified(self)
+
+    def plot(self) -> "Figure":
+        """Draw Preisach plane, loops and frequency response; see `model_pictures.draw_model`."""
+        from piezo_models.model_pictures import draw_model
+
+        return draw_model(self.model, self.visited)

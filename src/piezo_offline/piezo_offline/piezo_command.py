@@ -12,11 +12,13 @@ from piezo_identification.commands.identify_command import COMMAND as IDENTIFY
 from piezo_identification.commands.propose_command import COMMAND as PROPOSE
 from piezo_identification.commands.simulate_command import COMMAND as SIMULATE
 from piezo_identification.commands.waveforms_command import COMMAND as WAVEFORMS
+from piezo_offline.completion_command import COMMAND as COMPLETION
 from piezo_recorder.commands.convert_command import COMMAND as CONVERT
 from piezo_recorder.commands.report_command import COMMAND as REPORT
 
 COMMANDS = {command.name: command for command in (
-    WAVEFORMS, CONVERT, REPORT, CHECK, IDENTIFY, SIMULATE, DIAGNOSE, PROPOSE, DESIGN)}
+    WAVEFORMS, CONVERT, REPORT, CHECK, IDENTIFY, SIMULATE, DIAGNOSE, PROPOSE, DESIGN,
+    COMPLETION)}
 """In the order in which they are used."""
 
 

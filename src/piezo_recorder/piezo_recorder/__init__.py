@@ -8,6 +8,7 @@ from piezo_common.lazy_exports import lazy_exports
 if TYPE_CHECKING:
     from piezo_recorder.reading.columns import ColumnsDocument, parse_columns
     from piezo_recorder.reading.frames import read_frame, to_frame
+    from piezo_recorder.reading.memory import recording_of, recordings_in
     from piezo_recorder.reading.reader import read_recording, read_recordings, sha256_of
     from piezo_recorder.reading.recording import Recording, RecordingError
     from piezo_recorder.sample_block import Flag
@@ -20,6 +21,8 @@ _HOMES = {
     "parse_columns": "reading.columns",
     "read_frame": "reading.frames",
     "to_frame": "reading.frames",
+    "recording_of": "reading.memory",
+    "recordings_in": "reading.memory",
     "read_recording": "reading.reader",
     "read_recordings": "reading.reader",
     "sha256_of": "reading.reader",
@@ -34,6 +37,6 @@ __getattr__, __dir__ = lazy_exports(__name__, _HOMES)
 
 __all__ = [
     "ColumnsDocument", "Flag", "MessageDefinition", "Recording", "RecordingError",
-    "RecordingWriter", "parse_columns", "read_frame", "read_recording", "read_recordings", "repair",
-    "sha256_of", "to_frame",
+    "RecordingWriter", "parse_columns", "read_frame", "read_recording", "read_recordings",
+    "recording_of", "recordings_in", "repair", "sha256_of", "to_frame",
 ]

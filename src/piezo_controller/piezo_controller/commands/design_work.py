@@ -7,72 +7,38 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from piezo_controller.feedback.computing_time import computing_time_s
 from piezo_controller.feedback.controller_file import save_controller
+from piezo_controller.feedback.controller_view import REPORT_ROWS
 from piezo_controller.feedback.feedback_design import (
     FeedbackController,
-    design_feedback,
     structured_singular_value,
 )
 from piezo_controller.feedback.loop_pictures import draw_bode, draw_mu, draw_nyquist, draw_weights
-from piezo_controller.feedback.loop_rules import LoopRules, choose_rates
+from piezo_controller.feedback.loop_rules import LoopRules
 from piezo_controller.feedback.robustness import Robustness, check_robustness
+from piezo_controller.feedback.stage_design import CLOCK_PERIOD_S, design_for_stage
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant, generalised_plant
-from piezo_controller.feedback.synthesis.weights import (
-    DesignWeights,
-    load_weights,
-)
-from piezo_controller.feedback.synthesis.ziegler_nichols import ultimate_point_by_relay
+from piezo_controller.feedback.synthesis.weights import DesignWeights
 from piezo_models.cascade import StageModel
 from piezo_models.model_file import load_model
 
-CLOCK_PERIOD_S = 25e-6
 GAIN_SPREAD = 0.12
-ROWS = (
-    ("order_before_reduction", "order before reduction", "{:d}"),
-    ("order", "order of the controller", "{:d}"),
-    ("gamma", "H-infinity norm with the scalings, gamma", "{:.3f}"),
-    ("mu", "structured singular value, mu", "{:.3f}"),
-    ("ultimate_gain_v_per_um", "ultimate gain", "{:.3f} V/um"),
-    ("ultimate_period_s", "ultimate period", "{:.5f} s"),
-    ("hysteresis_gain_um_per_v", "nominal hysteresis gain k_h", "{:.3f} um/V"),
-    ("hysteresis_gain_spread", "  varies by a part of", "{:.3f}"),
-    ("bandwidth_hz", "bandwidth (S at -3 dB)", "{:.1f} Hz"),
-    ("crossover_hz", "crossover (L at 0 dB)", "{:.1f} Hz"),
-    ("peak_sensitivity", "peak sensitivity Ms", "{:.2f}"),
-    ("peak_frequency_hz", "  at", "{:.0f} Hz"),
-    ("gain_margin", "gain margin", "{:.2f}"),
-    ("gain_margin_at_lowest_gain", "  at the lowest hysteresis gain", "{:.2f}"),
-    ("gain_margin_at_highest_gain", "  at the highest", "{:.2f}"),
-    ("phase_margin_deg", "phase margin", "{:.0f} deg"),
-    ("phase_margin_deg_at_lowest_gain", "  at the lowest hysteresis gain", "{:.0f} deg"),
-    ("phase_margin_deg_at_highest_gain", "  at the highest", "{:.0f} deg"),
-    ("settling_to_5_percent_s", "settling to 5 %", "{:.3f} s"),
-)
 
 
 def design_controller(options: argparse.Namespace) -> None:
     """Design the controller of the options; write it, print its margins and draw its loop."""
     model = load_model(options.model).model
-    weights = load_weights(options.weights)
-    rules = choose_rates(
-        1 / ultimate_point_by_relay(model, 1, CLOCK_PERIOD_S).period_s,
-        1 / CLOCK_PERIOD_S, computing_time_s(),
-        options.samples_per_tick or round(weights.sample_period_s / CLOCK_PERIOD_S),
-        options.disturbance_hz)
-    samples_per_tick = options.samples_per_tick or rules.samples_per_tick
-    weights = weights.for_disturbances(options.disturbance_hz).at_tick(
-        samples_per_tick * CLOCK_PERIOD_S)
-    controller = design_feedback(
-        model, weights, CLOCK_PERIOD_S, sha256(options.model.read_bytes()).hexdigest(),
-        options.method, options.scaling, options.at_once, reduce=not options.full_order,
-        delay_ticks=options.delay_ticks)
+    design = design_for_stage(
+        model, options.weights, options.method, options.scaling, options.disturbance_hz,
+        options.samples_per_tick, options.at_once, not options.full_order, options.delay_ticks,
+        sha256(options.model.read_bytes()).hexdigest())
+    controller, weights = design.controller, design.weights
     save_controller(options.output, controller)
     robustness = check_robustness(
         model, controller.state_space(), CLOCK_PERIOD_S,
         max(GAIN_SPREAD, controller.report["hysteresis_gain_spread"]), at_once=options.at_once,
         delay_ticks=options.delay_ticks)
-    _print(controller.report, rules, samples_per_tick, robustness)
+    _print(controller.report, design.rules, design.samples_per_tick, robustness)
     pictures = _draw(options, model, weights, controller)
     print(f"written: {', '.join(str(path) for path in (options.output, *pictures))}")
     print("next:", shlex.join([
@@ -90,8 +56,8 @@ def _print(report: dict[str, Any], rules: LoopRules, samples_per_tick: int,
                                f"{rules.highest_bandwidth_hz:.4g} Hz"),
         ("loop shaping by (5.11)", f"performance below {rules.performance_hz:.4g} Hz, robustness "
                                    f"above {rules.robustness_hz:.4g} Hz"),
-        *((label, "none" if report[key] is None else layout.format(report[key]))
-          for key, label, layout in ROWS if key in report),
+        *((label, "none" if report[key] is None else f"{report[key]:{layout}} {unit}".rstrip())
+          for key, label, layout, unit in REPORT_ROWS if key in report),
         ("stable with 5 % errors of all parameters",
          f"{robustness.samples - robustness.unstable_samples} of {robustness.samples} drawn"),
         ("  Ms at the worst errors found", f"{robustness.worst_peak_sensitivity:.2f}"),

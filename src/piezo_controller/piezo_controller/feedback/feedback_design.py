@@ -2,12 +2,18 @@
 """Design of the feedback at the tick's rate: H-infinity (thesis 5.2.4), PID and PI."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import control
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_common.summary_table import SummaryTable
+from piezo_controller.feedback.controller_view import (
+    draw_controller,
+    summary_of_controller,
+    text_of_controller,
+)
 from piezo_controller.feedback.design_choices import METHODS, SCALINGS
 from piezo_controller.feedback.loop_measures import measure_loop
 from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
@@ -31,6 +37,9 @@ from piezo_controller.feedback.synthesis.ziegler_nichols import (
     ultimate_point_by_response,
 )
 from piezo_models.cascade import StageModel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Damps the controller's resonance at 270 Hz, and lowers the sensitivity's peak.
 SLACK = 0.1
@@ -69,6 +78,20 @@ class FeedbackController:
     report: dict
     weights: dict
     model_sha256: str = ""
+
+    def __repr__(self) -> str:
+        return text_of_controller(self)
+
+    def _repr_html_(self) -> str:
+        return self.summary()._repr_html_()
+
+    def summary(self) -> SummaryTable:
+        """Return what is known of the loop as a table."""
+        return summary_of_controller(self)
+
+    def plot(self, model: StageModel | None = None) -> "Figure":
+        """Draw the controller, or its loop with a model; see `controller_view.draw_controller`."""
+        return draw_controller(self, model)
 
     def state_space(self) -> control.StateSpace:
         """Return the controller as a ``control.StateSpace``."""

@@ -12,7 +12,7 @@ from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
-from piezo_models.linear.dynamics import ElectricVibrationDynamics
+from piezo_models.linear.dynamics import ElectricVibrationDynamics, zoh
 
 NEGLIGIBLE = 1e-5
 """Part of a step below which what is left of its ringing does not count."""
@@ -47,6 +47,28 @@ def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
         - sum_of_modes(dynamics.antiresonance_frequencies_rad_per_s,
                        dynamics.antiresonance_damping_ratios)
     )
+
+
+def held_delay_s(dynamics: ElectricVibrationDynamics, sample_period_s: float) -> float:
+    """Return the delay at low frequency from held voltages to samples read before they change.
+
+    Of H(z) = C (zI - A)^-1 B + D, with the hold, it is -H'(1) periods. Half a period is added to
+    `low_frequency_delay_s` where the dynamics are slow beside the period; where they are fast, the
+    delay is a whole period.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics
+    sample_period_s : float
+
+    Returns
+    -------
+    float
+    """
+    system = zoh(dynamics.state_space(), sample_period_s)
+    away = np.eye(system.nstates) - system.A
+    slope = system.C @ np.linalg.solve(away, np.linalg.solve(away, system.B))
+    return sample_period_s * float(slope[0, 0])
 
 
 def slow_dynamics(

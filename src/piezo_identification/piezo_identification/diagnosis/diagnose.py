@@ -73,7 +73,7 @@ SHARE_ALONE = 0.4
 """Part of the work for the new recordings alone, where others are asked as well."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Verdict):
     """A verdict with its evidence; the effects come with standard deviations, strongest first.
 

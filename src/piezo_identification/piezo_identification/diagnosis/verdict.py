@@ -6,15 +6,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from piezo_common.summary_table import SummaryTable
+from piezo_identification.diagnosis.verdict_view import (
+    draw_verdict,
+    summary_of_verdict,
+    text_of_verdict,
+)
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
-from piezo_recorder.reading.reader import sha256_of
+from piezo_recorder.reading.reader import origin_of
+from piezo_recorder.reading.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Verdict:
     """What a model lacks, and how much better it gets.
 
@@ -65,6 +75,20 @@ class Verdict:
     probabilities: dict[str, float] = field(default_factory=dict, kw_only=True)
     identified_from: dict[str, object] = field(default_factory=dict, kw_only=True)
 
+    def __repr__(self) -> str:
+        return text_of_verdict(self)
+
+    def _repr_html_(self) -> str:
+        return self.summary()._repr_html_()
+
+    def summary(self) -> SummaryTable:
+        """Return errors and effects as a table, with standard deviations."""
+        return summary_of_verdict(self)
+
+    def plot(self) -> "Figure":
+        """Draw errors and effects; see `verdict_view.draw_verdict`."""
+        return draw_verdict(self)
+
     def document(self) -> dict[str, Any]:
         """Return the content of `verdict.json`."""
         return {
@@ -98,23 +122,38 @@ def write_verdict(path: Path, verdict: Verdict) -> None:
 
 
 def save_extended_model(path: Path, identified: IdentifiedModel, verdict: Verdict,
-                        data: Sequence[str | PathLike[str]]) -> None:
-    """Save the model that a verdict leads to, with what it was found in.
+                        data: Sequence[str | PathLike[str] | Recording]) -> None:
+    """Save the model that a verdict leads to.
 
     Parameters
     ----------
     path : Path
-    identified : IdentifiedModel
-        Kept as it is if nothing was added.
-    verdict : Verdict
-    data : sequence of path-like
-        What was diagnosed.
+    identified, verdict, data
+        Of `extended_model`.
     """
-    if verdict.model is not identified.model:
-        identified = replace(
-            identified, model=verdict.model, uncertainties={}, adequacy={},
-            errors={**identified.errors, "before_diagnosis": verdict.before,
-                    "after_diagnosis": verdict.after},
-            recordings=[*identified.recordings, *(
-                {"path": str(path), "sha256": sha256_of(path)} for path in data)])
-    save_model(path, identified)
+    save_model(path, extended_model(identified, verdict, data))
+
+
+def extended_model(identified: IdentifiedModel, verdict: Verdict,
+                   data: Sequence[str | PathLike[str] | Recording]) -> IdentifiedModel:
+    """Return the model that a verdict leads to, with what it was found in.
+
+    Parameters
+    ----------
+    identified : IdentifiedModel
+    verdict : Verdict
+    data : sequence of path-like or Recording
+        What was diagnosed.
+
+    Returns
+    -------
+    IdentifiedModel
+        The given one if nothing was added.
+    """
+    if verdict.model is identified.model:
+        return identified
+    return replace(
+        identified, model=verdict.model, uncertainties={}, adequacy={},
+        errors={**identified.errors, "before_diagnosis": verdict.before,
+                "after_diagnosis": verdict.after},
+        recordings=[*identified.recordings, *map(origin_of, data)])

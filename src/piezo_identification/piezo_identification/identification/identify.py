@@ -69,7 +69,7 @@ from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.identified_model import IdentifiedModel
-from piezo_recorder.reading.reader import sha256_of
+from piezo_recorder.reading.reader import origin_of
 from piezo_recorder.reading.recording import Recording
 
 __all__ = ["IdentificationCancelled", "identify"]
@@ -382,9 +382,7 @@ def identified_model(
             if name != "validation" and not isinstance(data, FrequencyResponse)
         },
         errors=errors,
-        recordings=[
-            {"path": str(data.path), "sha256": sha256_of(data.path)} for data in given.values()
-        ],
+        recordings=[origin_of(data) for data in given.values()],
         uncertainties=fitted.uncertainties, visited=fitted.visited,
         rows={name: row.fields() for name, row in rows.items()},
     )

@@ -2,6 +2,7 @@
 """Simulate a model under the voltage of a recording."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects.outliers import FEWEST
 from piezo_models.measures import e_y_percent
 from piezo_recorder.reading.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,16 @@ class Prediction:
     past_v: PastVoltages = ()
     outlier: NDArray[np.bool_] | None = None
     reversed: bool = False
+
+    def __repr__(self) -> str:
+        return (f"<Prediction: {self.time_s.size} samples, e_y = {self.e_y_percent():.3g} % of "
+                "the measured displacement>")
+
+    def plot(self) -> "Figure":
+        """Draw measured and simulated displacement over time, and their difference."""
+        from piezo_identification.prediction.prediction_pictures import displacement_figure
+
+        return displacement_figure(self)
 
     @property
     def good(self) -> NDArray[np.bool_]:

@@ -3,6 +3,8 @@
 
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
 from piezo_common.arrays import FloatArray
 from piezo_common.picture_style import (
     BLUE,
@@ -23,15 +25,23 @@ BAND = 2.0
 
 def draw_displacement(path: str | Path, prediction: Prediction,
                       deviation_um: FloatArray | None = None) -> None:
+    """Write a picture of the displacement over time; see `displacement_figure`."""
+    displacement_figure(prediction, deviation_um).savefig(path, dpi=DOTS_PER_INCH)
+
+
+def displacement_figure(prediction: Prediction,
+                        deviation_um: FloatArray | None = None) -> Figure:
     """Draw measured and simulated displacement over time, and their difference.
 
     Parameters
     ----------
-    path : path-like
-        Picture to write.
     prediction : Prediction
     deviation_um : ndarray, shape (N,), optional
         Standard deviation of the simulated displacement, drawn twice to both sides if it is not 0.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
@@ -47,7 +57,7 @@ def draw_displacement(path: str | Path, prediction: Prediction,
         below.legend(loc="upper right")
     below.plot(prediction.time_s, error_nm, **DIFFERENCE)
     label(below, "time (s)", "difference (nm)")
-    figure.savefig(path, dpi=DOTS_PER_INCH)
+    return figure
 
 
 def draw_loops(path: str | Path, prediction: Prediction) -> None:

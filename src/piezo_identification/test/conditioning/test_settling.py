@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
+import control
 import numpy as np
 import pytest
 
 from piezo_identification.conditioning.settling import (
     first_settled,
+    held_delay_s,
     low_frequency_delay_s,
     settling_time_s,
     slow_delay_s,
@@ -55,3 +57,18 @@ def test_without_dynamics_nothing_is_late():
     static = ElectricVibrationDynamics()
     assert low_frequency_delay_s(static) == 0.0
     assert settling_time_s(static) == 0.0
+
+
+@pytest.mark.parametrize("period_s", [1e-6, 25e-6, 1e-3, 0.05])
+def test_delay_of_held_voltages_is_that_of_a_slow_ramp(period_s):
+    dynamics = ElectricVibrationDynamics(2e-4, (4900.0,), (0.3,))
+    system = control.sample_system(dynamics.state_space(), period_s, "zoh")
+    count = int(60e-3 / period_s) + 20
+    times = period_s * np.arange(count)
+    response = control.forced_response(system, times, times).outputs
+    assert held_delay_s(dynamics, period_s) == pytest.approx(times[-1] - response[-1], rel=1e-6)
+
+
+def test_delay_of_fast_dynamics_is_the_whole_hold():
+    fast = ElectricVibrationDynamics(1e-6, (1e5,), (0.5,))
+    assert held_delay_s(fast, 0.05) == pytest.approx(0.05, rel=1e-9)

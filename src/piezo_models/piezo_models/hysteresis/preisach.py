@@ -138,6 +138,11 @@ class PreisachModel:
         object.__setattr__(self, "offset_um", float(self.offset_um))
         object.__setattr__(self, "reversible_um_per_v", reversible)
 
+    def __repr__(self) -> str:
+        low_um, high_um = self.output_range_um
+        return (f"<PreisachModel: {self.voltage_min_v:g} to {self.voltage_max_v:g} V, "
+                f"{high_um - low_um:.4g} um, {len(self.density_um_per_v2)} cells a side>")
+
     @property
     def cell_width_v(self) -> float:
         """Return the width of a cell of the grid."""

@@ -101,6 +101,21 @@ def sha256_of(path: str | PathLike[str]) -> str:
     return digest.hexdigest()
 
 
+def origin_of(data: Any) -> dict[str, str]:
+    """Return what a model file keeps of data: `path` and `sha256`.
+
+    Parameters
+    ----------
+    data : path-like, Recording, or anything else with a `path`
+
+    Returns
+    -------
+    dict of str to str
+    """
+    path = getattr(data, "path", data)
+    return {"path": str(path), "sha256": getattr(data, "sha256", "") or sha256_of(path)}
+
+
 def data_files(path: Path) -> list[Path]:
     """Return the files that hold a recording's data; RecordingError where there are none."""
     if not path.exists():

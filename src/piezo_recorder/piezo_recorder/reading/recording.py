@@ -2,10 +2,17 @@
 """A recording: samples of a stage in the order of the sample clock."""
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from piezo_common.summary_table import SummaryTable
+from piezo_recorder.reading.recording_view import draw_recording, summary_of, text_of
 from piezo_recorder.sample_block import Flag
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
 
 class RecordingError(ValueError):
@@ -46,6 +53,8 @@ class Recording:
         Standard deviation of the times of the rows from an even clock; 0 on the sample clock.
     title : str
         Which of several recordings of one file; empty where there is one.
+    sha256 : str
+        Hash of samples that came from no file; empty where `path` is one.
     """
 
     path: str
@@ -62,6 +71,27 @@ class Recording:
     notes: list[str] = field(default_factory=list)
     jitter_s: float = 0.0
     title: str = ""
+    sha256: str = ""
+
+    def __repr__(self) -> str:
+        return text_of(self)
+
+    def _repr_html_(self) -> str:
+        return self.summary()._repr_html_()
+
+    def summary(self) -> SummaryTable:
+        """Return extent, clock and ranges as a table."""
+        return summary_of(self)
+
+    def plot(self) -> "Figure":
+        """Draw the signals over time and the loop; see `recording_view.draw_recording`."""
+        return draw_recording(self)
+
+    def to_frame(self) -> "pandas.DataFrame":
+        """Return the samples as a pandas frame; see `piezo_recorder.reading.frames.to_frame`."""
+        from piezo_recorder.reading.frames import to_frame
+
+        return to_frame(self)
 
     @property
     def time_s(self) -> np.ndarray:

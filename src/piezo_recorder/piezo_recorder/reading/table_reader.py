@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Recordings in the files of other programs: one reader for all kinds of table."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,6 +60,27 @@ def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
     if not tables:
         raise RecordingError(f"{path} holds no columns of numbers: save time, voltage and "
                              "displacement as arrays of one length")
+    return recordings_of(tables, said)
+
+
+def recordings_of(tables: Sequence[Table], said: ColumnsDocument) -> list[Recording]:
+    """Return the recordings that tables hold.
+
+    Parameters
+    ----------
+    tables : sequence of Table
+        The groups of a file, then the whole of it; at least one.
+    said : ColumnsDocument
+
+    Returns
+    -------
+    list of Recording
+
+    Raises
+    ------
+    RecordingError
+        See `read_table_recordings`.
+    """
     *groups, whole = tables
     usable = [group for group in groups if _sources(group, said)]
     parts = [part for table in usable or [whole] for part in _parts(table, said)]
@@ -66,7 +88,7 @@ def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
     chosen = [part for part in parts if only in ("", part.title)]
     if not chosen:
         names = ", ".join(part.title or "1" for part in parts[:12])
-        raise RecordingError(f"{path} has no recording '{only}': give one of {names}")
+        raise RecordingError(f"{whole.path} has no recording '{only}': give one of {names}")
     return [_recording(part, said, several=len(parts) > 1) for part in chosen]
 
 

@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from piezo_common.command_line import print_next
 from piezo_recorder.reading.data_options import read_all_given
-from piezo_recorder.reading.reader import sha256_of
+from piezo_recorder.reading.reader import origin_of
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import TYPE_NAME
 from piezo_recorder.writing.message_definition import installed_definition
@@ -73,7 +73,7 @@ def write_recording(recording: Recording, path: Path) -> None:
     stamp, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
     with RecordingWriter(path, recording.sample_rate_hz) as writer:
         writer.attach("conversion.json", json.dumps({
-            "source": recording.path, "sha256": sha256_of(recording.path),
+            "source": recording.path, "sha256": origin_of(recording)["sha256"],
             "recording": recording.title, "notes": recording.notes}, indent=1).encode())
         channel = writer.add_topic(TOPIC, definition)
         for tick, rows in enumerate(_blocks(recording), start=1):

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of a diagnosis: before and after on the same axes."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
+from matplotlib.figure import Figure
 
 from piezo_common.arrays import FloatArray
 from piezo_common.picture_style import (
@@ -21,7 +24,11 @@ from piezo_identification.diagnosis.evidence.residual_tests import (
     spectrum,
     whiteness,
 )
+from piezo_identification.diagnosis.residual import noise_estimate
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+
+if TYPE_CHECKING:
+    from piezo_identification.diagnosis.diagnose import Diagnosis
 
 MODEL = {"color": BLACK, "linewidth": 0.8}
 DOTS_PER_INCH = 110
@@ -32,6 +39,21 @@ LOWEST_SHOWN = 0.1
 
 
 def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> bytes:
+    """Draw the residuals over time as a PNG; see `residuals_figure`."""
+    return to_png(residuals_figure(part, before_um, after_um), DOTS_PER_INCH)
+
+
+def residuals_of(diagnosis: "Diagnosis", index: int = 0) -> Figure:
+    """Draw the residuals of one of the recordings of a diagnosis; see `residuals_figure`."""
+    regression = diagnosis.selection.regression
+    dataset, noise = regression.dataset, regression.noise
+    return residuals_figure(
+        dataset.simulated[index], noise_estimate.residual_um(dataset, index, noise=noise),
+        noise_estimate.residual_of_model_um(dataset, index, diagnosis.model, noise))
+
+
+def residuals_figure(part: SimulatedRecording, before_um: FloatArray,
+                     after_um: FloatArray) -> Figure:
     """Draw the residuals over time: of the whole, and close where most was gained.
 
     Parameters
@@ -41,8 +63,7 @@ def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: Fl
 
     Returns
     -------
-    bytes
-        Of a PNG file.
+    matplotlib.figure.Figure
     """
     figure = new_figure(5.5, WIDE_IN)
     whole = slice(part.begin, None, max(1, part.time_s.size // MOST_POINTS))
@@ -58,7 +79,7 @@ def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: Fl
         label(below, "time (s)", "residual (nm)")
     below.locator_params(axis="x", nbins=3)
     figure.legend(*below.get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    return to_png(figure, DOTS_PER_INCH)
+    return figure
 
 
 def _closest_look(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> slice:

@@ -35,7 +35,7 @@ FEWEST_FREQUENCIES = 4 * SETTINGS.block * SETTINGS.held_out
 """A response needs so many, of which four blocks are then held out."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ResponseDiagnosis(Verdict):
     """A verdict on a frequency response, with its evidence; the effects in the order found.
 

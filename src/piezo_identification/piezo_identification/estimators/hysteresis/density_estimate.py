@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.model_summary import visited_fraction
 
 LINE = "a line, which predicts what is held out as well as a hysteresis"
 """Method of an estimate whose density is zero: the stage answers in proportion."""
@@ -62,8 +63,7 @@ class DensityEstimate:
     @property
     def visited_fraction(self) -> float:
         """Part of the area of the Preisach plane that was visited."""
-        area = np.tril(np.ones(self.visited.shape)) - 0.5 * np.eye(len(self.visited))
-        return float(area[self.visited].sum() / area.sum())
+        return visited_fraction(self.visited)
 
     @property
     def condition_number(self) -> float:
@@ -93,13 +93,7 @@ class DensityEstimate:
             words.append(f"translation weight {self.translation_weight:.0e}")
         visited = f"{100.0 * self.visited_fraction:.1f} % of the Preisach plane visited"
         if self.visited_fraction < 1.0:
-            rows, columns = np.nonzero(np.tril(~self.visited))
-            alpha_v = self.levels_v[[rows.min(), rows.max() + 1]]
-            beta_v = self.levels_v[[columns.min(), columns.max() + 1]]
-            visited += (
-                f"; not visited, so not known: cells with alpha within {alpha_v[0]:g} to "
-                f"{alpha_v[1]:g} V and beta within {beta_v[0]:g} to {beta_v[1]:g} V"
-            )
+            visited += ", in the rest the density is a continuation"
         return "; ".join([*words, visited])
 
 

@@ -9,7 +9,11 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
-from piezo_identification.conditioning.settling import first_settled, low_frequency_delay_s
+from piezo_identification.conditioning.settling import (
+    first_settled,
+    held_delay_s,
+    low_frequency_delay_s,
+)
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.dynamics_inverse import (
     follows_fast,
@@ -166,9 +170,13 @@ def hysteresis_output_um(
         displacement_um = remove_dynamics(
             displacement_um, recording.voltage_v, dynamics, recording.sample_period_s, delay_s)
         return remove_creep(displacement_um, creep, recording.sample_period_s)
-    # The hold lags half a sample, the mean leads half a sample less half a clock period.
-    lead_s = delay_s + low_frequency_delay_s(dynamics) + 0.5 / recording.sample_rate_hz
-    slope_um_per_s = np.gradient(displacement_um, recording.sample_period_s)
+    period_s, clock_period_s = recording.sample_period_s, 1.0 / recording.sample_rate_hz
+    if period_s > 1.5 * clock_period_s:
+        # The hold lags half a sample, the mean leads half a sample less half a clock period.
+        lead_s = delay_s + low_frequency_delay_s(dynamics) + 0.5 * clock_period_s
+    else:
+        lead_s = delay_s + held_delay_s(dynamics, period_s)
+    slope_um_per_s = np.gradient(displacement_um, period_s)
     return remove_creep(displacement_um + lead_s * slope_um_per_s, creep, recording.sample_period_s)
 
 

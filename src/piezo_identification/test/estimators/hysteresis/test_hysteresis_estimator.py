@@ -86,7 +86,7 @@ def test_reversal_curves_visit_the_whole_plane_and_one_loop_two_sides_of_it(plan
     loop = play(experiments.hysteresis(level_count=1, harmonic_period_s=20.0), 1, CLOCK_HZ)
     sides = estimate_density(loop, plant.creep, plant.dynamics, LEVELS, 1)
     assert np.count_nonzero(sides.visited) == 2 * LEVELS - 1
-    assert "not visited, so not known" in sides.report()
+    assert f"{100.0 * sides.visited_fraction:.1f} % of the Preisach plane visited" in sides.report()
 
 
 def test_a_voltage_that_rests_is_refused(plant, recording):

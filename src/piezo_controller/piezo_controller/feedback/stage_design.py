@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A design from a model alone: the rules (5.9) to (5.11) choose the rate, then the feedback."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from piezo_controller.feedback.computing_time import computing_time_s
+from piezo_controller.feedback.design_choices import (
+    DEFAULT_WEIGHTS,
+    DISTURBANCE_HZ,
+    METHODS,
+    SCALINGS,
+)
+from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
+from piezo_controller.feedback.loop_rules import LoopRules, choose_rates
+from piezo_controller.feedback.synthesis.weights import DesignWeights, load_weights
+from piezo_controller.feedback.synthesis.ziegler_nichols import ultimate_point_by_relay
+from piezo_models.cascade import StageModel
+
+CLOCK_PERIOD_S = 25e-6
+"""Of the stage's sample clock."""
+
+
+@dataclass(frozen=True)
+class StageDesign:
+    """A controller with what led to it.
+
+    Attributes
+    ----------
+    controller : FeedbackController
+    weights : DesignWeights
+        At the controller's tick, for the disturbances that were named.
+    rules : LoopRules
+    samples_per_tick : int
+    """
+
+    controller: FeedbackController
+    weights: DesignWeights
+    rules: LoopRules
+    samples_per_tick: int
+
+
+def design_for_stage(
+    model: StageModel, weights: str | Path = DEFAULT_WEIGHTS, method: str = METHODS[0],
+    scaling: str = SCALINGS[0], disturbance_hz: float = DISTURBANCE_HZ,
+    samples_per_tick: int | None = None, at_once: bool = False, reduce: bool = True,
+    delay_ticks: int = 1, model_sha256: str = "",
+) -> StageDesign:
+    """Choose the rate of the feedback by the rules, then design it.
+
+    Parameters
+    ----------
+    model : StageModel
+    weights : str or Path
+        "default", "thesis", or a file (YAML); of `h_infinity` alone.
+    method, scaling, at_once, reduce, delay_ticks, model_sha256
+        Of `piezo_controller.feedback.feedback_design.design_feedback`.
+    disturbance_hz : float
+        Bandwidth of the disturbances.
+    samples_per_tick : int, optional
+        Feedback period; by the rules (5.10) by default.
+
+    Returns
+    -------
+    StageDesign
+
+    Raises
+    ------
+    ValueError
+        See `design_feedback`; or the weights cannot be read.
+    """
+    chosen = load_weights(weights)
+    rules = choose_rates(
+        1 / ultimate_point_by_relay(model, 1, CLOCK_PERIOD_S).period_s, 1 / CLOCK_PERIOD_S,
+        computing_time_s(),
+        samples_per_tick or round(chosen.sample_period_s / CLOCK_PERIOD_S), disturbance_hz)
+    samples = samples_per_tick or rules.samples_per_tick
+    chosen = chosen.for_disturbances(disturbance_hz).at_tick(samples * CLOCK_PERIOD_S)
+    controller = design_feedback(model, chosen, CLOCK_PERIOD_S, model_sha256, method, scaling,
+                                 at_once, reduce, delay_ticks)
+    return StageDesign(controller, chosen, rules, samples)

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of a model: its Preisach plane, its loops and its frequency response."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import FloatArray
+from piezo_common.picture_style import (
+    BLACK,
+    BLUE,
+    CURVES,
+    WIDE_IN,
+    label,
+    new_figure,
+)
+from piezo_models.hysteresis.preisach import PreisachModel
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from piezo_models.cascade import StageModel
+
+AMPLITUDES = (1.0, 0.75, 0.5, 0.25)
+"""Parts of the voltage range that the drawn loops cover."""
+
+POINTS = 400
+BESIDE = 3.0
+"""Factor by which the drawn frequencies go beyond the slowest and the fastest of the model."""
+
+STATIC_HZ = (1.0, 1000.0)
+"""Frequencies drawn of a model that has neither creep nor dynamics."""
+
+
+def draw_model(model: "StageModel", visited: NDArray[np.bool_] | None = None) -> "Figure":
+    """Draw Preisach plane, loops, and gain and phase of the linear part.
+
+    Parameters
+    ----------
+    model : StageModel
+    visited : ndarray of bool, shape (L, L), optional
+        Cells that recordings determine; the others are hatched.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = new_figure(6.4, WIDE_IN)
+    (plane, gain), (loops, phase) = figure.subplots(2, 2)
+    density_on(plane, model.hysteresis, visited)
+    loops_on(loops, model.hysteresis)
+    gain.sharex(phase)
+    response_on(gain, phase, model)
+    return figure
+
+
+def density_on(axes: "Axes", hysteresis: PreisachModel,
+               visited: NDArray[np.bool_] | None = None) -> Any:
+    """Draw the density of the relays over their thresholds; unvisited cells are hatched.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    hysteresis : PreisachModel
+    visited : ndarray of bool, shape (L, L), optional
+
+    Returns
+    -------
+    matplotlib.collections.QuadMesh
+        What was drawn, such as for a colour bar.
+    """
+    levels_v, density = hysteresis.levels_v, hysteresis.density_um_per_v2
+    below = np.tril(np.ones(density.shape, dtype=bool))
+    drawn = axes.pcolormesh(levels_v, levels_v, np.ma.array(1e3 * density, mask=~below),
+                            cmap="cividis")
+    if visited is not None and not visited[below].all():
+        centres_v = 0.5 * (levels_v[1:] + levels_v[:-1])
+        hatched = axes.contourf(centres_v, centres_v, (below & ~visited).astype(float),
+                                levels=[0.5, 1.5], colors="none", hatches=["///"])
+        hatched.set_edgecolor("white")
+        hatched.set_linewidth(0.0)
+    axes.plot(levels_v[[0, -1]], levels_v[[0, -1]], color=BLACK, linewidth=0.8)
+    axes.figure.colorbar(drawn, ax=axes, label="density (nm/V²)")
+    label(axes, "relay switches off at (V)", "relay switches on at (V)",
+          "Preisach plane" if visited is None else "Preisach plane, hatched: not visited")
+    axes.grid(False)
+    return drawn
+
+
+def loops_on(axes: "Axes", hysteresis: PreisachModel) -> None:
+    """Draw loops that rise from the lowest voltage to several parts of the range."""
+    low_v, high_v = hysteresis.voltage_min_v, hysteresis.voltage_max_v
+    rise = np.linspace(0.0, 1.0, POINTS)
+    way = np.concatenate([rise, rise[::-1], rise])
+    for part, style in zip(AMPLITUDES, CURVES, strict=False):
+        voltage_v = low_v + part * (high_v - low_v) * way
+        settled = slice(POINTS, None)  # behind the first rise, which no loop goes twice
+        axes.plot(voltage_v[settled], hysteresis.simulate(voltage_v)[settled], **style)
+    label(axes, "voltage (V)", "displacement (um)", "hysteresis")
+
+
+def response_on(gain: "Axes", phase: "Axes", model: "StageModel") -> None:
+    """Draw gain and phase of what follows the hysteresis, on an axis each."""
+    frequency_hz = drawn_frequencies(model)
+    response = model.response(frequency_hz)
+    gain.loglog(frequency_hz, np.abs(response), color=BLUE, linewidth=1.2)
+    phase.semilogx(frequency_hz, np.degrees(np.unwrap(np.angle(response))), color=BLUE,
+                   linewidth=1.2)
+    label(gain, None, "gain (um/um)", "creep and dynamics")
+    label(phase, "frequency (Hz)", "phase (degrees)")
+
+
+def drawn_frequencies(model: "StageModel") -> FloatArray:
+    """Return frequencies in Hz from below the slowest pole to above the fastest mode."""
+    dynamics = model.dynamics
+    of_modes = [effect.frequency_rad_per_s for effect in model.effects_at("modes")]
+    modes = [*dynamics.mode_frequencies_rad_per_s,
+             *dynamics.antiresonance_frequencies_rad_per_s, *of_modes]
+    # A lag far above the modes is none that the recordings could show.
+    lag = [] if modes or not dynamics.time_constant_s else [1.0 / dynamics.time_constant_s]
+    rates = [*model.creep.poles_rad_per_s, *model.creep.zeros_rad_per_s, *modes, *lag]
+    low_hz, high_hz = STATIC_HZ
+    if rates:
+        low_hz, high_hz = (np.array([min(rates) / BESIDE, max(rates) * BESIDE]) / (2.0 * np.pi))
+    return np.geomspace(low_hz, high_hz, POINTS)

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The parameters of a model as a table: standard deviations beside them, Hz beside rad/s."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.summary_table import Cell, SummaryTable
+
+if TYPE_CHECKING:
+    from piezo_models.cascade import StageModel
+    from piezo_models.identified_model import IdentifiedModel
+
+HEADS = ("parameter", "value", "std. dev.", "unit", "in Hz", "std. dev. (Hz)")
+RAD_PER_S = "rad/s"
+
+PARAMETERS = (
+    ("creep", "poles_rad_per_s", "creep pole", RAD_PER_S, 1.0),
+    ("creep", "zeros_rad_per_s", "creep zero", RAD_PER_S, 1.0),
+    ("dynamics", "time_constant_s", "electric time constant", "ms", 1e3),
+    ("dynamics", "mode_frequencies_rad_per_s", "mode frequency", RAD_PER_S, 1.0),
+    ("dynamics", "damping_ratios", "damping ratio", "1", 1.0),
+    ("dynamics", "antiresonance_frequencies_rad_per_s", "antiresonance frequency", RAD_PER_S, 1.0),
+    ("dynamics", "antiresonance_damping_ratios", "antiresonance damping ratio", "1", 1.0),
+)
+"""Component, name in the model, name for people, unit for people, and how many of them in one."""
+
+
+def visited_fraction(visited: NDArray[np.bool_]) -> float:
+    """Return the part of the area of the Preisach plane that recordings have visited.
+
+    Parameters
+    ----------
+    visited : ndarray of bool, shape (L, L)
+        Lower triangular; a cell on the diagonal is half a cell.
+    """
+    area = np.tril(np.ones(visited.shape)) - 0.5 * np.eye(len(visited))
+    return float(area[visited].sum() / area.sum())
+
+
+def model_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> list[tuple[Cell, ...]]:
+    """Return the rows of a table of parameters, in the order of the signal path.
+
+    Parameters
+    ----------
+    model : StageModel
+    uncertainties : dict
+        Standard deviations, see `piezo_models.identified_model.IdentifiedModel`.
+
+    Returns
+    -------
+    list of tuple
+        As many cells as `HEADS`.
+    """
+    hysteresis = model.hysteresis
+    low_um, high_um = hysteresis.output_range_um
+    rows: list[tuple[Cell, ...]] = [
+        _row("voltage range, from", hysteresis.voltage_min_v, None, "V"),
+        _row("voltage range, to", hysteresis.voltage_max_v, None, "V"),
+        _row("hysteresis range", high_um - low_um, None, "um"),
+    ]
+    for component, name, text, unit, scale in PARAMETERS:
+        values = np.atleast_1d(getattr(getattr(model, component), name))
+        deviations = _deviations(uncertainties.get(component), name, values.size)
+        rows += _numbered(text, values, deviations, unit, scale)
+    hysteretic = model.hysteretic_creep
+    if hysteretic is not None:
+        rows += _numbered("hysteretic creep, time constant",
+                          np.asarray(hysteretic.time_constants_s), [None] * 99, "s")
+    if model.first_rise is not None:
+        rows.append(_row("first rise, remanence", model.first_rise.whole_um, None, "um"))
+    of_effects = uncertainties.get("effects") or [{}] * len(model.effects)
+    for effect, known in zip(model.effects, of_effects, strict=True):
+        units = effect.units()
+        for name, value in effect.parameters().items():
+            values = np.atleast_1d(value)
+            rows += _numbered(f"{effect.name}, {name}", values,
+                              _deviations(known, name, values.size), units[name])
+    return rows
+
+
+def summary_of_model(model: "StageModel") -> SummaryTable:
+    """Return the table of a model of which nothing else is known."""
+    return SummaryTable("Model of a stage", HEADS, model_rows(model, {}))
+
+
+def summary_of_identified(identified: "IdentifiedModel") -> SummaryTable:
+    """Return the table of an identified model: parameters, coverage, errors, adequacy.
+
+    Parameters
+    ----------
+    identified : IdentifiedModel
+
+    Returns
+    -------
+    SummaryTable
+    """
+    rows = model_rows(identified.model, identified.uncertainties)
+    if identified.visited is not None:
+        rows.insert(3, _row("Preisach plane visited",
+                            100.0 * visited_fraction(identified.visited), None, "%"))
+    rows += [_row(f"error {name}", value, None, "") for name, value in _flat(identified.errors)]
+    notes = [f"{component}: {part['verdict']}; it leaves {part['ratio']:.3g} times the noise of "
+             f"its recording." for component, part in identified.adequacy.items()]
+    return SummaryTable(f"Model identified {identified.created}", HEADS, rows, tuple(notes))
+
+
+def text_of_model(model: "StageModel") -> str:
+    """Return what a model is in one line."""
+    hysteresis = model.hysteresis
+    low_um, high_um = hysteresis.output_range_um
+    modes = [f"{value / (2.0 * np.pi):.4g}" for value in model.dynamics.mode_frequencies_rad_per_s]
+    parts = [
+        f"{hysteresis.voltage_min_v:g} to {hysteresis.voltage_max_v:g} V",
+        f"{high_um - low_um:.4g} um",
+        f"{len(model.creep.poles_rad_per_s)} creep poles",
+        f"modes at {', '.join(modes)} Hz" if modes else "no modes",
+        *(effect.name for effect in model.effects)]
+    return f"<StageModel: {', '.join(parts)}>"
+
+
+def _flat(errors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
+    for name, value in errors.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", float(value)
+
+
+def _numbered(text: str, values: NDArray[np.float64], deviations: Sequence[float | None],
+              unit: str, scale: float = 1.0) -> Iterator[tuple[Cell, ...]]:
+    """Yield a row for each value; several are counted from 1."""
+    for number, (value, deviation) in enumerate(zip(values, deviations, strict=False), 1):
+        name = f"{text} {number}" if values.size > 1 else text
+        yield _row(name, scale * float(value), None if deviation is None else scale * deviation,
+                   unit)
+
+
+def _row(name: str, value: float, deviation: float | None, unit: str) -> tuple[Cell, ...]:
+    if unit != RAD_PER_S:
+        return name, value, deviation, unit, None, None
+    turn = 2.0 * np.pi
+    return name, value, deviation, unit, value / turn, None if deviation is None else (
+        deviation / turn)
+
+
+def _deviations(known: Mapping[str, Any] | None, name: str, size: int) -> list[float | None]:
+    found = (known or {}).get(name)
+    if found is None:
+        return [None] * size
+    return [float(value) if value is not None and np.isfinite(value) else None
+            for value in np.atleast_1d(np.asarray(found, dtype=object))]

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What people hand over in Python: paths, arrays by name, pandas frames, recordings, responses."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
+
+from piezo_identification.estimators.frequency_response.response_file import (
+    FrequencyResponse,
+    is_frequency_response,
+    read_frequency_response,
+)
+from piezo_recorder.reading.columns import parse_columns
+from piezo_recorder.reading.memory import IN_MEMORY, recording_of
+from piezo_recorder.reading.reader import read_recording
+from piezo_recorder.reading.recording import Recording
+
+if TYPE_CHECKING:
+    import pandas
+
+
+
+class DataWarning(UserWarning):
+    """Something of the data was assumed, mended, or is implausible."""
+
+
+def read(data: "str | PathLike[str] | Mapping[str, ArrayLike] | pandas.DataFrame | Recording",
+         columns: Sequence[str] = (), name: str = "") -> Recording:
+    """Make a recording of a file, of arrays or of a pandas frame.
+
+    What had to be assumed or mended, and what is implausible, is said as a `DataWarning`.
+
+    Parameters
+    ----------
+    data : path-like, mapping, pandas.DataFrame or Recording
+        A rosbag2 directory, an MCAP file or a table of another program; or arrays of one length
+        by label, such as ``{"time_s": t, "voltage_v": u, "displacement_um": y}``; or a frame with
+        such columns, whose index may be the time. A recording is returned as it is.
+    columns : sequence of str
+        What the labels and units do not tell, such as ``["time=t[ms]", "voltage=ch1[20V]"]``, or
+        ``["rate=10[kHz]"]`` where there is no time.
+    name : str
+        What to call arrays or a frame.
+
+    Returns
+    -------
+    piezo_recorder.Recording
+
+    Raises
+    ------
+    piezo_recorder.RecordingError
+        If the data are missing, ambiguous or damaged; one line says where, and what to do.
+    """
+    if isinstance(data, Recording):
+        return data
+    said = parse_columns(list(columns))
+    if isinstance(data, str | PathLike):
+        recording = read_recording(data, columns=said)
+    else:
+        recording = recording_of(data, said, name or IN_MEMORY)
+    for note in dict.fromkeys(recording.notes):
+        warnings.warn(note, DataWarning, stacklevel=2)
+    return recording
+
+
+def recordings_of(given: Any, columns: Sequence[str], name: str) -> list[Recording]:
+    """Return one recording or several as a list; see `read`.
+
+    Parameters
+    ----------
+    given : as `read` takes, or a list or tuple of such
+    columns : sequence of str
+    name : str
+        Of arrays and frames, numbered where there are several.
+
+    Returns
+    -------
+    list of Recording
+    """
+    several = isinstance(given, list | tuple)
+    listed = list(given) if several else [given]
+    names = [f"{name} {number}" if number > 1 else name for number in range(1, len(listed) + 1)]
+    return [read(each, columns, called) for each, called in zip(listed, names, strict=True)]
+
+
+def response_in(given: Any) -> FrequencyResponse | None:
+    """Return the frequency response that was handed over, or None where there is none."""
+    if isinstance(given, FrequencyResponse):
+        return given
+    if isinstance(given, str | PathLike) and is_frequency_response(Path(given)):
+        return read_frequency_response(Path(given))
+    return None

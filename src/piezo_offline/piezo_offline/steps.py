@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The steps from recordings to a controller, on files, arrays and pandas frames alike."""
+
+import warnings
+from collections.abc import Callable, Sequence
+from hashlib import sha256
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from piezo_controller.feedback.design_choices import (
+    DEFAULT_WEIGHTS,
+    DISTURBANCE_HZ,
+    METHODS,
+)
+from piezo_controller.feedback.feedback_design import FeedbackController
+from piezo_controller.feedback.stage_design import design_for_stage
+from piezo_identification.commands.row_options import READINGS
+from piezo_identification.conditioning.row_alignment import rows_read_at_start
+from piezo_identification.conditioning.sensor_sign import sign_text
+from piezo_identification.diagnosis.diagnose import Diagnosis
+from piezo_identification.diagnosis.diagnose import diagnose as diagnose_recordings
+from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
+from piezo_identification.diagnosis.verdict import Verdict, extended_model
+from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
+from piezo_identification.identification.dynamics_methods import METHODS as FITS
+from piezo_identification.identification.given_hysteresis import DensityOptions
+from piezo_identification.identification.identify import identify as identify_recordings
+from piezo_identification.prediction.prediction import Prediction, predict
+from piezo_identification.recording_check.check import check_recording
+from piezo_identification.recording_check.suitability import suitability_for
+from piezo_models.cascade import StageModel
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_file import load_model
+from piezo_offline.given_data import DataWarning, read, recordings_of, response_in
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+AnyModel = IdentifiedModel | StageModel | str | PathLike[str]
+
+
+def identify(
+    creep: Any = None, dynamics: Any = None, hysteresis: Any = None, validation: Any = None, *,
+    columns: Sequence[str] = (), method: str = FITS[0], creep_pairs: int | None = None,
+    modes: int | None = None, grid: int | None = None, refine: bool = False,
+    rows_read: str = "start",
+    progress: Callable[[str, float], object] | None = None,
+    note: Callable[[str], object] | None = None,
+) -> IdentifiedModel:
+    """Identify a model of the stage from recordings; at least one of the first three.
+
+    Parameters
+    ----------
+    creep, dynamics, hysteresis : path, arrays by name, pandas.DataFrame or Recording, optional
+        See `piezo_offline.read`; or a list of several. The dynamics may be a frequency response.
+    validation : the same, one, optional
+        What is not fitted: the errors of the model are measured on it.
+    columns : sequence of str
+        Of all of them, see `piezo_offline.read`.
+    method : str
+        How recorded dynamics are fitted; the choices of ``piezo identify --method``.
+    creep_pairs, modes : int, optional
+        Orders; chosen from the data by default.
+    grid : int, optional
+        Cells of the hysteresis along each threshold; chosen from the data by default.
+    refine : bool
+        Whether to fit all components together at the end.
+    rows_read : str
+        "start" or "end": when the logger reads a row's displacement, see ``--rows-read``.
+    progress : callable, optional
+        Called with what is done, and which part of the whole (0 to 1).
+    note : callable, optional
+        Called with sentences on orders, coverage and starts, such as ``print``. Those on what is
+        implausible are also said as a `DataWarning`.
+
+    Returns
+    -------
+    IdentifiedModel
+
+    Raises
+    ------
+    ValueError
+        If a recording cannot be read or does not fit its purpose, or none is given.
+    """
+    given: dict[str, Any] = {}
+    for name, data in (("creep", creep), ("dynamics", dynamics), ("hysteresis", hysteresis),
+                       ("validation", validation)):
+        response = response_in(data) if name == "dynamics" else None
+        if data is None:
+            continue
+        if response is not None:
+            given[name] = response
+            continue
+        listed = recordings_of(data, columns, name)
+        for each in listed:
+            _warn_unfit(each, name)
+        given[name] = listed[0] if len(listed) == 1 else listed
+
+    def tell(text: str) -> None:
+        if text.startswith("implausible"):
+            warnings.warn(text, DataWarning, stacklevel=3)
+        if note is not None:
+            note(text)
+
+    return identify_recordings(
+        **given, progress=progress, refine=refine, method=method, note=tell,
+        order=ResponseOrder(creep_pairs, modes, None), density=DensityOptions(grid),
+        read_at_samples=_read_at(rows_read))
+
+
+def simulate(model: AnyModel, data: Any, *, columns: Sequence[str] = (),
+             rows_read: str = "start") -> Prediction:
+    """Run a model on the voltage of a recording, and set it beside the measured displacement.
+
+    Parameters
+    ----------
+    model : IdentifiedModel, StageModel or path-like
+    data : path, arrays by name, pandas.DataFrame or Recording
+    columns, rows_read
+        See `identify`.
+
+    Returns
+    -------
+    piezo_identification.Prediction
+        Arrays of measured and simulated displacement; `e_y_percent`, `plot`.
+
+    Raises
+    ------
+    ValueError
+        If the recording cannot be read or is too short.
+    """
+    recording = rows_read_at_start(read(data, columns), _read_at(rows_read))
+    prediction = predict(_identified(model)[0], recording)
+    if prediction.reversed:
+        warnings.warn(sign_text(recording.path), DataWarning, stacklevel=2)
+    return prediction
+
+
+def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, columns: Sequence[str] = (),
+             progress: Callable[[str, float], None] | None = None) -> Verdict:
+    """Find what a model lacks to explain recordings.
+
+    Parameters
+    ----------
+    model : IdentifiedModel, StageModel or path-like
+    data : path, arrays by name, pandas.DataFrame or Recording, or a list of several
+        Or one frequency response.
+    holdout : the same, one, optional
+        On which the errors before and after are measured; a part of `data` by default.
+    columns : sequence of str
+        See `piezo_offline.read`.
+    progress : callable, optional
+        Called with what is done, and which part of the whole (0 to 1).
+
+    Returns
+    -------
+    Verdict
+        `summary`, `plot`, and the extended model, which `extend` makes ready to be saved.
+
+    Raises
+    ------
+    ValueError
+        If a recording cannot be read or used.
+    """
+    stage_model = _identified(model)[0]
+    response = response_in(data)
+    if response is not None:
+        return diagnose_response(stage_model, response)
+    held_out = None if holdout is None else read(holdout, columns, "held-out data")
+    return diagnose_recordings(
+        stage_model, recordings_of(data, columns, "data"), held_out, progress)
+
+
+def plot_residuals(verdict: Diagnosis, recording: int = 0) -> "Figure":
+    """Draw what a model leaves of a recording over time, before and after its extension.
+
+    Parameters
+    ----------
+    verdict : Diagnosis
+        Of recordings, by `diagnose`.
+    recording : int
+        Which of those that were diagnosed.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from piezo_identification.diagnosis.report.diagnosis_pictures import residuals_of
+
+    return residuals_of(verdict, recording)
+
+
+def extend(model: IdentifiedModel | str | PathLike[str], verdict: Verdict, data: Any, *,
+           columns: Sequence[str] = ()) -> IdentifiedModel:
+    """Return the identified model with the effects of a verdict, to be saved and used.
+
+    Parameters
+    ----------
+    model : IdentifiedModel or path-like
+        That was diagnosed.
+    verdict : Verdict
+    data : as `diagnose` took
+        What was diagnosed: the model keeps where it came from.
+    columns : sequence of str
+
+    Returns
+    -------
+    IdentifiedModel
+        The given one where the verdict added nothing.
+    """
+    identified = model if isinstance(model, IdentifiedModel) else load_model(model)
+    response = response_in(data)
+    origin = [response.path] if response else recordings_of(data, columns, "data")
+    return extended_model(identified, verdict, origin)
+
+
+def design(
+    model: AnyModel, *, method: str = METHODS[0], weights: str | Path = DEFAULT_WEIGHTS,
+    disturbance_hz: float = DISTURBANCE_HZ, samples_per_tick: int | None = None,
+    delay_ticks: int = 1,
+) -> FeedbackController:
+    """Design the feedback for a model.
+
+    Parameters
+    ----------
+    model : IdentifiedModel, StageModel or path-like
+    method : str
+        "h_infinity", or "pid" or "pi" of Ziegler and Nichols.
+    weights : str or Path
+        "default", "thesis" or a file (YAML).
+    disturbance_hz : float
+        Bandwidth of the disturbances.
+    samples_per_tick : int, optional
+        Feedback period in samples of 25 us; by the rules (5.10) by default.
+    delay_ticks : int
+        1 where the controller answers the stage, 0 where the stage evaluates the law itself.
+
+    Returns
+    -------
+    FeedbackController
+        `summary`, and `plot`, which takes a model to draw the loop.
+
+    Raises
+    ------
+    ValueError
+        If there is no such feedback; the message says why.
+    """
+    stage_model, digest = _identified(model)
+    return design_for_stage(
+        stage_model, weights, method, disturbance_hz=disturbance_hz,
+        samples_per_tick=samples_per_tick, delay_ticks=delay_ticks,
+        model_sha256=digest).controller
+
+
+def _identified(model: AnyModel) -> tuple[StageModel, str]:
+    """Return the bare model, and the hash of its file if it was read from one."""
+    if isinstance(model, StageModel):
+        return model, ""
+    if isinstance(model, IdentifiedModel):
+        return model.model, ""
+    return load_model(model).model, sha256(Path(model).read_bytes()).hexdigest()
+
+
+def _read_at(rows_read: str) -> float:
+    if rows_read not in READINGS:
+        raise ValueError(f'rows_read is {rows_read!r}: give "start" or "end"')
+    return READINGS[rows_read]
+
+
+def _warn_unfit(recording: Any, name: str) -> None:
+    fit = suitability_for(check_recording(recording), name)
+    if fit.verdict == "no":
+        warnings.warn(f"{recording.path} can hardly stand for the {name}: {fit.reason}",
+                      DataWarning, stacklevel=3)

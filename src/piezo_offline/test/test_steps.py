@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The steps take paths, arrays, frames and lists alike, and say what they cannot use."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
+from piezo_offline import DataWarning, design, diagnose, identify, read, simulate
+from piezo_recorder.reading.recording import Recording
+
+TIME_S = 0.01 * np.arange(600)
+VOLTAGE_V = 50.0 - 50.0 * np.cos(np.pi * TIME_S)
+MODEL = StageModel(
+    PreisachModel(0.0, 100.0, np.zeros((4, 4)), 1.0, np.full(4, 0.4)), CreepDynamics(),
+    ElectricVibrationDynamics())
+
+
+def arrays(displacement_um):
+    return {"time_s": TIME_S, "voltage_v": VOLTAGE_V, "displacement_um": displacement_um}
+
+
+@pytest.fixture
+def measured_um():
+    return MODEL.simulate(VOLTAGE_V, 0.01)
+
+
+def test_prediction_of_arrays_a_frame_and_a_file_is_the_same(measured_um, tmp_path):
+    pandas = pytest.importorskip("pandas")
+    data = arrays(1.02 * measured_um)
+    frame = pandas.DataFrame(data)
+    frame.to_csv(tmp_path / "mine.csv", index=False)
+    errors = [simulate(MODEL, each).e_y_percent()
+              for each in (data, frame, tmp_path / "mine.csv", read(data))]
+    assert errors == pytest.approx([100.0 * 0.02 / 1.02] * 4, rel=1e-6)
+
+
+def test_what_was_assumed_or_is_implausible_is_a_warning(measured_um):
+    with pytest.warns(DataWarning, match="'u' has no unit; it is taken for the voltage"):
+        read({"time_s": TIME_S, "u": VOLTAGE_V, "y_um": measured_um})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert isinstance(read(arrays(measured_um)), Recording)
+
+
+def test_recording_that_cannot_stand_for_its_experiment_is_named_before_the_fit(measured_um):
+    short = {name: values[:3] for name, values in arrays(measured_um).items()}
+    with pytest.warns(DataWarning, match="dynamics can hardly stand for the dynamics"), \
+            pytest.raises(ValueError):
+        identify(dynamics=short)
+
+
+@pytest.mark.parametrize(("call", "objection"), [
+    (lambda data: identify(), "nothing to identify"),
+    (lambda data: identify(hysteresis=data, rows_read="middle"), 'give "start" or "end"'),
+    (lambda data: simulate(MODEL, 3.0), "a float is no recording"),
+    (lambda data: diagnose(MODEL, []), "there is no recording to diagnose"),
+    (lambda data: design("no_such_model.json"), "no_such_model.json"),
+])
+def test_what_cannot_be_used_is_refused_in_one_line(call, objection, measured_um):
+    with pytest.raises(ValueError, match=objection) as refused:
+        call(arrays(measured_um))
+    assert "\n" not in str(refused.value)

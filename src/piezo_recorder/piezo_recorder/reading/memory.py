@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recordings from what a program holds in memory: arrays by name, or a pandas frame."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezo_recorder.reading.columns import GUESSED, ColumnsDocument
+from piezo_recorder.reading.recording import Recording, RecordingError
+from piezo_recorder.reading.table_reader import recordings_of
+from piezo_recorder.reading.tables.table import Table, array_columns
+
+if TYPE_CHECKING:
+    import pandas
+
+IN_MEMORY = "data in memory"
+"""Stands where a recording tells the file that it came from."""
+
+OF_OUR_FRAMES = {"sample_index", "flags", "voltage_v", "displacement_um"}
+"""Columns by which a frame of `piezo_recorder.reading.frames.to_frame` is known."""
+
+
+def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame",
+                 columns: ColumnsDocument = GUESSED, name: str = IN_MEMORY) -> Recording:
+    """Return the one recording that arrays or a frame hold; see `recordings_in`.
+
+    Parameters
+    ----------
+    data : mapping of str to array_like, shape (N,), or pandas.DataFrame
+    columns : ColumnsDocument
+    name : str
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    RecordingError
+        As `recordings_in`, or where there are several recordings.
+    """
+    found = recordings_in(data, columns, name)
+    if len(found) > 1:
+        raise RecordingError(f"{name} holds {len(found)} recordings, as its time begins anew: "
+                             "give one of them, or read all by recordings_in")
+    return found[0]
+
+
+def recordings_in(data: "Mapping[str, ArrayLike] | pandas.DataFrame",
+                  columns: ColumnsDocument = GUESSED, name: str = IN_MEMORY) -> list[Recording]:
+    """Return the recordings that arrays or a frame hold, by the rules for tables in files.
+
+    Parameters
+    ----------
+    data : mapping of str to array_like, shape (N,), or pandas.DataFrame
+        Columns by label, such as ``time_s``, ``Vpiezo [V]`` and ``pos_nm``; the index of a frame
+        counts as one where it is not merely the number of the row.
+    columns : ColumnsDocument
+        What is known of the columns, such as by `piezo_recorder.reading.columns.parse_columns`.
+    name : str
+        Stands for the path of a file, in messages too.
+
+    Returns
+    -------
+    list of Recording
+
+    Raises
+    ------
+    RecordingError
+        If a signal is missing or ambiguous, columns have different lengths, a value is not
+        finite, or the time does not rise evenly.
+    """
+    labelled = _columns_of(data)
+    own = labelled.keys() >= OF_OUR_FRAMES
+    table = Table(Path(name), {})
+    for label, values in labelled.items():
+        table.columns |= array_columns(label, values)
+    lengths = {label: len(values) for label, values in table.columns.items()}
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"'{label}' {length}" for label, length in lengths.items())
+        raise RecordingError(f"{name}: columns have different numbers of values ({told}): give "
+                             "arrays of one length")
+    if not table.columns:
+        raise RecordingError(f"{name} holds no columns of numbers: give arrays of time, voltage "
+                             "and displacement by name, such as time_s, voltage_v, "
+                             "displacement_um")
+    return [_identified_by_hash(_with_flags(recording) if own else recording)
+            for recording in recordings_of([table], columns)]
+
+
+def _columns_of(data: Any) -> dict[str, Any]:
+    """Return the columns by label; of a frame the index too, if it is more than a row number."""
+    index: Any = getattr(data, "index", None)
+    if hasattr(index, "to_numpy"):
+        counts = index.name is None and getattr(index, "step", None) == 1
+        time = {} if counts else {str(index.name or "time"): index.to_numpy()}
+        return time | {str(label): data[label].to_numpy() for label in data.columns}
+    if not isinstance(data, Mapping):
+        raise RecordingError(f"a {type(data).__name__} is no recording: give a path, arrays by "
+                             "name such as {'time_s': ..., 'voltage_v': ..., "
+                             "'displacement_um': ...}, or a pandas frame")
+    return {str(label): np.asarray(values) for label, values in data.items()}
+
+
+def _with_flags(recording: Recording) -> Recording:
+    """Return a recording that came from one of our frames with the flags that it had."""
+    further = dict(recording.columns)
+    flags = further.pop("flags")
+    further.pop("sample_index")
+    if np.any(flags != np.round(flags)) or flags.min() < 0:  # between rows of an uneven time
+        return replace(recording, columns=further)
+    return replace(recording, columns=further, flags=flags.astype(np.uint32))
+
+
+def _identified_by_hash(recording: Recording) -> Recording:
+    digest = hashlib.sha256()
+    for values in (recording.sample_index, recording.sample_periods_s, recording.voltage_v,
+                   recording.displacement_um):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return replace(recording, sha256=digest.hexdigest())
