@@ -9,14 +9,19 @@ it is the lightness.
 import io
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from piezo_common.arrays import FloatArray
+
 WIDTH_IN, WIDE_IN = 5.6, 8.0
 DOTS_PER_INCH = 180
+MOST_POINTS = 2400
+"""Points of a line; of more, the lowest and highest of each stretch are drawn."""
 
 # From dark to light, with the lightness L* of CIELAB; grey is of no palette.
 BLACK, BLUE, VERMILION, GREEN = "#000000", "#0072b2", "#d55e00", "#009e73"  # 0, 46, 55, 58
@@ -67,6 +72,31 @@ def label(axes: Axes, x: str | None = None, y: str | None = None,
 def plain_numbers(axis: Axis) -> None:
     """Write the numbers of a logarithmic axis as 0.1, 1, 10."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def outline(x: FloatArray, y: FloatArray,
+            most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
+    """Return a line of few points that looks like the whole: its envelope where it is dense.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (N,)
+        Ordered by x.
+    most : int
+        Points.
+
+    Returns
+    -------
+    x, y : ndarray, shape (M,)
+        Lowest and highest y of each stretch, at its first x; as given where N is no more than that.
+    """
+    if x.size <= most:
+        return x, y
+    stretch = -(-2 * x.size // most)
+    count = x.size // stretch
+    parts = y[: count * stretch].reshape(count, stretch)
+    both = np.column_stack([parts.min(axis=1), parts.max(axis=1)]).ravel()
+    return np.repeat(x[: count * stretch : stretch], 2), both
 
 
 def to_png(figure: Figure, dots_per_inch: float = DOTS_PER_INCH) -> bytes:
