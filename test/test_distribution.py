@@ -8,6 +8,7 @@ import sysconfig
 import tomllib
 import venv
 import zipfile
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -21,8 +22,8 @@ HALF = {"piezo_common", "piezo_models", "piezo_recorder", "piezo_identification"
 
 def asked_for():
     project = PROJECT["project"]
-    formats = project["optional-dependencies"]["formats"]
-    return map(Requirement, [*project["dependencies"], *formats])
+    extras = project["optional-dependencies"].values()
+    return map(Requirement, [*project["dependencies"], *chain.from_iterable(extras)])
 
 
 @pytest.mark.parametrize("lock", ["wheels", "jazzy"])

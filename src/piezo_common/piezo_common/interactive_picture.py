@@ -18,7 +18,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from piezo_common.picture_data import axis_label, legend_name, panels
+from piezo_common.picture_data import axis_label, curve_of, legend_name, panels
 
 PIXELS_PER_INCH = 80
 DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
@@ -127,7 +127,7 @@ def _add_line(plot: Any, axes: Axes, line: Line2D) -> None:
 
     style = {"line_color": to_hex(line.get_color()), "line_width": line.get_linewidth(),
              "line_dash": DASHES.get(str(line.get_linestyle()), "dashed")}
-    x, y = (np.asarray(values, float) for values in line.get_data(orig=False))
+    x, y = curve_of(line)
     if line.get_transform() == axes.get_yaxis_transform():
         plot.add_layout(Span(location=float(y[0]), dimension="width", **style))
     elif line.get_transform() == axes.get_xaxis_transform():

@@ -11,8 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from piezo_common.arrays import FloatArray
+from piezo_common.picture_style import thinned
 
 DIGITS = "{:.6g}"
 
@@ -87,9 +89,8 @@ def numbers_of(axes: Axes) -> Iterator[Numbers]:
     x_label, y_label = axis_label(axes, "x"), axis_label(axes, "y")
     for line in axes.get_lines():
         if line.get_transform() == axes.transData:
-            yield Numbers(legend_name(line), {
-                x_label: np.asarray(line.get_xdata(orig=False), float),
-                y_label: np.asarray(line.get_ydata(orig=False), float)})
+            x, y = curve_of(line)
+            yield Numbers(legend_name(line), {x_label: x, y_label: y})
     for area in axes.collections:
         if isinstance(area, QuadMesh):
             values = np.ma.getmaskarray(area.get_array()), np.ma.getdata(area.get_array())
@@ -104,6 +105,12 @@ def numbers_of(axes: Axes) -> Iterator[Numbers]:
             outline = np.concatenate([path.vertices for path in area.get_paths()])
             yield Numbers(f"{legend_name(area) or 'area'}, outline",
                           {x_label: outline[:, 0], y_label: outline[:, 1]})
+
+
+def curve_of(line: Line2D) -> tuple[FloatArray, FloatArray]:
+    """Return the points of a line; of very many, as many as can be told apart."""
+    x, y = (np.asarray(values, float) for values in line.get_data(orig=False))
+    return thinned(x, y)
 
 
 def legend_name(artist: object) -> str:

@@ -99,6 +99,27 @@ def outline(x: FloatArray, y: FloatArray,
     return np.repeat(x[: count * stretch : stretch], 2), both
 
 
+def thinned(x: FloatArray, y: FloatArray,
+            most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
+    """Return few points of any curve: its `outline` over a rising x, else every so manieth point.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (N,)
+    most : int
+
+    Returns
+    -------
+    x, y : ndarray, shape (M,)
+    """
+    if x.size <= most:
+        return x, y
+    if np.all(np.diff(x) >= 0.0):
+        return outline(x, y, most)
+    every = slice(None, None, -(-x.size // most))
+    return x[every], y[every]
+
+
 def to_png(figure: Figure, dots_per_inch: float = DOTS_PER_INCH) -> bytes:
     """Return a figure as the bytes of a small PNG file."""
     stream = io.BytesIO()

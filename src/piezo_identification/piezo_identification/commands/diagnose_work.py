@@ -40,6 +40,7 @@ def diagnose_given(options: argparse.Namespace) -> None:
     for sentence in results.outside:
         print(sentence)
     print(f"written to {options.output}")
+    print(f"report: {results.report}")
     print_next(options, "piezo_controller", "design", "--model",
                options.output / "extended_model.json", "--output",
                options.output / "controller.json")

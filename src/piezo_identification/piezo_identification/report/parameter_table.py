@@ -42,17 +42,28 @@ def parameter_table(identified: IdentifiedModel) -> list[tuple[str, ...]]:
             continue
         deviations = identified.uncertainties.get(part, {}).get(field)
         unit = next((text for end, text in UNITS.items() if field.endswith(end)), "1")
-        rows += _rows(name, values, deviations, unit)
+        rows += number_rows(name, values, deviations, unit)
     of_effects = identified.uncertainties.get("effects", [])
     for index, effect in enumerate(identified.model.effects):
         deviations = of_effects[index] if index < len(of_effects) else {}
         for field, value in effect.parameters().items():
-            rows += _rows(f"{effect.name}, {field}", value, deviations.get(field),
+            rows += number_rows(f"{effect.name}, {field}", value, deviations.get(field),
                           type(effect).units()[field])
     return rows
 
 
-def _rows(name: str, values: Any, deviations: Any, unit: str) -> Iterator[tuple[str, ...]]:
+def number_rows(name: str, values: Any, deviations: Any,
+                unit: str) -> Iterator[tuple[str, ...]]:
+    """Yield a row of `HEADS` for each number of a parameter.
+
+    Parameters
+    ----------
+    name : str
+    values, deviations : float or sequence of float
+        The deviations may be None where they are not known.
+    unit : str
+        "1" for none.
+    """
     listed = np.atleast_1d(np.asarray(values, dtype=float))
     known = (np.full(listed.shape, np.nan) if deviations is None
              else np.atleast_1d(np.asarray(deviations, dtype=float)))

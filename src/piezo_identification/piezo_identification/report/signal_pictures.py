@@ -35,6 +35,9 @@ BAND = 2.0
 LINES = 2048
 """Samples of which a spectrum is estimated, unless there are few of them."""
 
+SPECTRUM_CELLS = 1000
+"""Points of a spectrum that is drawn over the logarithm of frequency."""
+
 EXCITED = 1e-4
 """Part of the largest power of an input below which its lines tell no gain."""
 
@@ -214,6 +217,32 @@ def draw_coherence(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray,
     plain_numbers(axes.xaxis)
 
 
+def smoothed(frequency_hz: FloatArray, power: FloatArray,
+             cells: int = SPECTRUM_CELLS) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of a dense spectrum in cells of even width over the logarithm.
+
+    Parameters
+    ----------
+    frequency_hz, power : ndarray, shape (F,)
+        Without zero frequency.
+    cells : int
+
+    Returns
+    -------
+    frequency_hz, power : ndarray, shape (M,)
+        As given where there are no more lines than cells.
+    """
+    if frequency_hz.size <= cells:
+        return frequency_hz, power
+    span = np.log(frequency_hz[-1] / frequency_hz[0])
+    cell = np.floor((cells - 1) * np.log(frequency_hz / frequency_hz[0]) / span).astype(int)
+    counts = np.bincount(cell)
+    used = counts > 0
+    means = (np.bincount(cell, values)[used] / counts[used] for values in (frequency_hz, power))
+    centres, powers = means
+    return centres, powers
+
+
 def draw_residual_spectrum(axes: Axes, residual_um: FloatArray, measured_um: FloatArray,
                            sample_period_s: float, noise_um: float | None) -> None:
     """Draw the density of what is left over frequency, of the displacement, and of white noise.
@@ -231,7 +260,8 @@ def draw_residual_spectrum(axes: Axes, residual_um: FloatArray, measured_um: Flo
                           (residual_um, {"color": BLUE, "linewidth": 0.9, "label": "left"})):
         frequency_hz, power = welch(values, 1.0 / sample_period_s, nperseg=segment,
                                     detrend="linear")
-        axes.loglog(frequency_hz[1:-1], NANOMETRES * np.sqrt(power[1:-1]), **style)
+        frequency_hz, power = smoothed(frequency_hz[1:-1], power[1:-1])
+        axes.loglog(frequency_hz, NANOMETRES * np.sqrt(power), **style)
     if noise_um is not None and noise_um > 0.0:
         floor = NANOMETRES * noise_um * np.sqrt(2.0 * sample_period_s)
         axes.axhline(floor, label="noise, if white", **LIMIT)
