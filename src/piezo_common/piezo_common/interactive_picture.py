@@ -20,7 +20,7 @@ from matplotlib.lines import Line2D
 
 from piezo_common.picture_data import axis_label, curve_of, legend_name, panels
 
-PIXELS_PER_INCH = 80
+PIXELS_PER_INCH = 96
 DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
 SHOWN_COLORS = 256
 
@@ -104,7 +104,7 @@ def _plot(figure: Figure, axes: Axes, earlier: Mapping[Axes, Any]) -> Any:
     plot = new_plot(
         x_axis_type=_scale(axes.get_xscale()), y_axis_type=_scale(axes.get_yscale()),
         x_axis_label=_plain(axis_label(axes, "x")), y_axis_label=_plain(axis_label(axes, "y")),
-        title=_plain(axes.get_title()), height=max(170, round(height)),
+        title=_plain(axes.get_title()), height=max(220, round(height)),
         match_aspect=axes.get_aspect() == 1.0, output_backend="canvas",
         sizing_mode="stretch_width", tools="pan,wheel_zoom,reset,save", **shared)
     plot.toolbar.logo = None
@@ -116,9 +116,10 @@ def _plot(figure: Figure, axes: Axes, earlier: Mapping[Axes, Any]) -> Any:
     for line in axes.get_lines():
         _add_line(plot, axes, line)
     if plot.legend:
-        plot.legend.click_policy = "hide"
-        plot.legend.label_text_font_size = "9pt"
-        plot.legend.background_fill_alpha = 0.7
+        legend = plot.legend[0]
+        legend.update(click_policy="hide", label_text_font_size="9pt", orientation="horizontal")
+        # Not over the curves.
+        plot.add_layout(legend, "above")
     return plot
 
 

@@ -63,15 +63,18 @@ figcaption { font-size: .9em; max-width: 38rem; }
 }
 @media print {
   body { max-width: none; font-size: 10pt; padding: 0; }
-  .pictures { display: block; }
-  figure { display: inline-block; width: 48%; vertical-align: top; margin: 0 .5% .8rem; }
-  figure.wide { width: 98%; }
-  figure.wide img { max-height: 9.5cm; width: auto; max-width: 100%; }
-  figure.tall img { max-height: 12cm; width: auto; max-width: 100%; }
+  .pictures { grid-template-columns: 1fr 1fr; gap: .4rem 1rem; }
+  figure img { max-height: 4.4cm; width: auto; max-width: 100%; }
+  figure.tall img { max-height: 8.6cm; }
+  figure.wide img { max-height: 8cm; }
+  p { margin: .4rem 0; }
+  table { font-size: 8.5pt; } th, td { padding: .1rem .5rem; }
   .table { overflow: visible; }
   .beside, .closer { display: none; }
   figure, tr { break-inside: avoid; } figcaption { break-before: avoid; }
-  h2 { margin-top: 1.2rem; } h1, h2, thead { break-after: avoid; } p { orphans: 3; widows: 3; }
+  h2 { margin-top: .6rem; padding-top: .4rem; } h2, figcaption { margin-bottom: 0; }
+  figcaption { font-size: 8pt; line-height: 1.25; }
+  h1, h2, thead { break-after: avoid; } p { orphans: 3; widows: 3; }
 }
 """
 

@@ -12,10 +12,10 @@ from piezo_identification.estimators.frequency_response.response_file import (
     read_frequency_response,
 )
 from piezo_identification.recording_check.check import RecordingCheck, check_recording
-from piezo_identification.recording_check.check_page import check_page
-from piezo_identification.recording_check.check_picture import draw_check
 from piezo_identification.recording_check.check_report import check_table
 from piezo_identification.recording_check.suitability import Suitability, suitability
+from piezo_identification.report.check_page import check_page
+from piezo_identification.report.check_picture import draw_check
 from piezo_recorder.reading.data_options import read_all_given
 from piezo_recorder.reading.recording import Recording
 

@@ -126,7 +126,7 @@ def bode_picture(identified: IdentifiedModel, evidence: ComponentEvidence | None
     return pictured(
         "Frequency response", figure, "From the output of the hysteresis to the displacement. The "
         "band is that of twice the standard deviations of the parameters, taken for independent; "
-        "it does not hold what the form of the model lacks.", closer=True)
+        "it does not hold what the form of the model lacks.", tall=True, closer=True)
 
 
 def density_picture(identified: IdentifiedModel) -> Picture:
@@ -141,7 +141,7 @@ def density_picture(identified: IdentifiedModel) -> Picture:
         told += "." if np.all(visited[np.tril_indices(len(visited))]) else (
             "; in the hatched rest the density is a continuation.")
     return pictured("Density", figure, "Density of the relays over the voltages at which they "
-                    f"switch.{told}", closer=True)
+                    f"switch.{told}", tall=True, closer=True)
 
 
 def draw_density(axes: Axes, hysteresis: PreisachModel, visited: BoolArray | None = None) -> None:

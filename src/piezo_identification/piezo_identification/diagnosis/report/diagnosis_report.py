@@ -213,8 +213,9 @@ def _on_whiteness(diagnosis: Diagnosis, part: SimulatedRecording, after_um: Floa
     if diagnosis.verdict == "unexplained" or test.passed:
         return told
     left_um = float(np.std(after_um[part.begin :]))
+    extended = "after the extension " if diagnosis.effects else ""
     return [*told, (
-        f"That {100.0 * test.share_outside:.0f} % do after the extension is no contradiction to "
+        f"That {100.0 * test.share_outside:.0f} % do {extended}is no contradiction to "
         f"the verdict. The test asks whether what is left is noise alone, not how large it is: of "
         f"{after_um.size - part.begin} samples it sees a correlation of {test.band:.2g}. What is "
         f"left here is {1e3 * left_um:.3g} nm beside a noise of {1e3 * noise_um:.3g} nm, within "

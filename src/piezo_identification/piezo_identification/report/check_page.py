@@ -6,9 +6,9 @@ from html import escape
 
 from piezo_common.report_page import Section, pictured, render_page
 from piezo_identification.recording_check.check import RecordingCheck
-from piezo_identification.recording_check.check_picture import check_figure
 from piezo_identification.recording_check.check_report import measured_rows
 from piezo_identification.recording_check.suitability import Suitability
+from piezo_identification.report.check_picture import check_figure
 
 
 def check_page(checks: Sequence[tuple[str, RecordingCheck, dict[str, Suitability]]]) -> str:
