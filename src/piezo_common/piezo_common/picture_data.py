@@ -93,14 +93,14 @@ def numbers_of(axes: Axes) -> Iterator[Numbers]:
             yield Numbers(legend_name(line), {x_label: x, y_label: y})
     for area in axes.collections:
         if isinstance(area, QuadMesh):
-            values = np.ma.getmaskarray(area.get_array()), np.ma.getdata(area.get_array())
-            corners = area.get_coordinates()
+            values = np.ma.asarray(area.get_array())
+            corners = np.asarray(area.get_coordinates(), dtype=float)
             centres = 0.25 * (corners[1:, 1:] + corners[1:, :-1] + corners[:-1, 1:]
                               + corners[:-1, :-1])
-            shown = ~values[0].reshape(centres.shape[:2])
+            shown = ~np.ma.getmaskarray(values).reshape(centres.shape[:2])
             bar = area.colorbar.ax.get_ylabel() if area.colorbar else "value"
             yield Numbers("", {x_label: centres[..., 0][shown], y_label: centres[..., 1][shown],
-                               bar: values[1].reshape(shown.shape)[shown]})
+                               bar: np.ma.getdata(values).reshape(shown.shape)[shown]})
         elif isinstance(area, PolyCollection) and area.get_paths():
             outline = np.concatenate([path.vertices for path in area.get_paths()])
             yield Numbers(f"{legend_name(area) or 'area'}, outline",

@@ -2,11 +2,12 @@
 """The linear response of a model with its band, and the points that a recording shows of it."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray, IntArray
 from piezo_common.picture_style import BLUE, MEASURED, MODELLED, label, plain_numbers
 from piezo_identification.adequacy.component_residual import ComponentResidual
 from piezo_identification.adequacy.lack_of_fit import LackOfFit
@@ -92,9 +93,8 @@ def measured_response(
     if residual.frequency_hz is not None:
         half = residual.frequency_hz.size // 2
         frequency_hz = residual.frequency_hz[:half]
-        fitted, measured = (values[:half] + 1j * values[half:]
-                            for values in (fitted_um, residual.measured_um))
-        ratio = measured / fitted
+        ratio = ((residual.measured_um[:half] + 1j * residual.measured_um[half:])
+                 / (fitted_um[:half] + 1j * fitted_um[half:]))
     elif residual.period and residual.measured_um.size >= 2 * residual.period:
         period = residual.period
         repeats = fitted_um.size // period
@@ -112,13 +112,13 @@ def measured_response(
     return frequency_hz[kept], ratio[kept] * model.response(frequency_hz[kept])
 
 
-def _thinned(frequency_hz: FloatArray) -> FloatArray:
+def _thinned(frequency_hz: FloatArray) -> IntArray:
     """Return which of many frequencies to draw: about even over their logarithm."""
     if frequency_hz.size <= MOST_MEASURED:
         return np.arange(frequency_hz.size)
     cells = np.floor(np.log(frequency_hz / frequency_hz[0])
                      / np.log(frequency_hz[-1] / frequency_hz[0]) * MOST_MEASURED)
-    return np.unique(cells, return_index=True)[1]
+    return np.asarray(np.unique(cells, return_index=True)[1], dtype=np.int_)
 
 
 def draw_bode(gain: Axes, phase: Axes, identified: IdentifiedModel, frequency_hz: FloatArray,
@@ -136,7 +136,7 @@ def draw_bode(gain: Axes, phase: Axes, identified: IdentifiedModel, frequency_hz
     response = identified.model.response(frequency_hz)
     magnitude, phase_rad = response_deviations(identified, frequency_hz)
     size, angle = np.abs(response), np.degrees(np.unwrap(np.angle(response)))
-    band = {"color": BLUE, "alpha": 0.25, "linewidth": 0.0, "label": "band of 95 %"}
+    band: dict[str, Any] = {"color": BLUE, "alpha": 0.25, "linewidth": 0.0, "label": "band of 95 %"}
     if measured is not None and measured[0].size:
         points = {**MEASURED, "linestyle": "none", "marker": "o", "markersize": 4}
         gain.loglog(measured[0], np.abs(measured[1]), **points)

@@ -88,7 +88,7 @@ def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
         axes.legend(loc="upper right")
     left_nm = NANOMETRES * view.mean(difference_um)
     # Points where each is seen; the envelope where they would make a solid block.
-    style = DIFFERENCE if left_nm.size <= MOST_POINTS else ENVELOPE
+    style: dict[str, Any] = DIFFERENCE if left_nm.size <= MOST_POINTS else ENVELOPE
     axes.plot(*outline(view.time, left_nm), **style)
     if noise_um is not None and np.isfinite(noise_um):
         draw_noise(axes, noise_um / np.sqrt(view.periods))
@@ -122,7 +122,15 @@ def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
 
 def draw_loop_difference(axes: Axes, voltage_v: FloatArray, difference_um: FloatArray,
                          noise_um: float | None = None) -> None:
-    """Draw what a model leaves over the voltage."""
+    """Draw what a model leaves over the voltage.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    voltage_v, difference_um : ndarray, shape (N,)
+    noise_um : float, optional
+        Standard deviation of a sample.
+    """
     every = slice(None, None, max(1, voltage_v.size // MOST_POINTS))
     axes.plot(voltage_v[every], NANOMETRES * difference_um[every], **DIFFERENCE)
     if noise_um is not None and np.isfinite(noise_um):
@@ -195,7 +203,16 @@ def gain_of(input: FloatArray, output: FloatArray,
 
 def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample_period_s: float,
               modelled_um: FloatArray | None = None) -> None:
-    """Draw the gain from voltage to displacement where the voltage excites."""
+    """Draw the gain from voltage to displacement where the voltage excites.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    voltage_v, measured_um : ndarray, shape (N,)
+    sample_period_s : float
+    modelled_um : ndarray, shape (N,), optional
+        Of a model under the same voltage.
+    """
     for values, style in ((measured_um, MEASURED), (modelled_um, MODELLED)):
         if values is not None:
             frequency_hz, response, _ = gain_of(voltage_v, values, sample_period_s)
@@ -209,7 +226,14 @@ def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample
 
 def draw_coherence(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray,
                    sample_period_s: float) -> None:
-    """Draw which part of the displacement's power goes with the voltage, at each frequency."""
+    """Draw which part of the displacement's power goes with the voltage, at each frequency.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    voltage_v, measured_um : ndarray, shape (N,)
+    sample_period_s : float
+    """
     frequency_hz, _, coherence = gain_of(voltage_v, measured_um, sample_period_s)
     axes.semilogx(frequency_hz, coherence, color=BLUE, linewidth=1.0)
     axes.set_ylim(0.0, 1.05)

@@ -74,7 +74,8 @@ class WaveformView:
     @property
     def time(self) -> FloatArray:
         """Of the samples that are drawn, in the unit of `time_label`."""
-        return np.arange(self.samples) * self.sample_period_s * (1e3 if self._is_short else 1.0)
+        scale = 1e3 if self._is_short else 1.0
+        return np.asarray(np.arange(self.samples) * self.sample_period_s * scale)
 
     @property
     def _is_short(self) -> bool:
@@ -86,7 +87,7 @@ class WaveformView:
 
     def mean(self, values: FloatArray) -> FloatArray:
         """Return the mean period of a signal of the recording, or all of the signal."""
-        return np.mean(self._folded(values), axis=0)
+        return np.asarray(np.mean(self._folded(values), axis=0))
 
     def scatter(self, values: FloatArray) -> float:
         """Return the standard deviation of single samples about the mean period; nan without."""
@@ -172,4 +173,5 @@ def mean_hold(steps: NDArray[np.intp], voltage_v: FloatArray, signals: Sequence[
     used = np.flatnonzero(holds >= length)
     means = [np.mean([np.sign(change_v[index]) * values[steps[index] : steps[index] + length]
                       for index in used], axis=0) for values in signals]
-    return sample_period_s * np.arange(length), means, used.size
+    since_s: FloatArray = np.asarray(sample_period_s * np.arange(length), dtype=float)
+    return since_s, means, int(used.size)

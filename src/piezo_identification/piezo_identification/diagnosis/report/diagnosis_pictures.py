@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of a diagnosis: before and after on the same axes."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -148,7 +150,7 @@ def draw_over_voltage(part: SimulatedRecording, before_um: FloatArray, after_um:
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
     every = slice(part.begin, None, max(1, part.time_s.size // MOST_POINTS))
-    points = {"linestyle": "none", "marker": "."}
+    points: dict[str, Any] = {"linestyle": "none", "marker": "."}
     for residual_um, style in ((before_um, BEFORE | points | {"markersize": 4}),
                                (after_um, AFTER | points | {"markersize": 2})):
         axes.plot(part.voltage_v[every], 1e3 * residual_um[every], **style)

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of measured and simulated displacement."""
+
+from pathlib import Path
+
+from piezo_common.arrays import FloatArray
+from piezo_common.picture_style import (
+    BLUE,
+    DIFFERENCE,
+    MEASURED,
+    MODELLED,
+    WIDE_IN,
+    label,
+    new_figure,
+)
+from piezo_identification.prediction.prediction import Prediction
+
+DOTS_PER_INCH = 120
+
+BAND = 2.0
+"""Standard deviations to both sides, between which 95 % of normal errors lie."""
+
+
+def draw_displacement(path: str | Path, prediction: Prediction,
+                      deviation_um: FloatArray | None = None) -> None:
+    """Draw measured and simulated displacement over time, and their difference.
+
+    Parameters
+    ----------
+    path : path-like
+        Picture to write.
+    prediction : Prediction
+    deviation_um : ndarray, shape (N,), optional
+        Standard deviation of the simulated displacement, drawn twice to both sides if it is not 0.
+    """
+    figure = new_figure(5.0, WIDE_IN)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    above.plot(prediction.time_s, prediction.measured_um, **MEASURED)
+    above.plot(prediction.time_s, prediction.simulated_um, **MODELLED)
+    above.legend(loc="upper right")
+    label(above, y="displacement (um)", title=f"e_y = {prediction.e_y_percent():.3g} %")
+    error_nm = 1e3 * (prediction.measured_um - prediction.simulated_um)
+    if deviation_um is not None and deviation_um.any():
+        band_nm = 1e3 * BAND * deviation_um
+        below.fill_between(prediction.time_s, -band_nm, band_nm, color=BLUE, alpha=0.2,
+                           linewidth=0.0, label="outside the identification")
+        below.legend(loc="upper right")
+    below.plot(prediction.time_s, error_nm, **DIFFERENCE)
+    label(below, "time (s)", "difference (nm)")
+    figure.savefig(path, dpi=DOTS_PER_INCH)
+
+
+def draw_loops(path: str | Path, prediction: Prediction) -> None:
+    """Draw measured and simulated displacement over voltage.
+
+    Parameters
+    ----------
+    path : path-like
+        Picture to write.
+    prediction : Prediction
+    """
+    figure = new_figure(5.0, WIDE_IN)
+    axes = figure.subplots()
+    axes.plot(prediction.voltage_v, prediction.measured_um, **MEASURED)
+    axes.plot(prediction.voltage_v, prediction.simulated_um, **MODELLED)
+    axes.legend(loc="upper left")
+    label(axes, "voltage (V)", "displacement (um)")
+    figure.savefig(path, dpi=DOTS_PER_INCH)
