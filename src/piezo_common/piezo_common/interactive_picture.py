@@ -112,7 +112,7 @@ def _plot(figure: Figure, axes: Axes, earlier: Mapping[Axes, Any]) -> Any:
     plot.add_tools(box, HoverTool(tooltips=[("x", "$x{0.[00000]}"), ("y", "$y{0.[00000]}")]))
     plot.toolbar.active_drag = box
     for area in axes.collections:
-        _add_area(plot, axes, area)
+        _add_area(plot, area)
     for line in axes.get_lines():
         _add_line(plot, axes, line)
     if plot.legend:
@@ -143,26 +143,31 @@ def _add_line(plot: Any, axes: Axes, line: Line2D) -> None:
                          **named)
 
 
-def _add_area(plot: Any, axes: Axes, area: Any) -> None:
+def _add_area(plot: Any, area: Any) -> None:
     if isinstance(area, QuadMesh):
-        low, high = area.get_clim()
-        corners = area.get_coordinates()
-        (left, bottom), (right, top) = corners[0, 0], corners[-1, -1]
-        values = np.ma.filled(area.get_array().reshape(corners.shape[0] - 1, -1).astype(float),
-                              np.nan)
-        from bokeh.models import LinearColorMapper
-
-        palette = [to_hex(color) for color in area.cmap(np.linspace(0.0, 1.0, SHOWN_COLORS))]
-        plot.image([values.astype(np.float32)], x=left, y=bottom, dw=right - left,
-                   dh=top - bottom, color_mapper=LinearColorMapper(
-                       palette=palette, low=low, high=high, nan_color="#ffffff"))
+        _add_map(plot, area)
     elif isinstance(area, PolyCollection):
         text = _plain(legend_name(area))
         named = {"legend_label": text} if text else {}
-        color = area.get_facecolor()[0] if len(area.get_facecolor()) else (0.5, 0.5, 0.5, 0.2)
+        colors = np.asarray(area.get_facecolor(), dtype=float).reshape(-1, 4)
+        red, green, blue, alpha = colors[0] if colors.size else (0.5, 0.5, 0.5, 0.2)
         for path in area.get_paths():
-            plot.patch(path.vertices[:, 0], path.vertices[:, 1], fill_color=to_hex(color),
-                       fill_alpha=float(color[3]), line_alpha=0.0, **named)
+            outline = np.asarray(path.vertices, dtype=float)
+            plot.patch(outline[:, 0], outline[:, 1], fill_color=to_hex((red, green, blue)),
+                       fill_alpha=float(alpha), line_alpha=0.0, **named)
+
+
+def _add_map(plot: Any, mesh: QuadMesh) -> None:
+    from bokeh.models import LinearColorMapper
+
+    low, high = mesh.get_clim()
+    corners = np.asarray(mesh.get_coordinates(), dtype=float)
+    (left, bottom), (right, top) = corners[0, 0], corners[-1, -1]
+    values = np.ma.asarray(mesh.get_array()).reshape(corners.shape[0] - 1, -1)
+    palette = [to_hex(color) for color in mesh.cmap(np.linspace(0.0, 1.0, SHOWN_COLORS))]
+    plot.image([np.ma.filled(values.astype(np.float32), np.nan)], x=left, y=bottom,
+               dw=right - left, dh=top - bottom, color_mapper=LinearColorMapper(
+                   palette=palette, low=low, high=high, nan_color="#ffffff"))
 
 
 def _scale(name: str) -> str:

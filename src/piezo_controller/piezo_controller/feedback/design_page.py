@@ -73,8 +73,9 @@ def design_sentence(report: Mapping[str, Any]) -> str:
 
 def _margins(report: Mapping[str, Any], robustness: Robustness) -> Section:
     spread = report["hysteresis_gain_spread"]
-    table = [("margin", f"lowest gain ({1 - spread:.2f})", "nominal gain",
-              f"highest gain ({1 + spread:.2f})")]
+    table: list[tuple[str, ...]] = [
+        ("margin", f"lowest gain ({1 - spread:.2f})", "nominal gain",
+         f"highest gain ({1 + spread:.2f})")]
     for name, key, layout in MARGINS:
         values = (report.get(key + where) for where in ("_at_lowest_gain", "", "_at_highest_gain"))
         table.append((name, *("none" if value is None else layout.format(value)

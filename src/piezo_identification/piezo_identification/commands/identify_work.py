@@ -72,7 +72,8 @@ def _write_report(identified: IdentifiedModel, data: Mapping[str, Any],
     # Drawing is slow to import, and not everybody wants the page.
     from piezo_identification.report.identification_report import identification_page
 
-    given = given_data(*(data.get(name) for name in EXPERIMENTS), refine=False)
+    given = given_data(data.get("creep"), data.get("dynamics"), data.get("hysteresis"),
+                       data.get("validation"), refine=False)
     write_report(options.output.with_name(f"{options.output.stem}_report.html"),
                  identification_page(identified, given, options.output,
                                      READINGS[options.rows_read]))

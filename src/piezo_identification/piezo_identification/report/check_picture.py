@@ -43,9 +43,9 @@ def check_figure(check: RecordingCheck) -> Figure:
     """Draw a recording over time, and what its kind of waveform shows.
 
     A voltage that repeats itself is shown by the mean of its periods, a long one by its envelope.
-    Steps show their mean response and where the levels end, slow cycles the loop and the visited
-    part of the Preisach plane, broadband voltages the gain over frequency and which part of the
-    displacement goes with the voltage, a constant voltage the spectrum of the noise.
+    Steps show their mean response and where the levels end. Slow cycles show the loop and the
+    visited part of the Preisach plane. Broadband voltages show the gain over frequency and which
+    part of the displacement goes with the voltage, a constant voltage the spectrum of the noise.
 
     Parameters
     ----------

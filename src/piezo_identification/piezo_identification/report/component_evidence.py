@@ -71,7 +71,7 @@ class ComponentEvidence:
 
 def component_evidence(identified: IdentifiedModel, given: Mapping[str, Data],
                        read_at_samples: float = 0.0) -> list[ComponentEvidence]:
-    """Return what each component leaves of its recordings, as the identification judged it.
+    """Return what each component leaves of its recordings, as the identification tested it.
 
     Parameters
     ----------

@@ -154,12 +154,12 @@ def draw_density(axes: Axes, hysteresis: PreisachModel, visited: BoolArray | Non
     visited : ndarray of bool, shape (L, L), optional
     """
     levels_v = hysteresis.levels_v
-    above = np.triu(np.ones_like(hysteresis.density_um_per_v2), 1)
+    above = np.triu(np.ones(hysteresis.density_um_per_v2.shape, dtype=bool), 1)
     density = np.ma.array(1e3 * hysteresis.density_um_per_v2, mask=above)
     image = axes.pcolormesh(levels_v, levels_v, density, cmap="cividis")
     axes.figure.colorbar(image, ax=axes, label="density (nm/V²)")
     if visited is not None and np.any(np.tril(~visited)):
-        unvisited = np.ma.array(np.ones(visited.shape), mask=visited | (above > 0))
+        unvisited = np.ma.array(np.ones(visited.shape), mask=visited | above)
         axes.pcolor(levels_v, levels_v, unvisited, hatch="////", alpha=0.0, edgecolor="white")
     axes.plot(levels_v[[0, -1]], levels_v[[0, -1]], color=BLACK, linewidth=0.8)
     axes.set_aspect("equal")

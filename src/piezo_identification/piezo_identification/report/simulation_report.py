@@ -108,8 +108,9 @@ def loops_figure(prediction: Prediction) -> Figure:
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
     figure = new_figure(5.0, WIDE_IN)
     axes = figure.subplots()
-    signals.draw_loops(axes, *(view.mean(values) for values in (
-        prediction.voltage_v, prediction.measured_um, prediction.simulated_um)))
+    voltage_v, measured_um, simulated_um = (view.mean(values) for values in (
+        prediction.voltage_v, prediction.measured_um, prediction.simulated_um))
+    signals.draw_loops(axes, voltage_v, measured_um, simulated_um)
     axes.set_title(view.title, fontsize="medium")
     return figure
 

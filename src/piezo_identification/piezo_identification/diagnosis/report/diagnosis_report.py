@@ -59,7 +59,7 @@ def _probability(diagnosis: Diagnosis) -> str:
     known = _probabilities(diagnosis)
     names = {entry["name"] for entry in diagnosis.effects}
     own = {"none": {"none"}, "unexplained": {SOMETHING_ELSE}}.get(diagnosis.verdict, names)
-    found = next((value for rival, value in known.items() if set(rival.split("+")) == own), None)
+    found = next((value for name, value in known.items() if set(name.split("+")) == own), None)
     return "" if found is None else f" The probability of this is {_percent(found)} %."
 
 
@@ -86,7 +86,7 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
         What the page is to tell of when, and from which files: name and text.
     """
     noise, dataset = diagnosis.selection.regression.noise, diagnosis.selection.regression.dataset
-    sections = [_found(diagnosis), *_rivals(diagnosis)]
+    sections = [_found(diagnosis), *_alternatives(diagnosis)]
     if diagnosis.effects:
         sections.append(Section("What was added", (
             "Standard deviations are those of the joint fit of all effects; the interval holds the "
@@ -121,7 +121,7 @@ def _found(diagnosis: Diagnosis) -> Section:
     return Section("What was found", tuple(told), rows)
 
 
-def _rivals(diagnosis: Diagnosis) -> Iterator[Section]:
+def _alternatives(diagnosis: Diagnosis) -> Iterator[Section]:
     known = _probabilities(diagnosis)
     if not known:
         return
@@ -132,11 +132,11 @@ def _rivals(diagnosis: Diagnosis) -> Iterator[Section]:
     if rest:
         told.append(f"{rest} more {'has' if rest == 1 else 'have'} less than "
                     f"{100.0 * SHOWN_PROBABILITY:g} %.")
-    yield Section("Rivals", told, [("what the model lacks", "probability (%)"), *(
-        (_rival(name), _percent(value)) for name, value in shown)])
+    yield Section("Alternatives", told, [("what the model lacks", "probability (%)"), *(
+        (_alternative(name), _percent(value)) for name, value in shown)])
 
 
-def _rival(name: str) -> str:
+def _alternative(name: str) -> str:
     if name == SOMETHING_ELSE:
         return "something else than the known effects"
     return "nothing" if name == "none" else " and ".join(name.split("+"))
