@@ -163,7 +163,7 @@ def _add_map(plot: Any, mesh: QuadMesh) -> None:
     low, high = mesh.get_clim()
     corners = np.asarray(mesh.get_coordinates(), dtype=float)
     (left, bottom), (right, top) = corners[0, 0], corners[-1, -1]
-    values = np.ma.asarray(mesh.get_array()).reshape(corners.shape[0] - 1, -1)
+    values: Any = np.ma.asarray(mesh.get_array()).reshape(corners.shape[0] - 1, -1)
     palette = [to_hex(color) for color in mesh.cmap(np.linspace(0.0, 1.0, SHOWN_COLORS))]
     plot.image([np.ma.filled(values.astype(np.float32), np.nan)], x=left, y=bottom,
                dw=right - left, dh=top - bottom, color_mapper=LinearColorMapper(

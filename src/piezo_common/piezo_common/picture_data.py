@@ -6,6 +6,7 @@ import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -93,7 +94,7 @@ def numbers_of(axes: Axes) -> Iterator[Numbers]:
             yield Numbers(legend_name(line), {x_label: x, y_label: y})
     for area in axes.collections:
         if isinstance(area, QuadMesh):
-            values = np.ma.asarray(area.get_array())
+            values: Any = np.ma.asarray(area.get_array())
             corners = np.asarray(area.get_coordinates(), dtype=float)
             centres = 0.25 * (corners[1:, 1:] + corners[1:, :-1] + corners[:-1, 1:]
                               + corners[:-1, :-1])

@@ -27,11 +27,12 @@ MOST_POINTS = 2400
 BLACK, BLUE, VERMILION, GREEN = "#000000", "#0072b2", "#d55e00", "#009e73"  # 0, 46, 55, 58
 PURPLE, ORANGE, GREY = "#cc79a7", "#e69f00", "#b3b3b3"  # 61, 71, 73
 
-BEFORE = {"color": ORANGE, "linestyle": "-", "linewidth": 1.6, "label": "before"}
-AFTER = {"color": BLUE, "linestyle": "-", "linewidth": 0.9, "label": "after"}
+BEFORE: dict[str, Any] = {"color": ORANGE, "linestyle": "-", "linewidth": 1.6, "label": "before"}
+AFTER: dict[str, Any] = {"color": BLUE, "linestyle": "-", "linewidth": 0.9, "label": "after"}
 MEASURED: dict[str, Any] = {"color": GREY, "linewidth": 3.0, "label": "measured"}
 MODELLED: dict[str, Any] = {"color": BLUE, "linewidth": 1.2, "label": "modelled"}
-DIFFERENCE = {"color": VERMILION, "linestyle": "none", "marker": ".", "markersize": 1.5}
+DIFFERENCE: dict[str, Any] = {
+    "color": VERMILION, "linestyle": "none", "marker": ".", "markersize": 1.5}
 REFERENCE = {"color": GREY, "linewidth": 4.0, "label": "reference"}
 FEEDFORWARD = {"color": ORANGE, "linewidth": 1.6, "label": "feedforward"}
 FEEDBACK = {"color": BLUE, "linewidth": 0.8, "label": "feedback"}

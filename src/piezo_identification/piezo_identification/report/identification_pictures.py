@@ -159,8 +159,12 @@ def draw_density(axes: Axes, hysteresis: PreisachModel, visited: BoolArray | Non
     image = axes.pcolormesh(levels_v, levels_v, density, cmap="cividis")
     axes.figure.colorbar(image, ax=axes, label="density (nm/V²)")
     if visited is not None and np.any(np.tril(~visited)):
-        unvisited = np.ma.array(np.ones(visited.shape), mask=visited | above)
-        axes.pcolor(levels_v, levels_v, unvisited, hatch="////", alpha=0.0, edgecolor="white")
+        centres_v = 0.5 * (levels_v[1:] + levels_v[:-1])
+        unvisited = np.where(above | visited, 0.0, 1.0)
+        hatched = axes.contourf(centres_v, centres_v, unvisited, levels=(0.5, 1.5), colors="none",
+                                hatches=["////"])
+        hatched.set_edgecolor("white")
+        hatched.set_linewidth(0.0)
     axes.plot(levels_v[[0, -1]], levels_v[[0, -1]], color=BLACK, linewidth=0.8)
     axes.set_aspect("equal")
     label(axes, "relay switches off at (V)", "relay switches on at (V)")

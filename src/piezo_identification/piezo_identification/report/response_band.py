@@ -90,6 +90,8 @@ def measured_response(
     response : ndarray of complex, shape (M,)
     """
     fitted_um = residual.measured_um - residual.residual_um
+    frequency_hz: FloatArray
+    ratio: ComplexArray
     if residual.frequency_hz is not None:
         half = residual.frequency_hz.size // 2
         frequency_hz = residual.frequency_hz[:half]
