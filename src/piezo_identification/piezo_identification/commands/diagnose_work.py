@@ -29,6 +29,7 @@ def diagnose_given(options: argparse.Namespace) -> None:
             options.model, options.data[0], options.output, hold_s_of(options))
         _print_table(diagnosis, response_sentence(diagnosis))
         print(f"written to {options.output}")
+        print(f"report: {options.output / 'report.html'}")
         return
     for option in (name for name, given in useless_response_options(options).items() if given):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give a frequency "

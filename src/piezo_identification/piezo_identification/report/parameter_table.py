@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The table of a model's parameters: value, standard deviation, interval, and Hz beside rad/s."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from piezo_models.effects import known_effects
 from piezo_models.identified_model import IdentifiedModel
 
 HEADS = ("parameter", "value", "standard deviation", "95 % interval", "in Hz")
@@ -49,6 +50,32 @@ def parameter_table(identified: IdentifiedModel) -> list[tuple[str, ...]]:
         for field, value in effect.parameters().items():
             rows += number_rows(f"{effect.name}, {field}", value, deviations.get(field),
                           type(effect).units()[field])
+    return rows
+
+
+def effect_rows(effects: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return the parameters of the effects of a verdict, and what each reduces the error by.
+
+    Parameters
+    ----------
+    effects : sequence of dict
+        With `name`, `parameters`, `error_reduction_percent` and perhaps `standard_deviations`.
+
+    Returns
+    -------
+    list of tuple of str
+        Heads, then a row for each number.
+    """
+    rows: list[tuple[str, ...]] = [("effect", *HEADS, "error reduction (%)")]
+    kinds = known_effects()
+    for entry in effects:
+        units = kinds[entry["name"]].units() if entry["name"] in kinds else {}
+        name, reduction = entry["name"], f"{entry['error_reduction_percent']:.1f}"
+        for field, value in entry["parameters"].items():
+            deviation = entry.get("standard_deviations", {}).get(field)
+            for row in number_rows(field, value, deviation, units.get(field, "1")):
+                rows.append((name, *row, reduction))
+                name = reduction = ""
     return rows
 
 

@@ -95,8 +95,9 @@ def measured_response(
     if residual.frequency_hz is not None:
         half = residual.frequency_hz.size // 2
         frequency_hz = residual.frequency_hz[:half]
-        ratio = ((residual.measured_um[:half] + 1j * residual.measured_um[half:])
-                 / (fitted_um[:half] + 1j * fitted_um[half:]))
+        ratio = np.asarray(
+            (residual.measured_um[:half] + 1j * residual.measured_um[half:])
+            / (fitted_um[:half] + 1j * fitted_um[half:]), dtype=complex)
     elif residual.period and residual.measured_um.size >= 2 * residual.period:
         period = residual.period
         repeats = fitted_um.size // period

@@ -3,7 +3,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -22,7 +21,7 @@ from piezo_identification.diagnosis.residual.noise_estimate import (
     residual_um,
 )
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
-from piezo_identification.report.parameter_table import HEADS, number_rows
+from piezo_identification.report.parameter_table import effect_rows
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
 
@@ -90,7 +89,7 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
     if diagnosis.effects:
         sections.append(Section("What was added", (
             "Standard deviations are those of the joint fit of all effects; the interval holds the "
-            "parameter in 95 of 100 repeats.",), _effects(diagnosis.effects)))
+            "parameter in 95 of 100 repeats.",), effect_rows(diagnosis.effects)))
     sections += _left(diagnosis)
     sections.append(_undecided(diagnosis))
     sections += [
@@ -140,22 +139,6 @@ def _alternative(name: str) -> str:
     if name == SOMETHING_ELSE:
         return "something else than the known effects"
     return "nothing" if name == "none" else " and ".join(name.split("+"))
-
-
-def _effects(effects: list[dict[str, Any]]) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = [("effect", *HEADS, "error reduction (%)")]
-    kinds = known_effects()
-    for entry in effects:
-        kind = kinds.get(entry["name"])
-        units = kind.units() if kind is not None else {}
-        reduction = f"{entry['error_reduction_percent']:.1f}"
-        name = entry["name"]
-        for field, value in entry["parameters"].items():
-            deviation = entry.get("standard_deviations", {}).get(field)
-            for row in number_rows(field, value, deviation, units.get(field, "1")):
-                rows.append((name, *row, reduction))
-                name = reduction = ""
-    return rows
 
 
 def _left(diagnosis: Diagnosis) -> Iterator[Section]:
