@@ -43,6 +43,9 @@ EXCITED = 1e-4
 
 CREEP_START_S = 0.03
 
+ALONE: dict[str, Any] = {"color": BLUE, "linewidth": 1.0, "label": "measured"}
+"""Of a measurement that no model stands beside."""
+
 ENVELOPE: dict[str, Any] = {"color": VERMILION, "linewidth": 0.5}
 
 
@@ -59,7 +62,8 @@ def draw_measured(axes: Axes, view: WaveformView, measured: FloatArray,
     y : str
         Label.
     """
-    axes.plot(*outline(view.time, view.mean(measured)), **MEASURED)
+    axes.plot(*outline(view.time, view.mean(measured)),
+              **(ALONE if modelled is None else MEASURED))
     if modelled is not None:
         axes.plot(*outline(view.time, view.mean(modelled)), **MODELLED)
         axes.legend(loc="best")
@@ -113,7 +117,7 @@ def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
         Label.
     """
     every = slice(None, None, max(1, voltage_v.size // MOST_POINTS))
-    axes.plot(voltage_v[every], measured[every], **MEASURED)
+    axes.plot(voltage_v[every], measured[every], **(ALONE if modelled is None else MEASURED))
     if modelled is not None:
         axes.plot(voltage_v[every], modelled[every], **MODELLED)
         axes.legend(loc="upper left")
@@ -213,7 +217,8 @@ def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample
     modelled_um : ndarray, shape (N,), optional
         Of a model under the same voltage.
     """
-    for values, style in ((measured_um, MEASURED), (modelled_um, MODELLED)):
+    of_measured = ALONE if modelled_um is None else MEASURED
+    for values, style in ((measured_um, of_measured), (modelled_um, MODELLED)):
         if values is not None:
             frequency_hz, response, _ = gain_of(voltage_v, values, sample_period_s)
             axes.loglog(frequency_hz, np.abs(response), **style)

@@ -17,6 +17,9 @@ from piezo_identification.recording_check.waveform_kind import LEVELS, Waveform,
 EVEN = 0.01
 """Part of a period by which the periods of a square wave may differ."""
 
+ALIKE = 0.02
+"""Part of the swing by which periods of any other voltage may differ, RMS: noise and no trend."""
+
 SHORT_S = 1.0
 """Times below it are given in milliseconds."""
 
@@ -122,10 +125,20 @@ def view_of(voltage_v: FloatArray, sample_period_s: float,
     if starts.size > 2:
         # The first period still answers to what came before.
         starts = starts[1:]
-    if starts.size < 2:
+    if starts.size < 2 or not _are_alike(voltage_v, starts.astype(np.intp), samples, waveform):
         starts, samples = np.zeros(1), voltage_v.size
     return WaveformView(waveform.kind, starts.astype(np.intp), samples, sample_period_s,
                         waveform.jumps)
+
+
+def _are_alike(voltage_v: FloatArray, starts: NDArray[np.intp], samples: int,
+               waveform: Waveform) -> bool:
+    """Tell whether periods are the same, and not cycles whose amplitude grows or shrinks."""
+    if waveform.kind in LEVELS:
+        return True
+    folded = np.stack([voltage_v[start : start + samples] for start in starts])
+    spread_v = np.sqrt(np.mean(np.var(folded, axis=0)))
+    return bool(spread_v <= ALIKE * np.ptp(voltage_v))
 
 
 def _period(waveform: Waveform) -> tuple[int, int]:

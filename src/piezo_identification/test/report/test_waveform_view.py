@@ -34,6 +34,9 @@ def test_a_generator_that_steps_a_sample_off_now_and_then_keeps_its_period():
 @pytest.mark.parametrize("voltage_v", [
     np.cumsum(np.random.default_rng(3).normal(size=5000)),
     np.repeat(np.random.default_rng(4).uniform(0.0, 100.0, 30), 200),
+    # The experiment of the hysteresis: even cycles of rising amplitude from the lowest voltage.
+    np.concatenate([-20.0 + 0.5 * top_v * (1.0 - np.cos(2.0 * np.pi * np.arange(200) / 200))
+                    for top_v in np.linspace(2.0, 140.0, 70)]),
 ])
 def test_a_voltage_that_does_not_repeat_itself_is_drawn_as_a_whole(voltage_v):
     view = view_of(voltage_v, 1e-3)
