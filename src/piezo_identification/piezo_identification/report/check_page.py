@@ -26,7 +26,9 @@ def check_page(checks: Sequence[tuple[str, RecordingCheck, dict[str, Suitability
     count = len(checks)
     title = (checks[0][0] + ": " + suitability_sentence(checks[0][2])) if count == 1 else (
         f"What {count} recordings are good for")
-    sections = [section for check in checks for section in _sections(*check)]
+    sections = [section for name, check, fit_for in checks for section in _sections(
+        name, f"{name}: {suitability_sentence(fit_for)}" if count > 1 else "What it can stand for",
+        check, fit_for)]
     return render_page(title, ["Noise is the least that rests, repeats and the highest frequencies "
                                "tell. The drift is that at one voltage over the whole recording."],
                        sections)
@@ -44,14 +46,15 @@ def suitability_sentence(fit_for: dict[str, Suitability]) -> str:
     return "; ".join(parts) or "good for none of the experiments"
 
 
-def _sections(title: str, check: RecordingCheck,
+def _sections(name: str, title: str, check: RecordingCheck,
               fit_for: dict[str, Suitability]) -> list[Section]:
     good_for = [("can stand for", "verdict", "because"),
-                *((name, each.verdict, each.reason) for name, each in fit_for.items())]
+                *((experiment, each.verdict, each.reason)
+                  for experiment, each in fit_for.items())]
     rows = [("measured", "value"), *measured_rows(check)]
     return [
-        Section(f"{title}: {suitability_sentence(fit_for)}", check.warnings, good_for, [
-            pictured(title, check_figure(check), "Displacement and voltage over time; below, what "
+        Section(title, check.warnings, good_for, [
+            pictured(name, check_figure(check), "Displacement and voltage over time; below, what "
                      f"a voltage of this kind shows ({escape(check.waveform.kind)}).",
                      wide=True, closer=True)]),
         Section("What was measured", table=rows)]
