@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the tests of several packages share: CSV files, pages in a browser, pictures in grey."""
 
+import base64
+import csv
 import html
 import importlib.util
 import io
@@ -17,6 +19,7 @@ import pytest
 from hypothesis import settings
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 
 LONG = bool(os.environ.get("LONG_TESTS"))
 DOCS = Path(__file__).parent / "docs"
@@ -239,3 +242,42 @@ def package_of_page(tmp_path):
         return directory
 
     return lay_out
+
+
+class PageParts:
+    """What an HTML page of ours holds: its tables, its pictures, and the numbers behind them."""
+
+    def __init__(self, text):
+        # Scripts and data are no links; the page's own text is what is left.
+        self.text = re.sub(r"<script.*?</script>", "", text, flags=re.S)
+        self.tables = [
+            [[html.unescape(re.sub("<.*?>", "", cell))
+              for cell in re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row)]
+             for row in re.findall(r"<tr>(.*?)</tr>", table)]
+            for table in re.findall(r"<table>(.*?)</table>", self.text, re.S)]
+        self.title = html.unescape(re.search(r"<h1>(.*?)</h1>", self.text)[1])
+        self.pictures = {html.unescape(name): base64.b64decode(data) for name, data in re.findall(
+            r'<img alt="(.*?)" src="data:image/png;base64,(.*?)"', self.text)}
+        self.external = [link for link in re.findall(r"(?:href|src)=\"(.*?)\"|url\((.*?)\)|@import",
+                                                     self.text)
+                         if not str(link[0]).startswith(("data:", "#"))]
+
+    def is_picture(self, name):
+        """Whether the page shows a picture of this name that is not of one colour."""
+        pixels = imread(io.BytesIO(self.pictures[name]), format="png")
+        return np.ptp(pixels[..., :3]) > 0.5
+
+    def numbers(self, name):
+        """Return the numbers of a picture by the heads of their columns."""
+        figure = re.search(rf'<img alt="{re.escape(html.escape(name))}".*?</figure>', self.text,
+                           re.S)[0]
+        data = base64.b64decode(re.search(r"data:text/csv;base64,(.*?)\"", figure)[1]).decode()
+        heads, *rows = csv.reader(io.StringIO(data))
+        return {head: [float(row[index]) for row in rows if row[index]]
+                for index, head in enumerate(heads)}
+
+
+@pytest.fixture(scope="session")
+def page_parts():
+    """Return the parts of a page: give it the file, or the page as text."""
+    return lambda page: PageParts(page.read_text() if isinstance(page, Path) else page)

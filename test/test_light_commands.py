@@ -12,8 +12,8 @@ import pytest
 from piezo_common.command_line import Command
 
 ROOT = Path(__file__).parents[1]
-HEAVY = {"control", "dask", "distributed", "h5py", "matplotlib", "mcap", "numba", "numpy", "pandas",
-         "pydantic", "rclpy", "rosbags", "scipy", "slycot", "yaml"}
+HEAVY = {"bokeh", "control", "dask", "distributed", "h5py", "matplotlib", "mcap", "numba", "numpy",
+         "pandas", "pydantic", "rclpy", "rosbags", "scipy", "slycot", "yaml"}
 MODULES = {
     f"{path.parent.name} {name}": module
     for path in sorted(ROOT.glob("src/*/setup.py"))

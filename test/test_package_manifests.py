@@ -12,7 +12,7 @@ PACKAGES = sorted(path.parent for path in Path(__file__).parents[1].glob("src/*/
 # What rosdep knows, by its key; what comes from PyPI is named in a comment.
 ROSDEP = {name: f"python3-{name}"
           for name in ("matplotlib", "numba", "numpy", "scipy", "sklearn", "yaml")}
-PYPI = {"control", "dask", "distributed", "h5py", "mcap", "nidaqmx", "nptdms", "pandas",
+PYPI = {"bokeh", "control", "dask", "distributed", "h5py", "mcap", "nidaqmx", "nptdms", "pandas",
         "pyarrow", "pydantic", "rosbags", "shtab", "slycot", "threadpoolctl"}
 ROS = re.compile(r"rclpy|ament_index_python|launch(_ros)?|\w+_(msgs|interfaces)|std_srvs|piezo_\w+")
 

@@ -100,6 +100,32 @@ class Command:
         return getattr(import_module(module), function)
 
 
+def add_report_option(parser: argparse.ArgumentParser, where: str) -> None:
+    """Add ``--no-report``, for work whose page nobody will look at.
+
+    Parameters
+    ----------
+    parser : argparse.ArgumentParser
+    where : str
+        Where the page is written otherwise.
+    """
+    parser.add_argument("--no-report", dest="report", action="store_false",
+                        help=f"do not write the page, {where}")
+
+
+def write_report(path: Path, page: str) -> None:
+    """Write the page of a command, and say where it is.
+
+    Parameters
+    ----------
+    path : Path
+    page : str
+        HTML.
+    """
+    path.write_text(page, encoding="utf-8")
+    print(f"report: {path}")
+
+
 def print_next(options: argparse.Namespace, package: str, name: str, *arguments: object) -> None:
     """Print the command that a user may type next, as this one was typed.
 

@@ -21,18 +21,19 @@ from piezo_common.arrays import FloatArray
 WIDTH_IN, WIDE_IN = 5.6, 8.0
 DOTS_PER_INCH = 180
 SHOWN_DOTS_PER_INCH = 100
-MOST_POINTS = 4000
+MOST_POINTS = 2400
 """Points of a line; of more, the lowest and highest of each stretch are drawn."""
 
 # From dark to light, with the lightness L* of CIELAB; grey is of no palette.
 BLACK, BLUE, VERMILION, GREEN = "#000000", "#0072b2", "#d55e00", "#009e73"  # 0, 46, 55, 58
 PURPLE, ORANGE, GREY = "#cc79a7", "#e69f00", "#b3b3b3"  # 61, 71, 73
 
-BEFORE = {"color": ORANGE, "linestyle": "-", "linewidth": 1.6, "label": "before"}
-AFTER = {"color": BLUE, "linestyle": "-", "linewidth": 0.9, "label": "after"}
+BEFORE: dict[str, Any] = {"color": ORANGE, "linestyle": "-", "linewidth": 1.6, "label": "before"}
+AFTER: dict[str, Any] = {"color": BLUE, "linestyle": "-", "linewidth": 0.9, "label": "after"}
 MEASURED: dict[str, Any] = {"color": GREY, "linewidth": 3.0, "label": "measured"}
 MODELLED: dict[str, Any] = {"color": BLUE, "linewidth": 1.2, "label": "modelled"}
-DIFFERENCE = {"color": VERMILION, "linestyle": "none", "marker": ".", "markersize": 1.5}
+DIFFERENCE: dict[str, Any] = {
+    "color": VERMILION, "linestyle": "none", "marker": ".", "markersize": 1.5}
 REFERENCE = {"color": GREY, "linewidth": 4.0, "label": "reference"}
 FEEDFORWARD = {"color": ORANGE, "linewidth": 1.6, "label": "feedforward"}
 FEEDBACK = {"color": BLUE, "linewidth": 0.8, "label": "feedback"}
@@ -105,6 +106,27 @@ def outline(x: FloatArray, y: FloatArray,
     parts = y[: count * stretch].reshape(count, stretch)
     both = np.column_stack([parts.min(axis=1), parts.max(axis=1)]).ravel()
     return np.repeat(x[: count * stretch : stretch], 2), both
+
+
+def thinned(x: FloatArray, y: FloatArray,
+            most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
+    """Return few points of any curve: its `outline` over a rising x, else every so manieth point.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (N,)
+    most : int
+
+    Returns
+    -------
+    x, y : ndarray, shape (M,)
+    """
+    if x.size <= most:
+        return x, y
+    if np.all(np.diff(x) >= 0.0):
+        return outline(x, y, most)
+    every = slice(None, None, -(-x.size // most))
+    return x[every], y[every]
 
 
 def to_png(figure: Figure, dots_per_inch: float = DOTS_PER_INCH) -> bytes:

@@ -1,14 +1,28 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One self-contained HTML page of sections with text, tables and pictures: screen, phone, print."""
+"""One self-contained HTML page of sections with text, tables and pictures: screen, phone, print.
+
+Each picture is drawn once, as a matplotlib figure. The page shows it as it is, which is also what
+is printed; beside it stand the numbers of its curves, as CSV, and, where looking closer matters and
+Bokeh is installed, the same curves to zoom and to hover over.
+"""
 
 import base64
+import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 from matplotlib.figure import Figure
 
+from piezo_common.interactive_picture import interactive_item, interactive_script
+from piezo_common.picture_data import picture_csv
 from piezo_common.picture_style import to_png
+
+PAGE_DOTS_PER_INCH = 140
+MOST_COLUMNS = 4
+"""Tables of more columns show each row as a list where the screen is narrow."""
 
 STYLE = """
 :root { color-scheme: light; }
@@ -32,12 +46,36 @@ figure { margin: 0; }
 figure img { width: 100%; max-width: 38rem; height: auto; }
 .wide img { max-width: 54rem; }
 figcaption { font-size: .9em; max-width: 38rem; }
-@media (max-width: 40rem) { body { padding: .6rem; } th, td { padding: .2rem .35rem; }
-                            table { font-size: .8rem; } }
-@media print { body { max-width: none; font-size: 10pt; padding: 0; }
-               .pictures { grid-template-columns: 1fr 1fr; } .table { overflow: visible; }
-               figure, tr { break-inside: avoid; } figcaption { break-before: avoid; }
-               h1, h2, thead { break-after: avoid; } p { orphans: 3; widows: 3; } }
+.beside { font-size: .85em; margin: .2rem 0; }
+.beside a, .closer summary { color: #0072b2; cursor: pointer; }
+.closer { font-size: .85em; }
+@media (max-width: 40rem) {
+  body { padding: .6rem; }
+  table { font-size: .8rem; width: 100%; }
+  th, td { padding: .2rem .35rem; white-space: normal; overflow-wrap: anywhere; }
+  .many thead { display: none; }
+  .many tr { display: block; border-bottom: 1px solid #111; padding: .3rem 0; }
+  .many td, .many td.text { display: flex; justify-content: space-between; gap: 1rem;
+                            border: 0; padding: .1rem 0; text-align: right; }
+  .many td::before { content: attr(data-head); text-align: left; color: #555; }
+  .many td:empty { display: none; }
+  .many td:first-child { font-weight: bold; }
+}
+@media print {
+  body { max-width: none; font-size: 10pt; padding: 0; }
+  .pictures { grid-template-columns: 1fr 1fr; gap: .4rem 1rem; }
+  figure img { max-height: 4.4cm; width: auto; max-width: 100%; }
+  figure.tall img { max-height: 8.6cm; }
+  figure.wide img { max-height: 8cm; }
+  p { margin: .4rem 0; }
+  table { font-size: 8.5pt; } th, td { padding: .1rem .5rem; }
+  .table { overflow: visible; }
+  .beside, .closer { display: none; }
+  figure, tr { break-inside: avoid; } figcaption { break-before: avoid; }
+  h2 { margin-top: .6rem; padding-top: .4rem; } h2, figcaption { margin-bottom: 0; }
+  figcaption { font-size: 8pt; line-height: 1.25; }
+  h1, h2, thead { break-after: avoid; } p { orphans: 3; widows: 3; }
+}
 """
 
 
@@ -53,6 +91,10 @@ class Picture:
     png : bytes
     tall, wide : bool
         Two others fit beside it; none does.
+    data : str
+        The numbers behind it, as CSV; empty for none.
+    closer : dict or None
+        What Bokeh draws for those who look closer, of `interactive_item`.
     """
 
     name: str
@@ -60,6 +102,8 @@ class Picture:
     png: bytes
     tall: bool = False
     wide: bool = False
+    data: str = ""
+    closer: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -81,17 +125,22 @@ class Section:
     pictures: Sequence[Picture] = ()
 
 
-def pictured(name: str, figure: Figure, caption: str, tall: bool = False) -> Picture:
-    """Return a matplotlib figure as a `Picture`.
+def pictured(name: str, figure: Figure, caption: str, tall: bool = False, wide: bool = False,
+             closer: bool = False) -> Picture:
+    """Return a matplotlib figure as a `Picture` with the numbers behind it.
 
     Parameters
     ----------
     name : str
     figure : matplotlib.figure.Figure
     caption : str
-    tall : bool
+    tall, wide : bool
+    closer : bool
+        Whether looking closer matters: the page then has the curves to zoom, too.
     """
-    return Picture(name, caption, to_png(figure), tall)
+    png = to_png(figure, PAGE_DOTS_PER_INCH)
+    return Picture(name, caption, png, tall, wide, picture_csv(figure),
+                   interactive_item(figure) if closer else None)
 
 
 def render_page(title: str, paragraphs: Sequence[str], sections: Sequence[Section]) -> str:
@@ -106,6 +155,8 @@ def render_page(title: str, paragraphs: Sequence[str], sections: Sequence[Sectio
     """
     body = "\n".join([f"<h1>{escape(title)}</h1>", *map(_paragraph, paragraphs),
                       *map(_section, sections)])
+    if any(picture.closer for section in sections for picture in section.pictures):
+        body += interactive_script()
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -141,18 +192,25 @@ def _inline(text: str) -> str:
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:
-    is_text = [not _is_number(text) for text in rows[1]]
-    heads = _row("th", rows[0], is_text)
-    body = "\n".join(_row("td", row, is_text) for row in rows[1:])
-    return (f'<div class="table"><table>\n<thead>{heads}</thead>\n<tbody>\n{body}\n</tbody>\n'
-            "</table></div>")
+    heads, *body = rows
+    is_text = [not all(_is_number(row[column]) for row in body) for column in range(len(heads))]
+    of_heads = "".join(f"<th{_kind(left)}>{_inline(text)}</th>"
+                       for text, left in zip(heads, is_text, strict=True))
+    of_rows = "\n".join(_row(row, heads, is_text) for row in body)
+    many = " many" if len(heads) > MOST_COLUMNS else ""
+    return (f'<div class="table{many}"><table>\n<thead><tr>{of_heads}</tr></thead>\n<tbody>\n'
+            f"{of_rows}\n</tbody>\n</table></div>")
 
 
-def _row(cell: str, texts: Sequence[str], is_text: Sequence[bool]) -> str:
-    cells = "".join(f'<{cell} class="text">{_inline(text)}</{cell}>' if left
-                    else f"<{cell}>{_inline(text)}</{cell}>"
-                    for text, left in zip(texts, is_text, strict=True))
+def _row(texts: Sequence[str], heads: Sequence[str], is_text: Sequence[bool]) -> str:
+    cells = "".join(
+        f'<td{_kind(left)} data-head="{escape(head)}">{_inline(text)}</td>'
+        for text, head, left in zip(texts, heads, is_text, strict=True))
     return f"<tr>{cells}</tr>"
+
+
+def _kind(is_text: bool) -> str:
+    return ' class="text"' if is_text else ""
 
 
 def _is_number(text: str) -> bool:
@@ -164,8 +222,30 @@ def _is_number(text: str) -> bool:
 
 
 def _figure(picture: Picture) -> str:
-    data = base64.b64encode(picture.png).decode()
     kind = "tall" if picture.tall else "wide" if picture.wide else "usual"
     return (f'<figure class="{kind}"><img alt="{escape(picture.name)}" '
-            f'src="data:image/png;base64,{data}">'
-            f"<figcaption>{_inline(picture.caption)}</figcaption></figure>")
+            f'src="data:image/png;base64,{_base64(picture.png)}">'
+            f"<figcaption>{_inline(picture.caption)}</figcaption>"
+            f"{_data_link(picture)}{_closer(picture)}</figure>")
+
+
+def _data_link(picture: Picture) -> str:
+    if not picture.data:
+        return ""
+    file = re.sub(r"\W+", "_", picture.name.lower()).strip("_")
+    return (f'<p class="beside"><a download="{file}.csv" '
+            f'href="data:text/csv;base64,{_base64(picture.data.encode())}">'
+            "numbers of this picture (CSV)</a></p>")
+
+
+def _closer(picture: Picture) -> str:
+    if picture.closer is None:
+        return ""
+    # A script element ends at the first of its closing tags, in a string or not.
+    item = json.dumps(picture.closer, separators=(",", ":")).replace("</", "<\\/")
+    return ('<details class="closer"><summary>look closer: zoom, hover, hide curves</summary>'
+            f'<div></div><script type="application/json">{item}</script></details>')
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode()

@@ -5,7 +5,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from piezo_common.command_line import Command
+from piezo_common.command_line import Command, add_report_option
 from piezo_controller.feedback.design_choices import (
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,
@@ -38,7 +38,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--samples-per-tick", type=int,
                         help="feedback period in samples; by the rules (5.10) by default")
     parser.add_argument("--output", type=Path, required=True,
-                        help="controller file to write; the pictures are put beside it")
+                        help="controller file to write; page and pictures are put beside it")
+    add_report_option(parser, "CONTROLLER_report.html beside the controller")
 
 
 def _check(options: argparse.Namespace) -> None:

@@ -3,26 +3,48 @@
 
 import argparse
 import shlex
+from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import control
+from matplotlib.figure import Figure
+
+from piezo_common.command_line import write_report
+from piezo_common.picture_style import to_png
 from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.controller_view import REPORT_ROWS
+from piezo_controller.feedback.design_page import design_page
 from piezo_controller.feedback.feedback_design import (
     FeedbackController,
     structured_singular_value,
 )
-from piezo_controller.feedback.loop_pictures import draw_bode, draw_mu, draw_nyquist, draw_weights
+from piezo_controller.feedback.loop_pictures import (
+    bode_figure,
+    mu_figure,
+    nyquist_figure,
+    sensitivity_figure,
+    step_figure,
+    weights_figure,
+)
 from piezo_controller.feedback.loop_rules import LoopRules
-from piezo_controller.feedback.robustness import Robustness, check_robustness
+from piezo_controller.feedback.robustness import Robustness, check_robustness, drawn_plants
 from piezo_controller.feedback.stage_design import CLOCK_PERIOD_S, design_for_stage
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant, generalised_plant
+from piezo_controller.feedback.synthesis.h_infinity import is_stable
 from piezo_controller.feedback.synthesis.weights import DesignWeights
 from piezo_models.cascade import StageModel
 from piezo_models.model_file import load_model
 
 GAIN_SPREAD = 0.12
+DRAWN = 40
+"""Models with errors whose responses are drawn."""
+
+ALONE = ("bode", "nyquist", "weights", "mu")
+"""Pictures that are written as files, too."""
+
+DOTS_PER_INCH = 120
 
 
 def design_controller(options: argparse.Namespace) -> None:
@@ -34,22 +56,31 @@ def design_controller(options: argparse.Namespace) -> None:
         sha256(options.model.read_bytes()).hexdigest())
     controller, weights = design.controller, design.weights
     save_controller(options.output, controller)
+    gain_spread = max(GAIN_SPREAD, controller.report["hysteresis_gain_spread"])
     robustness = check_robustness(
-        model, controller.state_space(), CLOCK_PERIOD_S,
-        max(GAIN_SPREAD, controller.report["hysteresis_gain_spread"]), at_once=options.at_once,
+        model, controller.state_space(), CLOCK_PERIOD_S, gain_spread, at_once=options.at_once,
         delay_ticks=options.delay_ticks)
-    _print(controller.report, design.rules, design.samples_per_tick, robustness)
-    pictures = _draw(options, model, weights, controller)
+    rows = _rows(controller.report, design.rules, design.samples_per_tick, robustness)
+    for name, text in rows:
+        print(f"{name:42s}{text}")
+    figures = _figures(options, model, weights, controller, gain_spread)
+    pictures = _save(options.output, figures)
     print(f"written: {', '.join(str(path) for path in (options.output, *pictures))}")
+    if options.report:
+        origin = [f"controller: `{options.output}`", f"model: `{options.model}`, SHA-256 "
+                  f"{controller.model_sha256[:16]}"]
+        write_report(options.output.with_name(f"{options.output.stem}_report.html"), design_page(
+            controller.report, rows, robustness, figures, origin))
     print("next:", shlex.join([
         "./run", "piezo_client", "stage", "track", "--model", str(options.model), "--controller",
         str(options.output), "--output", "runs"]))
 
 
-def _print(report: dict[str, Any], rules: LoopRules, samples_per_tick: int,
-           robustness: Robustness) -> None:
+def _rows(report: dict[str, Any], rules: LoopRules, samples_per_tick: int,
+          robustness: Robustness) -> list[tuple[str, str]]:
+    """Return what the design is worth, in the order in which it is told."""
     rate_hz = 1 / CLOCK_PERIOD_S / samples_per_tick
-    lines = [
+    return [
         ("feedback rate", f"{rate_hz:.4g} Hz, {samples_per_tick} samples a tick; by (5.10) "
                           f"{rules.lowest_rate_hz:.4g} to {rules.highest_rate_hz:.4g} Hz"),
         ("bandwidth by (5.9)", f"{rules.lowest_bandwidth_hz:.4g} to "
@@ -62,27 +93,37 @@ def _print(report: dict[str, Any], rules: LoopRules, samples_per_tick: int,
          f"{robustness.samples - robustness.unstable_samples} of {robustness.samples} drawn"),
         ("  Ms at the worst errors found", f"{robustness.worst_peak_sensitivity:.2f}"),
     ]
-    for label, text in lines:
-        print(f"{label:42s}{text}")
 
 
-def _draw(options: argparse.Namespace, model: StageModel, weights: DesignWeights,
-          controller: FeedbackController) -> list[Path]:
-    """Draw the pictures; return their paths."""
-    def path(name: str) -> Path:
-        return options.output.with_name(f"{options.output.stem}_{name}.png")
-
+def _figures(options: argparse.Namespace, model: StageModel, weights: DesignWeights,
+             controller: FeedbackController, gain_spread: float) -> dict[str, Figure]:
     plant, gain_um_per_v = design_plant(model, weights.sample_period_s, CLOCK_PERIOD_S,
                                         options.at_once, options.delay_ticks)
     loop = gain_um_per_v * plant, controller.state_space()
-    paths = [path("bode"), path("nyquist")]
     with_weights = weights if options.method == "h_infinity" else None
-    draw_bode(paths[0], *loop, with_weights)
-    draw_nyquist(paths[1], *loop, controller.report["hysteresis_gain_spread"])
+    figures = {
+        "bode": bode_figure(*loop, with_weights),
+        "nyquist": nyquist_figure(*loop, controller.report["hysteresis_gain_spread"])}
+    if options.report:
+        drawn = [each for each in drawn_plants(
+            model, weights.sample_period_s, CLOCK_PERIOD_S, gain_spread, DRAWN,
+            at_once=options.at_once, delay_ticks=options.delay_ticks)
+            if is_stable(control.feedback(each * loop[1], 1))]
+        figures["steps"] = step_figure(
+            *loop, controller.report["hysteresis_gain_spread"], drawn)
+        figures["sensitivity"] = sensitivity_figure(*loop, drawn)
     if with_weights:
-        paths += [path("weights"), path("mu")]
-        draw_weights(paths[2], weights)
-        draw_mu(paths[3], *structured_singular_value(
+        figures["weights"] = weights_figure(weights)
+        figures["mu"] = mu_figure(*structured_singular_value(
             generalised_plant(plant, gain_um_per_v, weights), loop[1]),
             controller.report["mu_history"])
+    return figures
+
+
+def _save(output: Path, figures: Mapping[str, Figure]) -> list[Path]:
+    """Write the pictures that stand alone, beside those of the page; return their paths."""
+    paths = []
+    for name in (name for name in ALONE if name in figures):
+        paths.append(output.with_name(f"{output.stem}_{name}.png"))
+        paths[-1].write_bytes(to_png(figures[name], DOTS_PER_INCH))
     return paths

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a feedback loop is worth: bandwidth, margins, settling."""
 
+from dataclasses import dataclass
+
 import control
 import numpy as np
 
@@ -12,6 +14,29 @@ SETTLED = 0.05
 LONGEST_SETTLING_TICKS = 2000
 LEAST_CROSSING = 1e-12
 """Size of a loop on the real axis that is rounding."""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """How far a loop is from instability, and at which frequencies.
+
+    Attributes
+    ----------
+    gain : float or None
+        Factor by which the gain may rise; None where the loop does not cross the real axis
+        between -1 and 0.
+    gain_hz : float or None
+        Where it crosses it.
+    phase_deg : float or None
+        By which the phase may fall; None where the loop does not cross the unit circle.
+    phase_hz : float or None
+        Where it crosses it.
+    """
+
+    gain: float | None = None
+    gain_hz: float | None = None
+    phase_deg: float | None = None
+    phase_hz: float | None = None
 
 
 def loop_responses(plant: control.StateSpace, controller: control.StateSpace,
@@ -55,7 +80,7 @@ def measure_loop(plant: control.StateSpace, controller: control.StateSpace,
         ``stable_within_gain_spread``. None stands for what the loop does not have: it crosses
         nothing from 0.1 Hz on, or has not settled after `LONGEST_SETTLING_TICKS`.
     """
-    frequency_hz = np.geomspace(0.1, 0.5 / plant.dt, 8000)
+    frequency_hz = _frequencies(plant.dt)
     loop, sensitivity = loop_responses(plant, controller, frequency_hz)
     size = np.abs(sensitivity)
     gains = np.linspace(1 - gain_spread, 1 + gain_spread, 5)
@@ -69,9 +94,9 @@ def measure_loop(plant: control.StateSpace, controller: control.StateSpace,
             is_stable(control.feedback(gain * plant * controller, 1)) for gain in gains),
     }
     for where, gain in (("", 1.0), ("_at_lowest_gain", gains[0]), ("_at_highest_gain", gains[-1])):
-        gain_margin, phase_margin_deg = _margins(gain * loop)
-        measures["gain_margin" + where] = gain_margin
-        measures["phase_margin_deg" + where] = phase_margin_deg
+        margins = margins_of(frequency_hz, gain * loop)
+        measures["gain_margin" + where] = margins.gain
+        measures["phase_margin_deg" + where] = margins.phase_deg
     return measures
 
 
@@ -81,23 +106,46 @@ def _first_rise_hz(frequency_hz: FloatArray, holds: BoolArray) -> float | None:
     return float(frequency_hz[begins[0] + 1]) if begins.size else None
 
 
-def _margins(loop: ComplexArray) -> tuple[float | None, float | None]:
-    """Return the gain margin (factor) and phase margin (degrees) from a dense frequency response.
+def loop_margins(plant: control.StateSpace, controller: control.StateSpace) -> Margins:
+    """Return the margins of a loop, as `measure_loop` measures them at the nominal gain."""
+    frequency_hz = _frequencies(plant.dt)
+    return margins_of(frequency_hz, loop_responses(plant, controller, frequency_hz)[0])
 
-    The gain margin is that towards higher gains: only crossings between -1 and 0 count. None where
-    the response does not cross the axis there, or the unit circle.
+
+def _frequencies(tick_s: float) -> FloatArray:
+    return np.geomspace(0.1, 0.5 / tick_s, 8000)
+
+
+def margins_of(frequency_hz: FloatArray, loop: ComplexArray) -> Margins:
+    """Return the margins of a loop from a dense frequency response.
+
+    The gain margin is that towards higher gains: only crossings between -1 and 0 count.
+
+    Parameters
+    ----------
+    frequency_hz : ndarray, shape (F,)
+        Up to half the tick's rate.
+    loop : ndarray of complex, shape (F,)
+
+    Returns
+    -------
+    Margins
     """
     real, imaginary, size = loop.real, loop.imag, np.abs(loop)
-    crossing = imaginary[:-1] * imaginary[1:] < 0
-    unity = (size[:-1] - 1) * (size[1:] - 1) < 0
+    crossing = np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0)
+    unity = np.flatnonzero((size[:-1] - 1) * (size[1:] - 1) < 0)
     # At half the tick's rate, the last frequency, the response is real.
-    on_axis = np.append(real[:-1][crossing], real[-1])
-    nearest = on_axis[on_axis > -1].min(initial=0.0)
-    gain_margin = float(-1 / nearest) if nearest < -LEAST_CROSSING else None
-    if not unity.any():
-        return gain_margin, None
-    phase_margin = np.pi - np.abs(np.angle(loop[:-1][unity])).max()
-    return gain_margin, float(np.degrees(phase_margin))
+    crossing = np.append(crossing, real.size - 1)
+    crossing = crossing[(real[crossing] > -1) & (real[crossing] < -LEAST_CROSSING)]
+    gain = gain_hz = phase_deg = phase_hz = None
+    if crossing.size:
+        nearest = crossing[np.argmin(real[crossing])]
+        gain, gain_hz = float(-1 / real[nearest]), float(frequency_hz[nearest])
+    if unity.size:
+        nearest = unity[np.argmax(np.abs(np.angle(loop[unity])))]
+        phase_deg = float(np.degrees(np.pi - np.abs(np.angle(loop[nearest]))))
+        phase_hz = float(frequency_hz[nearest])
+    return Margins(gain, gain_hz, phase_deg, phase_hz)
 
 
 def _settling_s(plant: control.StateSpace, controller: control.StateSpace) -> float | None:

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of a feedback loop: Bode and Nyquist diagrams, weights, structured singular value."""
 
-from pathlib import Path
+from collections.abc import Sequence
+from typing import Any
 
 import control
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.picture_style import (
@@ -19,26 +22,38 @@ from piezo_common.picture_style import (
     label,
     new_figure,
 )
-from piezo_controller.feedback.loop_measures import loop_responses
+from piezo_controller.feedback.loop_measures import (
+    SETTLED,
+    Margins,
+    loop_margins,
+    loop_responses,
+)
 from piezo_controller.feedback.synthesis.weights import DesignWeights, Weight
 
 LOWEST_HZ = 0.1
 LOWEST_WEIGHT = 1e-4
-DOTS_PER_INCH = 120
+STEPS_TICKS, LEAST_TICKS, SHOWN_SETTLINGS = 400, 30, 4
+MARKED: dict[str, Any] = {"color": VERMILION, "linewidth": 2.0}
+GAIN_STYLES: tuple[dict[str, Any], ...] = (
+    {"color": ORANGE, "linestyle": "--"}, {"color": BLUE, "linestyle": "-"},
+    {"color": VERMILION, "linestyle": "-."})
+"""Of the loop at the lowest gain of the hysteresis, the nominal one, and the highest."""
 
 
-def draw_bode(path: str | Path, plant: control.StateSpace, controller: control.StateSpace,
-              weights: DesignWeights | None) -> None:
-    """Open loop above, closed loop with the bounds that the weights set below.
+def bode_figure(plant: control.StateSpace, controller: control.StateSpace,
+                weights: DesignWeights | None) -> Figure:
+    """Draw the open loop with its margins, below it the closed one with the bounds of the weights.
 
     Parameters
     ----------
-    path : path-like
-        PNG to write.
     plant, controller : control.StateSpace
         Discrete; the plant with its gain in um/V.
     weights : DesignWeights or None
         None for a design without weights.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     frequency_hz = _frequencies(plant.dt)
     points = np.exp(2j * np.pi * frequency_hz * plant.dt)
@@ -53,6 +68,7 @@ def draw_bode(path: str | Path, plant: control.StateSpace, controller: control.S
         gain.loglog(frequency_hz, np.abs(response), label=name, **style)
     phase.semilogx(frequency_hz, np.degrees(np.unwrap(np.angle(loop))), label="open loop",
                    **CURVES[0])
+    _mark_margins(gain, phase, frequency_hz, loop, loop_margins(plant, controller))
     bounded: dict[str, FloatArray | ComplexArray] = {
         "sensitivity S": sensitivity, "complementary T": 1 - sensitivity}
     if weights is not None:
@@ -69,21 +85,40 @@ def draw_bode(path: str | Path, plant: control.StateSpace, controller: control.S
     label(closed, "frequency (Hz)", "gain (um/um)")
     for axes in gain, phase, closed:
         axes.legend()
-    figure.savefig(path, dpi=DOTS_PER_INCH)
+    return figure
 
 
-def draw_nyquist(path: str | Path, plant: control.StateSpace, controller: control.StateSpace,
-                 gain_spread: float) -> None:
+def _mark_margins(gain: Axes, phase: Axes, frequency_hz: FloatArray, loop: ComplexArray,
+                  margins: Margins) -> None:
+    """Draw the gain and the phase that are missing to instability, where they are the margins."""
+    gain.axhline(1.0, **LIMIT)
+    if margins.gain is not None and margins.gain_hz is not None:
+        gain.plot([margins.gain_hz] * 3, [1.0 / margins.gain, margins.gain**-0.5, 1.0],
+                  marker="_", label=f"gain margin {margins.gain:.3g}", **MARKED)
+    angle = np.degrees(np.unwrap(np.angle(loop)))
+    if margins.phase_deg is not None and margins.phase_hz is not None:
+        at = float(np.interp(margins.phase_hz, frequency_hz, angle))
+        # The nearest of the angles at which the loop would be -1.
+        unstable = 180.0 * (2.0 * np.floor(at / 360.0) + 1.0)
+        phase.axhline(unstable, **LIMIT)
+        phase.plot([margins.phase_hz] * 3, [unstable, 0.5 * (unstable + at), at], marker="_",
+                   label=f"phase margin {margins.phase_deg:.0f} degrees", **MARKED)
+
+
+def nyquist_figure(plant: control.StateSpace, controller: control.StateSpace,
+                   gain_spread: float) -> Figure:
     """Draw the open loop in the complex plane, nominal and at both ends of the gain's spread.
 
     Parameters
     ----------
-    path : path-like
-        PNG to write.
     plant, controller : control.StateSpace
         Discrete; the plant with its gain in um/V.
     gain_spread : float
         The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     loop, sensitivity = loop_responses(plant, controller, _frequencies(plant.dt))
     peak = np.abs(sensitivity).max()
@@ -94,25 +129,119 @@ def draw_nyquist(path: str | Path, plant: control.StateSpace, controller: contro
     axes.plot(turn.real, turn.imag, color=GREY, label="unit circle")
     circle = -1 + turn / peak
     axes.plot(circle.real, circle.imag, label=f"peak sensitivity {peak:.2f}", **LIMIT)
-    for gain, color, linestyle in ((1 - gain_spread, ORANGE, "--"), (1, BLUE, "-"),
-                                   (1 + gain_spread, VERMILION, "-.")):
-        axes.plot(gain * loop.real, gain * loop.imag, color=color, linestyle=linestyle,
-                  label=f"open loop, gain {gain:.2f}")
+    for gain, style in zip((1 - gain_spread, 1, 1 + gain_spread), GAIN_STYLES, strict=True):
+        axes.plot(gain * loop.real, gain * loop.imag, label=f"open loop, gain {gain:.2f}", **style)
     axes.plot(-1, 0, color=BLACK, linestyle="none", marker="+", markersize=12)
+    _mark_in_plane(axes, loop_margins(plant, controller))
     axes.set(xlim=(-3, 1.5), ylim=(-2.25, 2.25), aspect="equal")
     label(axes, "real part (1)", "imaginary part (1)")
     axes.legend(loc="lower right")
-    figure.savefig(path, dpi=DOTS_PER_INCH)
+    return figure
 
 
-def draw_weights(path: str | Path, weights: DesignWeights) -> None:
+def _mark_in_plane(axes: Axes, margins: Margins) -> None:
+    """Draw the margins of the nominal loop: on the real axis, and along the unit circle."""
+    if margins.gain is not None:
+        axes.plot([-1.0, -0.5 - 0.5 / margins.gain, -1.0 / margins.gain], [0.0, 0.0, 0.0],
+                  marker="|", label=f"gain margin {margins.gain:.3g}", **MARKED)
+    if margins.phase_deg is not None:
+        arc = np.exp(1j * (np.pi + np.radians(np.linspace(0.0, margins.phase_deg, 30))))
+        axes.plot(arc.real, arc.imag, linestyle=(0, (2, 1)),
+                  label=f"phase margin {margins.phase_deg:.0f} degrees", **MARKED)
+
+
+def step_figure(plant: control.StateSpace, controller: control.StateSpace, gain_spread: float,
+                drawn: Sequence[control.StateSpace] = ()) -> Figure:
+    """Draw what a step of the reference makes of the displacement, and a disturbance of the error.
+
+    Parameters
+    ----------
+    plant, controller : control.StateSpace
+        Discrete; the plant with its gain in um/V.
+    gain_spread : float
+        The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
+    drawn : sequence of control.StateSpace
+        Plants with errors, whose responses make the band.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    time_s = np.arange(_shown_ticks(plant, controller)) * plant.dt
+    figure = new_figure(5.6, WIDE_IN)
+    above, below = figure.subplots(2, 1, sharex=True)
+    for axes, of_error, name in ((above, False, "displacement (um)"), (below, True, "error (um)")):
+        def response(of: control.StateSpace, of_error: bool = of_error) -> FloatArray:
+            loop = of * controller
+            closed = control.feedback(1, loop) if of_error else control.feedback(loop, 1)
+            return np.asarray(control.step_response(closed, time_s).outputs)
+
+        if drawn:
+            responses = np.array([response(each) for each in drawn])
+            axes.fill_between(1e3 * time_s, responses.min(axis=0), responses.max(axis=0),
+                              color=GREY, alpha=0.5, linewidth=0.0,
+                              label=f"{len(drawn)} models with errors")
+        for gain, style in zip((1 - gain_spread, 1, 1 + gain_spread), GAIN_STYLES, strict=True):
+            axes.plot(1e3 * time_s, response(gain * plant), label=f"gain {gain:.2f}", **style)
+        axes.axhline(0.0 if of_error else 1.0, **LIMIT)
+        label(axes, y=name, title="after a disturbance of 1 um" if of_error
+              else "after a step of the reference by 1 um, by the feedback alone")
+    above.legend(loc="lower right")
+    below.set_xlabel("time (ms)")
+    return figure
+
+
+def _shown_ticks(plant: control.StateSpace, controller: control.StateSpace) -> int:
+    """Return for how long to look: several times as long as the error takes to fall for good."""
+    time_s = np.arange(STEPS_TICKS) * plant.dt
+    error = control.step_response(control.feedback(1, plant * controller), time_s).outputs
+    outside = np.flatnonzero(np.abs(error) > SETTLED)
+    return int(np.clip(SHOWN_SETTLINGS * (outside[-1] + 1 if outside.size else 0), LEAST_TICKS,
+                       STEPS_TICKS))
+
+
+def sensitivity_figure(plant: control.StateSpace, controller: control.StateSpace,
+                       drawn: Sequence[control.StateSpace] = ()) -> Figure:
+    """Draw the sensitivity of the loop, and the band in which it is for models with errors.
+
+    Parameters
+    ----------
+    plant, controller : control.StateSpace
+        Discrete; the plant with its gain in um/V.
+    drawn : sequence of control.StateSpace
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    frequency_hz = _frequencies(plant.dt)[::4]
+    figure = new_figure(4.4)
+    axes = figure.subplots()
+    if drawn:
+        sizes = np.abs([loop_responses(each, controller, frequency_hz)[1] for each in drawn])
+        axes.fill_between(frequency_hz, sizes.min(axis=0), sizes.max(axis=0), color=GREY,
+                          alpha=0.5, linewidth=0.0, label=f"S of {len(drawn)} models with errors")
+    sensitivity = loop_responses(plant, controller, frequency_hz)[1]
+    for values, name, style in ((sensitivity, "sensitivity S", CURVES[0]),
+                                (1 - sensitivity, "complementary T", CURVES[1])):
+        axes.loglog(frequency_hz, np.abs(values), label=name, **style)
+    axes.axhline(1.0, **LIMIT)
+    axes.set_ylim(1e-3, None)
+    label(axes, "frequency (Hz)", "gain (um/um)")
+    axes.legend(loc="lower center")
+    return figure
+
+
+def weights_figure(weights: DesignWeights) -> Figure:
     """Draw the weights over frequency.
 
     Parameters
     ----------
-    path : path-like
-        PNG to write.
     weights : DesignWeights
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     tick_s = weights.sample_period_s
     frequency_hz = _frequencies(tick_s)
@@ -133,20 +262,21 @@ def draw_weights(path: str | Path, weights: DesignWeights) -> None:
     axes.set_ylim(LOWEST_WEIGHT, None)
     label(axes, "frequency (Hz)", "weight (units in the legend)")
     axes.legend(ncols=2)
-    figure.savefig(path, dpi=DOTS_PER_INCH)
+    return figure
 
 
-def draw_mu(path: str | Path, frequency_hz: FloatArray, mu: FloatArray,
-            history: list[float]) -> None:
+def mu_figure(frequency_hz: FloatArray, mu: FloatArray, history: list[float]) -> Figure:
     """Draw the structured singular value over frequency, and its peak from iterate to iterate.
 
     Parameters
     ----------
-    path : path-like
-        PNG to write.
     frequency_hz, mu : ndarray, shape (F,)
         Of the final controller; zero frequency is left out.
     history : list of float
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     figure = new_figure(4.0, WIDE_IN)
     over_frequency, over_iterates = figure.subplots(1, 2, sharey=True, width_ratios=(2, 1))
@@ -157,7 +287,7 @@ def draw_mu(path: str | Path, frequency_hz: FloatArray, mu: FloatArray,
     label(over_frequency, "frequency (Hz)", "structured singular value (1)")
     over_iterates.plot(np.arange(1, len(history) + 1), history, color=BLUE, marker="o")
     label(over_iterates, "number of the synthesis")
-    figure.savefig(path, dpi=DOTS_PER_INCH)
+    return figure
 
 
 def _size(weight: Weight, frequency_hz: FloatArray, tick_s: float) -> FloatArray:

@@ -16,6 +16,7 @@ from piezo_models.linear.creep_errors import with_creep_errors
 
 SAMPLES = 200
 SWEEPS = 2
+PARAMETER_ERROR = 0.05
 FREQUENCIES = 100
 DYNAMICS = ("time_constant_s", "mode_frequencies_rad_per_s", "damping_ratios",
             "antiresonance_frequencies_rad_per_s", "antiresonance_damping_ratios")
@@ -44,8 +45,8 @@ class Robustness:
 
 
 def check_robustness(model: StageModel, controller: control.StateSpace, clock_period_s: float,
-                     gain_spread: float, parameter_error: float = 0.05, samples: int = SAMPLES,
-                     seed: int = 0, at_once: bool = False,
+                     gain_spread: float, parameter_error: float = PARAMETER_ERROR,
+                     samples: int = SAMPLES, seed: int = 0, at_once: bool = False,
                      delay_ticks: int = 1) -> Robustness:
     """Close the loop over models with errors in every parameter, and over gains.
 
@@ -74,18 +75,16 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
     Robustness
     """
     frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
-    count = 1 + _parameters(model)
+    draws = _draws(model, samples, seed)
+    count = draws.shape[1]
 
     def peak(errors: FloatArray) -> float:
-        plant, gain_um_per_v = design_plant(
-            with_errors(model, parameter_error * errors[1:]), controller.dt, clock_period_s,
-            at_once, delay_ticks)
-        plant = gain_um_per_v * (1 + gain_spread * errors[0]) * plant
+        plant = _plant(model, errors, controller.dt, clock_period_s, gain_spread,
+                       parameter_error, at_once, delay_ticks)
         if not is_stable(control.feedback(plant * controller, 1)):
             return np.inf
         return np.abs(loop_responses(plant, controller, frequency_hz)[1]).max()
 
-    draws = np.random.default_rng(seed).uniform(-1, 1, (samples, count))
     peaks = np.array([peak(errors) for errors in draws])
     worst, errors = -np.inf, np.sign(draws[np.argmax(peaks)])
     for _ in range(SWEEPS):
@@ -97,6 +96,47 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
                 if value > worst:
                     worst, errors = value, candidate
     return Robustness(samples, int(np.isinf(peaks).sum()), float(worst))
+
+
+def drawn_plants(model: StageModel, tick_s: float, clock_period_s: float, gain_spread: float,
+                 samples: int, parameter_error: float = PARAMETER_ERROR, seed: int = 0,
+                 at_once: bool = False, delay_ticks: int = 1) -> list[control.StateSpace]:
+    """Return plants with random errors of all parameters and of the gain, in um/V.
+
+    The first are those that `check_robustness` closes the loop over.
+
+    Parameters
+    ----------
+    model : piezo_models.cascade.StageModel
+    tick_s, clock_period_s : float
+    gain_spread : float
+    samples : int
+        How many.
+    parameter_error : float
+    seed : int
+    at_once : bool
+    delay_ticks : int
+        See `check_robustness`.
+
+    Returns
+    -------
+    list of control.StateSpace
+    """
+    return [_plant(model, errors, tick_s, clock_period_s, gain_spread, parameter_error, at_once,
+                   delay_ticks) for errors in _draws(model, samples, seed)]
+
+
+def _draws(model: StageModel, samples: int, seed: int) -> FloatArray:
+    return np.random.default_rng(seed).uniform(-1, 1, (samples, 1 + _parameters(model)))
+
+
+def _plant(model: StageModel, errors: FloatArray, tick_s: float, clock_period_s: float,
+           gain_spread: float, parameter_error: float, at_once: bool,
+           delay_ticks: int) -> control.StateSpace:
+    plant, gain_um_per_v = design_plant(
+        with_errors(model, parameter_error * errors[1:]), tick_s, clock_period_s, at_once,
+        delay_ticks)
+    return gain_um_per_v * (1 + gain_spread * errors[0]) * plant
 
 
 def _parameters(model: StageModel) -> int:

@@ -24,7 +24,7 @@ def default_weights():
 
 
 def test_command_writes_the_controller_and_pictures_and_prints_the_report(model_path, tmp_path,
-                                                                          capsys,
+                                                                          capsys, page_parts,
                                                                           picture_faults):
     output = tmp_path / "controller.json"
     assert picture_faults(main, ["--model", str(model_path), "--output", str(output)]) == []
@@ -42,6 +42,33 @@ def test_command_writes_the_controller_and_pictures_and_prints_the_report(model_
     assert printed.splitlines()[-1] == (
         f"next: ./run piezo_client stage track --model {model_path} --controller {output} "
         "--output runs")
+    page = page_parts(tmp_path / "controller_report.html")
+    assert f"report: {tmp_path / 'controller_report.html'}" in printed
+    margins = {row[0]: row[1:] for row in page.tables[0][1:]}
+    assert margins["gain margin (1)"] == [
+        f"{controller.report[f'gain_margin{where}']:.3g}"
+        for where in ("_at_lowest_gain", "", "_at_highest_gain")]
+    assert f"gain margin {controller.report['gain_margin']:.2g}" in page.title
+    for name in "Bode diagram", "Nyquist diagram", "Step responses", "Sensitivity", "Weights":
+        assert page.is_picture(name), name
+    assert page.external == []
+    _assert_the_pictures_hold_the_margins(page, controller.report)
+
+
+def _assert_the_pictures_hold_the_margins(page, report):
+    """The ends of the marks are those of the margins, the step ends at 1, and S peaks at Ms."""
+    bode, nyquist = page.numbers("Bode diagram"), page.numbers("Nyquist diagram")
+    phase, = (values for head, values in bode.items() if head.startswith("phase margin"))
+    assert max(phase) - min(phase) == pytest.approx(report["phase_margin_deg"], abs=0.2)
+    assert min(phase) % 360.0 == pytest.approx(180.0)
+    gain, = (values for head, values in bode.items() if head.startswith("gain margin"))
+    assert max(gain) / min(gain) == pytest.approx(report["gain_margin"], rel=1e-3)
+    assert -1.0 in nyquist["real part (1)"]
+    steps = page.numbers("Step responses")
+    assert steps["gain 1.00: displacement (um)"][-1] == pytest.approx(1.0, abs=0.06)
+    assert steps["gain 1.00: error (um)"][0] == pytest.approx(1.0, abs=0.01)
+    sensitivity = page.numbers("Sensitivity")["sensitivity S: gain (um/um)"]
+    assert max(sensitivity) == pytest.approx(report["peak_sensitivity"], rel=0.01)
 
 
 def test_design_for_no_computing_time_is_faster_and_says_so(model_path, tmp_path):
@@ -49,7 +76,7 @@ def test_design_for_no_computing_time_is_faster_and_says_so(model_path, tmp_path
     for delay_ticks in 0, 1:
         output = tmp_path / f"{delay_ticks}.json"
         assert main(["--model", str(model_path), "--delay-ticks", str(delay_ticks),
-                     "--output", str(output)]) == 0
+                     "--output", str(output), "--no-report"]) == 0
         reports.append(load_controller(output).report)
     assert [report["delay_ticks"] for report in reports] == [0, 1]
     assert reports[0]["bandwidth_hz"] > 1.2 * reports[1]["bandwidth_hz"]
@@ -74,7 +101,7 @@ def test_weights_file_changes_the_design(model_path, tmp_path):
     weights_path.write_text(yaml.safe_dump(weights))
     output = tmp_path / "controller.json"
     assert main(["--model", str(model_path), "--weights", str(weights_path),
-                 "--output", str(output)]) == 0
+                 "--output", str(output), "--no-report"]) == 0
     controller = load_controller(output)
     assert controller.weights == weights
     assert controller.report["bandwidth_hz"] < 36

@@ -60,8 +60,8 @@ def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLo
     if residual.frequency_hz is not None:
         band_hz = _band_of_response(residual.frequency_hz, residual.residual_um)
     narrow = band_hz[1] < NARROW * band_hz[0]
-    words = [f"near {np.sqrt(band_hz[0] * band_hz[1]):.3g} Hz" if narrow
-             else f"from {band_hz[0]:.3g} to {band_hz[1]:.3g} Hz"]
+    words = [f"near {_hertz(np.sqrt(band_hz[0] * band_hz[1]))} Hz" if narrow
+             else f"from {_hertz(band_hz[0])} to {_hertz(band_hz[1])} Hz"]
     if residual.frequency_hz is None:
         words.append(_time_words(residual, values_um))
         if not residual.steps.size:
@@ -129,3 +129,7 @@ def _largest_bin(
 
 def _time(seconds: float) -> str:
     return f"{1e3 * seconds:.3g} ms" if seconds < 1.0 else f"{seconds:.3g} s"
+
+
+def _hertz(value: float) -> str:
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"

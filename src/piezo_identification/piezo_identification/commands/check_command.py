@@ -5,7 +5,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from piezo_common.command_line import Command
+from piezo_common.command_line import Command, add_report_option
 from piezo_recorder.commands.data_flags import FILE_HELP, add_columns_option
 
 
@@ -18,7 +18,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="FILE", type=Path, required=True, nargs="+",
                         help=FILE_HELP)
     parser.add_argument("--output", metavar="DIR", type=Path, default=Path(),
-                        help="directory for the pictures, NAME_check.png; by default the current")
+                        help="directory for the page and the pictures, NAME_check.png; by default "
+                        "the current")
+    add_report_option(parser, "check_report.html in --output")
     add_columns_option(parser)
 
 

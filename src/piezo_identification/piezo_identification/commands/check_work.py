@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from piezo_common.command_line import print_next
+from piezo_common.command_line import print_next, write_report
 from piezo_identification.analysis.distortion_over_frequency import (
     distortion_png,
     distortion_rows,
@@ -16,10 +16,11 @@ from piezo_identification.estimators.frequency_response.response_file import (
     is_frequency_response,
     read_frequency_response,
 )
-from piezo_identification.recording_check.check import check_recording
-from piezo_identification.recording_check.check_picture import draw_check
+from piezo_identification.recording_check.check import RecordingCheck, check_recording
 from piezo_identification.recording_check.check_report import check_table
-from piezo_identification.recording_check.suitability import suitability
+from piezo_identification.recording_check.suitability import Suitability, suitability
+from piezo_identification.report.check_page import check_page
+from piezo_identification.report.check_picture import draw_check
 from piezo_recorder.reading.data_options import read_all_given
 from piezo_recorder.reading.recording import Recording
 
@@ -27,6 +28,7 @@ from piezo_recorder.reading.recording import Recording
 def check_files(options: argparse.Namespace) -> None:
     """Print and draw what each recording of the options is good for."""
     options.output.mkdir(parents=True, exist_ok=True)
+    checked = []
     for path in options.data:
         if is_frequency_response(path):
             _print_response(path)
@@ -35,15 +37,20 @@ def check_files(options: argparse.Namespace) -> None:
         for number, recording in enumerate(recordings, start=1):
             several = len(recordings) > 1
             print(f"{path}" + (f", recording {recording.title}" if several else ""))
-            _check_one(recording, options.output / (
-                f"{path.stem}{f'_{number}' if several else ''}_check.png"))
+            stem = f"{path.stem}{f'_{number}' if several else ''}"
+            checked.append((stem, *_check_one(
+                recording, options.output / f"{stem}_check.png")))
+    if checked and options.report:
+        write_report(options.output / "check_report.html", check_page(checked))
     print_next(options, "piezo_identification", "identify", "<--creep, --dynamics or --hysteresis>",
                options.data[0], "--output", "model.json")
 
 
-def _check_one(recording: Recording, picture: Path) -> None:
+def _check_one(recording: Recording,
+               picture: Path) -> tuple[RecordingCheck, dict[str, Suitability]]:
     check = check_recording(recording)
-    print("\n".join(check_table(check, suitability(check))))
+    fit_for = suitability(check)
+    print("\n".join(check_table(check, fit_for)))
     draw_check(picture, check)
     print(f"drawn {picture}")
     found = None if check.gaps or check.has_few_rows else distortion_of(check.recording)
@@ -52,6 +59,7 @@ def _check_one(recording: Recording, picture: Path) -> None:
         print("\n".join("".join(f"{cell:>24}" for cell in row) for row in distortion_rows(found)))
         drawn.write_bytes(distortion_png(found))
         print(f"drawn {drawn}")
+    return check, fit_for
 
 
 def _print_response(path: Path) -> None:

@@ -39,6 +39,7 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
             options.model, options.data[0], options.output, hold_s_of(options))
         _print_table(diagnosis, response_sentence(diagnosis))
         print(f"written to {options.output}")
+        print(f"report: {options.output / 'report.html'}")
         return None
     for option in (name for name, given in useless_response_options(options).items() if given):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give a frequency "
@@ -52,6 +53,7 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
     for sentence in results.outside:
         print(sentence)
     print(f"written to {options.output}")
+    print(f"report: {results.report}")
     if results.diagnosis.selection.interrupted:
         print(f"{options.prog}: interrupted; the results hold what was found until then",
               file=sys.stderr)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from piezo_common.command_line import print_next, print_progress
+from piezo_common.command_line import print_next, print_progress, write_report
 from piezo_identification.adequacy.component_adequacy import adequacy_table
 from piezo_identification.commands.identify_command import EXPERIMENTS
 from piezo_identification.commands.parameter_rows import parameter_rows
@@ -59,10 +59,24 @@ def identify_files(options: argparse.Namespace) -> None:
     save_model(options.output, identified)
     _print_summary(identified)
     print(f"model written to {options.output}")
+    if options.report:
+        _write_report(identified, data, options)
     print_next(options, "piezo_identification", "simulate", "--model", options.output, "--data",
                "<a recording that was not fitted>", "--output", options.output.with_suffix(""))
     print_next(options, "piezo_controller", "design", "--model", options.output, "--output",
                options.output.with_name("controller.json"))
+
+
+def _write_report(identified: IdentifiedModel, data: Mapping[str, Any],
+                  options: argparse.Namespace) -> None:
+    # Drawing is slow to import, and not everybody wants the page.
+    from piezo_identification.report.identification_report import identification_page
+
+    given = given_data(data.get("creep"), data.get("dynamics"), data.get("hysteresis"),
+                       data.get("validation"), refine=False)
+    write_report(options.output.with_name(f"{options.output.stem}_report.html"),
+                 identification_page(identified, given, options.output,
+                                     READINGS[options.rows_read]))
 
 
 def _tell_unfit(data: Mapping[str, Any]) -> None:

@@ -5,7 +5,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from piezo_common.command_line import Command
+from piezo_common.command_line import Command, add_report_option
 from piezo_identification.commands.row_options import add_rows_option
 from piezo_recorder.commands.data_flags import FILE_HELP, add_columns_option
 
@@ -20,7 +20,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="FILE", type=Path, required=True,
                         help=FILE_HELP)
     parser.add_argument("--output", metavar="DIR", type=Path,
-                        help="directory for the pictures; none are drawn without it")
+                        help="directory for the page and the pictures; none are drawn without it")
+    add_report_option(parser, "simulation_report.html in --output")
     add_columns_option(parser)
     add_rows_option(parser)
 

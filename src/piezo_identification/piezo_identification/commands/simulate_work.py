@@ -7,17 +7,24 @@ from pathlib import Path
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_common.command_line import print_next
+from piezo_common.command_line import print_next, write_report
+from piezo_common.picture_style import to_png
 from piezo_identification.commands.row_options import READINGS
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction import Prediction, predict
 from piezo_identification.prediction.outside_identified import outside_identified
-from piezo_identification.prediction.prediction_pictures import draw_displacement, draw_loops
 from piezo_identification.prediction.row_reading import read_as_identified, rows_sentence
+from piezo_identification.report.simulation_report import (
+    displacement_figure,
+    loops_figure,
+    simulation_page,
+)
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.data_options import read_given
+
+DOTS_PER_INCH = 120
 
 
 def simulate_file(options: argparse.Namespace) -> None:
@@ -46,6 +53,10 @@ def simulate_file(options: argparse.Namespace) -> None:
         print(f"e_y_percent_inside {prediction.e_y_percent(inside):.4g}")
     if directory is not None:
         _draw(directory, prediction, found.deviation_um)
+        if options.report:
+            write_report(directory / "simulation_report.html", simulation_page(
+                prediction, [f"model: `{model_path}`", f"recording: `{data_path}`"],
+                [f"{sentence}." for sentence in found.sentences()], found.deviation_um))
     print("e_y: norm of the difference over that of the measured displacement without its mean "
           "(4.20), percent")
     print_next(options, "piezo_identification", "diagnose", "--model", model_path, "--data",
@@ -54,7 +65,8 @@ def simulate_file(options: argparse.Namespace) -> None:
 
 def _draw(directory: Path, prediction: Prediction, deviation_um: FloatArray) -> None:
     directory.mkdir(parents=True, exist_ok=True)
-    draw_displacement(directory / "displacement.png", prediction, deviation_um)
-    draw_loops(directory / "loops.png", prediction)
-    for name in ("displacement.png", "loops.png"):
+    figures = {"displacement.png": displacement_figure(prediction, deviation_um),
+               "loops.png": loops_figure(prediction)}
+    for name, figure in figures.items():
+        (directory / name).write_bytes(to_png(figure, DOTS_PER_INCH))
         print(f"drawn {directory / name}")

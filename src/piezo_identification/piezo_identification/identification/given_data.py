@@ -80,6 +80,22 @@ def of_kind(recordings: Mapping[str, Data], name: str) -> list[Any]:
     return [data for key, data in recordings.items() if experiment_of(key) == name]
 
 
+def conditioned_data(given: Mapping[str, Data], tell: Callable[[str], object],
+                     read_at_samples: float) -> dict[str, Data]:
+    """Mark outliers, cut at gaps, make the displacement rise with the voltage, align the rows.
+
+    Parameters
+    ----------
+    given : dict of str to Recording or FrequencyResponse
+    tell : callable
+        Called with text on the outliers.
+    read_at_samples : float
+        See `identify`.
+    """
+    return aligned(
+        rising_with_voltage(without_gaps(with_marked_outliers(given, tell))), read_at_samples)
+
+
 def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
     """Cut recordings at their gaps.
 

@@ -38,11 +38,9 @@ from piezo_identification.estimators.refinement.joint_fit import refine as fit_j
 from piezo_identification.identification.given_data import (
     Data,
     aligned,
+    conditioned_data,
     given_data,
     of_kind,
-    rising_with_voltage,
-    with_marked_outliers,
-    without_gaps,
 )
 from piezo_identification.identification.given_hysteresis import (
     CHOSEN_BY_DATA,
@@ -168,8 +166,7 @@ def identify(
     given = given_data(creep, dynamics, hysteresis, validation, refine)
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
     with checking(stages.check):
-        said = aligned(
-            rising_with_voltage(without_gaps(with_marked_outliers(given, tell))), read_at_samples)
+        said = conditioned_data(given, tell, read_at_samples)
         tell_implausible(implausible_data(said), tell)
         fast = of_kind(said, "dynamics")
         linear = estimate_linear_dynamics(

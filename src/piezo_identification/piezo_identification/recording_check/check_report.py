@@ -23,6 +23,24 @@ def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[
     -------
     list of str
     """
+    lines = [f"{name:{WIDTH}}{value}" for name, value in measured_rows(check)]
+    lines.append("")
+    lines += [f"{'can stand for ' + name:{WIDTH + 4}}{each.verdict:8}{each.reason}"
+              for name, each in fit_for.items()]
+    return lines
+
+
+def measured_rows(check: RecordingCheck) -> list[tuple[str, str]]:
+    """Return what was measured of a recording, each with its name.
+
+    Parameters
+    ----------
+    check : RecordingCheck
+
+    Returns
+    -------
+    list of (str, str)
+    """
     recording = check.recording
     period_s = float(np.median(recording.sample_periods_s))
     of_segment = "" if not check.gaps else (
@@ -47,12 +65,7 @@ def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[
         ("Preisach plane", f"{100.0 * check.visited_fraction:.1f} % visited, of the plane over "
          "this range"),
     ]
-    rows += _distortion(check)
-    lines = [f"{name:{WIDTH}}{value}" for name, value in rows]
-    lines.append("")
-    lines += [f"{'can stand for ' + name:{WIDTH + 4}}{each.verdict:8}{each.reason}"
-              for name, each in fit_for.items()]
-    return lines
+    return rows + _distortion(check)
 
 
 def _distortion(check: RecordingCheck) -> list[tuple[str, str]]:

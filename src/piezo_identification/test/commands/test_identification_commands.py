@@ -53,6 +53,45 @@ def test_identify_writes_a_model_that_holds_on_unseen_data(plant, model_file):
     assert list(identified.adequacy) == ["creep", "dynamics", "hysteresis"]
 
 
+def test_identify_writes_a_page_that_tells_the_parameters_first(plant, model_file, page_parts):
+    page = page_parts(model_file.with_name("model_report.html"))
+    heads, *rows = page.tables[0]
+    assert heads == ["parameter", "value", "standard deviation", "95 % interval", "in Hz"]
+    rows = {row[0]: row[1:] for row in rows}
+    truth = plant.dynamics.mode_frequencies_rad_per_s
+    for name, true, deviation in zip(
+            ("mode frequency 1 (rad/s)", "mode frequency 2 (rad/s)"), truth,
+            load_model(model_file).uncertainties["dynamics"]["mode_frequencies_rad_per_s"],
+            strict=True):
+        value, spread, interval, hertz = rows[name]
+        low, high = map(float, interval.split(" to "))
+        assert high - low == pytest.approx(2 * 1.96 * deviation, rel=0.15)
+        assert float(spread) == pytest.approx(deviation, rel=0.05)
+        assert abs(float(value) - true) < 4.0 * deviation
+        assert float(hertz.split(" ± ")[0]) == pytest.approx(true / (2.0 * np.pi), rel=1e-3)
+    adequacy = load_model(model_file).adequacy
+    assert [row[0] for row in page.tables[1][1:]] == list(adequacy)
+    assert float(page.tables[1][1][1]) == pytest.approx(
+        1e3 * adequacy["creep"]["residual_rms_um"], rel=0.01)
+    assert page.external == []
+
+
+def test_the_page_of_a_model_shows_each_component_with_its_numbers(plant, model_file, page_parts):
+    page = page_parts(model_file.with_name("model_report.html"))
+    for name in ("Fit of the creep", "Fit of the dynamics", "Fit of the hysteresis",
+                 "What is left of the creep over time", "Frequency response", "Density",
+                 "What is left of the hysteresis over frequency"):
+        assert page.is_picture(name), name
+    bode = page.numbers("Frequency response")
+    gain = dict(zip(bode["frequency (Hz)"], bode["modelled: gain (um/um)"], strict=False))
+    for frequency_hz in list(gain)[::50]:
+        assert gain[frequency_hz] == pytest.approx(
+            abs(plant.response(np.array([frequency_hz]))[0]), rel=0.05, abs=2e-3)
+    # Ten periods a second of the square wave are one of a tenth of a second on average.
+    period = page.numbers("Fit of the dynamics")
+    assert max(period["time in the period (ms)"]) < 101.0
+
+
 def test_the_model_names_range_periods_and_recordings(files, model_file):
     identified = load_model(model_file)
     assert identified.voltage_range_v == pytest.approx((-20.0, 120.0))
@@ -66,7 +105,8 @@ def test_the_model_names_range_periods_and_recordings(files, model_file):
 
 def test_identify_takes_orders_and_says_why_and_what_the_data_determine(files, tmp_path, capsys):
     output = tmp_path / "model.json"
-    arguments = [*options(files), "--output", output, "--creep-pairs", 1, "--modes", 1]
+    arguments = [*options(files), "--output", output, "--creep-pairs", 1, "--modes", 1,
+                 "--no-report"]
     assert identify_main([str(argument) for argument in arguments]) == 0
     model = load_model(output).model
     assert len(model.creep.poles_rad_per_s) == 1
@@ -99,7 +139,7 @@ def response_file(plant, tmp_path_factory):
 def identified_with(files, tmp_path, dynamics, *more, beside=("creep", "hysteresis", "validation")):
     output = tmp_path / "model.json"
     given = {name: files[name] for name in beside}
-    arguments = [*options(given | {"dynamics": dynamics}), "--output", output, *more]
+    arguments = [*options(given | {"dynamics": dynamics}), "--output", output, "--no-report", *more]
     assert identify_main([str(argument) for argument in arguments]) == 0
     return load_model(output)
 
@@ -196,13 +236,16 @@ def test_identify_refuses_a_bad_response(text, more, said, files, tmp_path, caps
 
 
 def test_simulate_prints_the_error_and_draws_pictures(
-        files, model_file, tmp_path, capsys, picture_faults):
+        files, model_file, tmp_path, capsys, picture_faults, page_parts):
     output = tmp_path / "pictures"
     arguments = ["--model", str(model_file), "--data", str(files["validation"])]
     assert picture_faults(simulate_main, [*arguments, "--output", str(output)]) == []
+    page = page_parts(output / "simulation_report.html")
     name, value = capsys.readouterr().out.splitlines()[0].split()
     assert name == "e_y_percent"
     assert float(value) == pytest.approx(load_model(model_file).errors["e_y_percent"], rel=1e-3)
+    assert dict(page.tables[0][1:])["e_y (%)"] == f"{float(value):.3g}"
+    assert page.is_picture("Displacement") and page.external == []
     for picture in ("displacement.png", "loops.png"):
         assert (output / picture).read_bytes().startswith(b"\x89PNG")
 
@@ -297,7 +340,7 @@ def test_a_slow_recording_of_another_stage_is_enough(slow_file, sign, tmp_path, 
     unseen = slow_file(tmp_path / "unseen.csv", sign,
                        [-75.0, 60.0, -40.0, 30.0, -10.0, 70.0, -60.0])
     model = tmp_path / "model.json"
-    arguments = ["--hysteresis", str(fitted), "--output", str(model)]
+    arguments = ["--hysteresis", str(fitted), "--output", str(model), "--no-report"]
     assert identify_main(arguments) == 0
     identified = load_model(model)
     assert identified.visited.shape == identified.model.hysteresis.density_um_per_v2.shape

@@ -28,7 +28,8 @@ def identified(save_csv, tmp_path, capsys):
     def identified(displacement_um, status=0):
         path, model = tmp_path / "loops.csv", tmp_path / "model.json"
         save_csv(path, np.arange(VOLTAGE_V.size) * PERIOD_S, VOLTAGE_V, displacement_um)
-        assert identify_main(["--hysteresis", str(path), "--output", str(model)]) == status
+        assert identify_main(["--no-report", "--hysteresis", str(path),
+                              "--output", str(model)]) == status
         said = capsys.readouterr()
         return (said.out, load_model(model)) if status == 0 else (said.err, None)
     return identified

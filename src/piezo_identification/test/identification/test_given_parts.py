@@ -95,7 +95,7 @@ def test_a_frequency_response_alone_gives_a_line(tmp_path, capsys):
     np.savetxt(path, np.column_stack([frequency_hz, gain.real, gain.imag]), delimiter=",",
                header="frequency_hz,gain_re,gain_im", comments="")
     output = tmp_path / "model.json"
-    assert identify_main(["--dynamics", str(path), "--output", str(output)]) == 0
+    assert identify_main(["--dynamics", str(path), "--output", str(output), "--no-report"]) == 0
     hysteresis = load_model(output).model.hysteresis
     rise_um = np.diff(hysteresis.simulate(np.array([0.0, 10.0])))
     assert rise_um == pytest.approx(4.0, rel=1e-3)
@@ -111,7 +111,8 @@ def test_the_command_takes_several_files_grid_and_weights(static, record, save_c
                                   recording.voltage_v, recording.displacement_um)))
     output = tmp_path / "model.json"
     assert identify_main(["--hysteresis", *files, "--grid", "20", "--smoothing", "1e-10",
-                          "--translation-weight", "1e-8", "--output", str(output)]) == 0
+                          "--translation-weight", "1e-8", "--no-report",
+                          "--output", str(output)]) == 0
     identified = load_model(output)
     assert identified.model.hysteresis.density_um_per_v2.shape == (20, 20)
     assert [each["path"] for each in identified.recordings] == files

@@ -124,7 +124,8 @@ def test_recording_of_no_use_says_why(read, voltage_v, displacement_um, said):
         assert said in each.reason
 
 
-def test_command_prints_the_table_and_draws_a_picture_for_each_kind(tmp_path, save_csv, capsys):
+def test_command_prints_the_table_and_draws_a_picture_for_each_kind(
+        tmp_path, save_csv, capsys, page_parts):
     index = np.arange(4000)
     random = np.random.default_rng(1)
     kinds = {"constant": np.full(4000, 5.0), "sine": 50.0 * np.sin(index / 99.0),
@@ -143,6 +144,22 @@ def test_command_prints_the_table_and_draws_a_picture_for_each_kind(tmp_path, sa
     for row in ("sample period", "jitter", "noise", "drift", "state at the start", "Preisach plane",
                 "can stand for hysteresis"):
         assert len(re.findall(f"^{row} ", printed, re.M)) == len(kinds), row
+    page = page_parts(tmp_path / "pictures" / "check_report.html")
+    assert f"report: {tmp_path / 'pictures' / 'check_report.html'}" in printed
+    assert page.title == "What 4 recordings are good for" and page.external == []
+    assert all(page.is_picture(name) for name in kinds)
+    measured = [dict(table[1:]) for table in page.tables if table[0] == ["measured", "value"]]
+    assert [rows["waveform"].split(":")[0] for rows in measured] == list(kinds)
+    _assert_each_kind_is_drawn_by_what_it_shows(page)
+
+
+def _assert_each_kind_is_drawn_by_what_it_shows(page):
+    square, noise = page.numbers("square"), page.numbers("noise")
+    assert max(square["time in the period (s)"]) == pytest.approx(7.99)
+    assert np.ptp(square["displacement: displacement (um)"]) == pytest.approx(10.0, rel=0.01)
+    assert max(np.abs(square["upper level: change (nm)"])) < 100.0
+    assert np.median(noise["measured: gain (um/V)"]) == pytest.approx(0.2, rel=0.02)
+    assert min(noise["coherence (1)"]) > 0.9
 
 
 def test_command_tells_what_it_cannot_read_in_one_line(tmp_path, capsys):

@@ -18,8 +18,8 @@ COLUMNS = {
     "frequency_hz": ("Hz", "{:g}"),
     "amplitude_um": ("um p-p", "{:g}"),
     "mode": ("mode", "{}"),
-    "e_rms_percent": ("e_rms %", "{:.3f}"),
-    "thesis_e_rms_percent": ("thesis %", "{:g}"),
+    "e_rms_percent": ("simulated stage, e_rms %", "{:.3f}"),
+    "thesis_e_rms_percent": ("real stage (thesis) %", "{:g}"),
     "e_rms_true_percent": ("true %", "{:.3f}"),
     "e_rms_without_offset_percent": ("no offset %", "{:.3f}"),
     "largest_error_um": ("largest um", "{:.3f}"),
@@ -118,7 +118,8 @@ def format_model_errors(summary):
 def tracking_error_rows(summary):
     """Return the table of e_rms by the sensor before and after the extension of the model."""
     before = {(e["frequency_hz"], e["mode"]): e for e in summary["tracking"]}
-    rows = [["Hz", "um p-p", "mode", "before %", "after %", "thesis %"]]
+    rows = [["Hz", "um p-p", "mode", "simulated, before %", "simulated, after %",
+             "real (thesis) %"]]
     for entry in summary["tracking_after"]:
         values = (before[entry["frequency_hz"], entry["mode"]]["e_rms_percent"],
                   entry["e_rms_percent"])

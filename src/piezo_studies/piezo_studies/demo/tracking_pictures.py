@@ -50,7 +50,7 @@ def draw_errors(entries, entries_after=()):
     _plot_errors(axes, after or composite, "e_rms_true_percent", marker="o",
                  label="the same, true position", **TRUE_POSITION)
     _plot_errors(axes, composite, "thesis_e_rms_percent", color=BLACK,
-                 linestyle="-.", linewidth=1.0, marker="x", label="thesis, composite")
+                 linestyle="-.", linewidth=1.0, marker="x", label="thesis, composite (real stage)")
     frequencies = sorted({e["frequency_hz"] for e in entries})
     axes.set_xscale("log")
     axes.set_yscale("log")

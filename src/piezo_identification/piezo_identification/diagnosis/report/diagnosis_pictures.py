@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of a diagnosis: before and after on the same axes."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,10 +12,12 @@ from piezo_common.picture_style import (
     BEFORE,
     BLACK,
     LIMIT,
+    MOST_POINTS,
     WIDE_IN,
     label,
     new_figure,
-    to_png,
+    outline,
+    plain_numbers,
 )
 from piezo_identification.diagnosis.evidence.residual_tests import (
     dependences,
@@ -26,55 +28,56 @@ from piezo_identification.diagnosis.evidence.residual_tests import (
 )
 from piezo_identification.diagnosis.residual import noise_estimate
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_identification.report.signal_pictures import draw_noise, smoothed
 
 if TYPE_CHECKING:
     from piezo_identification.diagnosis.diagnose import Diagnosis
 
 MODEL = {"color": BLACK, "linewidth": 0.8}
-DOTS_PER_INCH = 110
-MOST_POINTS = 20_000
 CLOSE_SAMPLES = 800
 LOWEST_SHOWN = 0.1
 """Spectra show no less than this part of the noise."""
 
-
-def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> bytes:
-    """Draw the residuals over time as a PNG; see `residuals_figure`."""
-    return to_png(residuals_figure(part, before_um, after_um), DOTS_PER_INCH)
+MOST_PERCENT = 1000.0
+"""Errors beyond it say no more than that nothing is right there."""
 
 
 def residuals_of(diagnosis: "Diagnosis", index: int = 0) -> Figure:
-    """Draw the residuals of one of the recordings of a diagnosis; see `residuals_figure`."""
+    """Draw the residuals of one of the recordings of a diagnosis; see `draw_residuals`."""
     regression = diagnosis.selection.regression
     dataset, noise = regression.dataset, regression.noise
-    return residuals_figure(
+    return draw_residuals(
         dataset.simulated[index], noise_estimate.residual_um(dataset, index, noise=noise),
-        noise_estimate.residual_of_model_um(dataset, index, diagnosis.model, noise))
+        noise_estimate.residual_of_model_um(dataset, index, diagnosis.model, noise),
+        noise.noise_um[index])
 
 
-def residuals_figure(part: SimulatedRecording, before_um: FloatArray,
-                     after_um: FloatArray) -> Figure:
+def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
+                   noise_um: float) -> Figure:
     """Draw the residuals over time: of the whole, and close where most was gained.
 
     Parameters
     ----------
     part : SimulatedRecording
     before_um, after_um : (N,) array
+    noise_um : float
+        Standard deviation of the sensor's noise.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
     figure = new_figure(5.5, WIDE_IN)
-    whole = slice(part.begin, None, max(1, part.time_s.size // MOST_POINTS))
+    whole = slice(part.begin, None)
     columns = zip(
         figure.subplots(2, 2, height_ratios=(1, 2), width_ratios=(2, 1), sharex="col").T,
         (whole, _closest_look(part, before_um, after_um)), strict=True,
     )
     for (above, below), shown in columns:
-        above.plot(part.time_s[shown], part.voltage_v[shown], **MODEL)
-        below.plot(part.time_s[shown], 1e3 * before_um[shown], **BEFORE)
-        below.plot(part.time_s[shown], 1e3 * after_um[shown], **AFTER)
+        above.plot(*outline(part.time_s[shown], part.voltage_v[shown]), **MODEL)
+        below.plot(*outline(part.time_s[shown], 1e3 * before_um[shown]), **BEFORE)
+        below.plot(*outline(part.time_s[shown], 1e3 * after_um[shown]), **AFTER)
+        draw_noise(below, noise_um)
         label(above, y="voltage (V)")
         label(below, "time (s)", "residual (nm)")
     below.locator_params(axis="x", nbins=3)
@@ -95,7 +98,7 @@ def _closest_look(part: SimulatedRecording, before_um: FloatArray, after_um: Flo
 
 
 def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
-                 noise_um: float) -> bytes:
+                 noise_um: float) -> Figure:
     """Draw spectra of both residuals, of the model's displacement, and of white noise; PNG bytes.
 
     Parameters
@@ -114,17 +117,18 @@ def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: Floa
     )
     for signal, style in signals:
         frequency_hz, density = spectrum(signal[part.begin :], part.sample_period_s)
-        axes.loglog(frequency_hz[1:-1], np.sqrt(density[1:-1]) * 1e3, **style)
+        frequency_hz, density = smoothed(frequency_hz[1:-1], density[1:-1])
+        axes.loglog(frequency_hz, np.sqrt(density) * 1e3, **style)
     noise = 1e3 * noise_um * np.sqrt(2.0 * part.sample_period_s)
     axes.axhline(noise, label="noise", **LIMIT)
     axes.set_ylim(bottom=LOWEST_SHOWN * noise)
     label(axes, "frequency (Hz)", "density (nm per root Hz)")
     axes.legend(loc="lower left")
-    return to_png(figure, DOTS_PER_INCH)
+    return figure
 
 
-def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> bytes:
-    """Draw whiteness and correlation with the input, with the band of 99 %; PNG bytes."""
+def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> Figure:
+    """Draw whiteness and correlation with the input, with the band of 99 %."""
     figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2)
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
@@ -138,27 +142,77 @@ def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatA
     label(above, "lag (samples)", "correlation with itself")
     label(below, "lag (samples)", "with the voltage")
     above.legend(loc="upper right")
-    return to_png(figure, DOTS_PER_INCH)
+    return figure
 
 
-def draw_error_response(part: SimulatedRecording, before_um: FloatArray,
-                        after_um: FloatArray) -> bytes:
-    """Draw the residual over the displacement, at frequencies where they go together; PNG bytes."""
+def draw_over_voltage(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
+                      noise_um: float) -> Figure:
+    """Draw the residuals over the voltage, so that they make loops where a loop is wrong.
+
+    Parameters
+    ----------
+    part : SimulatedRecording
+    before_um, after_um : ndarray, shape (N,)
+        Residuals.
+    noise_um : float
+        Standard deviation of the sensor's noise.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = new_figure(4.5, WIDE_IN)
+    axes = figure.subplots()
+    every = slice(part.begin, None, max(1, part.time_s.size // MOST_POINTS))
+    points: dict[str, Any] = {"linestyle": "none", "marker": "."}
+    for residual_um, style in ((before_um, BEFORE | points | {"markersize": 4}),
+                               (after_um, AFTER | points | {"markersize": 2})):
+        axes.plot(part.voltage_v[every], 1e3 * residual_um[every], **style)
+    draw_noise(axes, noise_um)
+    label(axes, "voltage (V)", "residual (nm)")
+    axes.legend(loc="upper left")
+    return figure
+
+
+def draw_error_response(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
+                        noise_um: float) -> Figure:
+    """Draw the residual over the displacement, at frequencies where they go together.
+
+    Only where the displacement stands out of the noise: elsewhere any residual is many times it.
+
+    Parameters
+    ----------
+    part : SimulatedRecording
+    before_um, after_um : ndarray, shape (N,)
+        Residuals.
+    noise_um : float
+        Standard deviation of the sensor's noise.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
     simulated_um = part.simulate()[part.begin :]
+    _, power = spectrum(simulated_um, part.sample_period_s)
+    stands_out = power[1:-1] > 2.0 * part.sample_period_s * noise_um**2
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
         found = error_response(residual_um[part.begin :], simulated_um, part.sample_period_s)
-        percent = np.where(found.coherence > found.limit, 100.0 * np.abs(found.gain), np.nan)
-        axes.loglog(found.frequency_hz, percent, **style)
+        told = (found.coherence > found.limit) & stands_out
+        percent = np.where(told, 100.0 * np.abs(found.gain), np.nan)
+        every = slice(None, None, max(1, percent.size // MOST_POINTS))
+        axes.loglog(found.frequency_hz[every], np.minimum(percent, MOST_PERCENT)[every], **style)
     label(axes, "frequency (Hz)", "part of the displacement (%)")
+    for axis in axes.xaxis, axes.yaxis:
+        plain_numbers(axis)
     axes.legend(loc="upper left")
-    return to_png(figure, DOTS_PER_INCH)
+    return figure
 
 
 def draw_dependences(part: SimulatedRecording, before_um: FloatArray,
-                     after_um: FloatArray) -> bytes:
-    """Draw the mean residual over each quantity that an effect may go with; PNG bytes."""
+                     after_um: FloatArray) -> Figure:
+    """Draw the mean residual over each quantity that an effect may go with."""
     figure = new_figure(6.0, WIDE_IN)
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
         found = dependences(
@@ -171,4 +225,4 @@ def draw_dependences(part: SimulatedRecording, before_um: FloatArray,
             one.fill_between(dependence.centre, -1e3 * dependence.band_um,
                              1e3 * dependence.band_um, color=style["color"], alpha=0.15)
             label(one, dependence.quantity, "mean residual (nm)")
-    return to_png(figure, DOTS_PER_INCH)
+    return figure

@@ -3,12 +3,12 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from piezo_common.arrays import FloatArray
-from piezo_common.report_page import Picture, Section, render_page
+from piezo_common.report_page import Picture, Section, pictured, render_page
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.diagnosis.comparison.attempts import Attempt
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
@@ -22,12 +22,22 @@ from piezo_identification.diagnosis.residual.noise_estimate import (
     residual_um,
 )
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_identification.report.parameter_table import effect_rows
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
 
+SOMETHING_ELSE = "something_else"
+"""Name of the probability that none of the known effects is what the model lacks."""
+
+SHOWN_PROBABILITY = 1e-3
+
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
-    """Return the verdict in one sentence."""
+    """Return the verdict in one sentence, with its probability where that is known."""
+    return f"{_sentence(diagnosis)}{_probability(diagnosis)}"
+
+
+def _sentence(diagnosis: Diagnosis) -> str:
     before, after = (1e3 * errors["rms_um"] for errors in (diagnosis.before, diagnosis.after))
     names = " and ".join(entry["name"] for entry in diagnosis.effects)
     if diagnosis.verdict == "none":
@@ -46,6 +56,28 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
             f"held-out data.")
 
 
+def _probability(diagnosis: Diagnosis) -> str:
+    """Return the sentence on the verdict's own probability; empty where it is not known."""
+    known = _probabilities(diagnosis)
+    names = {entry["name"] for entry in diagnosis.effects}
+    own = {"none": {"none"}, "unexplained": {SOMETHING_ELSE}}.get(diagnosis.verdict, names)
+    found = next((value for name, value in known.items() if set(name.split("+")) == own), None)
+    return "" if found is None else f" The probability of this is {_percent(found)} %."
+
+
+def _probabilities(diagnosis: Diagnosis) -> dict[str, float]:
+    """Return the probability of each set of effects; empty where they were not asked."""
+    return dict(getattr(diagnosis, "probabilities", None) or {})
+
+
+def _percent(probability: float) -> str:
+    """Return a probability in percent, never as 0 or 100 that it is not."""
+    percent = 100.0 * probability
+    if percent > 99.9:
+        return "more than 99.9"
+    return "less than 0.1" if percent < 0.1 else f"{percent:.3g}"
+
+
 def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) -> str:
     """Return the report as one HTML page.
 
@@ -56,13 +88,15 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
         What the page is to tell of when, and from which files: name and text.
     """
     noise, dataset = diagnosis.selection.regression.noise, diagnosis.selection.regression.dataset
-    sections = [_found(diagnosis)]
+    sections = [_found(diagnosis), *_alternatives(diagnosis)]
     if diagnosis.effects:
-        sections.append(Section("What was added", table=_effects(diagnosis.effects)))
-    if diagnosis.left:
-        sections.append(Section("What is left", (diagnosis.left,)))
+        sections.append(Section("What was added", (
+            "Standard deviations are those of the joint fit of all effects; the interval holds the "
+            "parameter in 95 of 100 repeats.",), effect_rows(diagnosis.effects)))
+    sections += _left(diagnosis)
+    sections.append(_undecided(diagnosis))
     sections += [
-        _recording(part, residual_um(dataset, index, noise=noise),
+        _recording(diagnosis, part, residual_um(dataset, index, noise=noise),
                    residual_of_model_um(dataset, index, diagnosis.model, noise),
                    noise.noise_um[index])
         for index, part in enumerate(dataset.simulated)]
@@ -72,7 +106,7 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
             residual_of_model_um(dataset, index, diagnosis.model, noise))
     if diagnosis.model is not dataset.model:
         sections.append(_other_parameters(dataset.model, diagnosis.model))
-    sections += [*_tried(diagnosis.selection), _undecided(diagnosis)]
+    sections += _tried(diagnosis.selection)
     return render_page(verdict_sentence(diagnosis),
                        [f"{name}: {text}" for name, text in origin], sections)
 
@@ -80,57 +114,102 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
 def _found(diagnosis: Diagnosis) -> Section:
     before, after = diagnosis.before, diagnosis.after
     where = "{samples} samples of {source}".format(**diagnosis.holdout)
-    told = [f"Held out: {where}.", *(f"{text}." for text in diagnosis.left_out),
+    told = [f"Held out: {where}, the same before and after. e_y is the norm of the difference over "
+            "that of the measured displacement without its mean, in percent (4.20).",
+            *(f"{text}." for text in diagnosis.left_out),
             *(f"{sign_text(path)}." for path in diagnosis.reversed)]
     rows = [
         ("error on held-out data", "before", "after"),
-        ("RMS (nm)", *(f"{1e3 * errors['rms_um']:.4g}" for errors in (before, after))),
-        ("e_y (%)", *(f"{errors['e_y_percent']:.4g}" for errors in (before, after))),
-        ("noise of the sensor (nm)", f"{1e3 * diagnosis.noise_floor_um:.4g}", ""),
+        ("RMS (nm)", *(f"{1e3 * errors['rms_um']:.3g}" for errors in (before, after))),
+        ("e_y (%)", *(f"{errors['e_y_percent']:.3g}" for errors in (before, after))),
+        ("noise of the sensor (nm)", *2 * (f"{1e3 * diagnosis.noise_floor_um:.3g}",)),
     ]
-    if diagnosis.ceiling is not None:
-        rows += [
-            (f"{what} (nm)", "", f"{1e3 * diagnosis.ceiling[name]:.4g}") for what, name in (
-                ("of what is left, predictable by a learner", "predictable_um"),
-                ("the same from the voltage alone", "from_voltage_um"),
-                ("random", "random_um"))]
     return Section("What was found", tuple(told), rows)
 
 
-def _effects(effects: list[dict[str, Any]]) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = [
-        ("effect", "parameter", "value", "standard deviation", "error reduction (%)")]
-    for entry in effects:
-        first = True
-        for name, value in entry["parameters"].items():
-            deviation = entry.get("standard_deviations", {}).get(name)
-            rows.append((
-                entry["name"] if first else "", name, _number(value),
-                "" if deviation is None else _number(deviation, 2),
-                f"{entry['error_reduction_percent']:.1f}" if first else "",
-            ))
-            first = False
-    return rows
+def _alternatives(diagnosis: Diagnosis) -> Iterator[Section]:
+    known = _probabilities(diagnosis)
+    if not known:
+        return
+    shown = [(name, value) for name, value in sorted(
+        known.items(), key=lambda item: -item[1]) if value >= SHOWN_PROBABILITY]
+    rest = len(known) - len(shown)
+    told = ["Each row is a whole model with these effects in it; the probabilities sum to one."]
+    if rest:
+        told.append(f"{rest} more {'has' if rest == 1 else 'have'} less than "
+                    f"{100.0 * SHOWN_PROBABILITY:g} %.")
+    yield Section("Alternatives", told, [("what the model lacks", "probability (%)"), *(
+        (_alternative(name), _percent(value)) for name, value in shown)])
 
 
-def _recording(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
-               noise_um: float) -> Section:
-    def picture(name: str, caption: str, png: bytes) -> Picture:
-        return Picture(name, caption, png, wide=True)
+def _alternative(name: str) -> str:
+    if name == SOMETHING_ELSE:
+        return "something else than the known effects"
+    return "nothing" if name == "none" else " and ".join(name.split("+"))
 
-    return Section(str(part.path), table=_tests_table(part, before_um, after_um), pictures=(
-        picture("Residuals", "Measured minus simulated displacement over time; right, close where "
-                "the extension gains most.", pictures.draw_residuals(part, before_um, after_um)),
-        picture("Spectra", "Spectra of the residuals, of the model and of the noise.",
-                pictures.draw_spectra(part, before_um, after_um, noise_um)),
-        picture("Error over frequency", "Part of the displacement by which the model is wrong, at "
-                "the frequencies at which the residual follows it.",
-                pictures.draw_error_response(part, before_um, after_um)),
-        picture("Correlations", "Correlation of the residuals; the band holds 99 % of it where "
-                "there is none.", pictures.draw_tests(part, before_um, after_um)),
-        picture("Dependences", "Mean of the residuals where a quantity has some value; the bands "
-                "hold 99 % of the means where nothing depends on it.",
-                pictures.draw_dependences(part, before_um, after_um))))
+
+def _left(diagnosis: Diagnosis) -> Iterator[Section]:
+    """Yield what is left, and which part of it any learner would predict."""
+    told, rows = [diagnosis.left] if diagnosis.left else [], []
+    if diagnosis.ceiling is not None:
+        ceiling = {name: 1e3 * value for name, value in diagnosis.ceiling.items()}
+        told.append(
+            "The ceiling: a learner that knows nothing of stages predicts what is left from "
+            "voltage, displacement and their past, on data held out. What it predicts is "
+            "deterministic and has no name yet; the rest is random.")
+        rows = [("part of what is left", "RMS (nm)"), *(
+            (what, f"{ceiling[name]:.3g}") for what, name in (
+                ("predictable by a learner", "predictable_um"),
+                ("predictable from the voltage alone", "from_voltage_um"),
+                ("random", "random_um")))]
+    if told:
+        yield Section("What is left", told, rows)
+
+
+def _recording(diagnosis: Diagnosis, part: SimulatedRecording, before_um: FloatArray,
+               after_um: FloatArray, noise_um: float) -> Section:
+    residuals = part, before_um, after_um
+
+    def picture(name: str, caption: str, figure: Figure) -> Picture:
+        return pictured(name, figure, caption, wide=True, closer=True)
+
+    return Section(
+        str(part.path), _on_whiteness(diagnosis, part, after_um, noise_um),
+        _tests_table(*residuals), (
+            picture("Residuals", "Measured minus simulated displacement over time; right, close "
+                    "where the extension gains most. Dotted, twice the sensor's noise.",
+                    pictures.draw_residuals(*residuals, noise_um)),
+            picture("Residuals over voltage", "Measured minus simulated displacement over the "
+                    "voltage; dotted, twice the sensor's noise.",
+                    pictures.draw_over_voltage(*residuals, noise_um)),
+            picture("Spectra", "Spectra of the residuals, of the model's displacement and of the "
+                    "sensor's noise.", pictures.draw_spectra(*residuals, noise_um)),
+            picture("Error over frequency", "Part of the displacement by which the model is wrong, "
+                    "at the frequencies at which the residual follows it and the displacement "
+                    "stands out of the noise.",
+                    pictures.draw_error_response(*residuals, noise_um)),
+            picture("Correlations", "Correlation of the residuals; the band holds 99 % of it where "
+                    "there is none.", pictures.draw_tests(*residuals)),
+            picture("Dependences", "Mean of the residuals where a quantity has some value; the "
+                    "bands hold 99 % of the means where nothing depends on it.",
+                    pictures.draw_dependences(*residuals))))
+
+
+def _on_whiteness(diagnosis: Diagnosis, part: SimulatedRecording, after_um: FloatArray,
+                  noise_um: float) -> list[str]:
+    """Say what a residual that is not white means beside a verdict of success; empty without."""
+    test = whiteness(after_um[part.begin :])
+    told = ["Of white noise about 1 % of the lags lie outside the band of 99 %."]
+    if diagnosis.verdict == "unexplained" or test.passed:
+        return told
+    left_um = float(np.std(after_um[part.begin :]))
+    extended = "after the extension " if diagnosis.effects else ""
+    return [*told, (
+        f"That {100.0 * test.share_outside:.0f} % do {extended}is no contradiction to "
+        f"the verdict. The test asks whether what is left is noise alone, not how large it is: of "
+        f"{after_um.size - part.begin} samples it sees a correlation of {test.band:.2g}. What is "
+        f"left here is {1e3 * left_um:.3g} nm beside a noise of {1e3 * noise_um:.3g} nm, within "
+        "what a model identified on noisy data may be wrong by.")]
 
 
 def _tests_table(part: SimulatedRecording, before_um: FloatArray,
@@ -184,7 +263,7 @@ def _outcome(attempt: Attempt, best: Attempt, selection: Selection) -> str:
 
 
 def _undecided(diagnosis: Diagnosis) -> Section:
-    title = "What the data could not decide"
+    title = "What the data could not decide, and what would"
     if not diagnosis.not_decidable:
         return Section(title, ("Nothing.",))
     kinds = known_effects()

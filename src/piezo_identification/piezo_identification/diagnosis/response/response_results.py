@@ -4,14 +4,25 @@
 from os import PathLike
 from pathlib import Path
 
-from piezo_common.picture_style import AFTER, BEFORE, BLACK, WIDE_IN, label, new_figure
-from piezo_common.report_page import Picture, Section, render_page
+from matplotlib.figure import Figure
+
+from piezo_common.picture_style import (
+    AFTER,
+    BEFORE,
+    BLACK,
+    WIDE_IN,
+    label,
+    new_figure,
+    to_png,
+)
+from piezo_common.report_page import Section, pictured, render_page
 from piezo_identification.diagnosis.response.response_diagnosis import (
     ResponseDiagnosis,
     diagnose_response,
 )
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_identification.estimators.frequency_response.response_file import read_frequency_response
+from piezo_identification.report.parameter_table import effect_rows
 from piezo_models.model_file import load_model
 
 PICTURE = "response.png"
@@ -47,9 +58,8 @@ def diagnose_response_file(
     diagnosis = diagnose_response(identified.model, measured)
     write_verdict(directory / "verdict.json", diagnosis)
     save_extended_model(directory / "extended_model.json", identified, diagnosis, [response])
-    draw_response(directory / PICTURE, diagnosis)
-    page = _report(diagnosis, (directory / PICTURE).read_bytes())
-    (directory / "report.html").write_text(page, encoding="utf-8")
+    (directory / PICTURE).write_bytes(to_png(response_figure(diagnosis), DOTS_PER_INCH))
+    (directory / "report.html").write_text(_report(diagnosis), encoding="utf-8")
     return diagnosis
 
 
@@ -62,7 +72,7 @@ def response_sentence(diagnosis: ResponseDiagnosis) -> str:
     return f"{found} {diagnosis.left}".strip()
 
 
-def draw_response(path: Path, diagnosis: ResponseDiagnosis) -> None:
+def response_figure(diagnosis: ResponseDiagnosis) -> Figure:
     """Draw the measured gain beside that of the model and of the extended one, and the errors."""
     figure = new_figure(6.0, WIDE_IN)
     gains, errors = figure.subplots(2, 1, sharex=True)
@@ -76,20 +86,18 @@ def draw_response(path: Path, diagnosis: ResponseDiagnosis) -> None:
     gains.legend()
     label(gains, y="gain (unit of the data)")
     label(errors, "frequency (Hz)", "error (% of the gain)")
-    figure.savefig(path, dpi=DOTS_PER_INCH)
+    return figure
 
 
-def _report(diagnosis: ResponseDiagnosis, picture: bytes) -> str:
+def _report(diagnosis: ResponseDiagnosis) -> str:
     rows = [("on frequencies held out", "before", "after"),
-            *((name, f"{diagnosis.before[name]:.4g}", f"{diagnosis.after[name]:.4g}")
+            *((name, f"{diagnosis.before[name]:.3g}", f"{diagnosis.after[name]:.3g}")
               for name in diagnosis.before)]
-    sections = [Section("What was found", table=rows, pictures=(Picture(
-        "Response", "The gain, measured and modelled, and the errors.", picture, wide=True),))]
+    sections = [Section("What was found", table=rows, pictures=(pictured(
+        "Response", response_figure(diagnosis), "The gain, measured and modelled, and the errors.",
+        wide=True, closer=True),))]
     if diagnosis.effects:
-        sections.append(Section("What was added", table=[
-            ("effect", "parameters", "error reduction (%)"),
-            *((entry["name"], str(entry["parameters"]), f"{entry['error_reduction_percent']:.1f}")
-              for entry in diagnosis.effects)]))
+        sections.append(Section("What was added", table=effect_rows(diagnosis.effects)))
     sections.append(Section("What was tried", [
         f"Round {number}, and by how much each reduced the held-out error: "
         + ", ".join(f"{name} {reduction:.1f} %" for name, reduction in attempts)

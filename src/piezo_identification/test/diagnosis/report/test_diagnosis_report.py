@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-import base64
-import io
 import re
 from dataclasses import replace
 from html import unescape
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
 
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.report import diagnosis_pictures as pictures
-from piezo_identification.diagnosis.report.diagnosis_report import render_report
+from piezo_identification.diagnosis.report.diagnosis_report import _on_whiteness, render_report
 from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.report.parameter_table import rounded
 from piezo_models.effects.vibration_mode import VibrationMode
 
 MODE = VibrationMode(2.0 * np.pi * 1400.0, 0.03, 0.05)
@@ -31,13 +29,13 @@ def page(diagnosis):
 
 def rows(page):
     """Return the texts of all table rows."""
-    return [[unescape(text) for text in re.findall(r"<t[dh].*?>(.*?)</t[dh]>", row)]
+    return [[unescape(text) for text in re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row)]
             for row in re.findall(r"<tr>(.*?)</tr>", page)]
 
 
 def test_the_verdict_is_the_heading_and_the_origin_follows_it(page):
     assert re.search(r"<h1>The model lacks vibration_mode: with it the error on held-out data "
-                     r"falls from [\d.]+ to [\d.]+ nm RMS.</h1>", page)
+                     r"falls from [\d.]+ to [\d.]+ nm RMS\.( The probability [^<]*)?</h1>", page)
     assert "<p>diagnosed: today</p>\n<p>model: &lt;model&gt;.json</p>" in page
 
 
@@ -45,8 +43,12 @@ def test_parameters_stand_with_their_uncertainty_and_the_error_before_and_after(
     found = diagnosis.effects[0]
     values = found["parameters"]["frequency_rad_per_s"], found["standard_deviations"][
         "frequency_rad_per_s"]
-    assert [f"{values[0]:.5g}", f"{values[1]:.2g}"] in [row[2:4] for row in rows(page)]
-    assert ["RMS (nm)", *(f"{1e3 * errors['rms_um']:.4g}" for errors in (
+    row, = (row for row in rows(page) if row[1:2] == ["frequency_rad_per_s (rad/s)"])
+    assert row[2:4] == list(rounded(*values))
+    low, high = map(float, row[4].split(" to "))
+    assert low < 2.0 * np.pi * 1400.0 < high
+    assert float(row[5].split(" ± ")[0]) == pytest.approx(values[0] / (2.0 * np.pi), rel=1e-3)
+    assert ["RMS (nm)", *(f"{1e3 * errors['rms_um']:.3g}" for errors in (
         diagnosis.before, diagnosis.after))] in rows(page)
 
 
@@ -72,13 +74,43 @@ def test_what_could_not_be_decided_names_the_experiment_that_would(page, diagnos
                              "rest for minutes, and the same waveform repeated at later times"]
 
 
-def test_the_page_is_self_contained_and_its_pictures_can_be_decoded(page):
-    sources = re.findall(r'src="(.*?)"', page)
-    assert len(sources) == 5
-    for source in sources:
-        pixels = imread(io.BytesIO(base64.b64decode(source.partition(",")[2])), format="png")
-        assert np.ptp(pixels[..., :3]) > 0.5
-    assert not re.search(r"https?:|url\(|@import|<script", page)
+def test_the_page_is_self_contained_and_its_pictures_can_be_decoded(page, page_parts):
+    parts = page_parts(page)
+    assert len(parts.pictures) == 6
+    assert all(parts.is_picture(name) for name in parts.pictures)
+    assert parts.external == []
+    assert "<link" not in page and not re.search("<script[^>]+src=", page)
+
+
+def test_no_error_is_drawn_where_the_stage_does_not_move(page, page_parts):
+    error = page_parts(page).numbers("Error over frequency")
+    told = [value for head, values in error.items() if "displacement (%)" in head
+            for value in values if np.isfinite(value)]
+    assert told and max(told) <= 1000.0
+
+
+def test_what_is_not_white_is_explained_where_it_stands(diagnosis, page):
+    part = diagnosis.selection.regression.dataset.simulated[0]
+    random = np.random.default_rng(6).normal(size=(2, part.time_s.size))
+    white_um, drifting_um = 0.01 * random[0], 0.01 * random[0] + 1e-4 * np.cumsum(random[1])
+    assert len(_on_whiteness(diagnosis, part, white_um, 0.01)) == 1
+    told = _on_whiteness(diagnosis, part, drifting_um, 0.01)[1]
+    assert "no contradiction to the verdict" in told and "a noise of 10 nm" in told
+    unexplained = replace(diagnosis, verdict="unexplained")
+    assert len(_on_whiteness(unexplained, part, drifting_um, 0.01)) == 1
+    assert "about 1 % of the lags" in page
+
+
+def test_probabilities_stand_in_the_verdict_and_in_a_table(diagnosis, page_parts):
+    known = {"vibration_mode": 0.93, "none": 0.0201, "creep+delay": 0.0499 - 1e-5,
+             "something_else": 1e-5}
+    object.__setattr__(told := replace(diagnosis), "probabilities", known)
+    page = page_parts(render_report(told))
+    assert page.title.endswith("The probability of this is 93 %.")
+    table, = (table for table in page.tables if table[0][1] == "probability (%)")
+    assert table[1:] == [["vibration_mode", "93"], ["creep and delay", "4.99"],
+                         ["nothing", "2.01"]]
+    assert "1 more has less than 0.1 %" in page.text
 
 
 def test_the_pictures_can_be_read_in_grey_and_have_units(diagnosis, picture_faults):

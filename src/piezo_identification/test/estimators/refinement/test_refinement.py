@@ -211,7 +211,7 @@ def test_the_command_stores_the_errors_before_and_after(
     for name, recording in files.items():
         arguments += [f"--{name}", str(csv_of(recording, tmp_path / f"{name}.csv"))]
     model = tmp_path / "model.json"
-    assert identify_main([*arguments, "--refine", "--output", str(model)]) == 0
+    assert identify_main([*arguments, "--refine", "--no-report", "--output", str(model)]) == 0
     assert "before_refinement.e_y_percent" in capsys.readouterr().out
     errors = load_model(model).errors
     assert errors["refinement_kept"] == 1.0

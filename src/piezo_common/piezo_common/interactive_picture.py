@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The curves of a matplotlib figure for a browser: to zoom, to hover over, to hide one by one.
+
+Bokeh draws them. Its script is 1.2 MB and part of its wheel, so that a page needs no network; that
+of Plotly is 4.6 MB, as its smaller bundles are in no wheel. Without Bokeh the pages have their
+static pictures alone.
+"""
+
+import json
+from collections.abc import Mapping
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection, QuadMesh
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from piezo_common.picture_data import axis_label, curve_of, legend_name, panels
+
+PIXELS_PER_INCH = 96
+DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
+SHOWN_COLORS = 256
+
+SCRIPT = """
+<script>{bokeh}</script>
+<script>
+for (const closer of document.querySelectorAll("details.closer"))
+  closer.addEventListener("toggle", () => {{
+    const [place, item] = [closer.querySelector("div"), closer.querySelector("script")];
+    if (!closer.open || !item) return;
+    place.id = "closer-" + Math.random().toString(36).slice(2);
+    Bokeh.embed.embed_item(JSON.parse(item.textContent), place.id);
+    item.remove();
+  }});
+</script>
+"""
+
+
+def is_available() -> bool:
+    """Tell whether Bokeh is installed."""
+    return find_spec("bokeh") is not None
+
+
+def interactive_script() -> str:
+    """Return the script elements that draw a page's items; the one place with Bokeh's code."""
+    from bokeh.resources import INLINE
+
+    (bokeh,) = (text for text in INLINE.js_raw[:1])
+    return SCRIPT.format(bokeh=bokeh.replace("</script", "<\\/script"))
+
+
+def interactive_item(figure: Figure) -> dict[str, Any] | None:
+    """Return the lines, areas and maps of a figure as an item that Bokeh embeds.
+
+    Panels stand as in the figure; those that share an axis zoom together.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+
+    Returns
+    -------
+    dict or None
+        None without Bokeh, or for a figure without any of these.
+    """
+    if not is_available():
+        return None
+    from bokeh.embed import json_item
+    from bokeh.layouts import column, row
+
+    plots: dict[Axes, Any] = {}
+    for axes in panels(figure):
+        plot = _plot(figure, axes, plots)
+        # Bars and images of pixels have no curve to look at more closely.
+        if plot.renderers:
+            plots[axes] = plot
+    if not plots:
+        return None
+    rows: dict[int, list[Any]] = {}
+    for axes, plot in plots.items():
+        place = axes.get_subplotspec()
+        rows.setdefault(0 if place is None else place.rowspan.start, []).append(plot)
+    whole = column([row(each, sizing_mode="stretch_width") for each in rows.values()],
+                   sizing_mode="stretch_width")
+    # Plain numbers and texts only, checked here and not in the reader's browser.
+    return json.loads(json.dumps(json_item(whole)))
+
+
+def _plot(figure: Figure, axes: Axes, earlier: Mapping[Axes, Any]) -> Any:
+    from bokeh.models import BoxZoomTool, HoverTool
+    from bokeh.plotting import figure as new_plot
+
+    shared: dict[str, Any] = {}
+    for direction in "x", "y":
+        siblings = getattr(axes, f"get_shared_{direction}_axes")().get_siblings(axes)
+        of_sibling = next((earlier[one] for one in siblings if one in earlier), None)
+        shared[f"{direction}_range"] = (
+            getattr(of_sibling, f"{direction}_range") if of_sibling is not None
+            else getattr(axes, f"get_{direction}lim")())
+    height = axes.get_position().height * figure.get_figheight() * PIXELS_PER_INCH
+    plot = new_plot(
+        x_axis_type=_scale(axes.get_xscale()), y_axis_type=_scale(axes.get_yscale()),
+        x_axis_label=_plain(axis_label(axes, "x")), y_axis_label=_plain(axis_label(axes, "y")),
+        title=_plain(axes.get_title()), height=max(220, round(height)),
+        match_aspect=axes.get_aspect() == 1.0, output_backend="canvas",
+        sizing_mode="stretch_width", tools="pan,wheel_zoom,reset,save", **shared)
+    plot.toolbar.logo = None
+    box = BoxZoomTool()
+    plot.add_tools(box, HoverTool(tooltips=[("x", "$x{0.[00000]}"), ("y", "$y{0.[00000]}")]))
+    plot.toolbar.active_drag = box
+    for area in axes.collections:
+        _add_area(plot, area)
+    for line in axes.get_lines():
+        _add_line(plot, axes, line)
+    if plot.legend:
+        legend = plot.legend[0]
+        legend.update(click_policy="hide", label_text_font_size="9pt", orientation="horizontal")
+        # Not over the curves.
+        plot.add_layout(legend, "above")
+    return plot
+
+
+def _add_line(plot: Any, axes: Axes, line: Line2D) -> None:
+    from bokeh.models import Span
+
+    style = {"line_color": to_hex(line.get_color()), "line_width": line.get_linewidth(),
+             "line_dash": DASHES.get(str(line.get_linestyle()), "dashed")}
+    x, y = curve_of(line)
+    if line.get_transform() == axes.get_yaxis_transform():
+        plot.add_layout(Span(location=float(y[0]), dimension="width", **style))
+    elif line.get_transform() == axes.get_xaxis_transform():
+        plot.add_layout(Span(location=float(x[0]), dimension="height", **style))
+    elif line.get_transform() == axes.transData:
+        text = _plain(legend_name(line))
+        named = {"legend_label": text} if text else {}
+        if line.get_linestyle() not in ("None", "none", "", " "):
+            plot.line(x, y, **style, **named)
+        if line.get_marker() not in ("None", "none", "", None):
+            plot.scatter(x, y, size=max(3.0, line.get_markersize()), color=style["line_color"],
+                         **named)
+
+
+def _add_area(plot: Any, area: Any) -> None:
+    if isinstance(area, QuadMesh):
+        _add_map(plot, area)
+    elif isinstance(area, PolyCollection):
+        text = _plain(legend_name(area))
+        named = {"legend_label": text} if text else {}
+        colors = np.asarray(area.get_facecolor(), dtype=float).reshape(-1, 4)
+        red, green, blue, alpha = colors[0] if colors.size else (0.5, 0.5, 0.5, 0.2)
+        for path in area.get_paths():
+            outline = np.asarray(path.vertices, dtype=float)
+            plot.patch(outline[:, 0], outline[:, 1], fill_color=to_hex((red, green, blue)),
+                       fill_alpha=float(alpha), line_alpha=0.0, **named)
+
+
+def _add_map(plot: Any, mesh: QuadMesh) -> None:
+    from bokeh.models import LinearColorMapper
+
+    low, high = mesh.get_clim()
+    corners = np.asarray(mesh.get_coordinates(), dtype=float)
+    (left, bottom), (right, top) = corners[0, 0], corners[-1, -1]
+    values: Any = np.ma.asarray(mesh.get_array()).reshape(corners.shape[0] - 1, -1)
+    palette = [to_hex(color) for color in mesh.cmap(np.linspace(0.0, 1.0, SHOWN_COLORS))]
+    plot.image([np.ma.filled(values.astype(np.float32), np.nan)], x=left, y=bottom,
+               dw=right - left, dh=top - bottom, color_mapper=LinearColorMapper(
+                   palette=palette, low=low, high=high, nan_color="#ffffff"))
+
+
+def _scale(name: str) -> str:
+    return "log" if name == "log" else "linear"
+
+
+def _plain(text: str) -> str:
+    """Return a label without the marks of mathematics: Bokeh would load a library for them."""
+    return text.replace("$", "").replace("\\", "").replace("_", " ")

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The numbers behind a picture: curves, areas and maps of a matplotlib figure, and their CSV."""
+
+import csv
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection, QuadMesh
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from piezo_common.arrays import FloatArray
+from piezo_common.picture_style import thinned
+
+DIGITS = "{:.6g}"
+
+
+@dataclass(frozen=True, eq=False)
+class Numbers:
+    """What one line, area or map of a picture shows.
+
+    Attributes
+    ----------
+    name : str
+        As the legend has it; empty where it has none.
+    columns : dict of str to ndarray
+        By the labels of the axes, with their units.
+    """
+
+    name: str
+    columns: dict[str, FloatArray]
+
+
+def picture_csv(figure: Figure) -> str:
+    """Return the numbers that a figure shows, as a table with a column for each curve.
+
+    A column holds where the curves behind it are, up to the next such column.
+
+    Lines across the whole picture, such as limits, are left out: the legend or the text tells them.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+
+    Returns
+    -------
+    str
+        CSV; columns of fewer numbers than others end in empty fields. Empty without numbers.
+    """
+    heads: list[str] = []
+    columns: list[FloatArray] = []
+    for axes in panels(figure):
+        for shown in numbers_of(axes):
+            (x_label, x), *others = shown.columns.items()
+            # Curves over the same places need these but once.
+            if not any(head == x_label and np.array_equal(x, column)
+                       for head, column in zip(heads, columns, strict=True)):
+                others = [(x_label, x), *others]
+            for label, values in others:
+                heads.append(label if label == x_label or not shown.name
+                             else f"{shown.name}: {label}")
+                columns.append(values)
+    if not columns:
+        return ""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(heads)
+    writer.writerows(zip_longest(*([DIGITS.format(value) for value in column]
+                                   for column in columns), fillvalue=""))
+    return stream.getvalue()
+
+
+def panels(figure: Figure) -> list[Axes]:
+    """Return the axes of a figure without those of its colour scales."""
+    return [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
+
+
+def numbers_of(axes: Axes) -> Iterator[Numbers]:
+    """Yield what the lines, the areas and the maps of axes show.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    """
+    x_label, y_label = axis_label(axes, "x"), axis_label(axes, "y")
+    for line in axes.get_lines():
+        if line.get_transform() == axes.transData:
+            x, y = curve_of(line)
+            yield Numbers(legend_name(line), {x_label: x, y_label: y})
+    for area in axes.collections:
+        if isinstance(area, QuadMesh):
+            values: Any = np.ma.asarray(area.get_array())
+            corners = np.asarray(area.get_coordinates(), dtype=float)
+            centres = 0.25 * (corners[1:, 1:] + corners[1:, :-1] + corners[:-1, 1:]
+                              + corners[:-1, :-1])
+            shown = ~np.ma.getmaskarray(values).reshape(centres.shape[:2])
+            bar = area.colorbar.ax.get_ylabel() if area.colorbar else "value"
+            yield Numbers("", {x_label: centres[..., 0][shown], y_label: centres[..., 1][shown],
+                               bar: np.ma.getdata(values).reshape(shown.shape)[shown]})
+        elif isinstance(area, PolyCollection) and area.get_paths():
+            outline = np.concatenate([path.vertices for path in area.get_paths()])
+            yield Numbers(f"{legend_name(area) or 'area'}, outline",
+                          {x_label: outline[:, 0], y_label: outline[:, 1]})
+
+
+def curve_of(line: Line2D) -> tuple[FloatArray, FloatArray]:
+    """Return the points of a line; of very many, as many as can be told apart."""
+    x, y = (np.asarray(values, float) for values in line.get_data(orig=False))
+    return thinned(x, y)
+
+
+def legend_name(artist: object) -> str:
+    """Return the label of a line or area; empty where the legend does not have it."""
+    text = str(artist.get_label())  # type: ignore[attr-defined]
+    return "" if text.startswith("_") else text
+
+
+def axis_label(axes: Axes, direction: str) -> str:
+    """Return the label of an axis, or that of the axis below or beside that shares its scale.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    direction : str
+        "x" or "y".
+    """
+    shared = getattr(axes, f"get_shared_{direction}_axes")().get_siblings(axes)
+    texts = [str(getattr(one, f"get_{direction}label")()) for one in (axes, *reversed(shared))]
+    return next(filter(None, texts), direction)

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A page holds its pictures' numbers, needs no network, and says what it says without scripts."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from piezo_common import interactive_picture
+from piezo_common.interactive_picture import interactive_item
+from piezo_common.picture_style import MEASURED, MODELLED, label, new_figure, outline
+from piezo_common.report_page import Section, pictured, render_page
+
+
+@pytest.fixture
+def figure():
+    figure = new_figure()
+    above, below = figure.subplots(2, 1, sharex=True)
+    time_s = np.linspace(0.0, 1.0, 50)
+    above.plot(time_s, np.sin(time_s), **MEASURED)
+    above.plot(time_s, np.sin(time_s) + 0.1, **MODELLED)
+    below.semilogy(time_s[1:], time_s[1:] ** 2, color="k")
+    below.fill_between(time_s[1:], time_s[1:], 2.0 * time_s[1:], label="band")
+    below.axhline(0.5)
+    label(above, y="displacement (um)")
+    label(below, "time (s)", "size (1)")
+    return figure
+
+
+def test_the_numbers_of_a_picture_are_those_of_its_curves(figure, page_parts):
+    page = page_parts(render_page("A page", ["Text."], [Section("S", pictures=[
+        pictured("Two panels", figure, "Caption.")])]))
+    numbers = page.numbers("Two panels")
+    assert list(numbers) == ["time (s)", "measured: displacement (um)",
+                             "modelled: displacement (um)", "size (1)",
+                             "band, outline: size (1)"]
+    assert numbers["modelled: displacement (um)"] == pytest.approx(
+        np.sin(np.linspace(0.0, 1.0, 50)) + 0.1, rel=1e-5)
+    assert numbers["size (1)"][-1] == 1.0
+    assert max(numbers["band, outline: size (1)"]) == 2.0
+    assert page.is_picture("Two panels")
+    assert page.external == []
+
+
+def test_wide_tables_name_each_cell_for_narrow_screens(page_parts):
+    table = [["a", "b", "c", "d", "e"], ["x", "1", "2", "3", "<4>"]]
+    text = render_page("T", [], [Section("S", table=table), Section("S", table=[["a"], ["1"]])])
+    assert text.count('class="table many"') == 1
+    assert '<td class="text" data-head="e">&lt;4&gt;</td>' in text
+    assert page_parts(text).tables[0] == table
+
+
+def test_a_page_without_bokeh_has_its_static_pictures_alone(figure, monkeypatch):
+    monkeypatch.setattr(interactive_picture, "is_available", lambda: False)
+    text = render_page("T", [], [Section("S", pictures=[
+        pictured("P", figure, "Caption.", closer=True)])])
+    assert "<script" not in text and "<details" not in text and "data:text/csv" in text
+
+
+def test_the_closer_look_holds_the_same_curves_and_loads_nothing(figure, page_parts):
+    pytest.importorskip("bokeh")
+    item = interactive_item(figure)
+    kinds = set(re.findall(r'"name": ?"(Line|Patch|Span|LogScale)"', json.dumps(item)))
+    assert kinds == {"Line", "Patch", "Span", "LogScale"}
+    text = render_page("T", [], [Section("S", pictures=[
+        pictured("P", figure, "Caption.", closer=True)])])
+    assert page_parts(text).external == []
+    assert not re.search(r"<script[^>]+src=|<link", text)
+    shown = re.search(r'<script type="application/json">(.*?)</script>', text, re.S)[1]
+    assert json.loads(shown)["root_id"]
+
+
+def test_a_dense_line_keeps_its_lowest_and_highest_values():
+    y = np.random.default_rng(5).normal(size=100_000)
+    y[4321], y[98_765] = 50.0, -60.0
+    x, thinned = outline(np.arange(y.size, dtype=float), y)
+    assert thinned.size <= 2400 and (thinned.max(), thinned.min()) == (50.0, -60.0)
+    assert np.all(np.diff(x) >= 0.0)

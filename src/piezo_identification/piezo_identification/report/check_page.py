@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The page of a check: what was measured of each recording, and what it is good for."""
+
+from collections.abc import Sequence
+from html import escape
+
+from piezo_common.report_page import Section, pictured, render_page
+from piezo_identification.recording_check.check import RecordingCheck
+from piezo_identification.recording_check.check_report import measured_rows
+from piezo_identification.recording_check.suitability import Suitability
+from piezo_identification.report.check_picture import check_figure
+
+
+def check_page(checks: Sequence[tuple[str, RecordingCheck, dict[str, Suitability]]]) -> str:
+    """Return the page of one check or several as HTML.
+
+    Parameters
+    ----------
+    checks : sequence of (str, RecordingCheck, dict of str to Suitability)
+        Title of the recording, what was measured of it, and which experiments it can stand for.
+
+    Returns
+    -------
+    str
+    """
+    count = len(checks)
+    title = (checks[0][0] + ": " + suitability_sentence(checks[0][2])) if count == 1 else (
+        f"What {count} recordings are good for")
+    sections = [section for name, check, fit_for in checks for section in _sections(
+        name, f"{name}: {suitability_sentence(fit_for)}" if count > 1 else "What it can stand for",
+        check, fit_for)]
+    return render_page(title, ["Noise is the least that rests, repeats and the highest frequencies "
+                               "tell. The drift is that at one voltage over the whole recording."],
+                       sections)
+
+
+def suitability_sentence(fit_for: dict[str, Suitability]) -> str:
+    """Return in a part of a sentence what a recording can stand for."""
+    by_verdict = {verdict: [name for name, each in fit_for.items() if each.verdict == verdict]
+                  for verdict in ("yes", "partly")}
+    parts = []
+    if by_verdict["yes"]:
+        parts.append(f"good for {', '.join(by_verdict['yes'])}")
+    if by_verdict["partly"]:
+        parts.append(f"partly for {', '.join(by_verdict['partly'])}")
+    return "; ".join(parts) or "good for none of the experiments"
+
+
+def _sections(name: str, title: str, check: RecordingCheck,
+              fit_for: dict[str, Suitability]) -> list[Section]:
+    good_for = [("can stand for", "verdict", "because"),
+                *((experiment, each.verdict, each.reason)
+                  for experiment, each in fit_for.items())]
+    rows = [("measured", "value"), *measured_rows(check)]
+    return [
+        Section(title, check.warnings, good_for, [
+            pictured(name, check_figure(check), "Displacement and voltage over time; below, what "
+                     f"a voltage of this kind shows ({escape(check.waveform.kind)}).",
+                     wide=True, closer=True)]),
+        Section("What was measured", table=rows)]

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The picture of a check: the recording over time, and what its kind of waveform shows best."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.signal import welch
+
+from piezo_common.arrays import FloatArray
+from piezo_common.picture_style import (
+    BLUE,
+    CURVES,
+    ORANGE,
+    WIDE_IN,
+    label,
+    new_figure,
+    outline,
+    to_png,
+)
+from piezo_identification.recording_check.check import RecordingCheck
+from piezo_identification.recording_check.suitability import jump_response
+from piezo_identification.recording_check.waveform_kind import BROADBAND, LEVELS
+from piezo_identification.report import signal_pictures as signals
+from piezo_identification.report.waveform_view import WaveformView, view_of
+
+DOTS_PER_INCH = 110.0
+
+
+def draw_check(path: Path, check: RecordingCheck) -> None:
+    """Draw a check as a PNG; see `check_figure`.
+
+    Parameters
+    ----------
+    path : Path
+    check : RecordingCheck
+    """
+    path.write_bytes(to_png(check_figure(check), DOTS_PER_INCH))
+
+
+def check_figure(check: RecordingCheck) -> Figure:
+    """Draw a recording over time, and what its kind of waveform shows.
+
+    A voltage that repeats itself is shown by the mean of its periods, a long one by its envelope.
+    Steps show their mean response and where the levels end. Slow cycles show the loop and the
+    visited part of the Preisach plane. Broadband voltages show the gain over frequency and which
+    part of the displacement goes with the voltage, a constant voltage the spectrum of the noise.
+
+    Parameters
+    ----------
+    check : RecordingCheck
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = new_figure(height_in=6.4, width_in=WIDE_IN)
+    grid = figure.add_gridspec(3, 2, height_ratios=(2, 1, 3))
+    time = figure.add_subplot(grid[0, :])
+    below = figure.add_subplot(grid[1, :], sharex=time)
+    left, right = figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[2, 1])
+    voltage_v, displacement_um = check.voltage_v, check.displacement_um
+    period_s = check.sample_period_s
+    view = view_of(voltage_v, period_s, check.waveform)
+    _draw_time(time, below, view, voltage_v, displacement_um)
+    if check.waveform.kind in LEVELS:
+        signals.draw_step_response(
+            left, jump_response(voltage_v, displacement_um, check.waveform.jumps), period_s)
+        (_draw_drift if check.waveform.kind == "square" else _draw_levels)(right, check)
+    elif check.waveform.kind in BROADBAND:
+        signals.draw_gain(left, voltage_v, displacement_um, period_s)
+        signals.draw_coherence(right, voltage_v, displacement_um, period_s)
+    elif check.waveform.kind == "constant":
+        _draw_spectrum(left, displacement_um, period_s)
+        _draw_histogram(right, displacement_um)
+    else:
+        signals.draw_loops(left, view.mean(voltage_v), view.mean(displacement_um))
+        left.set_title(f"loop, {view.title}", fontsize="medium")
+        _draw_plane(right, check)
+    return figure
+
+
+def _draw_time(above: Axes, below: Axes, view: WaveformView, voltage_v: FloatArray,
+               displacement_um: FloatArray) -> None:
+    above.plot(*outline(view.time, view.mean(displacement_um)), color=BLUE, linewidth=1.0,
+               label="displacement")
+    label(above, y="displacement (um)", title=view.title)
+    above.tick_params(labelbottom=False)
+    below.plot(*outline(view.time, view.mean(voltage_v)), color=ORANGE, linewidth=1.0,
+               label="voltage")
+    label(below, view.time_label, "voltage (V)")
+
+
+def _draw_levels(axes: Axes, check: RecordingCheck) -> None:
+    """Draw where the displacement ends at each level: the loop of a voltage that jumps."""
+    ends = np.append(check.waveform.jumps, check.voltage_v.size) - 1
+    axes.plot(check.voltage_v[ends], check.displacement_um[ends], color=BLUE, marker="o",
+              markersize=3, linewidth=0.7)
+    label(axes, "voltage (V)", "displacement (um)", "where each level ends")
+
+
+def _draw_drift(axes: Axes, check: RecordingCheck) -> None:
+    """Draw where the holds of a square wave end, in comparison to the first of them."""
+    ends = check.waveform.jumps - 1
+    high = check.voltage_v[ends] > check.voltage_v.mean()
+    for of_level, name, style in ((high, "upper level", CURVES[0]), (~high, "lower level",
+                                                                    CURVES[1])):
+        at = ends[of_level]
+        if at.size:
+            axes.plot(at * check.sample_period_s,
+                      1e3 * (check.displacement_um[at] - check.displacement_um[at[0]]),
+                      label=name, **style)
+    axes.legend(loc="best")
+    label(axes, "time (s)", "change (nm)", "ends of the holds")
+
+
+def _draw_plane(axes: Axes, check: RecordingCheck) -> None:
+    low_v, high_v = check.recording.voltage_v.min(), check.recording.voltage_v.max()
+    shown = np.where(np.tril(np.ones_like(check.visited)), check.visited.astype(float), np.nan)
+    axes.imshow(shown, origin="lower", extent=(low_v, high_v, low_v, high_v), cmap="Blues",
+                vmin=-0.3, vmax=1.3, interpolation="nearest")
+    label(axes, "switches down at (V)", "switches up at (V)",
+          f"Preisach plane: {100.0 * check.visited_fraction:.0f} % visited (dark)")
+
+
+def _draw_spectrum(axes: Axes, displacement_um: FloatArray, period_s: float) -> None:
+    frequency_hz, power = welch(displacement_um, 1.0 / period_s,
+                                nperseg=min(signals.LINES, displacement_um.size))
+    axes.loglog(frequency_hz[1:], np.sqrt(power[1:]), color=BLUE, linewidth=1.0)
+    label(axes, "frequency (Hz)", "noise (um/sqrt(Hz))", "spectrum of the displacement")
+
+
+def _draw_histogram(axes: Axes, displacement_um: FloatArray) -> None:
+    axes.hist(displacement_um, bins=60, color=BLUE)
+    label(axes, "displacement (um)", "samples (1)", "distribution of the displacement")

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What each component of an identified model leaves of its recordings, for the report."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.adequacy.component_adequacy import COMPONENTS
+from piezo_identification.adequacy.component_residual import ComponentResidual, component_residual
+from piezo_identification.adequacy.lack_of_fit import LackOfFit, lack_of_fit
+from piezo_identification.conditioning.row_alignment import read_as
+from piezo_identification.conditioning.segments import experiment_of, testable
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.identification.given_data import Data, conditioned_data
+from piezo_identification.identification.row_delays import delays_of_rows_s
+from piezo_identification.report.waveform_view import WaveformView, view_of
+from piezo_models.identified_model import IdentifiedModel
+
+
+@dataclass(frozen=True, eq=False)
+class ComponentEvidence:
+    """A recording beside what the component that it was estimated from makes of it.
+
+    Parameters
+    ----------
+    name : str
+        Of the recording: creep, dynamics, hysteresis, or numbered.
+    residual : ComponentResidual
+    fit : LackOfFit
+    """
+
+    name: str
+    residual: ComponentResidual
+    fit: LackOfFit
+
+    @property
+    def component(self) -> str:
+        """Creep, dynamics or hysteresis."""
+        return experiment_of(self.name)
+
+    @property
+    def is_response(self) -> bool:
+        """Whether it is a frequency response, without time."""
+        return self.residual.frequency_hz is not None
+
+    @cached_property
+    def view(self) -> WaveformView:
+        """The samples to draw."""
+        return view_of(self.residual.voltage_v, self.residual.sample_period_s)
+
+    @property
+    def fitted_um(self) -> FloatArray:
+        """What the model makes of the recording."""
+        return self.residual.measured_um - self.residual.residual_um
+
+    @property
+    def left_um(self) -> FloatArray:
+        """What the model leaves, without the samples that do not count."""
+        return np.where(self.residual.good, self.residual.residual_um, 0.0)
+
+    @property
+    def noise_um(self) -> float:
+        """Standard deviation of the noise of a single sample."""
+        period = self.residual.period
+        repeats = self.residual.measured_um.size // period if period else 1
+        return self.fit.noise_rms_um * float(np.sqrt(max(repeats, 1)))
+
+
+def component_evidence(identified: IdentifiedModel, given: Mapping[str, Data],
+                       read_at_samples: float = 0.0) -> list[ComponentEvidence]:
+    """Return what each component leaves of its recordings, as the identification tested it.
+
+    Parameters
+    ----------
+    identified : IdentifiedModel
+    given : dict of str to Recording or FrequencyResponse
+        Of `given_data`.
+    read_at_samples : float
+        As `identify` was told.
+
+    Returns
+    -------
+    list of ComponentEvidence
+        In the order creep, dynamics, hysteresis.
+    """
+    said = conditioned_data(given, lambda text: None, read_at_samples)
+    read_at = {name: identified.rows[name]["read_at_samples"] - read_as(data, read_at_samples)
+               for name, data in said.items()
+               if name in identified.rows and not isinstance(data, FrequencyResponse)}
+    delays_s = delays_of_rows_s(said, read_at)
+    found = []
+    for component in COMPONENTS:
+        for name, data in testable(said).items():
+            if experiment_of(name) == component:
+                residual = component_residual(
+                    component, identified.model, data, delays_s.get(name, 0.0))
+                found.append(ComponentEvidence(name, residual, lack_of_fit(residual)))
+    return found

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures of an identified model beside the recordings that it was estimated from."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from piezo_common.arrays import BoolArray
+from piezo_common.picture_style import (
+    BLACK,
+    MEASURED,
+    MODELLED,
+    label,
+    new_figure,
+    plain_numbers,
+)
+from piezo_common.report_page import Picture, pictured
+from piezo_identification.recording_check.waveform_kind import BROADBAND
+from piezo_identification.report import signal_pictures as signals
+from piezo_identification.report.component_evidence import ComponentEvidence
+from piezo_identification.report.response_band import (
+    draw_bode,
+    measured_response,
+    shown_frequencies,
+)
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.identified_model import IdentifiedModel
+
+FIT_HEIGHT_IN = 6.4
+"""As high as the two pictures beside it."""
+
+
+def component_pictures(evidence: ComponentEvidence) -> Iterator[Picture]:
+    """Yield the fit of a component beside its recording, and what is left over time and frequency.
+
+    Parameters
+    ----------
+    evidence : ComponentEvidence
+    """
+    name = evidence.name
+    if evidence.is_response:
+        yield pictured(f"Fit of the {name}", _response(evidence), "Measured frequency response at "
+                       "the travel of the model, what was fitted to it, and what is left.",
+                       closer=True)
+        return
+    shown, caption = _fit(evidence)
+    yield pictured(f"Fit of the {name}", shown, caption, tall=True, closer=True)
+    yield pictured(f"What is left of the {name} over time", _over_time(evidence),
+                   "Measured minus fitted displacement of all samples; dotted, twice the noise, "
+                   "between which 95 % of it lie.", closer=True)
+    yield pictured(f"What is left of the {name} over frequency", _over_frequency(evidence),
+                   "Density of what is left, and of the measured displacement; dotted, white noise "
+                   f"as large as that told by {evidence.fit.noise_from}.", closer=True)
+
+
+def _fit(evidence: ComponentEvidence) -> tuple[Figure, str]:
+    """Return the picture of a fit that suits the kind of waveform, and its caption."""
+    residual, view = evidence.residual, evidence.view
+    figure = new_figure(FIT_HEIGHT_IN)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    if evidence.component == "creep" and residual.steps.size:
+        signals.draw_creep(above, below, residual.steps, residual.voltage_v, residual.measured_um,
+                           evidence.fitted_um, residual.sample_period_s)
+        return figure, ("Mean creep after the steps, measured and modelled; below, what is left "
+                        "of it, without its mean.")
+    if evidence.component == "hysteresis" and not view.has_levels and (
+            view.kind not in BROADBAND):
+        signals.draw_loops(above, residual.voltage_v, residual.measured_um, evidence.fitted_um)
+        signals.draw_loop_difference(below, residual.voltage_v, evidence.left_um,
+                                     evidence.noise_um)
+        above.set_xlabel("")
+        return figure, "Loops, measured and modelled; below, what is left, and twice the noise."
+    signals.draw_measured(above, view, residual.measured_um, evidence.fitted_um)
+    signals.draw_difference(below, view, evidence.left_um, evidence.noise_um)
+    above.set_xlabel("")
+    of_mean = ", and twice the noise in a mean of so many periods" if view.is_mean else ""
+    return figure, f"Measured and modelled, {view.title}; below, what is left{of_mean}."
+
+
+def _over_time(evidence: ComponentEvidence) -> Figure:
+    figure = new_figure(3.0)
+    axes = figure.subplots()
+    whole = evidence.view.whole(evidence.residual.time_s.size)
+    signals.draw_difference(axes, whole, evidence.left_um, evidence.noise_um)
+    return figure
+
+
+def _over_frequency(evidence: ComponentEvidence) -> Figure:
+    figure = new_figure(3.6)
+    signals.draw_residual_spectrum(
+        figure.subplots(), evidence.left_um, evidence.residual.measured_um,
+        evidence.residual.sample_period_s, evidence.noise_um)
+    return figure
+
+
+def _response(evidence: ComponentEvidence) -> Figure:
+    residual = evidence.residual
+    assert residual.frequency_hz is not None
+    half = residual.frequency_hz.size // 2
+    measured, fitted, left = (values[:half] + 1j * values[half:] for values in (
+        residual.measured_um, evidence.fitted_um, residual.residual_um))
+    figure = new_figure(4.4)
+    axes = figure.subplots()
+    for values, style in ((measured, MEASURED), (fitted, MODELLED),
+                          (left, {"color": BLACK, "linewidth": 0.8, "label": "left"})):
+        axes.loglog(residual.frequency_hz[:half], np.abs(values), **style)
+    axes.legend(loc="lower left")
+    label(axes, "frequency (Hz)", "magnitude (um)")
+    plain_numbers(axes.xaxis)
+    return figure
+
+
+def bode_picture(identified: IdentifiedModel, evidence: ComponentEvidence | None) -> Picture:
+    """Return gain and phase of the linear part, with its band and what the dynamics' data show."""
+    figure = new_figure(5.0)
+    gain, phase = figure.subplots(2, 1, sharex=True)
+    measured = None if evidence is None else measured_response(
+        identified.model, evidence.residual, evidence.fit)
+    period_s = None if evidence is None or evidence.is_response else (
+        evidence.residual.sample_period_s)
+    measured_hz = None if measured is None else measured[0]
+    frequency_hz = shown_frequencies(identified, period_s, measured_hz)
+    draw_bode(gain, phase, identified, frequency_hz, measured)
+    return pictured(
+        "Frequency response", figure, "From the output of the hysteresis to the displacement. The "
+        "band is that of twice the standard deviations of the parameters, taken for independent; "
+        "it does not hold what the form of the model lacks.", tall=True, closer=True)
+
+
+def density_picture(identified: IdentifiedModel) -> Picture:
+    """Return the density of the hysteresis, with the cells hatched that no recording visited."""
+    figure = new_figure(4.6)
+    axes = figure.subplots()
+    draw_density(axes, identified.model.hysteresis, identified.visited)
+    visited = identified.visited
+    told = ""
+    if visited is not None:
+        told = f" The recordings visited {100.0 * visited_fraction(visited):.0f} % of the plane"
+        told += "." if np.all(visited[np.tril_indices(len(visited))]) else (
+            "; in the hatched rest the density is a continuation.")
+    return pictured("Density", figure, "Density of the relays over the voltages at which they "
+                    f"switch.{told}", tall=True, closer=True)
+
+
+def draw_density(axes: Axes, hysteresis: PreisachModel, visited: BoolArray | None = None) -> None:
+    """Draw the density of a Preisach model over the thresholds, unvisited cells hatched.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    hysteresis : PreisachModel
+    visited : ndarray of bool, shape (L, L), optional
+    """
+    levels_v = hysteresis.levels_v
+    above = np.triu(np.ones(hysteresis.density_um_per_v2.shape, dtype=bool), 1)
+    density = np.ma.array(1e3 * hysteresis.density_um_per_v2, mask=above)
+    image = axes.pcolormesh(levels_v, levels_v, density, cmap="cividis")
+    axes.figure.colorbar(image, ax=axes, label="density (nm/V²)")
+    if visited is not None and np.any(np.tril(~visited)):
+        centres_v = 0.5 * (levels_v[1:] + levels_v[:-1])
+        unvisited = np.where(above | visited, 0.0, 1.0)
+        hatched = axes.contourf(centres_v, centres_v, unvisited, levels=(0.5, 1.5), colors="none",
+                                hatches=["////"])
+        hatched.set_edgecolor("white")
+        hatched.set_linewidth(0.0)
+    axes.plot(levels_v[[0, -1]], levels_v[[0, -1]], color=BLACK, linewidth=0.8)
+    axes.set_aspect("equal")
+    label(axes, "relay switches off at (V)", "relay switches on at (V)")
+    axes.grid(False)
+
+
+def visited_fraction(visited: BoolArray) -> float:
+    """Return the part of the area of the Preisach plane that is visited."""
+    area = np.tril(np.ones(visited.shape)) - 0.5 * np.eye(len(visited))
+    return float(area[visited].sum() / area.sum())

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The page of an identification: parameters, adequacy, and each component beside its recording."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from piezo_common.report_page import Section, render_page
+from piezo_identification.adequacy.component_adequacy import INADEQUATE
+from piezo_identification.identification.given_data import Data
+from piezo_identification.prediction import predict
+from piezo_identification.report.component_evidence import ComponentEvidence, component_evidence
+from piezo_identification.report.identification_pictures import (
+    bode_picture,
+    component_pictures,
+    density_picture,
+)
+from piezo_identification.report.parameter_table import parameter_table
+from piezo_identification.report.simulation_report import prediction_pictures
+from piezo_models.identified_model import IdentifiedModel
+from piezo_recorder.reading.recording import Recording
+
+E_Y = ("e_y is the norm of the difference over the norm of the measured displacement without its "
+       "mean, in percent (4.20): 100 % is a model that says nothing.")
+ERRORS = {"e_y_percent": "whole recording", "hysteresis_e_y_percent": "slow branches (hysteresis)",
+          "dynamics_e_y_percent": "fast branches (dynamics)",
+          "held_out_e_y_percent": "held out while refining"}
+
+
+def identification_page(identified: IdentifiedModel, given: Mapping[str, Data], model: Path,
+                        read_at_samples: float = 0.0) -> str:
+    """Return the page of an identification as HTML.
+
+    Parameters
+    ----------
+    identified : IdentifiedModel
+    given : dict of str to Recording or FrequencyResponse
+        Of `given_data`, the validation among them if there is one.
+    model : Path
+        File of the model.
+    read_at_samples : float
+        As `identify` was told.
+
+    Returns
+    -------
+    str
+    """
+    evidence = component_evidence(identified, given, read_at_samples)
+    validation = [data for name, data in given.items() if name == "validation"]
+    return render_page(identification_sentence(identified), list(_origin(identified, model)), [
+        _parameters(identified),
+        *_adequacy(identified),
+        *_errors(identified, validation),
+        *(Section(f"{each.name.capitalize()}: {each.residual.path}",
+                  pictures=list(component_pictures(each))) for each in evidence),
+        _whole(identified, evidence),
+    ])
+
+
+def identification_sentence(identified: IdentifiedModel) -> str:
+    """Return in one sentence how well the model fits what it was identified from."""
+    lacking = {name: part for name, part in identified.adequacy.items()
+               if part["verdict"] == INADEQUATE}
+    if not identified.adequacy:
+        return "A model of the stage, whose fit was not tested"
+    if not lacking:
+        return "The model fits all its recordings down to their noise"
+    worst = max(lacking.items(), key=lambda item: item[1]["error_percent"])
+    return (f"The model leaves more than the noise of its recordings: "
+            f"{worst[1]['error_percent']:.2g} % of the {worst[0]}"
+            + (" at most" if len(lacking) > 1 else ""))
+
+
+def _origin(identified: IdentifiedModel, model: Path) -> Iterator[str]:
+    yield f"model: `{model}`, identified {identified.created}"
+    for recording in identified.recordings:
+        yield f"recording: `{recording['path']}`, SHA-256 {recording['sha256'][:16]}"
+
+
+def _parameters(identified: IdentifiedModel) -> Section:
+    table = parameter_table(identified)
+    low_um, high_um = identified.model.hysteresis.output_range_um
+    told = ["Voltages: {:g} to {:g} V. Between them the displacement behind the hysteresis changes "
+            "by {:.4g} um.".format(*identified.voltage_range_v, high_um - low_um)]
+    if len(table) == 1:
+        return Section("Parameters", [*told, "No linear dynamics were identified: the model is of "
+                                      "the hysteresis alone."])
+    return Section("Parameters", [
+        *told, "Standard deviations follow from the sensitivities of the fit and what it leaves. "
+        "The interval holds the parameter in 95 of 100 repeats, if what is left is white noise."],
+        table)
+
+
+def _adequacy(identified: IdentifiedModel) -> Iterator[Section]:
+    if not identified.adequacy:
+        return
+    rows: list[tuple[str, ...]] = [
+        ("component", "left (nm)", "noise (nm)", "left over noise", "e_y (%)", "verdict")]
+    rows += [(name, f"{1e3 * part['residual_rms_um']:.3g}", f"{1e3 * part['noise_rms_um']:.3g}",
+              f"{part['ratio']:.3g}", f"{part['error_percent']:.2g}", part["verdict"])
+             for name, part in identified.adequacy.items()]
+    told = [f"{name} is inadequate: {part['left']}. To do: {part['advice']}."
+            for name, part in identified.adequacy.items() if part["verdict"] == INADEQUATE]
+    yield Section("Does each component fit its recording?", [
+        "On the data that were fitted. What is left is the RMS of measured minus fitted "
+        "displacement, of the mean period where the voltage repeats itself; the noise is that in "
+        "the same samples. A component is adequate if noise alone would leave as much, or if what "
+        "it leaves is below 0.002 % of the travel. " + E_Y, *told], rows)
+
+
+def _errors(identified: IdentifiedModel, validation: list[Data]) -> Iterator[Section]:
+    rows = list(_error_rows(identified.errors))
+    recording = next((data for data in validation if isinstance(data, Recording)), None)
+    if not rows and recording is None:
+        return
+    pictures = []
+    told = [E_Y]
+    if recording is not None:
+        told.insert(0, f"Validation: `{recording.path}`, which no parameter was fitted to.")
+        if not recording.gaps:
+            pictures = list(prediction_pictures(predict(identified.model, recording)))
+    yield Section("Errors on data that was not fitted", told,
+                  [("error on unseen data", "e_y (%)"), *rows] if rows else (), pictures)
+
+
+def _error_rows(errors: Mapping[str, Any], of: str = "") -> Iterator[tuple[str, str]]:
+    for name, value in errors.items():
+        if isinstance(value, dict):
+            yield from _error_rows(value, ERRORS.get(name, name.replace("_", " ")))
+        elif name.endswith("_percent") or of:
+            what = ERRORS.get(name, name.replace("_", " "))
+            yield f"{of}: {what}" if of else what, f"{value:.3g}"
+
+
+def _whole(identified: IdentifiedModel, evidence: list[ComponentEvidence]) -> Section:
+    fast = next((each for each in evidence if each.component == "dynamics"), None)
+    model = identified.model
+    pictures = [density_picture(identified)]
+    if not model.dynamics.is_static or model.creep.poles_rad_per_s:
+        pictures.insert(0, bode_picture(identified, fast))
+    return Section("The model", pictures=pictures)

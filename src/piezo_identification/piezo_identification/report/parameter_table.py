@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The table of a model's parameters: value, standard deviation, interval, and Hz beside rad/s."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from piezo_models.effects import known_effects
+from piezo_models.identified_model import IdentifiedModel
+
+HEADS = ("parameter", "value", "standard deviation", "95 % interval", "in Hz")
+QUANTILE = 1.96
+"""Standard deviations to both sides that hold 95 % of a normal distribution."""
+
+UNITS = {"_rad_per_s": "rad/s", "_s": "s"}
+NAMES = {
+    ("creep", "poles_rad_per_s"): "creep pole", ("creep", "zeros_rad_per_s"): "creep zero",
+    ("dynamics", "time_constant_s"): "electric time constant",
+    ("dynamics", "mode_frequencies_rad_per_s"): "mode frequency",
+    ("dynamics", "damping_ratios"): "damping ratio of mode",
+    ("dynamics", "antiresonance_frequencies_rad_per_s"): "antiresonance frequency",
+    ("dynamics", "antiresonance_damping_ratios"): "damping ratio of antiresonance",
+}
+
+
+def parameter_table(identified: IdentifiedModel) -> list[tuple[str, ...]]:
+    """Return the parameters of creep, dynamics and effects with what is known of them.
+
+    Parameters
+    ----------
+    identified : IdentifiedModel
+
+    Returns
+    -------
+    list of tuple of str
+        `HEADS`, then a row for each number; the heads alone for a model of hysteresis only.
+    """
+    rows: list[tuple[str, ...]] = [HEADS]
+    for (part, field), name in NAMES.items():
+        values = getattr(getattr(identified.model, part), field)
+        if field == "time_constant_s" and not values:
+            continue
+        deviations = identified.uncertainties.get(part, {}).get(field)
+        unit = next((text for end, text in UNITS.items() if field.endswith(end)), "1")
+        rows += number_rows(name, values, deviations, unit)
+    of_effects = identified.uncertainties.get("effects", [])
+    for index, effect in enumerate(identified.model.effects):
+        deviations = of_effects[index] if index < len(of_effects) else {}
+        for field, value in effect.parameters().items():
+            rows += number_rows(f"{effect.name}, {field}", value, deviations.get(field),
+                          type(effect).units()[field])
+    return rows
+
+
+def effect_rows(effects: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return the parameters of the effects of a verdict, and what each reduces the error by.
+
+    Parameters
+    ----------
+    effects : sequence of dict
+        With `name`, `parameters`, `error_reduction_percent` and perhaps `standard_deviations`.
+
+    Returns
+    -------
+    list of tuple of str
+        Heads, then a row for each number.
+    """
+    rows: list[tuple[str, ...]] = [("effect", *HEADS, "error reduction (%)")]
+    kinds = known_effects()
+    for entry in effects:
+        units = kinds[entry["name"]].units() if entry["name"] in kinds else {}
+        name, reduction = entry["name"], f"{entry['error_reduction_percent']:.1f}"
+        for field, value in entry["parameters"].items():
+            deviation = entry.get("standard_deviations", {}).get(field)
+            for row in number_rows(field, value, deviation, units.get(field, "1")):
+                rows.append((name, *row, reduction))
+                name = reduction = ""
+    return rows
+
+
+def number_rows(name: str, values: Any, deviations: Any,
+                unit: str) -> Iterator[tuple[str, ...]]:
+    """Yield a row of `HEADS` for each number of a parameter.
+
+    Parameters
+    ----------
+    name : str
+    values, deviations : float or sequence of float
+        The deviations may be None where they are not known.
+    unit : str
+        "1" for none.
+    """
+    listed = np.atleast_1d(np.asarray(values, dtype=float))
+    known = (np.full(listed.shape, np.nan) if deviations is None
+             else np.atleast_1d(np.asarray(deviations, dtype=float)))
+    for number, (value, deviation) in enumerate(zip(listed, known, strict=True), 1):
+        which = f" {number}" if listed.size > 1 else ""
+        text, spread = rounded(value, deviation)
+        low, high = (rounded(value + sign * QUANTILE * deviation, deviation)[0]
+                     for sign in (-1.0, 1.0))
+        hertz = "-"
+        if unit == "rad/s":
+            turn = 2.0 * np.pi
+            hertz = " ± ".join(filter(None, rounded(value / turn, deviation / turn)))
+        yield (f"{name}{which}" + ("" if unit == "1" else f" ({unit})"), text, spread or "-",
+               f"{low} to {high}" if spread else "not known", hertz)
+
+
+def rounded(value: float, deviation: float) -> tuple[str, str]:
+    """Return a value and its standard deviation, both to two digits of the deviation.
+
+    Parameters
+    ----------
+    value, deviation : float
+        The deviation may be 0, infinite or not a number where it is not known.
+
+    Returns
+    -------
+    value, deviation : str
+        The second is empty where it is not known.
+    """
+    if not np.isfinite(deviation) or deviation <= 0.0:
+        return f"{value:.4g}", ""
+    decimals = 1 - int(np.floor(np.log10(deviation)))
+    if decimals <= 0:
+        return f"{value:.0f}", f"{deviation:.0f}"
+    if decimals <= 7:
+        return f"{value:.{decimals}f}", f"{deviation:.{decimals}f}"
+    digits = max(1, decimals + int(np.floor(np.log10(abs(value) or 1.0))))
+    return f"{value:.{digits}e}", f"{deviation:.1e}"

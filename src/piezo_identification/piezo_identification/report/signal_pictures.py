@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Draw measured and modelled signals, each kind of waveform so that one can see something.
+
+Each function draws on axes that it is given, so that reports and others share them.
+"""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+from scipy.signal import csd, welch
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.picture_style import (
+    BLUE,
+    DIFFERENCE,
+    GREY,
+    LIMIT,
+    MEASURED,
+    MODELLED,
+    MOST_POINTS,
+    ORANGE,
+    VERMILION,
+    label,
+    outline,
+    plain_numbers,
+)
+from piezo_identification.report.waveform_view import WaveformView, mean_hold
+
+NANOMETRES = 1e3
+BAND = 2.0
+"""Standard deviations to both sides, between which 95 % of normal errors lie."""
+
+LINES = 2048
+"""Samples of which a spectrum is estimated, unless there are few of them."""
+
+SPECTRUM_CELLS = 1000
+"""Points of a spectrum that is drawn over the logarithm of frequency."""
+
+EXCITED = 1e-4
+"""Part of the largest power of an input below which its lines tell no gain."""
+
+CREEP_START_S = 0.03
+
+ALONE: dict[str, Any] = {"color": BLUE, "linewidth": 1.0, "label": "measured"}
+"""Of a measurement that no model stands beside."""
+
+ENVELOPE: dict[str, Any] = {"color": VERMILION, "linewidth": 0.5}
+
+
+def draw_measured(axes: Axes, view: WaveformView, measured: FloatArray,
+                  modelled: FloatArray | None = None, y: str = "displacement (um)") -> None:
+    """Draw the mean period of a signal, or all of it as its envelope, beside that of a model.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    view : WaveformView
+    measured, modelled : ndarray, shape (N,)
+        Of the recording.
+    y : str
+        Label.
+    """
+    axes.plot(*outline(view.time, view.mean(measured)),
+              **(ALONE if modelled is None else MEASURED))
+    if modelled is not None:
+        axes.plot(*outline(view.time, view.mean(modelled)), **MODELLED)
+        axes.legend(loc="best")
+    label(axes, view.time_label, y, view.title)
+
+
+def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
+                    noise_um: float | None = None, deviation_um: FloatArray | None = None) -> None:
+    """Draw what a model leaves, beside twice the noise and twice its stated deviation.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    view : WaveformView
+    difference_um : ndarray, shape (N,)
+    noise_um : float, optional
+        Standard deviation of a single sample; in a mean period there is less of it.
+    deviation_um : ndarray, shape (N,), optional
+        Standard deviation of the modelled displacement; not drawn where it is none.
+    """
+    if deviation_um is not None and deviation_um.any():
+        band_nm = NANOMETRES * BAND * view.mean(deviation_um)
+        x, high = outline(view.time, band_nm)
+        axes.fill_between(x, -high, high, color=BLUE, alpha=0.2, linewidth=0.0,
+                          label="outside the identification")
+        axes.legend(loc="upper right")
+    left_nm = NANOMETRES * view.mean(difference_um)
+    # Points where each is seen; the envelope where they would make a solid block.
+    style: dict[str, Any] = DIFFERENCE if left_nm.size <= MOST_POINTS else ENVELOPE
+    axes.plot(*outline(view.time, left_nm), **style)
+    if noise_um is not None and np.isfinite(noise_um):
+        draw_noise(axes, noise_um / np.sqrt(view.periods))
+    label(axes, view.time_label, "left (nm)")
+
+
+def draw_noise(axes: Axes, noise_um: float) -> None:
+    """Draw lines at twice the noise, between which 95 % of it lie."""
+    for sign in -1.0, 1.0:
+        axes.axhline(sign * BAND * NANOMETRES * noise_um, **LIMIT)
+
+
+def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
+               modelled: FloatArray | None = None, y: str = "displacement (um)") -> None:
+    """Draw signals over the voltage, so thinned that loops stay loops.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    voltage_v, measured, modelled : ndarray, shape (N,)
+    y : str
+        Label.
+    """
+    every = slice(None, None, max(1, voltage_v.size // MOST_POINTS))
+    axes.plot(voltage_v[every], measured[every], **(ALONE if modelled is None else MEASURED))
+    if modelled is not None:
+        axes.plot(voltage_v[every], modelled[every], **MODELLED)
+        axes.legend(loc="upper left")
+    label(axes, "voltage (V)", y)
+
+
+def draw_loop_difference(axes: Axes, voltage_v: FloatArray, difference_um: FloatArray,
+                         noise_um: float | None = None) -> None:
+    """Draw what a model leaves over the voltage.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    voltage_v, difference_um : ndarray, shape (N,)
+    noise_um : float, optional
+        Standard deviation of a sample.
+    """
+    every = slice(None, None, max(1, voltage_v.size // MOST_POINTS))
+    axes.plot(voltage_v[every], NANOMETRES * difference_um[every], **DIFFERENCE)
+    if noise_um is not None and np.isfinite(noise_um):
+        draw_noise(axes, noise_um)
+    label(axes, "voltage (V)", "left (nm)")
+
+
+def draw_creep(above: Axes, below: Axes, steps: NDArray[np.intp], voltage_v: FloatArray,
+               measured_um: FloatArray, modelled_um: FloatArray, sample_period_s: float) -> None:
+    """Draw the mean creep after the steps of a voltage over the logarithm of time.
+
+    Parameters
+    ----------
+    above, below : matplotlib.axes.Axes
+        For the creep, and for what the model leaves of it.
+    steps : ndarray of int
+        One or more.
+    voltage_v, measured_um, modelled_um : ndarray, shape (N,)
+    sample_period_s : float
+    """
+    since_s, (measured, modelled), count = mean_hold(
+        steps, voltage_v, (measured_um, modelled_um), sample_period_s)
+    start = int(np.searchsorted(since_s, max(CREEP_START_S, since_s[1])))
+    shown = np.unique(np.geomspace(start, since_s.size - 1, MOST_POINTS).astype(int))
+    for values, style in ((measured, MEASURED), (modelled, MODELLED)):
+        above.semilogx(since_s[shown], values[shown] - modelled[start], **style)
+    above.legend(loc="upper left")
+    label(above, y="creep (um)", title=f"mean of {count} steps, falling ones turned round"
+          if count > 1 else "after one step")
+    left_um = (measured - modelled)[shown]
+    below.semilogx(since_s[shown], NANOMETRES * (left_um - left_um.mean()), **DIFFERENCE)
+    label(below, "time since the step (s)", "left (nm)")
+    plain_numbers(below.xaxis)
+
+
+def draw_step_response(axes: Axes, response: FloatArray, sample_period_s: float) -> None:
+    """Draw the mean response to steps, of `suitability.jump_response`."""
+    axes.plot(1e3 * sample_period_s * np.arange(response.size), response, color=BLUE, marker=".",
+              markersize=3, linewidth=1.0)
+    axes.axhline(1.0, color=GREY, linewidth=0.8)
+    label(axes, "time since the step (ms)", "part of the step (1)", "mean response to the steps")
+
+
+def gain_of(input: FloatArray, output: FloatArray,
+            sample_period_s: float) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    """Estimate the response from one signal to another where the first excites.
+
+    Parameters
+    ----------
+    input, output : ndarray, shape (N,)
+    sample_period_s : float
+
+    Returns
+    -------
+    frequency_hz : ndarray, shape (M,)
+    response : ndarray of complex, shape (M,)
+    coherence : ndarray, shape (M,)
+        Part of the output's power that goes with the input.
+    """
+    options = {"fs": 1.0 / sample_period_s, "nperseg": min(LINES, max(16, input.size // 4)),
+               "detrend": "linear"}
+    frequency_hz, crossed = csd(input, output, **options)
+    of_input, of_output = (welch(signal, **options)[1] for signal in (input, output))
+    excited = of_input > EXCITED * of_input.max()
+    excited[0] = False
+    crossed, of_input, of_output = crossed[excited], of_input[excited], of_output[excited]
+    coherence = np.abs(crossed) ** 2 / np.maximum(of_input * of_output, np.finfo(float).tiny)
+    return frequency_hz[excited], crossed / of_input, coherence
+
+
+def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample_period_s: float,
+              modelled_um: FloatArray | None = None) -> None:
+    """Draw the gain from voltage to displacement where the voltage excites.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    voltage_v, measured_um : ndarray, shape (N,)
+    sample_period_s : float
+    modelled_um : ndarray, shape (N,), optional
+        Of a model under the same voltage.
+    """
+    of_measured = ALONE if modelled_um is None else MEASURED
+    for values, style in ((measured_um, of_measured), (modelled_um, MODELLED)):
+        if values is not None:
+            frequency_hz, response, _ = gain_of(voltage_v, values, sample_period_s)
+            axes.loglog(frequency_hz, np.abs(response), **style)
+    if modelled_um is not None:
+        axes.legend(loc="lower left")
+    label(axes, "frequency (Hz)", "gain (um/V)", "gain where the voltage excites")
+    for axis in (axes.xaxis, axes.yaxis):
+        plain_numbers(axis)
+
+
+def draw_coherence(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray,
+                   sample_period_s: float) -> None:
+    """Draw which part of the displacement's power goes with the voltage, at each frequency.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    voltage_v, measured_um : ndarray, shape (N,)
+    sample_period_s : float
+    """
+    frequency_hz, _, coherence = gain_of(voltage_v, measured_um, sample_period_s)
+    axes.semilogx(frequency_hz, coherence, color=BLUE, linewidth=1.0)
+    axes.set_ylim(0.0, 1.05)
+    label(axes, "frequency (Hz)", "coherence (1)", "part that goes with the voltage")
+    plain_numbers(axes.xaxis)
+
+
+def smoothed(frequency_hz: FloatArray, power: FloatArray,
+             cells: int = SPECTRUM_CELLS) -> tuple[FloatArray, FloatArray]:
+    """Return the mean of a dense spectrum in cells of even width over the logarithm.
+
+    Parameters
+    ----------
+    frequency_hz, power : ndarray, shape (F,)
+        Without zero frequency.
+    cells : int
+
+    Returns
+    -------
+    frequency_hz, power : ndarray, shape (M,)
+        As given where there are no more lines than cells.
+    """
+    if frequency_hz.size <= cells:
+        return frequency_hz, power
+    span = np.log(frequency_hz[-1] / frequency_hz[0])
+    cell = np.floor((cells - 1) * np.log(frequency_hz / frequency_hz[0]) / span).astype(int)
+    counts = np.bincount(cell)
+    used = counts > 0
+    means = (np.bincount(cell, values)[used] / counts[used] for values in (frequency_hz, power))
+    centres, powers = means
+    return centres, powers
+
+
+def draw_residual_spectrum(axes: Axes, residual_um: FloatArray, measured_um: FloatArray,
+                           sample_period_s: float, noise_um: float | None) -> None:
+    """Draw the density of what is left over frequency, of the displacement, and of white noise.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    residual_um, measured_um : ndarray, shape (N,)
+    sample_period_s : float
+    noise_um : float or None
+        Standard deviation of a single sample.
+    """
+    segment = min(residual_um.size, max(256, residual_um.size // 8), 8192)
+    for values, style in ((measured_um, MEASURED | {"linewidth": 1.2}),
+                          (residual_um, {"color": BLUE, "linewidth": 0.9, "label": "left"})):
+        frequency_hz, power = welch(values, 1.0 / sample_period_s, nperseg=segment,
+                                    detrend="linear")
+        frequency_hz, power = smoothed(frequency_hz[1:-1], power[1:-1])
+        axes.loglog(frequency_hz, NANOMETRES * np.sqrt(power), **style)
+    if noise_um is not None and noise_um > 0.0:
+        floor = NANOMETRES * noise_um * np.sqrt(2.0 * sample_period_s)
+        axes.axhline(floor, label="noise, if white", **LIMIT)
+        axes.set_ylim(bottom=0.1 * floor)
+    axes.legend(loc="upper right")
+    label(axes, "frequency (Hz)", "density (nm per root Hz)")
+    plain_numbers(axes.xaxis)
+
+
+def draw_voltage(axes: Axes, view: WaveformView, voltage_v: FloatArray) -> None:
+    """Draw the voltage that is played."""
+    axes.plot(*outline(view.time, view.mean(voltage_v)), color=ORANGE, linewidth=1.0)
+    label(axes, view.time_label, "voltage (V)")

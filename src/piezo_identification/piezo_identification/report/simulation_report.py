@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The page of a simulation: what a model says beside what a recording measured."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from piezo_common.arrays import FloatArray
+from piezo_common.picture_style import WIDE_IN, new_figure
+from piezo_common.report_page import Picture, Section, pictured, render_page
+from piezo_identification.conditioning.waveforms import slow_branches
+from piezo_identification.diagnosis.residual.sensor_noise import repeated_period, sensor_noise_um
+from piezo_identification.prediction.prediction import Prediction
+from piezo_identification.recording_check.waveform_kind import BROADBAND
+from piezo_identification.report import signal_pictures as signals
+from piezo_identification.report.waveform_view import WaveformView, view_of
+
+
+def simulation_page(prediction: Prediction, origin: Sequence[str], told: Sequence[str],
+                    deviation_um: FloatArray | None = None) -> str:
+    """Return the page of a simulation as HTML.
+
+    Parameters
+    ----------
+    prediction : Prediction
+    origin : sequence of str
+        Files of model and recording.
+    told : sequence of str
+        What the command told: of the start, of outliers, of what the model was not identified on.
+    deviation_um : ndarray, shape (N,), optional
+        Standard deviation of the simulated displacement.
+
+    Returns
+    -------
+    str
+    """
+    noise_um = noise_of(prediction)
+    left_um = left_of(prediction)[prediction.good]
+    left_um = left_um - left_um.mean()
+    rows = [
+        ("error", "value"),
+        ("e_y (%)", f"{prediction.e_y_percent():.3g}"),
+        ("RMS of what is left (nm)", f"{1e3 * np.sqrt(np.mean(left_um**2)):.3g}"),
+        ("largest (nm)", f"{1e3 * np.abs(left_um).max():.3g}"),
+        ("noise of the sensor (nm)", f"{1e3 * noise_um:.3g}"),
+        ("travel (um)", f"{np.ptp(prediction.measured_um[prediction.good]):.4g}"),
+    ]
+    return render_page(
+        f"The model is off by {prediction.e_y_percent():.2g} % on this recording", origin, [
+            Section("Errors", [
+                "e_y is the norm of the difference over the norm of the measured displacement "
+                "without its mean (4.20). Offset, initial creep and, as far as the recording does "
+                "not tell it, the past of the hysteresis are fitted. The noise is the least that "
+                "rests, repeats and the highest frequencies tell.", *told], rows),
+            Section("Measured and simulated", pictures=list(
+                prediction_pictures(prediction, deviation_um)))])
+
+
+def noise_of(prediction: Prediction) -> float:
+    """Return the standard deviation of the sensor's noise in a prediction."""
+    return sensor_noise_um(
+        prediction.measured_um, prediction.voltage_v,
+        left_of(prediction), _sample_period_s(prediction), repeated_period(prediction.voltage_v))
+
+
+def left_of(prediction: Prediction) -> FloatArray:
+    """Return measured minus simulated displacement, 0 at outliers, shape (N,)."""
+    return np.where(prediction.good, prediction.measured_um - prediction.simulated_um, 0.0)
+
+
+def displacement_figure(prediction: Prediction, deviation_um: FloatArray | None = None,
+                        noise_um: float | None = None) -> Figure:
+    """Draw measured and simulated displacement, and what is left, by the kind of waveform.
+
+    Parameters
+    ----------
+    prediction : Prediction
+    deviation_um : ndarray, shape (N,), optional
+        Standard deviation of the simulated displacement, drawn twice to both sides if it is not 0.
+    noise_um : float, optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    view = view_of(prediction.voltage_v, _sample_period_s(prediction))
+    figure = new_figure(5.0, WIDE_IN)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    signals.draw_measured(above, view, prediction.measured_um, prediction.simulated_um)
+    signals.draw_difference(below, view, left_of(prediction), noise_um, deviation_um)
+    above.set_title(f"{view.title}, e_y = {prediction.e_y_percent():.3g} %", fontsize="medium")
+    above.set_xlabel("")
+    return figure
+
+
+def loops_figure(prediction: Prediction) -> Figure:
+    """Draw measured and simulated displacement over the voltage, of the mean period if there is.
+
+    Parameters
+    ----------
+    prediction : Prediction
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    view = view_of(prediction.voltage_v, _sample_period_s(prediction))
+    figure = new_figure(5.0, WIDE_IN)
+    axes = figure.subplots()
+    voltage_v, measured_um, simulated_um = (view.mean(values) for values in (
+        prediction.voltage_v, prediction.measured_um, prediction.simulated_um))
+    signals.draw_loops(axes, voltage_v, measured_um, simulated_um)
+    axes.set_title(view.title, fontsize="medium")
+    return figure
+
+
+def prediction_pictures(prediction: Prediction,
+                        deviation_um: FloatArray | None = None) -> Iterator[Picture]:
+    """Yield the pictures that suit the kind of waveform.
+
+    Over time, a mean period where the voltage repeats itself; loops where there are any, the gain
+    where the voltage excites many frequencies; what is left over all of the time and frequency.
+
+    Parameters
+    ----------
+    prediction : Prediction
+    deviation_um : ndarray, shape (N,), optional
+    """
+    view = view_of(prediction.voltage_v, _sample_period_s(prediction))
+    noise_um, left_um = noise_of(prediction), left_of(prediction)
+    yield pictured("Displacement", displacement_figure(prediction, deviation_um, noise_um),
+                   f"Measured and simulated displacement, {view.title}; below, what is left; "
+                   "dotted, twice the noise.", wide=True, closer=True)
+    yield from _beside(prediction, view, left_um, noise_um)
+    if view.is_mean:
+        figure = new_figure(3.4)
+        signals.draw_difference(figure.subplots(), view.whole(left_um.size), left_um, noise_um,
+                                deviation_um)
+        yield pictured("What is left over time", figure, "Measured minus simulated displacement "
+                       "of all samples; dotted, twice the noise, between which 95 % of it lie.",
+                       closer=True)
+    figure = new_figure(3.4)
+    signals.draw_residual_spectrum(figure.subplots(), left_um, prediction.measured_um,
+                                   view.sample_period_s, noise_um)
+    yield pictured("What is left over frequency", figure, "Density of what is left, and of the "
+                   "measured displacement; dotted, white noise as large as the sensor's.",
+                   closer=True)
+
+
+def _beside(prediction: Prediction, view: WaveformView, left_um: FloatArray,
+            noise_um: float) -> Iterator[Picture]:
+    """Yield what shows a waveform that is no square wave: its slow loops, and its gain."""
+    if view.has_levels:
+        return
+    slow = slow_branches(prediction.time_s, prediction.voltage_v)
+    if view.is_mean and view.kind not in BROADBAND:
+        yield _loops([view.mean(values) for values in _signals(prediction, left_um)],
+                     noise_um / np.sqrt(view.periods), view.title)
+    elif slow.any():
+        title = "its slow branches" if not slow.all() else view.title
+        yield _loops([values[slow] for values in _signals(prediction, left_um)], noise_um, title)
+    if view.kind in BROADBAND:
+        figure = new_figure(4.0)
+        signals.draw_gain(figure.subplots(), prediction.voltage_v, prediction.measured_um,
+                          view.sample_period_s, prediction.simulated_um)
+        yield pictured("Gain", figure, "Gain from voltage to displacement, of the measurement and "
+                       "of the model under the same voltage.", closer=True)
+
+
+def _signals(prediction: Prediction, left_um: FloatArray) -> tuple[FloatArray, ...]:
+    return prediction.voltage_v, prediction.measured_um, prediction.simulated_um, left_um
+
+
+def _loops(drawn: Sequence[FloatArray], noise_um: float, title: str) -> Picture:
+    voltage_v, measured_um, simulated_um, left_um = drawn
+    figure = new_figure(4.8)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    signals.draw_loops(above, voltage_v, measured_um, simulated_um)
+    signals.draw_loop_difference(below, voltage_v, left_um, noise_um)
+    above.set_xlabel("")
+    return pictured("Loops", figure, f"Displacement over voltage, measured and simulated: {title}; "
+                    "below, what is left; dotted, twice the noise.", closer=True)
+
+
+def _sample_period_s(prediction: Prediction) -> float:
+    return float(np.median(np.diff(prediction.time_s[:1000])))
