@@ -40,7 +40,7 @@ def test_every_parameter_has_a_description_a_range_and_a_unit(suite, node):
 
 @pytest.mark.parametrize(("node", "arguments", "line"), [
     ("stage", ["-p", "sample_rate_hz:=5.0"],
-     "parameter sample_rate_hz is out of range: give a value from 1000 to 200000"),
+     "parameter sample_rate_hz is out of range: give a value from 10 to 200000"),
     ("stage", ["-p", "sample_rate_hz:=40000"],
      "parameter sample_rate_hz is no float: give a value such as 40000.0"),
     ("stage", ["-p", "timing:=slow"],
