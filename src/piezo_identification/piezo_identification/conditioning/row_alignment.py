@@ -9,6 +9,7 @@ not the stage's: it is taken out of the recording, and does not enter the model.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from piezo_common.arrays import FloatArray
@@ -17,6 +18,9 @@ from piezo_recorder.reading.recording import Recording
 
 LATEST_READING = 1.5
 """Sample periods after its voltage at which a row may have been read."""
+
+JUMP = 0.1
+"""Part of the range by which the voltage jumps from one sample to the next."""
 
 WHOLE = 1e-9
 """An instant within this part of a sample period counts as that of the sample."""
@@ -106,9 +110,29 @@ def _at(signal: FloatArray, instants: FloatArray) -> FloatArray:
     return aligned
 
 
+def away_from_jumps(voltage_v: FloatArray) -> NDArray[np.bool_]:
+    """Mark the samples that lie beside no jump of the voltage.
+
+    What a stage does within one sample period of a jump looks the same for any delay in it.
+
+    Parameters
+    ----------
+    voltage_v : ndarray, shape (N,)
+
+    Returns
+    -------
+    ndarray of bool, shape (N,)
+    """
+    jumps = np.flatnonzero(np.abs(np.diff(voltage_v)) > JUMP * np.ptp(voltage_v))
+    kept = np.ones(voltage_v.size, dtype=bool)
+    for offset in range(-1, 4):
+        kept[np.clip(jumps + offset, 0, voltage_v.size - 1)] = False
+    return kept
+
+
 def remaining_delay(
     measured_um: FloatArray, simulated_um: FloatArray, sample_period_s: float,
-    nuisance: FloatArray,
+    nuisance: FloatArray, kept: NDArray[np.bool_] | None = None,
 ) -> tuple[float, float]:
     """Estimate by how much a measured signal is later than a simulated one.
 
@@ -121,6 +145,8 @@ def remaining_delay(
     sample_period_s : float
     nuisance : ndarray, shape (N, K)
         What else the difference may hold, such as an offset.
+    kept : ndarray of bool, shape (N,), optional
+        Samples that tell; all by default.
 
     Returns
     -------
@@ -129,6 +155,8 @@ def remaining_delay(
     """
     velocity = -np.gradient(simulated_um, sample_period_s)
     both = np.column_stack([velocity, measured_um - simulated_um])
+    if kept is not None:
+        both, nuisance = both[kept], nuisance[kept]
     both = both - nuisance @ np.linalg.lstsq(nuisance, both, rcond=1e-12)[0]
     velocity, difference = both.T
     energy = velocity @ velocity

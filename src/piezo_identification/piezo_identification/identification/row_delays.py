@@ -5,7 +5,12 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from piezo_identification.conditioning.row_alignment import RowDelay, read_as, remaining_delay
+from piezo_identification.conditioning.row_alignment import (
+    RowDelay,
+    away_from_jumps,
+    read_as,
+    remaining_delay,
+)
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.estimate import SIGNIFICANT
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -95,10 +100,10 @@ def row_delays(
             rows[name] = RowDelay(read_at, left_s, delay.standard_deviation_s)
             continue
         run = ModelRun(model, recording)
-        good = run.good
+        kept = run.good & away_from_jumps(run.part.voltage_v[run.settled])
         rows[name] = RowDelay(read_at, *remaining_delay(
-            run.measured_um[good], run.simulated_um(())[good], run.part.sample_period_s,
-            np.ones((np.count_nonzero(good), 1))))
+            run.measured_um, run.simulated_um(()), run.part.sample_period_s,
+            np.ones((run.measured_um.size, 1)), kept))
     return rows
 
 

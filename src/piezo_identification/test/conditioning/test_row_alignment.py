@@ -4,7 +4,11 @@
 import numpy as np
 import pytest
 
-from piezo_identification.conditioning.row_alignment import remaining_delay, rows_read_at_start
+from piezo_identification.conditioning.row_alignment import (
+    away_from_jumps,
+    remaining_delay,
+    rows_read_at_start,
+)
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
@@ -60,3 +64,13 @@ def test_a_delay_is_told_with_its_standard_deviation(delay_s):
 def test_what_does_not_move_tells_no_delay():
     still_um = np.zeros(100)
     assert remaining_delay(still_um + 1.0, still_um, PERIOD_S, np.ones((100, 1))) == (0.0, np.inf)
+
+
+def test_steps_between_which_nothing_moves_tell_no_delay():
+    voltage_v = np.repeat([0.0, 50.0, 0.0, 50.0], 200)
+    moved_um = np.concatenate([[0.0], 0.2 * voltage_v[:-1]])
+    noise_um = 1e-3 * np.random.default_rng(2).normal(size=voltage_v.size)
+    delay_s, deviation_s = remaining_delay(
+        moved_um + noise_um, 0.2 * voltage_v, PERIOD_S, np.ones((voltage_v.size, 1)),
+        away_from_jumps(voltage_v))
+    assert abs(delay_s) <= 3.0 * deviation_s

@@ -216,7 +216,7 @@ def test_the_command_writes_verdict_model_and_report(plant, record, csv_of, tmp_
     assert verdict["after"]["rms_um"] < 0.3 * verdict["before"]["rms_um"]
     assert load_model(output / "extended_model.json").model.effects[0].name == "vibration_mode"
     page = (output / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 5
+    assert page.count("<figcaption") == 6
     assert "http" not in page.replace("http-equiv", "")
 
 

@@ -103,9 +103,9 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     least_um = accuracies_um(problem)
     ranges_um = np.array([np.ptp(part.measured_um) for part in problem.dataset.simulated])
     count = len(new)
-    # What the best leaves even of what it explains best is what any model of its kind is wrong by.
+    # What the best leaves of the recordings of the identification: so wrong is it known to be.
     beyond = np.maximum(0.0, np.array(best.mean_square_um2) - noise_um**2) / ranges_um**2
-    wrong_um = np.sqrt(np.min(beyond[count:])) * ranges_um[:count]
+    wrong_um = np.sqrt(np.mean(beyond[count:])) * ranges_um[:count]
     return Competition(
         probabilities([each.evidence for each in alternatives],
                       independent_samples(alternatives), least_um,
