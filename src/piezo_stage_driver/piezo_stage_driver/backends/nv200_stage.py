@@ -16,9 +16,13 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from pydantic import model_validator
 
-from piezo_common.schema import Document, Number, SchemaError, entry, load_document, violation
+from piezo_common.schema import Document, Number, entry, violation
 from piezo_stage_driver.backends.registry import BackendSettings
-from piezo_stage_driver.backends.stored_waveforms import StoredWaveformStage, whole_divider
+from piezo_stage_driver.backends.stored_waveforms import (
+    StoredWaveformStage,
+    settings_of,
+    whole_divider,
+)
 
 CLOCK_HZ = 20000.0
 GENERATOR_SAMPLES = 1024
@@ -209,11 +213,6 @@ def create(settings: BackendSettings) -> StoredWaveformStage:
     ValueError
         If the file is missing or wrong, or the library is.
     """
-    if not settings.file:
-        raise ValueError("the backend nv200 needs its settings: set the parameter backend_file")
-    try:
-        told = load_document(Nv200Settings, settings.file)
-    except SchemaError as error:
-        raise ValueError(f"{settings.file}: {error}") from None
+    told = settings_of("nv200", Nv200Settings, settings)
     return StoredWaveformStage(
         Nv200(told), settings, told.longest_program_samples, told.transfer_s)

@@ -15,9 +15,13 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from pydantic import model_validator
 
-from piezo_common.schema import Document, Number, SchemaError, entry, load_document, violation
+from piezo_common.schema import Document, Number, entry, violation
 from piezo_stage_driver.backends.registry import BackendSettings
-from piezo_stage_driver.backends.stored_waveforms import StoredWaveformStage, whole_divider
+from piezo_stage_driver.backends.stored_waveforms import (
+    StoredWaveformStage,
+    settings_of,
+    whole_divider,
+)
 
 INTERFACES = ("tcpip", "usb")
 # Parameters and codes of GCS 2.0.
@@ -221,11 +225,6 @@ def create(settings: BackendSettings) -> StoredWaveformStage:
     ValueError
         If the file is missing or wrong, or the library is.
     """
-    if not settings.file:
-        raise ValueError("the backend pi_gcs needs its settings: set the parameter backend_file")
-    try:
-        told = load_document(PiSettings, settings.file)
-    except SchemaError as error:
-        raise ValueError(f"{settings.file}: {error}") from None
+    told = settings_of("pi_gcs", PiSettings, settings)
     return StoredWaveformStage(
         PiController(told), settings, told.longest_program_samples, told.transfer_s)

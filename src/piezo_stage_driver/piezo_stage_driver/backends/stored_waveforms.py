@@ -10,10 +10,11 @@ is decided meanwhile can act, and commands that need it are refused: see `longes
 
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
+from piezo_common.schema import Document, SchemaError, load_document
 from piezo_stage_driver.backends.backend import BackendFault
 from piezo_stage_driver.backends.registry import BackendSettings
 
@@ -24,6 +25,9 @@ FASTEST_TICK_S = 1e-3
 """What the subscribers of samples take of a paced stage without losing any."""
 # Of the swing; the instrument rounds, and its own record of the voltage may lag by a sample.
 VOLTAGE_TOLERANCE = 0.05
+
+
+Settings = TypeVar("Settings", bound=Document)
 
 
 class WaveformInstrument(Protocol):
@@ -238,6 +242,31 @@ class StoredWaveformStage:
             self._instrument.hold(float(voltage_v))
             time.sleep(REST_STEP_S)
         self._instrument.hold(rest_v)
+
+
+def settings_of(backend: str, kind: type[Settings], settings: BackendSettings) -> Settings:
+    """Read the settings' file of a backend.
+
+    Parameters
+    ----------
+    backend : str
+        Its name.
+    kind : type
+        Of the document.
+    settings : BackendSettings
+
+    Raises
+    ------
+    ValueError
+        If the file is missing or wrong.
+    """
+    if not settings.file:
+        raise ValueError(
+            f"the backend {backend} needs its settings: set the parameter backend_file")
+    try:
+        return load_document(kind, settings.file)
+    except SchemaError as error:
+        raise ValueError(f"{settings.file}: {error}") from None
 
 
 def whole_divider(base_rate_hz: float, sample_rate_hz: float, owner: str) -> int:
