@@ -77,6 +77,7 @@ def test_standard_deviations_of_the_creep_are_those_of_repeated_draws(record):
     assert np.sqrt(np.mean(np.square(normalised), axis=0)) == pytest.approx(1.0, abs=0.5)
 
 
+@pytest.mark.long
 def test_standard_deviations_of_the_dynamics_are_those_of_repeated_draws(record):
     normalised = []
     for seed in range(30):

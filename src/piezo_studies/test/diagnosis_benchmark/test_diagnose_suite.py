@@ -116,15 +116,15 @@ def scheduler(tmp_path):
             process.wait(timeout=20)
 
 
-@pytest.mark.parametrize("count", [1, pytest.param(COUNT, marks=pytest.mark.long)])
-def test_the_table_is_the_same_in_this_process_and_on_a_cluster(scheduler, count):
+@pytest.mark.long
+def test_the_table_is_the_same_in_this_process_and_on_a_cluster(scheduler):
     with Client(processes=False, n_workers=1, threads_per_worker=1,
                 dashboard_address=None) as client:
-        here = command.run_suite(client, count, SEED)
+        here = command.run_suite(client, COUNT, SEED)
     with Client(scheduler) as client:
-        there = command.run_suite(client, count, SEED)
+        there = command.run_suite(client, COUNT, SEED)
     assert there == here
-    assert [entry["number"] for entry in here["results"]] == list(range(count))
+    assert [entry["number"] for entry in here["results"]] == list(range(COUNT))
 
 
 def test_a_case_that_is_refused_does_not_end_the_suite(monkeypatch):
