@@ -44,12 +44,16 @@ class AlternativeSettings:
         Of the fits without more effects and of the best alternative, each with new derivatives.
     most_effects : int
         Of an alternative that were there all along.
+    many_samples : int
+        Of all recordings, beyond which one effect alone is fitted all along beside those that
+        explain the new recordings: every fit costs as much as the recordings are long.
     """
 
     fitted: int = 4
     second: float = 1.3
     turns: int = 3
     most_effects: int = 2
+    many_samples: int = 500_000
 
 
 SETTINGS = AlternativeSettings()
@@ -136,9 +140,12 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         # Nothing is left anywhere that another effect could explain.
         return _possible(problem, alternatives)
     best, asked = alternatives[0], {name for names in named for name in names}
-    for turn in range(SETTINGS.most_effects):
+    samples = sum(part.measured_um.size for part in problem.dataset.simulated)
+    is_long = samples > SETTINGS.many_samples
+    for turn in range(1 if is_long else SETTINGS.most_effects):
         regression = problem.start if turn == 0 else best.fit.regression
         guesses = _promising(problem, regression, best.fit.effects, asked)
+        guesses = guesses[: len(asked) + (1 if is_long else SETTINGS.fitted)]
         for number, guess in enumerate(guesses):
             progress(f"all recordings together: {guess.name}",
                      (turn + 0.2 + 0.8 * number / len(guesses)) / SETTINGS.most_effects)
@@ -214,9 +221,9 @@ def _alternative(names: Sequence[str], fit: JointFit, since: bool = False) -> Al
 
 def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effect],
                asked: set[str]) -> list[Effect]:
-    """Return the best guess of each of the few effects that would explain most beside the model.
+    """Return the best guess of each effect, the most promising beside the model first.
 
-    Effects that were named for the new recordings are always among them.
+    Effects that were named for the new recordings come before all others.
     """
     evidence = recording_evidence(regression, own)
     # Those diagnosed, and that of the identification which the model fits least.
@@ -239,7 +246,7 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
             best = int(np.argmin(costs))
             tried.append((costs[best], guesses[best]))
     tried.sort(key=lambda entry: (entry[1].name not in asked, entry[0]))
-    return [guess for _, guess in tried[: SETTINGS.fitted + len(asked)]]
+    return [guess for _, guess in tried]
 
 
 def _cost(left: FloatArray) -> float:
