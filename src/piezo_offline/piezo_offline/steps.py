@@ -20,6 +20,11 @@ from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.diagnosis.diagnose import Diagnosis
 from piezo_identification.diagnosis.diagnose import diagnose as diagnose_recordings
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+    find_identification_recordings,
+)
+from piezo_identification.diagnosis.report.results import stated_uncertainty_um
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
@@ -137,7 +142,8 @@ def simulate(model: AnyModel, data: Any, *, columns: Sequence[str] = (),
     return prediction
 
 
-def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, columns: Sequence[str] = (),
+def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from: Any = None,
+             columns: Sequence[str] = (),
              progress: Callable[[str, float], None] | None = None) -> Verdict:
     """Find what a model lacks to explain recordings.
 
@@ -148,8 +154,11 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, columns: Sequen
         Or one frequency response.
     holdout : the same, one, optional
         On which the errors before and after are measured; a part of `data` by default.
+    identified_from : the same, one or a list of several, optional
+        What the model was identified from: an effect that was in the stage already then is found
+        in them. By default, the files that the model names, where they are still there.
     columns : sequence of str
-        See `piezo_offline.read`.
+        See `piezo_offline.read`; of all of them.
     progress : callable, optional
         Called with what is done, and which part of the whole (0 to 1).
 
@@ -168,8 +177,10 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, columns: Sequen
     if response is not None:
         return diagnose_response(stage_model, response)
     held_out = None if holdout is None else read(holdout, columns, "held-out data")
+    judged = [*(data if isinstance(data, list | tuple) else [data]), holdout]
+    known, stated_um = _known_of(model, identified_from, judged, columns)
     return diagnose_recordings(
-        stage_model, recordings_of(data, columns, "data"), held_out, progress)
+        stage_model, recordings_of(data, columns, "data"), held_out, progress, known, stated_um)
 
 
 def plot_residuals(verdict: Diagnosis, recording: int = 0) -> "Figure":
@@ -260,6 +271,24 @@ def _identified(model: AnyModel) -> tuple[StageModel, str]:
     if isinstance(model, IdentifiedModel):
         return model.model, ""
     return load_model(model).model, sha256(Path(model).read_bytes()).hexdigest()
+
+
+def _known_of(
+    model: AnyModel, identified_from: Any, others: Sequence[Any], columns: Sequence[str],
+) -> tuple[IdentificationRecordings, float]:
+    """Return what a model was identified from, and by how much (um) it is known to be wrong."""
+    known = None
+    if identified_from is not None:
+        given = recordings_of(identified_from, columns, "identified_from")
+        known = IdentificationRecordings(tuple(given), ())
+    if isinstance(model, StageModel):
+        return known or IdentificationRecordings(), 0.0
+    identified, path = (model, ".") if isinstance(model, IdentifiedModel) else (
+        load_model(model), str(model))
+    known = known or find_identification_recordings(
+        identified, path, lambda name: recordings_of(name, columns, str(name)),
+        others=[each for each in others if isinstance(each, str | PathLike)])
+    return known, stated_uncertainty_um(identified)
 
 
 def _read_at(rows_read: str) -> float:

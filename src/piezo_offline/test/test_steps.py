@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
-from piezo_offline import DataWarning, design, diagnose, identify, read, simulate
+from piezo_offline import DataWarning, design, diagnose, identify, read, simulate, steps
 from piezo_recorder.reading.recording import Recording
 
 TIME_S = 0.01 * np.arange(600)
@@ -62,3 +62,24 @@ def test_what_cannot_be_used_is_refused_in_one_line(call, objection, measured_um
     with pytest.raises(ValueError, match=objection) as refused:
         call(arrays(measured_um))
     assert "\n" not in str(refused.value)
+
+
+def test_diagnosis_asks_what_the_model_was_identified_from(measured_um, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(steps, "diagnose_recordings", lambda *given: asked.append(given))
+    data, path = arrays(measured_um), tmp_path / "loops.csv"
+    np.savetxt(path, np.column_stack(list(data.values())), delimiter=",",
+               header=",".join(data), comments="")
+    model = identify(hysteresis=path, grid=8)
+    diagnose(model, data)
+    diagnose(model, path)
+    diagnose(model, data, identified_from=[data, data])
+    diagnose(model.model, data)
+    assert [len(given[4].recordings) for given in asked] == [1, 0, 2, 0]
+
+
+@pytest.mark.parametrize("grid", [12, 16, 30])
+def test_exact_data_give_the_line_that_they_are(measured_um, grid):
+    model = identify(hysteresis=arrays(measured_um), grid=grid).model
+    np.testing.assert_allclose(
+        model.simulate(VOLTAGE_V, 0.01), measured_um, atol=1e-6 * np.ptp(measured_um))
