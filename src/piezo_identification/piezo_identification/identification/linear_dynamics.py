@@ -130,7 +130,7 @@ class LinearDynamics:
             self.with_dynamics(estimate), creep=creep, dynamics=model.dynamics,
             delay_s=model.delay_s if is_late else 0.0,
             effect_deviations=({"delay_s": deviations["delay_s"]},) if is_late else (),
-            uncertainties={"dynamics": deviations["dynamics"]} | spread,
+            uncertainties=self.uncertainties | spread | {"dynamics": deviations["dynamics"]},
         )
 
     def _creep_beside(
