@@ -37,7 +37,7 @@ MARKED: dict[str, Any] = {"color": VERMILION, "linewidth": 2.0}
 GAIN_STYLES: tuple[dict[str, Any], ...] = (
     {"color": ORANGE, "linestyle": "--"}, {"color": BLUE, "linestyle": "-"},
     {"color": VERMILION, "linestyle": "-."})
-"""Of the loop at the lowest gain of the hysteresis, the nominal one, and the highest."""
+"""These curves are of the loop at the lowest, the nominal and the highest hysteresis gain."""
 
 
 def bode_figure(plant: control.StateSpace, controller: control.StateSpace,

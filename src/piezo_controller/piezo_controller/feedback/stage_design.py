@@ -18,7 +18,7 @@ from piezo_controller.feedback.synthesis.ziegler_nichols import ultimate_point_b
 from piezo_models.cascade import StageModel
 
 CLOCK_PERIOD_S = 25e-6
-"""Of the stage's sample clock."""
+"""This is the period of the stage's sample clock."""
 
 
 @dataclass(frozen=True)

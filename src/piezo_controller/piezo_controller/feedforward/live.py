@@ -25,7 +25,7 @@ HOLD_BELOW_SAMPLES = 400
 
 HELD_AT_ONCE_SAMPLES = 40
 RANGE_MARGIN = 0.02
-"""Of the travel: kept at both ends for the dynamics and for creep."""
+"""This part of the travel is kept at both ends for the dynamics and for creep."""
 
 
 class LivePlan:

@@ -18,7 +18,7 @@ LONGEST_GAP_S = 0.1
 """Values left out for longer are not bridged."""
 
 LONGEST_WAIT_S = 2.0
-"""Of what waits to be followed; what is older is forgotten."""
+"""What has waited longer than this to be followed is forgotten."""
 
 
 class LiveReference:

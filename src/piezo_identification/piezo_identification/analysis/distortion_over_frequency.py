@@ -20,7 +20,7 @@ from piezo_common.picture_style import (
 from piezo_identification.analysis.nonlinear_distortion import NonlinearDistortion
 
 MOST_BANDS = 6
-"""Of a table: they fit beside each other on a phone."""
+"""So many bands of a table fit beside each other on a phone."""
 
 FEWEST_LEFT_OUT = 3
 """Odd lines left out that a band has at least, so that it has a mean of odd distortion."""

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of measured and simulated displacement."""
-
-from pathlib import Path
+"""Picture of measured and simulated displacement."""
 
 from matplotlib.figure import Figure
 
@@ -17,16 +15,8 @@ from piezo_common.picture_style import (
 )
 from piezo_identification.prediction.prediction import Prediction
 
-DOTS_PER_INCH = 120
-
 BAND = 2.0
 """Standard deviations to both sides, between which 95 % of normal errors lie."""
-
-
-def draw_displacement(path: str | Path, prediction: Prediction,
-                      deviation_um: FloatArray | None = None) -> None:
-    """Write a picture of the displacement over time; see `displacement_figure`."""
-    displacement_figure(prediction, deviation_um).savefig(path, dpi=DOTS_PER_INCH)
 
 
 def displacement_figure(prediction: Prediction,
@@ -58,21 +48,3 @@ def displacement_figure(prediction: Prediction,
     below.plot(prediction.time_s, error_nm, **DIFFERENCE)
     label(below, "time (s)", "difference (nm)")
     return figure
-
-
-def draw_loops(path: str | Path, prediction: Prediction) -> None:
-    """Draw measured and simulated displacement over voltage.
-
-    Parameters
-    ----------
-    path : path-like
-        Picture to write.
-    prediction : Prediction
-    """
-    figure = new_figure(5.0, WIDE_IN)
-    axes = figure.subplots()
-    axes.plot(prediction.voltage_v, prediction.measured_um, **MEASURED)
-    axes.plot(prediction.voltage_v, prediction.simulated_um, **MODELLED)
-    axes.legend(loc="upper left")
-    label(axes, "voltage (V)", "displacement (um)")
-    figure.savefig(path, dpi=DOTS_PER_INCH)

@@ -15,8 +15,8 @@ from piezo_common.picture_style import (
     label,
     new_figure,
 )
-from piezo_identification.prediction.prediction_pictures import DOTS_PER_INCH
 
+DOTS_PER_INCH = 120
 POINTS = MEASURED | {"linestyle": "none", "marker": "o", "markersize": 4}
 
 

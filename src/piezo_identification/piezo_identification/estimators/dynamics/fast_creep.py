@@ -7,6 +7,7 @@ in no creep recording, and a fit of lag and modes alone would bend these until t
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from scipy.optimize import nnls
@@ -79,12 +80,11 @@ def fit_beside_fast_creep(
     Estimate
         Its `creep` is what was found beside the known one.
     """
-    record = record_without(creep)
-    found = fast_creep(record_without, creep)
+    made = cache(record_without)
+    found = fast_creep(made, creep)
     if found is None:
-        return fit_output_error(record, mode_count, delay)
-    beside = fit_output_error(
-        record_without(joined_creep(creep, found.model)), mode_count, delay)
+        return fit_output_error(made(creep), mode_count, delay)
+    beside = fit_output_error(made(joined_creep(creep, found.model)), mode_count, delay)
     return replace(beside, creep=found.model, creep_deviations=found.deviations)
 
 
