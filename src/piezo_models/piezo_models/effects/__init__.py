@@ -15,6 +15,7 @@ from piezo_models.effects.effect import (
     fitted_values,
     with_fitted_values,
 )
+from piezo_models.effects.hysteretic_spring import HystereticSpring
 from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
@@ -38,6 +39,7 @@ EFFECTS = (
     VoltageClipping,
     RateDependentHysteresis,
     Stiffening,
+    HystereticSpring,
     Backlash,
     Outliers,
 )

@@ -24,6 +24,7 @@ from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import PLACES, parameter
+from piezo_models.effects.hysteretic_spring import HystereticSpring
 from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
@@ -54,6 +55,7 @@ EXAMPLES = (
     VoltageClipping(-5.0, 90.0, 1.0),
     RateDependentHysteresis(0.05, 100.0, 0.3, 1e-3),
     Stiffening(0.1, 0.2, 0.3, 10.0, 20.0, 5000.0, 0.1),
+    HystereticSpring(-0.2, 0.01, 0.2, 2.0, -0.5, 1.0, 10.0, 10.0, 5000.0, 0.1),
     Backlash(0.1),
     Outliers(0.01, 0.5, 0.06),
 )

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The equation of motion of a mode whose spring has hysteresis, by Runge and Kutta's rule."""
+
+import numpy as np
+from numba import njit
+
+from piezo_common.arrays import FloatArray
+
+PHASE_STEP = 0.3
+"""Radians by which the mode turns in a step of the solution, at most, where it is stiffest."""
+
+STIFFEST = 20.0
+SOFTEST = 0.05
+"""Between these parts of the linear stiffness the whole spring stays: every load then has one
+displacement, and no step of the solution grows."""
+
+FARTHEST = 4.0
+"""Force of the hysteresis, in half ranges, beyond which its slope no longer changes."""
+
+NEW_STATE = 7
+"""Numbers of the state: what the force removes, its speed, the force, three loads, and whether
+there has been a sample."""
+
+
+@njit(cache=True)
+def slope_of_force(force: float, direction: float, half_range: float, linear: float,
+                   stiffness: float, beta: float, gamma: float, exponent: float) -> float:
+    """Return the slope of the hysteretic force over the displacement.
+
+    Parameters
+    ----------
+    force : float
+        Over the stiffness of the linear spring, as displacement in um.
+    direction : float
+        Its sign is that of the motion.
+    half_range : float
+    linear, stiffness, beta, gamma, exponent : float
+        Of `piezo_models.effects.hysteretic_spring.HystereticSpring`.
+
+    Returns
+    -------
+    float
+    """
+    size = min(abs(force) / half_range, FARTHEST)
+    part = size if exponent == 1.0 else size**exponent
+    turned = beta if direction * force > 0.0 else -beta
+    slope = stiffness - (turned + gamma) * part
+    return min(max(slope, SOFTEST - 1.0 - linear), STIFFEST - 1.0 - linear)
+
+
+@njit(cache=True)
+def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float,
+          parts: FloatArray, damping_ratio: float, step_rad: float, substeps: int) -> FloatArray:
+    """Simulate the mode under its hysteretic spring, and change the state to that at the end.
+
+    Parameters
+    ----------
+    loads : (N,) array
+        Displacement in um without the force.
+    state : (NEW_STATE,) array
+        Zeros at first, but for the three loads, which are the level at rest.
+    centre, half_range : float
+        Of the range in um.
+    parts : (6,) array
+        linear, viscous, stiffness, beta, gamma, exponent.
+    damping_ratio : float
+    step_rad : float
+        Radians by which the mode turns in a step.
+    substeps : int
+        Steps in a sample period.
+
+    Returns
+    -------
+    (N,) array
+        Displacement in um.
+    """
+    linear, viscous = parts[0], parts[1]
+    stiffness, beta, gamma, exponent = parts[2], parts[3], parts[4], parts[5]
+    taken, speed, force = state[0], state[1], state[2]
+    earliest, earlier, last = state[3], state[4], state[5]
+    swung = np.empty(loads.size)
+    # Slopes of the three numbers at the four places of the rule.
+    k = np.empty((4, 3))
+    for n in range(loads.size):
+        load = loads[n]
+        # The cubic through the last four samples, by differences at the newest.
+        first = load - last
+        second = first - last + earlier
+        third = second - last + 2.0 * earlier - earliest
+        for substep in range(substeps):
+            for place in range(4):
+                part = 0.0 if place == 0 else 1.0 if place == 3 else 0.5
+                x = (substep + part) / substeps - 1.0
+                cubic = second + (x + 2.0) / 3.0 * third
+                at = load + x * (first + 0.5 * (x + 1.0) * cubic)
+                # Per radian: a sample has step_rad * substeps of them.
+                rate = (first + (x + 0.5) * cubic + x * (x + 1.0) / 6.0 * third) / (
+                    step_rad * substeps)
+                ahead = part * step_rad
+                u, v, z = taken, speed, force
+                if place > 0:
+                    u += ahead * k[place - 1, 0]
+                    v += ahead * k[place - 1, 1]
+                    z += ahead * k[place - 1, 2]
+                velocity = rate - v
+                whole = linear * (at - u - centre) + viscous * velocity + z
+                k[place, 0] = v
+                k[place, 1] = whole - u - 2.0 * damping_ratio * v
+                k[place, 2] = velocity * slope_of_force(
+                    z, velocity, half_range, linear, stiffness, beta, gamma, exponent)
+            taken += step_rad / 6.0 * (k[0, 0] + 2.0 * (k[1, 0] + k[2, 0]) + k[3, 0])
+            speed += step_rad / 6.0 * (k[0, 1] + 2.0 * (k[1, 1] + k[2, 1]) + k[3, 1])
+            force += step_rad / 6.0 * (k[0, 2] + 2.0 * (k[1, 2] + k[2, 2]) + k[3, 2])
+        swung[n] = load - taken
+        earliest, earlier, last = earlier, last, load
+    state[:6] = taken, speed, force, earliest, earlier, last
+    return swung
+
+
+@njit(cache=True)
+def force_under(displacements: FloatArray, half_range: float, stiffness: float, beta: float,
+                gamma: float, exponent: float) -> FloatArray:
+    """Return the hysteretic force under a known displacement, from none at the first sample.
+
+    Parameters
+    ----------
+    displacements : (N,) array
+    half_range, stiffness, beta, gamma, exponent : float
+        As for `slope_of_force`.
+
+    Returns
+    -------
+    (N,) array
+    """
+    forces = np.zeros(displacements.size)
+    force = 0.0
+    for n in range(1, displacements.size):
+        move = displacements[n] - displacements[n - 1]
+        middle = force + 0.5 * move * slope_of_force(
+            force, move, half_range, 0.0, stiffness, beta, gamma, exponent)
+        force += move * slope_of_force(
+            middle, move, half_range, 0.0, stiffness, beta, gamma, exponent)
+        forces[n] = force
+    return forces
+
+
+def substeps_of(phase: float, parts: FloatArray) -> int:
+    """Return the steps of a sample in which the mode alone turns by a phase in radians."""
+    linear, _, stiffness, beta, gamma, _ = parts
+    stiffest = min(max(1.0 + linear + stiffness + max(0.0, beta - gamma, -beta - gamma), 1.0),
+                   STIFFEST)
+    return max(1, int(np.ceil(phase * np.sqrt(stiffest) / PHASE_STEP)))

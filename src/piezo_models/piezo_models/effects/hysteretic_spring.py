@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hysteresis inside the mechanics: a spring whose force depends on the way that was gone."""
+
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_models.effects.bouc_wen_equation import NEW_STATE, force_under, substeps_of, swing
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.filtering import filtered
+from piezo_models.effects.stiffening import UNRESOLVED
+
+SCANNED_BETAS = (0.3, 1.0, 3.0)
+SCANNED_GAMMAS = (-1.0, -0.5, 0.0, 1.0)
+"""Times beta."""
+
+PERIODS_TO_REPEAT = 10
+"""After so many periods the hysteresis has forgotten how it began."""
+
+LEAST_SHARE = 0.05
+"""Part of what a linear change of the mode leaves that the hysteresis must remove to be fitted:
+each fit solves the equation of motion dozens of times."""
+
+
+@dataclass(frozen=True)
+class HystereticSpring(Effect):
+    """A spring with the hysteresis of Bouc and Wen, beside the linear spring of a mode.
+
+    With the displacement x of the linear spring and the spring's mode G of frequency w, the
+    displacement y is the solution of y = x - G f, f = linear y + viscous y'/w + z. The force z,
+    over the stiffness of the linear spring, follows Bouc and Wen with half the range h and the
+    exponent n:
+    z' = stiffness y' - (beta |y'| |z/h|^(n-1) z/h + gamma y' |z/h|^n).
+    """
+
+    name: ClassVar[str] = "hysteretic_spring"
+    place: ClassVar[str] = "displacement"
+    experiment: ClassVar[str] = "a multisine around the mode, at a small and at a large amplitude"
+    distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
+
+    linear: float = parameter("1", "linear", -0.9, 10.0)
+    viscous: float = parameter("1", "linear", -1.0, 10.0)
+    stiffness: float = parameter("1", "linear", 0.0, 10.0)
+    beta: float = parameter("1", "linear", 0.0, 100.0)
+    gamma: float = parameter("1", "linear", -100.0, 100.0)
+    exponent: float = parameter("1", "logarithm", 0.5, 4.0)
+    centre_um: float = parameter("um", "fixed")
+    half_range_um: float = parameter("um", "fixed", 1e-12, 1e9)
+    frequency_rad_per_s: float = parameter("rad/s", "fixed", 1e-9, 1e9)
+    damping_ratio: float = parameter("1", "fixed", 0.0, 10.0)
+
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the solution of the equation of motion for the signal as its load."""
+        return self._continued(signal, sample_period_s, self._at_rest(
+            float(signal[0]) if rest is None else rest))[0]
+
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the solution; the past is its state."""
+        return self._continued(signal, sample_period_s, self._at_rest(float(signal[0]))
+                               if past is None else past.copy())
+
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Add what the force of the wanted motion removes, once the hysteresis repeats."""
+        away_um = wanted - self.centre_um
+        force = force_under(
+            np.tile(away_um, PERIODS_TO_REPEAT), self.half_range_um, self.stiffness, self.beta,
+            self.gamma, self.exponent)[-wanted.size :]
+        s = 2j * np.pi * np.fft.rfftfreq(wanted.size, sample_period_s)
+        w = self.frequency_rad_per_s
+        whole = (self.linear + self.viscous * s / w) * np.fft.rfft(away_um) + np.fft.rfft(force)
+        mode = w * w / (s * s + 2.0 * self.damping_ratio * w * s + w * w)
+        removed: FloatArray = np.fft.irfft(mode * whole, wanted.size)
+        return wanted + removed
+
+    def _at_rest(self, level: float) -> FloatArray:
+        state = np.zeros(NEW_STATE)
+        state[0] = (level - self.centre_um) * self.linear / (1.0 + self.linear)
+        state[3:6] = level
+        return state
+
+    def _continued(self, signal: FloatArray, sample_period_s: float,
+                   state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        phase = self.frequency_rad_per_s * sample_period_s
+        if phase >= UNRESOLVED:
+            return signal.copy(), state
+        parts = np.array([self.linear, self.viscous, self.stiffness, self.beta, self.gamma,
+                          self.exponent])
+        substeps = substeps_of(phase, parts)
+        behind = swing(np.ascontiguousarray(signal, dtype=float), state, self.centre_um,
+                       self.half_range_um, parts, self.damping_ratio, phase / substeps, substeps)
+        return behind, state
+
+    def impossible(self, extent: Extent) -> str | None:
+        """Refuse a mode that swings up by itself."""
+        if 2.0 * self.damping_ratio + self.viscous < 0.0:
+            return "the mode would gain energy in small vibrations"
+        return None
+
+    @classmethod
+    def lacks_excitation(cls, evidence: Evidence) -> str | None:
+        """Ask for samples that resolve a mode, and for motion."""
+        if not _resolved(evidence):
+            return "the samples do not resolve the motion of a mode"
+        return None
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the best shapes of a scan under the measured displacement.
+
+        There all parts of the force but the shape are linear in what they remove.
+        """
+        if evidence.travel_um == 0.0:
+            return []
+        measured_um = evidence.displacement_um + evidence.residual_um
+        low, high = float(measured_um.min()), float(measured_um.max())
+        found: list[tuple[float, Self]] = []
+        for frequency, damping in _resolved(evidence):
+            shape = cls(0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.5 * (low + high), 0.5 * (high - low),
+                        frequency, damping)
+            found += shape._scanned(evidence, measured_um)
+        found.sort(key=lambda entry: -entry[0])
+        return [start for _, start in found[:3]]
+
+    def _scanned(self, evidence: Evidence, measured_um: FloatArray) -> list[tuple[float, Self]]:
+        """Return the shapes whose force would remove more than a change of the mode, and how much.
+
+        With the exponent 1, a stiffness s makes s times the force of a stiffness 1.
+        """
+        period_s, w = evidence.sample_period_s, self.frequency_rad_per_s
+        mode = [1.0, 2.0 * self.damping_ratio * w, w * w]
+        away_um = measured_um - self.centre_um
+        changed = np.column_stack([
+            filtered([w * w], mode, away_um, period_s),
+            filtered([w, 0.0], mode, away_um, period_s),
+        ])
+        _, linear_share = evidence.reduction(-changed)
+        found = []
+        for beta, part in product(SCANNED_BETAS, SCANNED_GAMMAS):
+            gamma = part * beta
+            force = force_under(away_um, self.half_range_um, 1.0, beta, gamma, 1.0)
+            removed = filtered([w * w], mode, force, period_s)
+            gains, share = evidence.reduction(-np.column_stack([changed, removed]))
+            linear, viscous, stiffness = gains.tolist()
+            if stiffness <= 0.0 or share - linear_share < LEAST_SHARE * (1.0 - linear_share):
+                continue
+            start = replace(self, linear=float(np.clip(linear, -0.9, 10.0)),
+                            viscous=float(np.clip(viscous, -1.0, 10.0)),
+                            stiffness=min(stiffness, 10.0), beta=beta, gamma=gamma)
+            found.append((share, start))
+        return found
+
+
+def _resolved(evidence: Evidence) -> list[tuple[float, float]]:
+    """Return frequency in rad/s and damping of the modes whose motion the samples resolve."""
+    dynamics = evidence.dynamics
+    modes = zip(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True)
+    return [mode for mode in modes if mode[0] * evidence.sample_period_s <= 1.0]
