@@ -4,7 +4,8 @@
 The stage, the controller that uploads the law, and this client are processes of their own. The
 stage counts how late each of its ticks begins and which of them missed their deadline. This client
 looks that no sample and no tick of the feedback is missing. With ``--busy N`` so many processes
-compute all the while.
+compute all the while. Beside it stands a bare timer that wakes once a tick at the same priority,
+for at most a minute: nothing that has to wake can be more punctual on this machine.
 """
 
 import argparse
@@ -14,6 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from bare_timer import PRIORITY, bare_timer
 from diagnostic_msgs.msg import DiagnosticArray
 from loop_speed import REFERENCE, stand_in_for_recorder
 from piezo_interfaces.msg import AppliedFeedback, SampleBlock
@@ -25,6 +27,7 @@ from piezo_ros.quality import FEEDBACK, PACED_SAMPLES
 
 SAMPLES_PER_TICK = 40
 DIAGNOSTICS_S = 3.0
+BARE_TIMER_S = 60.0
 SPIN = "while True: pass"
 
 
@@ -45,11 +48,13 @@ class OnboardRun:
         Counted by the stage.
     described : dict of str to str
         Of the stage's diagnostics: how late its ticks began.
+    bare_timer : dict
+        Of a timer that does nothing, see `bare_timer`.
     """
 
     def __init__(self, client):
         self.ticks = self.fed_back_ticks = self.lost_samples = self.missed_feedback = 0
-        self.described = {}
+        self.described, self.bare_timer = {}, {}
         self._client, self._next_sample = client, None
         client.node.create_subscription(SampleBlock, "samples", self._take, PACED_SAMPLES)
         client.node.create_subscription(
@@ -75,6 +80,16 @@ class OnboardRun:
                 for name, count in self.described.items() if name.startswith("ticks_")}
 
     @property
+    def missed_percent(self):
+        """Of the ticks, those that missed their deadline."""
+        return 100.0 * self.missed_deadlines / self.counted_ticks
+
+    @property
+    def bare_percent(self):
+        """Of the wakes of a bare timer, those later than a tick."""
+        return 100.0 * self.bare_timer["late"] / self.bare_timer["wakes"]
+
+    @property
     def missed_deadlines(self):
         """Ticks that began too late for the samples that were due."""
         return int(self.described["missed_deadlines"])
@@ -93,9 +108,7 @@ class OnboardRun:
     def _diagnose(self, message):
         for status in message.status:
             if status.name.endswith("/stage: stage"):
-                self.described = {value.key: value.value for value in status.values
-                                  if "tick" in value.key or value.key in (
-                                      "missed_deadlines", "real_time")}
+                self.described = {value.key: value.value for value in status.values}
 
 
 @contextlib.contextmanager
@@ -110,17 +123,20 @@ def busy(count):
             process.wait()
 
 
-def onboard_run(directory, duration_s, busy_processes=0, parameters=None):
+def onboard_run(directory, duration_s, busy_processes=0, priority=PRIORITY):
     """Track on the simulated stage in paced mode; return the `OnboardRun`."""
     directory.mkdir(parents=True, exist_ok=True)
     write_model(directory / "model.json")
     with Processes(directory, data_root=directory) as processes, \
             Client("", "recorder") as client, busy(busy_processes):
         stand_in_for_recorder(client.node)
-        processes.start("stage", {"autostart": True, "timing": "paced", **(parameters or {})})
+        processes.start("stage", {"autostart": True, "timing": "paced",
+                                  "real_time_priority": priority})
         processes.start("controller", {"feedback": "onboard"})
         run = OnboardRun(client)
         run.run(directory, duration_s)
+        processes.stop()
+        run.bare_timer = bare_timer(min(duration_s, BARE_TIMER_S), priority)
         return run
 
 
@@ -129,19 +145,22 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("seconds", type=float, nargs="?", default=600.0)
     parser.add_argument("--busy", type=int, default=0, help="processes that compute meanwhile")
-    parser.add_argument("--real-time-priority", type=int, help="of the stage; 0 asks for none")
+    parser.add_argument("--priority", type=int, default=PRIORITY,
+                        help="of the stage; 0 asks for none")
     options = parser.parse_args()
-    priority = options.real_time_priority
     with tempfile.TemporaryDirectory() as directory:
-        run = onboard_run(Path(directory), options.seconds, options.busy,
-                          {} if priority is None else {"real_time_priority": priority})
+        run = onboard_run(Path(directory), options.seconds, options.busy, options.priority)
     print(f"{run.ticks} ticks in {options.seconds:g} s beside {options.busy} busy processes; "
           f"samples lost {run.lost_samples}, feedback missed {run.missed_feedback}, "
           f"ticks without feedback {run.ticks - run.fed_back_ticks}")
-    print(f"deadlines missed {run.missed_deadlines}, "
-          f"{100.0 * run.missed_deadlines / int(run.described['ticks']):.4f} %")
-    for name, value in run.described.items():
-        print(f"{name:26}{value:>12}")
+    print(f"deadlines missed {run.missed_deadlines} of {run.counted_ticks}, "
+          f"{run.missed_percent:.4f} %, at most by "
+          f"{run.described['longest_wait_of_a_tick_ms']} ms")
+    print(f"a bare timer woke late in {run.bare_percent:.4f} %, at most by "
+          f"{run.bare_timer['latest_ms']:.3f} ms")
+    print(f"priority and memory: {run.described['real_time']}")
+    for name, count in run.histogram.items():
+        print(f"ticks begun {name:18}{count:>12}")
 
 
 if __name__ == "__main__":
