@@ -70,7 +70,7 @@ def _track(directory, duration_s, executables, modules):
     with BenchmarkProcesses(directory, data_root=directory) as processes, \
             Client("", "client" if "recorder" in executables else "recorder") as client:
         if "recorder" not in executables:
-            _stand_in_for_recorder(client.node)
+            stand_in_for_recorder(client.node)
         progress = _watch_progress(client.node)
         for name, parameters in executables.items():
             processes.start(name, parameters)
@@ -80,7 +80,7 @@ def _track(directory, duration_s, executables, modules):
     return progress
 
 
-def _stand_in_for_recorder(node):
+def stand_in_for_recorder(node):
     """Agree to every recording and record nothing: the controller asks for one."""
     def agree(request, response):
         response.success = True

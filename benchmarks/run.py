@@ -20,6 +20,7 @@ from diagnosis_speed import diagnosis_times_s
 from hysteresis_speed import look_up_error_percent, samples_per_s
 from loop_speed import LOCKSTEP, closed_loop, ping_pong_round_trips, tick_round_trips
 from paced import paced_run
+from paced_onboard import onboard_run
 from stream_length import TARGETS as STREAM_TARGETS
 from stream_length import measure as measure_streams
 from table import Measurements, show, write
@@ -29,6 +30,8 @@ LEVELS = (50, 200, 500)
 HYSTERESIS_SAMPLES_PER_S = 5e7
 SIMULATED_S = 20.0
 PACED_S = 5.0
+ONBOARD_PACED_S = 20.0
+BUSY_PROCESSES = 2
 ROUND_TRIPS = 5000
 MICROSECONDS = 1e6
 
@@ -104,6 +107,19 @@ def paced(rows):
             rows[f"paced, 1 kHz: {title} ms", "of 1000"].append(1000 * int(count) / run.ticks)
 
 
+def paced_onboard(rows):
+    """Add how many ticks of the loop on board are late, idle and busy, beside a bare timer's."""
+    for load, processes in (("idle", 0), (f"{BUSY_PROCESSES} busy processes", BUSY_PROCESSES)):
+        run = onboard_run(OUTPUT / "paced_onboard", ONBOARD_PACED_S, processes)
+        name = f"paced, 1 kHz, loop on board, {load}"
+        rows[f"{name}: feedback missed", "ticks"].append(
+            run.missed_feedback + run.ticks - run.fed_back_ticks)
+        rows[f"{name}: deadlines missed", "%"].append(run.missed_percent)
+        rows[f"{name}: bare timer late by a tick", "%"].append(run.bare_percent)
+        for bound, count in run.histogram.items():
+            rows[f"{name}: begun {bound}", "%"].append(100.0 * count / run.counted_ticks)
+
+
 def diagnosis(rows):
     """Add how long a million samples are diagnosed, and how often that of a simulation it is."""
     simulation_s, diagnosis_s = diagnosis_times_s()
@@ -122,6 +138,10 @@ TARGETS = {
     "diagnosis of a million samples": {"at_most": 60.0},
     "paced, 1 kHz: samples lost": {"at_most": 0},
     "paced, 1 kHz: ticks other than uploaded": {"at_most": 0},
+    "paced, 1 kHz, loop on board, idle: feedback missed": {"at_most": 0},
+    "paced, 1 kHz, loop on board, idle: deadlines missed": {"at_most": 0.01},
+    f"paced, 1 kHz, loop on board, {BUSY_PROCESSES} busy processes: feedback missed": {
+        "at_most": 0},
     "loop, stage and controller": {"at_least": 2.0},
     "loop on board, stage and controller": {"at_least": 15.0},
     "loop on board, stage, controller and recorder": {"at_least": 10.0},
@@ -143,7 +163,8 @@ def main():
     print(f"{os.cpu_count()} cores; load average before: {os.getloadavg()[0]:.1f}")
     measured = Measurements()
     for number in range(1, rounds + 1):
-        for measure in (answers, hysteresis, loops, round_trips, paced, diagnosis):
+        for measure in (answers, hysteresis, loops, round_trips, paced, paced_onboard,
+                        diagnosis):
             print(f"round {number} of {rounds}: {measure.__name__.replace('_', ' ')} ...",
                   flush=True)
             measure(measured)

@@ -82,7 +82,7 @@ def test_fast_branch_is_as_uploaded_whatever_becomes_of_the_answers(stage):
     assert tracked[-1].missed_feedback == held.sum() >= 500 // 7 - 1
 
 
-def test_diagnostics_hold_the_histogram_of_the_answers(stage):
+def test_diagnostics_hold_the_histograms_of_the_answers_and_of_the_ticks(stage):
     told = []
     stage.node.create_subscription(
         DiagnosticArray, "/diagnostics", lambda array: told.extend(array.status), 10)
@@ -98,6 +98,10 @@ def test_diagnostics_hold_the_histogram_of_the_answers(stage):
     assert len(counts) == 10
     assert sum(counts) >= 90
     assert float(values["longest_answer_ms"]) > 0.0
+    counts = [int(value) for key, value in values.items() if key.startswith("ticks_")]
+    assert sum(counts) >= first_tick + 99
+    assert int(values["missed_deadlines"]) <= sum(counts)
+    assert "granted" in values["real_time"] or "is not" in values["real_time"]
 
 
 def test_waveform_of_one_value_per_second_can_be_cancelled_before_it_fills_a_block(stage):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How long the answers take, as counts between bounds."""
+"""How long something takes, as counts between bounds, and the answers to blocks among it."""
 
 import bisect
 import time
@@ -8,19 +8,45 @@ REMEMBERED_TICKS = 1024
 BOUNDS_MS = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
-class AnswerLatency:
-    """Time from the publication of a block to the arrival of its answer.
+class LatencyCounts:
+    """Times as counts between bounds.
 
     Attributes
     ----------
     counts : list of int
-        Answers up to each of ``BOUNDS_MS``, and beyond the last.
+        Up to each of ``BOUNDS_MS``, and beyond the last.
     longest_ms : float
     """
 
     def __init__(self) -> None:
         self.counts = [0] * (len(BOUNDS_MS) + 1)
         self.longest_ms = 0.0
+
+    def add(self, latency_ms: float) -> None:
+        """Count one time (ms)."""
+        self.counts[bisect.bisect_left(BOUNDS_MS, latency_ms)] += 1
+        self.longest_ms = max(self.longest_ms, latency_ms)
+
+    def described(self, counted: str, longest: str) -> dict[str, object]:
+        """Return the counts under names, as in ``ticks_within_0.5_ms``.
+
+        Parameters
+        ----------
+        counted : str
+            What is counted, such as ``ticks``.
+        longest : str
+            Name of the longest time.
+        """
+        names = [f"{counted}_within_{bound:g}_ms" for bound in BOUNDS_MS]
+        return dict(zip([*names, f"{counted}_beyond_{BOUNDS_MS[-1]:g}_ms"], self.counts,
+                        strict=True)) | {longest: f"{self.longest_ms:.3f}"}
+
+
+class AnswerLatency(LatencyCounts):
+    """Time from the publication of a block to the arrival of its answer."""
+
+    def __init__(self) -> None:
+        super().__init__()
         self._published = [(-1, 0.0)] * REMEMBERED_TICKS
 
     def published(self, tick: int) -> None:
@@ -32,14 +58,3 @@ class AnswerLatency:
         published_tick, published_s = self._published[tick % REMEMBERED_TICKS]
         if tick == published_tick:
             self.add(1e3 * (time.monotonic() - published_s))
-
-    def add(self, latency_ms: float) -> None:
-        """Count one latency (ms)."""
-        self.counts[bisect.bisect_left(BOUNDS_MS, latency_ms)] += 1
-        self.longest_ms = max(self.longest_ms, latency_ms)
-
-    def described(self) -> dict[str, object]:
-        """Return the counts under names, as in ``answers_within_0.5_ms``."""
-        names = [f"answers_within_{bound:g}_ms" for bound in BOUNDS_MS]
-        return dict(zip([*names, f"answers_beyond_{BOUNDS_MS[-1]:g}_ms"], self.counts,
-                        strict=True)) | {"longest_answer_ms": f"{self.longest_ms:.3f}"}

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from piezo_stage_driver.backends.backend import StageBackend
 from piezo_stage_driver.engine.blocks import Block
+from piezo_stage_driver.engine.real_time import RealTime
 from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.node.stage_settings import StageSettings
 from piezo_stage_driver.safety.supervisor import StageSupervisor
@@ -35,6 +36,8 @@ class StageLoop:
     Attributes
     ----------
     supervisor : StageSupervisor
+    real_time : RealTime
+        What a paced stage has of the system while it is active.
     """
 
     def __init__(self, supervisor: StageSupervisor, backend: StageBackend,
@@ -43,6 +46,7 @@ class StageLoop:
         self.supervisor = supervisor
         self._backend, self._settings = backend, settings
         self._publish, self._tell_stop, self._settle = publish, tell_stop, settle
+        self.real_time = RealTime(settings.real_time_priority)
         self._thread: threading.Thread | None = None
         self._own_rest: threading.Thread | None = None
         self._failure: Exception | None = None
@@ -64,6 +68,7 @@ class StageLoop:
         self._failure = self._own_rest = None
         self._leaving = False
         if not self._settings.lockstep:
+            self.real_time.begin()
             # A daemon: a backend that never returns must not keep the process from its end.
             self._thread = threading.Thread(target=self._run, name="stage loop", daemon=True)
             self._thread.start()
@@ -114,11 +119,13 @@ class StageLoop:
         if not supervisor.hangs and self._thread is not None:
             self._thread.join()
         self._thread = None
+        self.real_time.end()
         supervisor.leave(cause)
         self._settle()
 
     def _run(self) -> None:
         try:
+            self.real_time.raise_loop()
             while self.supervisor.active:
                 self._advance()
         except Exception as error:  # whatever it is: the main thread sees to it

@@ -20,6 +20,7 @@ from piezo_stage_driver.backends.registry import check_backend, create_backend
 from piezo_stage_driver.engine.answer_latency import AnswerLatency
 from piezo_stage_driver.engine.blocks import Block
 from piezo_stage_driver.engine.stage_engine import StageEngine
+from piezo_stage_driver.engine.tick_times import TickTimes
 from piezo_stage_driver.node.command_router import CommandRouter
 from piezo_stage_driver.node.stage_loop import IDLE_WAIT_S, StageLoop
 from piezo_stage_driver.node.stage_outputs import StageOutputs
@@ -84,6 +85,8 @@ class StageNode(LifecycleNode):
         """Make the backend, check the limits, and tell others of both."""
         try:
             backend = self._create_backend(self)
+            if not self.settings.lockstep:
+                backend = self._reports.tick_times = TickTimes(backend)
             supervisor = self.settings.create_supervisor(backend, self._latch)
             compile_law()
         except ValueError as error:

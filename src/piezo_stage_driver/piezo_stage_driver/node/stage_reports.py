@@ -7,6 +7,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 
 from piezo_stage_driver.engine.answer_latency import AnswerLatency
+from piezo_stage_driver.engine.tick_times import TickTimes
 from piezo_stage_driver.node.stage_loop import StageLoop
 from piezo_stage_driver.node.stage_outputs import StageOutputs
 from piezo_stage_driver.safety.guards import StopLatch
@@ -28,6 +29,8 @@ class StageReports:
     ----------
     latency : AnswerLatency
         Of the answers since the stage was activated.
+    tick_times : TickTimes or None
+        Of a stage at the pace of its backend's clock.
     """
 
     def __init__(self, node: Node, outputs: StageOutputs, latch: StopLatch,
@@ -35,6 +38,7 @@ class StageReports:
         self._node, self._outputs, self._latch, self._loop = node, outputs, latch, loop
         self._told_cause = ""
         self.latency = AnswerLatency()
+        self.tick_times: TickTimes | None = None
 
     def tell_stop(self) -> None:
         """Say it where the stage has been stopped since; called from both threads."""
@@ -56,7 +60,12 @@ class StageReports:
             "client": loop.engine.client, "seconds_left": f"{loop.engine.seconds_left:.3f}",
             "voltage_v": f"{loop.engine.voltage_v:.4f}", "next_sample": loop.engine.next_sample,
             "missed_feedback": loop.engine.missed_feedback, **loop.supervisor.described,
-            **self.latency.described()})
+            **self.latency.described("answers", "longest_answer_ms"), **self._pace(loop)})
+
+    def _pace(self, loop: StageLoop) -> dict[str, object]:
+        if self.tick_times is None:
+            return {}
+        return {**self.tick_times.described(), "real_time": loop.real_time.told}
 
     def _state(self, loop: StageLoop | None) -> tuple[bytes, str]:
         if self._latch.cause:

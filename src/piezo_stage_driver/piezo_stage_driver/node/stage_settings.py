@@ -53,6 +53,7 @@ class StageSettings:
     max_feedback_oscillation_v: float
     lockstep_timeout_s: float
     joint_state_rate_hz: float
+    real_time_priority: int
     samples_per_tick: int
     samples_per_block: int
     max_missed_feedback: int
@@ -114,6 +115,9 @@ class StageSettings:
              choices=("paced", "lockstep"))
         take("lockstep_timeout_s", 2.0,
              "Wall time after which an answer counts as missed in lockstep (s).", 0.01, 600.0)
+        take("real_time_priority", 40,
+             "Priority of the loop of a paced stage, from 1 to 99, with memory that stays; 0 asks "
+             "the system for neither.", 0, 99)
         take("joint_name", "stage", "Name of the joint in joint_states.")
         take("joint_state_rate_hz", 50.0, "Rate of joint_states (Hz).", 0.1, 1000.0)
 

@@ -18,6 +18,7 @@ from piezo_stage_driver.backends.nidaqmx_stage import NidaqmxStage, load_driver
 from piezo_stage_driver.backends.registry import BackendSettings, create_backend
 from piezo_stage_driver.engine.blocks import FLAG_TRACKING
 from piezo_stage_driver.engine.stage_engine import StageEngine
+from piezo_stage_driver.engine.tick_times import TickTimes
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.limits import VoltageLimits
 from piezo_stage_driver.safety.supervisor import StageSupervisor
@@ -271,3 +272,26 @@ def test_file_that_is_no_calibration_is_refused(tmp_path, text):
         load_calibration(path)
     with pytest.raises(CalibrationError, match="cannot be read"):
         load_calibration(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize(("late_ticks", "missed"), [(LEAD_TICKS - 2, 0), (LEAD_TICKS + 2, 1)])
+def test_loop_counts_a_tick_as_missed_where_the_card_runs_out(card, stage, late_ticks, missed):
+    # The card's clock is the only one there is.
+    passed = [0]
+    pass_samples = card.be_late
+
+    def be_late(samples):
+        passed[0] += samples
+        pass_samples(samples)
+
+    card.be_late = be_late
+    times = TickTimes(stage, lambda: passed[0] / card.clock_hz)
+    for _ in range(5):
+        times.exchange(np.zeros(40))
+    card.be_late(40 * late_ticks)
+    if missed:
+        with pytest.raises(BackendFault, match="ran out of samples"):
+            times.exchange(np.zeros(40))
+    else:
+        times.exchange(np.zeros(40))
+    assert times.missed == missed

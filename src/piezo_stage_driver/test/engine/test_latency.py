@@ -9,9 +9,10 @@ def test_every_latency_is_counted_once_at_its_bound():
     for latency_ms in (0.1, 0.2, 0.3, 1.0, 70.0, 101.0, 5000.0):
         latency.add(latency_ms)
     assert latency.counts == [2, 1, 1, 0, 0, 0, 0, 0, 1, 2]
-    assert latency.described()["answers_within_0.2_ms"] == 2
-    assert latency.described()["answers_beyond_100_ms"] == 2
-    assert latency.described()["longest_answer_ms"] == "5000.000"
+    described = latency.described("answers", "longest_answer_ms")
+    assert described["answers_within_0.2_ms"] == 2
+    assert described["answers_beyond_100_ms"] == 2
+    assert described["longest_answer_ms"] == "5000.000"
     assert len(latency.counts) == len(BOUNDS_MS) + 1
 
 

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Let a process keep a clock's pace: priority, memory that stays, and no pause of Python's own."""
+
+import ctypes
+import gc
+import os
+import resource
+import sys
+
+# Of sys/mman.h: what is mapped now and later, each page from its first use on.
+MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
+# For how long another thread of this process may keep the interpreter from the loop (s).
+SWITCH_INTERVAL_S = 2e-4
+
+
+class RealTime:
+    """What the system allows a process that has deadlines, between `begin` and `end`.
+
+    All threads of the process get a real-time priority, because each of them at times holds the
+    interpreter or a lock of the middleware: one that is kept from a core would keep the loop from
+    going on. The loop's own is one higher.
+
+    Parameters
+    ----------
+    priority : int
+        Of the loop, 1 to 99; 0 asks for nothing, and leaves the memory where it is.
+
+    Attributes
+    ----------
+    told : str
+        What the system has granted, or what it has not and what to do.
+    """
+
+    def __init__(self, priority: int) -> None:
+        self._priority = priority
+        self._switch_interval_s = sys.getswitchinterval()
+        self._raised: list[int] = []
+        self._locked = self._begun = False
+        self.told = "not asked for"
+
+    def begin(self) -> None:
+        """Raise the priority of every thread there is, keep its memory, and stop long collections.
+
+        Called before the loop's thread starts.
+        """
+        self._begun = True
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
+        # What there is by now stays: no collection need look through it again.
+        gc.collect()
+        gc.freeze()
+        if self._priority:
+            refused = self._raise_threads(), self._lock_memory()
+            self.told = "; ".join(filter(None, refused)) or "granted"
+
+    def raise_loop(self) -> None:
+        """Raise the priority of the thread that calls, above that of the others."""
+        if self._raised:
+            _set_priority(0, self._priority)
+
+    def end(self) -> None:
+        """Give back what `begin` took, unless that is done."""
+        if not self._begun:
+            return
+        self._begun = False
+        for thread in self._raised:
+            try:
+                os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+            except ProcessLookupError:
+                pass  # a thread that has ended meanwhile
+        self._raised = []
+        if self._locked:
+            ctypes.CDLL(None).munlockall()
+            self._locked = False
+        gc.unfreeze()
+        sys.setswitchinterval(self._switch_interval_s)
+
+    def _raise_threads(self) -> str:
+        try:
+            for thread in map(int, os.listdir("/proc/self/task")):
+                _set_priority(thread, max(self._priority - 1, 1))
+                self._raised.append(thread)
+        except OSError as error:
+            return (f"the priority is not raised ({error.strerror}): let the user have one of "
+                    f"{self._priority} (rtprio in /etc/security/limits.conf)")
+        return ""
+
+    def _lock_memory(self) -> str:
+        advice = "let the user lock all memory (memlock unlimited in /etc/security/limits.conf)"
+        limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+        if os.geteuid() and limit != resource.RLIM_INFINITY:
+            # Up to a limit it may be granted, and memory is then refused later on.
+            return f"the memory is not locked (there is a limit): {advice}"
+        library = ctypes.CDLL(None, use_errno=True)
+        if library.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT):
+            return f"the memory is not locked ({os.strerror(ctypes.get_errno())}): {advice}"
+        self._locked = True
+        return ""
+
+
+def _set_priority(thread: int, priority: int) -> None:
+    # Threads and processes that it starts do not inherit the priority.
+    os.sched_setscheduler(thread, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK,
+                          os.sched_param(priority))

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the system grants is taken and given back; what it refuses is told."""
+
+import gc
+import os
+import resource
+import sys
+import threading
+
+import pytest
+
+from piezo_stage_driver.engine import real_time
+from piezo_stage_driver.engine.real_time import SWITCH_INTERVAL_S, RealTime
+
+
+@pytest.fixture
+def system(monkeypatch):
+    """A system that grants everything, and keeps what it was asked for."""
+    asked = {"priorities": {}, "locked": None}
+
+    class Library:
+        def mlockall(self, flags):
+            asked["locked"] = flags
+            return 0
+
+        def munlockall(self):
+            asked["locked"] = None
+
+    monkeypatch.setattr(os, "sched_setscheduler", lambda thread, policy, parameter: asked[
+        "priorities"].__setitem__(thread, (policy, parameter.sched_priority)))
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    monkeypatch.setattr(real_time.ctypes, "CDLL", lambda name, use_errno=False: Library())
+    return asked
+
+
+def test_every_thread_is_raised_and_the_loop_above_them_until_the_end(system):
+    mine, real = threading.get_native_id(), RealTime(40)
+    real.begin()
+    real.raise_loop()
+    fifo = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    assert system["priorities"][mine] == (fifo, 39)
+    assert system["priorities"][0] == (fifo, 40)
+    assert system["locked"] and real.told == "granted"
+    assert sys.getswitchinterval() == pytest.approx(SWITCH_INTERVAL_S)
+    assert gc.get_freeze_count() > 0
+    for _ in range(2):
+        real.end()
+        assert system["priorities"][mine] == (os.SCHED_OTHER, 0)
+        assert system["locked"] is None and gc.get_freeze_count() == 0
+        assert sys.getswitchinterval() == pytest.approx(0.005)
+
+
+def test_no_priority_asks_the_system_for_nothing(system):
+    real = RealTime(0)
+    real.begin()
+    real.raise_loop()
+    assert system == {"priorities": {}, "locked": None}
+    assert real.told == "not asked for"
+    real.end()
+
+
+def test_what_the_system_refuses_is_told_with_what_to_do(system, monkeypatch):
+    def refuse(thread, policy, parameter):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (8 << 20, 8 << 20))
+    real = RealTime(40)
+    real.begin()
+    real.raise_loop()
+    assert "the priority is not raised (Operation not permitted): let" in real.told
+    assert "the memory is not locked (there is a limit): let" in real.told
+    assert system["locked"] is None
+    real.end()
