@@ -25,7 +25,7 @@ made = loaded(ROOT / "examples" / "make_recordings.py")
 
 
 def test_examples_of_the_page_run_and_find_the_stage_that_was_made(tmp_path, monkeypatch, capsys):
-    pytest.importorskip("pandas")
+    pytest.importorskip("xarray")
     monkeypatch.chdir(tmp_path)
     made.main(Path("made"))
     names = {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What people hand over in Python: paths, arrays by name, pandas frames, recordings, responses."""
+"""What people hand over in Python: paths, arrays by name, frames, recordings, responses."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -21,25 +21,29 @@ from piezo_recorder.reading.recording import Recording
 
 if TYPE_CHECKING:
     import pandas
-
+    import xarray
 
 
 class DataWarning(UserWarning):
     """Something of the data was assumed, mended, or is implausible."""
 
 
-def read(data: "str | PathLike[str] | Mapping[str, ArrayLike] | pandas.DataFrame | Recording",
-         columns: Sequence[str] = (), name: str = "") -> Recording:
-    """Make a recording of a file, of arrays or of a pandas frame.
+def read(
+    data: "str | PathLike[str] | Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Dataset "
+          "| Recording",
+    columns: Sequence[str] = (), name: str = "",
+) -> Recording:
+    """Make a recording of a file, of arrays, of a pandas frame or of an xarray dataset.
 
     What had to be assumed or mended, and what is implausible, is said as a `DataWarning`.
 
     Parameters
     ----------
-    data : path-like, mapping, pandas.DataFrame or Recording
+    data : path-like, mapping, pandas.DataFrame, xarray.Dataset or Recording
         A rosbag2 directory, an MCAP file or a table of another program; or arrays of one length
         by label, such as ``{"time_s": t, "voltage_v": u, "displacement_um": y}``; or a frame with
-        such columns, whose index may be the time. A recording is returned as it is.
+        such columns, whose index may be the time; or a dataset with such variables over time,
+        whose attribute ``units`` counts. A recording is returned as it is.
     columns : sequence of str
         What the labels and units do not tell, such as ``["time=t[ms]", "voltage=ch1[20V]"]``, or
         ``["rate=10[kHz]"]`` where there is no time.

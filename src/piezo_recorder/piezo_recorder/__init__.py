@@ -7,7 +7,7 @@ from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from piezo_recorder.reading.columns import ColumnsDocument, parse_columns
-    from piezo_recorder.reading.frames import read_frame, to_frame
+    from piezo_recorder.reading.frames import read_frame, to_frame, to_xarray
     from piezo_recorder.reading.memory import recording_of, recordings_in
     from piezo_recorder.reading.reader import read_recording, read_recordings, sha256_of
     from piezo_recorder.reading.recording import Recording, RecordingError
@@ -21,6 +21,7 @@ _HOMES = {
     "parse_columns": "reading.columns",
     "read_frame": "reading.frames",
     "to_frame": "reading.frames",
+    "to_xarray": "reading.frames",
     "recording_of": "reading.memory",
     "recordings_in": "reading.memory",
     "read_recording": "reading.reader",
@@ -39,4 +40,5 @@ __all__ = [
     "ColumnsDocument", "Flag", "MessageDefinition", "Recording", "RecordingError",
     "RecordingWriter", "parse_columns", "read_frame", "read_recording", "read_recordings",
     "recording_of", "recordings_in", "repair", "sha256_of", "to_frame",
+    "to_xarray",
 ]

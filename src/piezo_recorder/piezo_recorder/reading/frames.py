@@ -1,14 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings as pandas frames, where pandas is installed."""
+"""Recordings as pandas frames and xarray datasets, where these libraries are installed."""
 
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import Recording, RecordingError
+from piezo_recorder.sample_block import Flag
 
 if TYPE_CHECKING:
     import pandas
+    import xarray
+
+UNITS = {"time_s": "s", "voltage_v": "V", "displacement_um": "um"}
+"""Of further columns of a table only the label tells the unit."""
 
 
 def to_frame(recording: Recording) -> "pandas.DataFrame":
@@ -22,7 +29,8 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
     -------
     pandas.DataFrame
         One row a sample, indexed by ``time_s``, with the columns ``sample_index``, ``voltage_v``,
-        ``displacement_um``, ``flags`` and those of a CSV file beside.
+        ``displacement_um``, ``flags`` and those of a CSV file beside. Its ``attrs`` hold ``units``
+        by column, ``source`` and ``sample_rate_hz``.
 
     Raises
     ------
@@ -34,11 +42,47 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
     except ImportError:
         raise RecordingError("pandas is not installed: install it (`pip install pandas`), "
                              "or use the arrays of read_recording.") from None
-    columns = {
-        "sample_index": recording.sample_index, "voltage_v": recording.voltage_v,
-        "displacement_um": recording.displacement_um, "flags": recording.flags,
-        **recording.columns}
-    return pandas.DataFrame(columns, index=pandas.Index(recording.time_s, name="time_s"))
+    frame = pandas.DataFrame(
+        _columns_of(recording), index=pandas.Index(recording.time_s, name="time_s"))
+    frame.attrs = {"units": dict(UNITS), **_origin_of(recording)}
+    return frame
+
+
+def to_xarray(recording: Recording) -> "xarray.Dataset":
+    """Return the samples of a recording as a dataset over time, with units.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    xarray.Dataset
+        The variables have the names of the columns of `to_frame`, and the one dimension
+        ``time_s``. Their ``units``, and the ``flag_masks`` and ``flag_meanings`` of ``flags``,
+        follow the CF conventions for netCDF files. ``attrs`` hold ``source`` and
+        ``sample_rate_hz``.
+
+    Raises
+    ------
+    RecordingError
+        If xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError:
+        raise RecordingError("xarray is not installed: install it (`pip install xarray`), "
+                             "or use the arrays of read_recording.") from None
+    columns = {"time_s": recording.time_s, **_columns_of(recording)}
+    dataset = xarray.Dataset(
+        {name: ("time_s", values) for name, values in columns.items()},
+        attrs=_origin_of(recording))
+    for name, unit in UNITS.items():
+        dataset[name].attrs = {"units": unit, "long_name": name.partition("_")[0]}
+    dataset["flags"].attrs = {
+        "flag_masks": np.array([flag.value for flag in Flag], dtype=np.uint32),
+        "flag_meanings": " ".join(str(flag.name).lower() for flag in Flag)}
+    return dataset
 
 
 def read_frame(path: str | PathLike[str], **options: Any) -> "pandas.DataFrame":
@@ -62,3 +106,14 @@ def read_frame(path: str | PathLike[str], **options: Any) -> "pandas.DataFrame":
         If the recording cannot be read, or pandas is not installed.
     """
     return to_frame(read_recording(path, **options))
+
+
+def _columns_of(recording: Recording) -> dict[str, np.ndarray]:
+    return {"sample_index": recording.sample_index, "voltage_v": recording.voltage_v,
+            "displacement_um": recording.displacement_um, "flags": recording.flags,
+            **recording.columns}
+
+
+def _origin_of(recording: Recording) -> dict[str, Any]:
+    return {"source": f"{recording.path} {recording.title}".rstrip(),
+            "sample_rate_hz": float(recording.sample_rate_hz)}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings from what a program holds in memory: arrays by name, or a pandas frame."""
+"""Recordings from what a program holds in memory: arrays by name, frames, datasets."""
 
 import hashlib
 from collections.abc import Mapping
@@ -14,24 +14,26 @@ from piezo_recorder.reading.columns import GUESSED, ColumnsDocument
 from piezo_recorder.reading.recording import Recording, RecordingError
 from piezo_recorder.reading.table_reader import recordings_of
 from piezo_recorder.reading.tables.table import Table, array_columns
+from piezo_recorder.reading.units import name_and_unit
 
 if TYPE_CHECKING:
     import pandas
+    import xarray
 
 IN_MEMORY = "data in memory"
 """Stands where a recording tells the file that it came from."""
 
 OF_OUR_FRAMES = {"sample_index", "flags", "voltage_v", "displacement_um"}
-"""Columns by which a frame of `piezo_recorder.reading.frames.to_frame` is known."""
+"""Columns by which a frame or dataset of `piezo_recorder.reading.frames` is known."""
 
 
-def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame",
+def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Dataset",
                  columns: ColumnsDocument = GUESSED, name: str = IN_MEMORY) -> Recording:
-    """Return the one recording that arrays or a frame hold; see `recordings_in`.
+    """Return the one recording that arrays, a frame or a dataset hold; see `recordings_in`.
 
     Parameters
     ----------
-    data : mapping of str to array_like, shape (N,), or pandas.DataFrame
+    data : mapping of str to array_like, shape (N,), pandas.DataFrame or xarray.Dataset
     columns : ColumnsDocument
     name : str
 
@@ -51,15 +53,16 @@ def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame",
     return found[0]
 
 
-def recordings_in(data: "Mapping[str, ArrayLike] | pandas.DataFrame",
+def recordings_in(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Dataset",
                   columns: ColumnsDocument = GUESSED, name: str = IN_MEMORY) -> list[Recording]:
-    """Return the recordings that arrays or a frame hold, by the rules for tables in files.
+    """Return the recordings that arrays, a frame or a dataset hold, by the rules for tables.
 
     Parameters
     ----------
-    data : mapping of str to array_like, shape (N,), or pandas.DataFrame
+    data : mapping of str to array_like, shape (N,), pandas.DataFrame or xarray.Dataset
         Columns by label, such as ``time_s``, ``Vpiezo [V]`` and ``pos_nm``; the index of a frame
-        counts as one where it is not merely the number of the row.
+        counts as one where it is not merely the number of the row. Variables and coordinates of a
+        dataset count alike, with their attribute ``units``.
     columns : ColumnsDocument
         What is known of the columns, such as by `piezo_recorder.reading.columns.parse_columns`.
     name : str
@@ -95,6 +98,9 @@ def recordings_in(data: "Mapping[str, ArrayLike] | pandas.DataFrame",
 
 def _columns_of(data: Any) -> dict[str, Any]:
     """Return the columns by label; of a frame the index too, if it is more than a row number."""
+    if hasattr(data, "data_vars"):
+        return {_label_of(str(name), str(variable.attrs.get("units", ""))): variable.to_numpy()
+                for name, variable in data.variables.items()}
     index: Any = getattr(data, "index", None)
     if hasattr(index, "to_numpy"):
         counts = index.name is None and getattr(index, "step", None) == 1
@@ -103,12 +109,17 @@ def _columns_of(data: Any) -> dict[str, Any]:
     if not isinstance(data, Mapping):
         raise RecordingError(f"a {type(data).__name__} is no recording: give a path, arrays by "
                              "name such as {'time_s': ..., 'voltage_v': ..., "
-                             "'displacement_um': ...}, or a pandas frame")
+                             "'displacement_um': ...}, a pandas frame or an xarray dataset")
     return {str(label): np.asarray(values) for label, values in data.items()}
 
 
+def _label_of(name: str, unit: str) -> str:
+    """Return the label of a variable with its unit, unless the name itself ends in one."""
+    return f"{name} [{unit}]" if unit and not name_and_unit(name)[1] else name
+
+
 def _with_flags(recording: Recording) -> Recording:
-    """Return a recording that came from one of our frames with the flags that it had."""
+    """Return a recording that came from our frames or datasets with the flags that it had."""
     further = dict(recording.columns)
     flags = further.pop("flags")
     further.pop("sample_index")

@@ -12,6 +12,7 @@ from piezo_recorder.sample_block import Flag
 
 if TYPE_CHECKING:
     import pandas
+    import xarray
     from matplotlib.figure import Figure
 
 
@@ -92,6 +93,12 @@ class Recording:
         from piezo_recorder.reading.frames import to_frame
 
         return to_frame(self)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """Return the samples with units; see `piezo_recorder.reading.frames.to_xarray`."""
+        from piezo_recorder.reading.frames import to_xarray
+
+        return to_xarray(self)
 
     @property
     def time_s(self) -> np.ndarray:
