@@ -7,11 +7,13 @@ from piezo_sim.effects.current_limit import CurrentLimit
 from piezo_sim.effects.depolarisation import Depolarisation
 from piezo_sim.effects.hardening_spring import HardeningSpring
 from piezo_sim.effects.intermittent_contact import IntermittentContact
+from piezo_sim.effects.loaded_mode import LoadedMode
 from piezo_sim.effects.logarithmic_creep import LogarithmicCreep
 from piezo_sim.effects.parallel_mode import ParallelMode
 from piezo_sim.effects.self_heating import SelfHeating
 from piezo_sim.effects.soft_backlash import SoftBacklash
 from piezo_sim.effects.soft_saturation import SoftSaturation
+from piezo_sim.effects.switched_heat import SwitchedHeat
 from piezo_sim.effects.switching_delay import SwitchingDelay
 from piezo_sim.effects.thermal_drift import ThermalDrift
 from piezo_sim.plant.continuous_preisach import PreisachHysteresis
@@ -23,6 +25,8 @@ from piezo_sim.plant.sensor import DisplacementSensor
 
 def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
     """Put an undeclared effect where it belongs in the chain of a plant.
+
+    A `LoadedMode` takes the place of the mode whose frequency is nearest.
 
     Parameters
     ----------
@@ -45,7 +49,12 @@ def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
     elif isinstance(effect, ParallelMode):
         modes = [i for i in linear if isinstance(stage[i], VibrationMode)]
         stage.insert(modes[-1] + 1, effect)
-    elif isinstance(effect, SoftBacklash | ThermalDrift):
+    elif isinstance(effect, LoadedMode):
+        frequencies = {mode.frequency_rad_per_s: i for i in linear
+                       if isinstance(mode := stage[i], VibrationMode)}
+        nearest = min(frequencies, key=lambda frequency: abs(frequency - effect.frequency_rad_per_s))
+        stage[frequencies[nearest]] = effect
+    elif isinstance(effect, SoftBacklash | SwitchedHeat | ThermalDrift):
         stage.append(effect)
     else:
         sensor = list(plant.sensor)

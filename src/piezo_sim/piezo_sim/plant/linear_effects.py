@@ -50,6 +50,25 @@ class ParallelEffect(LinearEffect, Protocol):
         """Add the effect to the series of those others."""
 
 
+@runtime_checkable
+class ChangingEffect(LinearEffect, Protocol):
+    """A linear effect that is another one from a time on."""
+
+    @property
+    def begin_s(self) -> float:
+        """Return from when on (s of stage time)."""
+
+    def changed(self) -> StateSpace:
+        """Return the dynamics from then on, of the same states."""
+
+
+class _Changed:
+    """A changing effect, as it is from its time on."""
+
+    def __init__(self, effect: ChangingEffect) -> None:
+        self.name, self.state_space = effect.name, effect.changed
+
+
 def series(first: StateSpace, second: StateSpace) -> StateSpace:
     """Return the system `first` followed by the system `second`."""
     n, m = first.b.size, second.b.size
@@ -130,18 +149,26 @@ class LinearRunner:
     """
 
     def __init__(self, effects: Sequence[LinearEffect], sample_period_s: float) -> None:
-        system = chain(effects)
+        self._effects, self._period_s = list(effects), sample_period_s
+        self._changes = sorted(
+            (round(effect.begin_s / sample_period_s), index)
+            for index, effect in enumerate(effects) if isinstance(effect, ChangingEffect))
+        self._at = 0
+        self._discretise()
+        self._state = np.zeros(self._system.b.size)
+        self._following = np.zeros(self._system.b.size)
+
+    def _discretise(self) -> None:
+        system = chain(self._effects)
         if system.d != 0.0:
-            names = ", ".join(effect.name for effect in effects)
+            names = ", ".join(effect.name for effect in self._effects)
             raise PlantConfigError(
                 f"{names}: the displacement would jump with the voltage; "
                 "add an effect with a lag to the same series."
             )
         self._system = system
-        a, self._b = zero_order_hold(system, sample_period_s)
+        a, self._b = zero_order_hold(system, self._period_s)
         self._a_columns = np.ascontiguousarray(a.T)
-        self._state = np.zeros(system.b.size)
-        self._following = np.zeros(system.b.size)
 
     def rest(self, level: float) -> float:
         """Settle at the constant input `level`."""
@@ -150,7 +177,20 @@ class LinearRunner:
 
     def apply(self, samples: FloatArray) -> None:
         """Replace inputs by outputs at the start of each sample."""
+        end = self._at + samples.size
+        while self._changes and self._changes[0][0] < end:
+            change, index = self._changes.pop(0)
+            before, samples = np.split(samples, [max(change - self._at, 0)])
+            self._advance(before)
+            effect = self._effects[index]
+            assert isinstance(effect, ChangingEffect)
+            self._effects[index] = _Changed(effect)
+            self._discretise()
+        self._advance(samples)
+
+    def _advance(self, samples: FloatArray) -> None:
         _advance(samples, self._state, self._following, self._a_columns, self._b, self._system.c)
+        self._at += samples.size
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ from piezo_sim.effects.distributed_line import DistributedLine
 from piezo_sim.effects.generalised_plays import GeneralisedPlays
 from piezo_sim.effects.hardening_spring import HardeningSpring
 from piezo_sim.effects.intermittent_contact import IntermittentContact
+from piezo_sim.effects.loaded_mode import LoadedMode
 from piezo_sim.effects.logarithmic_creep import LogarithmicCreep
 from piezo_sim.effects.mains_hum import MainsHum
 from piezo_sim.effects.output_converter import OutputConverter
@@ -44,6 +45,7 @@ from piezo_sim.effects.slewing_amplifier import SlewingAmplifier
 from piezo_sim.effects.soft_backlash import SoftBacklash
 from piezo_sim.effects.soft_saturation import SoftSaturation
 from piezo_sim.effects.spikes import Spikes
+from piezo_sim.effects.switched_heat import SwitchedHeat
 from piezo_sim.effects.switching_delay import SwitchingDelay
 from piezo_sim.effects.thermal_drift import ThermalDrift
 from piezo_sim.effects.transducer_curve import TransducerCurve
@@ -86,6 +88,8 @@ EFFECTS = {
         SelfHeating,
         IntermittentContact,
         Depolarisation,
+        LoadedMode,
+        SwitchedHeat,
     )
 }
 

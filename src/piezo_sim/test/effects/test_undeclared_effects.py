@@ -18,6 +18,7 @@ from piezo_sim.effects.depolarisation import Depolarisation
 from piezo_sim.effects.distributed_lag import DistributedLag
 from piezo_sim.effects.hardening_spring import HardeningSpring
 from piezo_sim.effects.intermittent_contact import IntermittentContact
+from piezo_sim.effects.loaded_mode import LoadedMode
 from piezo_sim.effects.logarithmic_creep import LogarithmicCreep
 from piezo_sim.effects.mains_hum import MainsHum
 from piezo_sim.effects.parallel_mode import ParallelMode
@@ -26,6 +27,7 @@ from piezo_sim.effects.self_heating import SelfHeating
 from piezo_sim.effects.soft_backlash import SoftBacklash
 from piezo_sim.effects.soft_saturation import SoftSaturation
 from piezo_sim.effects.spikes import Spikes
+from piezo_sim.effects.switched_heat import SwitchedHeat
 from piezo_sim.effects.switching_delay import SwitchingDelay
 from piezo_sim.effects.thermal_drift import ThermalDrift
 from piezo_sim.effects.transducer_curve import TransducerCurve
@@ -55,6 +57,8 @@ EXAMPLES = [
     SelfHeating(0.01, 0.05, -1e-3),
     IntermittentContact(0.02, 0.0, 0.01, 0.01),
     Depolarisation(0.05, 500.0),
+    LoadedMode(4909.0, 0.081992, 0.2, 0.0, 0.05),
+    SwitchedHeat(1.0, 0.5, 0.05),
 ]
 every_effect = pytest.mark.parametrize("effect", EXAMPLES, ids=lambda effect: effect.name)
 unhurried = settings(deadline=None)  # the first example may compile
