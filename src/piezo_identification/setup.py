@@ -23,6 +23,7 @@ setup(
     entry_points={
         "console_scripts": [
             "identification = piezo_identification.node.start:main",
+            "monitor = piezo_identification.node.start:monitor",
             "measured = piezo_identification.node.moved:measured",
             "check = piezo_identification.commands.check_command:main",
             "diagnose = piezo_identification.commands.diagnose_command:main",

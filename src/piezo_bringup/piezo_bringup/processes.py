@@ -19,7 +19,11 @@ EXECUTABLES = {
     "recorder": ("piezo_recorder", "recorder"),
     "identification": ("piezo_identification", "identification"),
     "controller": ("piezo_controller", "controller"),
+    "monitor": ("piezo_identification", "monitor"),
 }
+
+USUAL_NODES = ("stage", "recorder", "identification", "controller")
+"""Of `EXECUTABLES`, those that are started unless others are named."""
 
 
 class Processes:

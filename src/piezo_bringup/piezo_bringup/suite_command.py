@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 
-from piezo_bringup.processes import EXECUTABLES, Processes
+from piezo_bringup.processes import EXECUTABLES, USUAL_NODES, Processes
 
 POLL_S = 0.2
 FAILED, BAD_INPUT = 1, 2
@@ -58,8 +58,9 @@ def _parser() -> argparse.ArgumentParser:
     default = Path(get_package_share_directory("piezo_bringup"), "config", "simulated_stage.yaml")
     parser = argparse.ArgumentParser(
         prog="suite", description="Start the nodes of a simulated stage, and end them in order.")
-    parser.add_argument("--nodes", nargs="+", choices=EXECUTABLES, default=list(EXECUTABLES),
-                        metavar="NODE", help=f"some of {', '.join(EXECUTABLES)}; all by default")
+    parser.add_argument("--nodes", nargs="+", choices=EXECUTABLES, default=list(USUAL_NODES),
+                        metavar="NODE", help=f"some of {', '.join(EXECUTABLES)}; all but the last "
+                                             "by default")
     parser.add_argument("--namespace", default="", metavar="/NAME", help="of all nodes")
     parser.add_argument("--parameters", type=Path, default=default, metavar="FILE",
                         help="parameter file (YAML); that of the simulated stage by default")

@@ -12,7 +12,7 @@ from piezo_interfaces.msg import Reference
 AnyPath = str | os.PathLike[str]
 """A path in any form; a string may be empty, for none."""
 
-ONE_PATH = ("directory", "model", "holdout", "learned", "controller")
+ONE_PATH = ("directory", "model", "extended_model", "holdout", "learned", "controller")
 SEVERAL_PATHS = ("recordings",)
 ONE_REFERENCE = ("reference",)
 SEVERAL_REFERENCES = ("then",)

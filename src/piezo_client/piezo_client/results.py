@@ -64,7 +64,8 @@ class Tracking(_Run):
     missed_feedback : int
         Answers of the controller that came too late.
     message : str
-        What stays uncompensated by the feedforward; empty where nothing does.
+        What is to be told of the run, such as what the feedforward leaves uncompensated, or that
+        an extended model was used; empty where nothing is.
     """
 
     e_rms_percent: float
@@ -139,6 +140,35 @@ class Diagnosis:
     def model(self) -> "IdentifiedModel":
         """Read the extended model's file: a `piezo_models.identified_model.IdentifiedModel`."""
         return _load_model(self.path)
+
+
+@dataclass(frozen=True)
+class OfferedModel:
+    """A model that the monitor offers; may be given wherever a model file is asked for.
+
+    Attributes
+    ----------
+    path : Path
+        Of the extended model's file.
+    model : Path
+        Of the model that it extends.
+    sentence : str
+        What the stage has changed.
+    since_s : float
+        Time of the sample clock at which the change began.
+    before_rms_um, after_rms_um : float
+        Of the residual since then, of the model and of the extended one.
+    """
+
+    path: Path
+    model: Path
+    sentence: str
+    since_s: float
+    before_rms_um: float
+    after_rms_um: float
+
+    def __fspath__(self) -> str:
+        return str(self.path)
 
 
 def _load_model(path: Path) -> "IdentifiedModel":

@@ -17,8 +17,16 @@ from piezo_interfaces.srv import StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
 from piezo_client.client import SERVER_TIMEOUT_S, Client, GoalFailed
+from piezo_client.model_offers import LATCHED_S, accept_extended_model, offered_model
 from piezo_client.paths import AnyPath
-from piezo_client.results import Diagnosis, Experiment, Identification, Played, Tracking
+from piezo_client.results import (
+    Diagnosis,
+    Experiment,
+    Identification,
+    OfferedModel,
+    Played,
+    Tracking,
+)
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
@@ -220,6 +228,34 @@ class Stage:
         return Diagnosis(result.verdict, result.sentence, tuple(result.effects),
                          Path(result.extended_model), Path(result.report),
                          json.loads(result.verdict_json))
+
+    def offered_model(self, wait_s: float = LATCHED_S) -> OfferedModel | None:
+        """Return the extended model that the monitor has offered last; None without one.
+
+        Parameters
+        ----------
+        wait_s : float
+            How long to wait for an offer.
+        """
+        return offered_model(self.client, wait_s)
+
+    def accept_extended_model(self, model: AnyPath, extended_model: AnyPath = "") -> str:
+        """Have runs that name a model use an extended one, from the next run on.
+
+        Parameters
+        ----------
+        model : path-like
+            That goals name.
+        extended_model : path-like
+            Model file, or what `offered_model` or `diagnose` returned; by default runs use the
+            model itself again.
+
+        Returns
+        -------
+        str
+            What is used from now on.
+        """
+        return accept_extended_model(self.client, model, extended_model)
 
     def emergency_stop(self) -> None:
         """Ramp to the rest voltage and stay there until `reset`."""

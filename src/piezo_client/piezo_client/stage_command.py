@@ -14,7 +14,8 @@ from piezo_ros.starting import without_ros_arguments
 WAIT_S = 3.0
 """Nodes that run are seen within a second."""
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
-INPUTS = "model", "file", "waveform", "controller", "data", "holdout", "recordings"
+INPUTS = ("model", "file", "waveform", "controller", "data", "holdout", "recordings",
+          "extended_model")
 SHAPES = "harmonic", "triangle"
 
 
@@ -69,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_track(commands)
     _add_play(commands)
     _add_diagnose(commands)
+    _add_accept(commands)
     for name, text in (
             ("settle", "go to the lowest voltage, then rest until the creep is over"),
             ("stop", "ramp to rest and stay there until reset"),
@@ -139,6 +141,17 @@ def _add_diagnose(commands: Commands) -> None:
                         help="recordings to explain")
     parser.add_argument("--holdout", type=Path, default="", metavar="FILE",
                         help="recording on which the errors are measured")
+
+
+def _add_accept(commands: Commands) -> None:
+    text = "let runs use an extended model in place of the one that they name"
+    parser = commands.add_parser("accept", help=text, description=text)
+    parser.add_argument("--model", type=Path, metavar="FILE",
+                        help="that runs name; by default the one that the monitor's offer extends")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--extended-model", type=Path, metavar="FILE",
+                       help="by default what the monitor offers")
+    which.add_argument("--withdraw", action="store_true", help="use the model itself again")
 
 
 if __name__ == "__main__":

@@ -106,6 +106,18 @@ def _diagnose(stage: Stage, options: argparse.Namespace) -> list[str]:
             _next(options, "track", "--model", diagnosis.path, "--output", options.output)]
 
 
+def _accept(stage: Stage, options: argparse.Namespace) -> list[str]:
+    offer = stage.offered_model()
+    model = options.model or (offer and offer.model)
+    extended = "" if options.withdraw else options.extended_model or offer
+    if not model or extended is None:
+        raise ValueError("the monitor offers no model: give --model and --extended-model, or look "
+                         "at its diagnostics")
+    told = [offer.sentence] if offer is not None and extended is offer else []
+    return [*told, stage.accept_extended_model(model, extended),
+            _next(options, "track", "--model", model, "--output", "<DIR>")]
+
+
 def _settle(stage: Stage, _: argparse.Namespace) -> list[str]:
     stage.settle()
     return ["the stage has settled"]
@@ -131,6 +143,6 @@ def _status(stage: Stage, options: argparse.Namespace) -> list[str]:
 
 WORK: dict[str, Callable[[Stage, argparse.Namespace], list[str]]] = {
     "list": _list, "status": _status, "experiment": _experiment, "probe": _probe,
-    "identify": _identify, "track": _track, "play": _play, "diagnose": _diagnose,
+    "identify": _identify, "track": _track, "play": _play, "diagnose": _diagnose, "accept": _accept,
     "settle": _settle, "stop": _stop, "reset": _reset}
 """By the subcommand: does what it is for, and returns the lines to print."""

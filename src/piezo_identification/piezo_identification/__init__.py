@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     )
     from piezo_identification.identification.identify import identify
     from piezo_identification.identification.progress import IdentificationCancelled
-    from piezo_identification.prediction.model_monitor import ModelMonitor
+    from piezo_identification.monitoring.model_monitor import ModelMonitor
     from piezo_identification.prediction.prediction import Prediction, predict
     from piezo_identification.prediction.prediction_errors import unseen_errors
 
@@ -42,7 +42,7 @@ _HOMES = {
     "alternatives_of_files": "diagnosis.experiment_design.propose",
     "decide": "diagnosis.experiment_design.decide",
     "propose": "diagnosis.experiment_design.propose",
-    "ModelMonitor": "prediction.model_monitor",
+    "ModelMonitor": "monitoring.model_monitor",
     "estimate_creep": "estimators.creep.square_wave_creep",
     "estimate_dynamics": "estimators.dynamics.square_wave",
     "estimate_dynamics_multisine": "estimators.dynamics.multisine",

@@ -2,7 +2,6 @@
 """Track references with the stage: the action ``controller/track``."""
 
 import dataclasses
-import hashlib
 import json
 import math
 import time
@@ -15,12 +14,15 @@ from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
 from piezo_controller.node.law_message import message_of
+from piezo_controller.node.model_service import ModelService
 from piezo_controller.node.reference_topic import ReferenceTopic
 from piezo_controller.references.live_reference import TOPIC
 from piezo_controller.references.reference import Reference
+from piezo_controller.tracking.accepted_models import ModelText
 from piezo_controller.tracking.feedbacks import LOOPS, PLACES, Feedbacks, FeedbackSettings
 from piezo_controller.tracking.track import Learning, PreparedRun, TrackRequest, prepare
 from piezo_controller.tracking.tracking_modes import StageClock
+from piezo_models.cascade import StageModel
 from piezo_ros.calls import CallFailed
 from piezo_ros.goals import GoalServers, Progress
 from piezo_ros.parameters import declare, declare_data_root
@@ -70,6 +72,7 @@ class ControllerNode(LifecycleNode):
         self._tracker = StageTracker(self)
         self._references = ReferenceTopic(self, self._tracker.wake)
         self._recorder = RecorderCaller(self)
+        self._models = ModelService(self, self._data_root.readable, self._check_model)
         self._goals = GoalServers(self)
         self._goals.serve(Track, "controller/track", self._track)
         autostart(self)
@@ -88,14 +91,14 @@ class ControllerNode(LifecycleNode):
                           progress: Progress) -> None:
         directory = self._data_root.writable(goal.directory or self._directory)
         self._locate_files(goal)
-        model_text = _read_text(goal.model)
+        model, replaced = self._models.model_for(goal.model)
         described = self._stage.wait(progress.check)
         clock = _clock(described)
         live = None if goal.reference.kind != TOPIC else self._references.begin(
             clock.sample_period_s, described.timing == "lockstep", goal.reference.centre_um,
             progress.check)
         prepared = prepare(
-            _request(goal, model_text, directory), clock,
+            _request(goal, model, directory), clock,
             self._feedbacks(clock).with_controller(goal.controller, goal.mode),
             _Preparing(progress, goal.tolerance_um), self._data_root.writable, REPORT_PERIOD_S,
             live)
@@ -105,7 +108,7 @@ class ControllerNode(LifecycleNode):
         account = RunAccount(**self._run_limits, answered=prepared.feedback is not None,
                              streamed=plan.streamed)
         with self._recorder.record(directory, f"track_{goal.mode}", {
-                "model.json": model_text, "parameters.json": _parameters(goal)},
+                "model.json": model.text, "parameters.json": _parameters(goal)},
                 goal.unrecorded) as recording:
             result.recording = recording.path
             try:
@@ -126,7 +129,7 @@ class ControllerNode(LifecycleNode):
         uncompensated = (
             f'the feedforward does not compensate: {", ".join(plan.uncompensated)}'
             if plan.uncompensated else "")
-        notes = learned, uncompensated, run.lateness, plan.note, recording.note
+        notes = replaced, learned, uncompensated, run.lateness, plan.note, recording.note
         if account.failure:
             raise CallFailed("; ".join(filter(None, (account.failure, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))
@@ -136,6 +139,11 @@ class ControllerNode(LifecycleNode):
         if self._designed is None or self._designed[0] != clock:
             self._designed = clock, Feedbacks(self._feedback_settings, clock)
         return self._designed[1]
+
+    def _check_model(self, model: StageModel, model_sha256: str, present: StageModel) -> None:
+        """Design the feedback for a model; refuse one that is not stable."""
+        clock = _clock(self._stage.wait(lambda: None))
+        self._feedbacks(clock).check_model(model, model_sha256, present)
 
     def _locate_files(self, goal: Track.Goal) -> None:
         """Take the relative paths of files to read from the data root."""
@@ -209,10 +217,9 @@ class _Preparing:
                                   tolerance_um=self._tolerance_um)
 
 
-def _request(goal: Track.Goal, model_text: str, directory: Path) -> TrackRequest:
+def _request(goal: Track.Goal, model: ModelText, directory: Path) -> TrackRequest:
     return TrackRequest(
-        mode=goal.mode, model=goal.model,
-        model_sha256=hashlib.sha256(model_text.encode()).hexdigest(),
+        mode=goal.mode, model=model.path, model_sha256=model.sha256,
         references=[_reference(message) for message in (goal.reference, *goal.then)],
         durations_s=[goal.duration_s, *goal.then_duration_s], tolerance_um=goal.tolerance_um,
         inversion=goal.inversion, learned=goal.learned, iterations=goal.iterations,
@@ -224,15 +231,6 @@ def _reference(message: messages.Reference) -> Reference:
         message.kind, tuple(message.frequency_hz), tuple(message.amplitude_um),
         tuple(message.phase_rad), message.centre_um, message.file, message.once, message.axis,
         message.lines, message.seed)
-
-
-def _read_text(path: str) -> str:
-    try:
-        return Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ValueError(f"cannot read the model {path!r}: {reason}; "
-                         "identify the stage first, or give the path of its model") from None
 
 
 def _parameters(goal: Track.Goal) -> str:

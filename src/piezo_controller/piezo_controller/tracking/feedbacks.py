@@ -14,7 +14,12 @@ from piezo_controller.feedback.controller_file import (
 )
 from piezo_controller.feedback.design_choices import DEFAULT_WEIGHTS
 from piezo_controller.feedback.feedback_before_inverse import FeedbackBeforeInverse
-from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
+from piezo_controller.feedback.feedback_design import (
+    FeedbackController,
+    UnstableLoop,
+    check_stabilises,
+    design_feedback,
+)
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.onboard_law import onboard_law
 from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
@@ -129,6 +134,32 @@ class Feedbacks:
             self._max_feedback_v if composite else self._room_v(plan),
             before_inverse=composite and self._settings.place == "before_inverse",
             max_error_um=self._settings.max_error_um if composite else math.inf)
+
+    def check_model(self, model: StageModel, model_sha256: str, present: StageModel) -> None:
+        """Refuse a model whose composite feedback is unstable with it, or with the present one.
+
+        A stage that has changed lies near both. The design is kept for the next run.
+
+        Parameters
+        ----------
+        model : StageModel
+        model_sha256 : str
+            Hash of the model's file.
+        present : StageModel
+            That the model is to replace.
+
+        Raises
+        ------
+        ValueError
+        """
+        controller = self._controller(
+            "composite", model, model_sha256, answered=self._settings.loop != "onboard")
+        for name, other in (("it", model), ("the model that it replaces", present)):
+            try:
+                check_stabilises(controller, other, self._stage.sample_period_s)
+            except UnstableLoop as reason:
+                raise ValueError(f"the feedback for the extended model is unstable with {name}: "
+                                 f"{reason}") from None
 
     def _room_v(self, plan: TrackingPlan) -> float:
         """Return what a feedback may give that has all of the travel as its work (V)."""

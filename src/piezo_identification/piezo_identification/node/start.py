@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Start the node of this package; Ctrl-C is handled before anything else is imported."""
+"""Start a node of this package; Ctrl-C is handled before anything else is imported."""
 
 from piezo_ros.starting import node_entry
 
 main = node_entry(
     "piezo_identification.node.identification_node",
     "Run experiments on the stage, identify models and diagnose them.")
+
+monitor = node_entry(
+    "piezo_identification.node.monitor_node",
+    "Run a model beside the stage while it tracks, and tell when it no longer fits.")

@@ -52,7 +52,7 @@ def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
     elif isinstance(effect, LoadedMode):
         frequencies = {mode.frequency_rad_per_s: i for i in linear
                        if isinstance(mode := stage[i], VibrationMode)}
-        nearest = min(frequencies, key=lambda frequency: abs(frequency - effect.frequency_rad_per_s))
+        nearest = min(frequencies, key=lambda w: abs(w - effect.frequency_rad_per_s))
         stage[frequencies[nearest]] = effect
     elif isinstance(effect, SoftBacklash | SwitchedHeat | ThermalDrift):
         stage.append(effect)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from piezo_identification.prediction.cusum import Cusum, run_length, threshold_of
+from piezo_identification.monitoring.cusum import Cusum, run_length, threshold_of
 
 
 def run_length_of_a_chain(threshold, allowance, shift, cells=400):

@@ -5,12 +5,13 @@ The residual is cut into blocks. What the blocks have while nothing has changed 
 model has errors, and ordinary tracking repeats them. The memory is bounded however long it runs.
 """
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.prediction.cusum import Cusum, threshold_of
+from piezo_identification.monitoring.cusum import Cusum, threshold_of
 from piezo_models.cascade import StageMemory, StageModel
 from piezo_models.effects import Effect
 
@@ -21,6 +22,13 @@ STATISTICS = {
     "scatter": "what the model leaves has another size",
 }
 """What each statistic of a block speaks of when it changes."""
+
+
+BAND_EDGES_HZ = (0.0, 10.0, 100.0, 1000.0, np.inf)
+"""Of the bands in which the residual is told to have grown: a decade each."""
+
+REMEMBERED_BLOCKS = 4096
+"""Of which the beginning is remembered, for when a change began."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +48,12 @@ class MonitorSettings:
     unsure : float
         Standard deviations of the learned means by which the allowance is widened: what was
         learned is off by chance, and an endless sum would find it.
+    alike : float
+        Part of its motion by which a block may differ from the one before. A changed stage
+        moves otherwise under the same voltage, or takes another voltage for the same motion. Where
+        both are others, something else is tracked.
+    patience : int
+        Blocks of something else, one after the other, after which the monitor learns anew.
     """
 
     block_s: float = 0.2
@@ -47,6 +61,8 @@ class MonitorSettings:
     false_alarms_per_hour: float = 0.1
     shift: float = 1.5
     unsure: float = 2.0
+    alike: float = 0.1
+    patience: int = 5
 
     @property
     def allowance(self) -> float:
@@ -77,12 +93,19 @@ class Suspicion:
     change : float
         Of the statistic since then at least, in standard deviations of a block; negative where it
         fell.
+    usual_rms_um, rms_um : float
+        Of the residual about its mean, before the change and in the block of the alarm.
+    band_hz : (float, float)
+        In which the power of the residual grew most.
     """
 
     statistic: str
     at_s: float
     since_s: float
     change: float
+    usual_rms_um: float = 0.0
+    rms_um: float = 0.0
+    band_hz: tuple[float, float] = (0.0, 0.0)
 
     def sentence(self) -> str:
         """Tell what is suspected."""
@@ -124,8 +147,19 @@ class ModelMonitor:
         self._memory = model.memory() if memory is None else memory.copy()
         self._waiting_v: list[FloatArray] = []
         self._waiting_um: list[FloatArray] = []
-        self._blocks = 0
+        self._sample = 0
         self._begin_learning()
+
+    @property
+    def block_samples(self) -> int:
+        """Return the samples of a block."""
+        return self._block
+
+    @property
+    def past_v(self) -> FloatArray:
+        """Return the voltages that the hysteresis remembers, the present one last."""
+        memory = self._memory.hysteresis
+        return memory.extremes_v[: memory.top + 1].copy()
 
     @property
     def is_learning(self) -> bool:
@@ -151,14 +185,34 @@ class ModelMonitor:
             raised += self._watch_block(*map(self._next_block, (self._waiting_v, self._waiting_um)))
         return raised
 
-    def begin_anew(self, memory: StageMemory | None = None) -> None:
+    def pass_by(self, voltage_v: FloatArray, sample_period_s: float | None = None) -> None:
+        """Take samples that are not to be judged, such as on the way to a reference.
+
+        Parameters
+        ----------
+        voltage_v : ndarray, shape (N,)
+        sample_period_s : float, optional
+            For which each voltage is held, where that is not the one of the monitor.
+        """
+        period_s = sample_period_s or self._period_s
+        waiting = np.concatenate([*self._waiting_v, np.empty(0)])
+        self._waiting_v.clear()
+        self._waiting_um.clear()
+        for voltages_v, held_s in ((waiting, self._period_s), (voltage_v, period_s)):
+            if voltages_v.size:
+                self._advance(voltages_v, held_s)
+
+    def begin_anew(self, memory: StageMemory | None = None, sample: int | None = None) -> None:
         """Learn anew, such as after a gap or where something else is tracked.
 
         Parameters
         ----------
         memory : StageMemory, optional
             Past of the stage; by default the model goes on where it is.
+        sample : int, optional
+            Number of the next sample, from which times are told; by default the count goes on.
         """
+        self._sample = self._sample if sample is None else sample
         if memory is not None:
             self._memory = memory.copy()
         self._waiting_v.clear()
@@ -169,40 +223,112 @@ class ModelMonitor:
         self._learned: list[FloatArray] = []
         self._tests: list[Cusum] | None = None
         self._usual = self._spread = np.zeros(len(STATISTICS))
+        self._motion: FloatArray | None = None
+        self._powers: list[FloatArray] = []
+        self._unlike = 0
+        self._begins: deque[int] = deque(maxlen=REMEMBERED_BLOCKS)
 
     def _next_block(self, waiting: list[FloatArray]) -> FloatArray:
         joined = np.concatenate(waiting)
         waiting[:] = [joined[self._block :]]
         return joined[: self._block]
 
+    def _advance(self, voltage_v: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return what the model does with further voltages, each held for a sample period."""
+        if sample_period_s != self._period_s:
+            self._memory.effects.clear()  # whose pasts are of this monitor's samples
+        simulated_um = self._model.simulate(voltage_v, sample_period_s, self._memory)
+        self._sample += round(voltage_v.size * sample_period_s / self._period_s)
+        return simulated_um
+
     def _watch_block(self, voltage_v: FloatArray,
                      displacement_um: FloatArray) -> list[Suspicion]:
-        simulated_um = self._model.simulate(voltage_v, self._period_s, self._memory)
-        found = block_statistics(displacement_um - simulated_um, simulated_um)
-        self._blocks += 1
+        begin = self._sample
+        simulated_um = self._advance(voltage_v, self._period_s)
+        residual_um = displacement_um - simulated_um
+        motion = np.array([motion_of(simulated_um), motion_of(displacement_um)])
+        powers = band_powers(residual_um, self._period_s)
         if self._tests is None:
-            self._learned.append(found)
-            if len(self._learned) == self._settings.learning_blocks:
-                self._end_learning()
+            if self._is_other(motion):
+                self._begin_learning()
+            self._motion = motion
+            self._learn(block_statistics(residual_um, simulated_um), powers)
             return []
-        raised = []
-        for name, value, test in zip(
-                STATISTICS, (found - self._usual) / self._spread, self._tests, strict=True):
-            changed = test.add(float(value))
-            if changed:
-                at_s = self._blocks * self._block * self._period_s
-                since_s = at_s - abs(changed) * self._block * self._period_s
-                least = self._settings.allowance + self._settings.threshold / abs(changed)
-                raised.append(Suspicion(name, at_s, since_s, float(np.copysign(least, changed))))
-        return raised
+        if self._is_other(motion):
+            self._unlike += 1
+            if self._unlike >= self._settings.patience:
+                self._begin_learning()
+            return []
+        self._unlike, self._motion = 0, motion  # which creeps
+        self._begins.append(begin)
+        found = (block_statistics(residual_um, simulated_um) - self._usual) / self._spread
+        grown = int(np.argmax(powers - self._power))
+        return [
+            self._suspicion(name, changed, powers, grown)
+            for name, value, test in zip(STATISTICS, found, self._tests, strict=True)
+            if (changed := test.add(float(value)))]
+
+    def _suspicion(self, name: str, changed: int, powers: FloatArray, grown: int) -> Suspicion:
+        since = self._begins[-min(abs(changed), len(self._begins))]
+        least = self._settings.allowance + self._settings.threshold / abs(changed)
+        return Suspicion(
+            name, self._sample * self._period_s, since * self._period_s,
+            float(np.copysign(least, changed)), float(np.sqrt(self._power.sum())),
+            float(np.sqrt(powers.sum())),
+            (BAND_EDGES_HZ[grown], min(BAND_EDGES_HZ[grown + 1], 0.5 / self._period_s)))
+
+    def _is_other(self, motion: FloatArray) -> bool:
+        """Tell whether both the model and the stage move otherwise than in the block before."""
+        than = self._motion
+        if than is None:
+            return False
+        scale = np.maximum(than[:, 1:2], np.finfo(float).tiny)
+        return bool(np.all(np.any(
+            np.abs(motion - than) > self._settings.alike * scale, axis=1)))
+
+    def _learn(self, found: FloatArray, powers: FloatArray) -> None:
+        self._learned.append(found)
+        self._powers.append(powers)
+        if len(self._learned) == self._settings.learning_blocks:
+            self._end_learning()
 
     def _end_learning(self) -> None:
         learned = np.array(self._learned)
         self._usual = learned.mean(axis=0)
         self._spread = np.array([long_run_deviation(column) for column in learned.T])
-        self._learned = []
+        self._power = np.mean(self._powers, axis=0)
+        self._learned, self._powers = [], []
         threshold, allowance = self._settings.threshold, self._settings.allowance
         self._tests = [Cusum(threshold, allowance) for _ in STATISTICS]
+
+
+def motion_of(displacement_um: FloatArray) -> FloatArray:
+    """Return mean and standard deviation of a block, shape (2,).
+
+    Parameters
+    ----------
+    displacement_um : ndarray, shape (N,)
+    """
+    return np.array([displacement_um.mean(), displacement_um.std()])
+
+
+def band_powers(residual_um: FloatArray, sample_period_s: float) -> FloatArray:
+    """Return the mean square of a residual about its mean in the bands of `BAND_EDGES_HZ`.
+
+    Parameters
+    ----------
+    residual_um : ndarray, shape (N,)
+    sample_period_s : float
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        In um^2; by Parseval they sum to the variance.
+    """
+    spectrum = np.abs(np.fft.rfft(residual_um - residual_um.mean()) / residual_um.size) ** 2
+    spectrum[1 : (residual_um.size + 1) // 2] *= 2.0
+    frequency_hz = np.fft.rfftfreq(residual_um.size, sample_period_s)
+    return np.histogram(frequency_hz, BAND_EDGES_HZ, weights=spectrum)[0]
 
 
 def block_statistics(residual_um: FloatArray, simulated_um: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezo_identification.prediction.model_monitor import (
+from piezo_identification.monitoring.model_monitor import (
     ModelMonitor,
     MonitorSettings,
     block_statistics,

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The service ``accept_extended_model``, and the topic that tells which model runs use."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from piezo_interfaces.srv import AcceptExtendedModel
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from piezo_controller.tracking.accepted_models import AcceptedModels, CheckFeedback, ModelText
+from piezo_ros.late_responses import LateResponse, create_late_service
+from piezo_ros.quality import DESCRIPTION
+
+
+class ModelService:
+    """Let an operator have runs use an extended model.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    readable : callable
+        Returns the path of a file to read, given what was asked for.
+    check : callable
+        Makes the feedback for an extended model, and refuses what is not stable.
+    """
+
+    def __init__(self, node: Node, readable: Callable[[str], str], check: CheckFeedback) -> None:
+        self._node, self._readable, self._check = node, readable, check
+        self._accepted = AcceptedModels()
+        self._told = node.create_publisher(String, "controller/model", DESCRIPTION)
+        create_late_service(
+            node, AcceptExtendedModel, "controller/accept_extended_model", self._begin)
+
+    def model_for(self, path: str) -> tuple[ModelText, str]:
+        """Return the model that a run uses, and tell everybody.
+
+        Parameters
+        ----------
+        path : str
+            Of the model that its goal names.
+
+        Returns
+        -------
+        model : ModelText
+        note : str
+            What to tell of it in the result; empty for the model that was named.
+
+        Raises
+        ------
+        ValueError
+            If a file cannot be read, or was changed since it was accepted.
+        """
+        named = ModelText(path, read_model_text(path))
+        used = self._accepted.in_place_of(named, read_model_text)
+        self._told.publish(String(data=used.path))
+        return used, "" if used is named else (
+            f"used {used.path}, which was accepted in place of {path}")
+
+    def _begin(self, request: AcceptExtendedModel.Request, late: LateResponse) -> None:
+        # A design takes seconds, in which the loop goes on.
+        threading.Thread(target=self._answer, name="accept", args=(request, late)).start()
+
+    def _answer(self, request: AcceptExtendedModel.Request, late: LateResponse) -> None:
+        response = late.response
+        try:
+            response.message = self._accept(request)
+            response.success = True
+            self._node.get_logger().info(response.message)
+        except ValueError as error:
+            response.message = f"{error}; what was used before stays"
+            self._node.get_logger().warning(response.message)
+        late.give()
+
+    def _accept(self, request: AcceptExtendedModel.Request) -> str:
+        path, extended = map(self._readable, (request.model, request.extended_model))
+        model = ModelText(path, read_model_text(path))
+        if not extended:
+            self._accepted.withdraw(model)
+            return f"{path} is used itself from the next run on"
+        self._accepted.accept(model, ModelText(extended, read_model_text(extended)), self._check)
+        return f"{extended} is used in place of {path} from the next run on"
+
+
+def read_model_text(path: str) -> str:
+    """Return the text of a model file; raise ValueError if it cannot be read."""
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ValueError(f"cannot read the model {path!r}: {reason}; "
+                         "identify the stage first, or give the path of its model") from None

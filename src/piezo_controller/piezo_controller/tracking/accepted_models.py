@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Extended models that an operator lets runs use in place of the models they were made from.
+
+A run takes feedforward and feedback from one model, before it begins: both change together,
+between two runs, and never within one.
+"""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from piezo_models.cascade import StageModel
+from piezo_models.model_file import load_model
+
+
+@dataclass(frozen=True)
+class ModelText:
+    """A model file as it was read.
+
+    Attributes
+    ----------
+    path : str
+    text : str
+    """
+
+    path: str
+    text: str
+
+    @property
+    def sha256(self) -> str:
+        """Return the hash of the text."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+
+CheckFeedback = Callable[[StageModel, str, StageModel], None]
+"""Raises ValueError where the feedback for a model, of a hash, is not stable with it or another."""
+
+
+class AcceptedModels:
+    """Which model is used in place of which; models are told apart by the hash of their text."""
+
+    def __init__(self) -> None:
+        self._extended: dict[str, ModelText] = {}
+
+    def accept(self, model: ModelText, extended: ModelText, check: CheckFeedback) -> None:
+        """Use an extended model in place of a model from the next run on.
+
+        Parameters
+        ----------
+        model, extended : ModelText
+        check : callable
+            Makes the feedback for the extended model, and refuses what is not stable.
+
+        Raises
+        ------
+        ValueError
+            If a file cannot be used, the models are not of one stage, or the feedback is unstable;
+            what was used before then stays.
+        """
+        present, following = (load_model(one.path).model for one in (model, extended))
+        before, after = present.hysteresis, following.hysteresis
+        ranges = [(one.voltage_min_v, one.voltage_max_v) for one in (before, after)]
+        if ranges[0] != ranges[1] or (
+                before.density_um_per_v2.shape != after.density_um_per_v2.shape):
+            (low_v, high_v), (lower_v, higher_v) = ranges
+            raise ValueError(
+                f"{extended.path} has another hysteresis, from {lower_v:g} to {higher_v:g} V in "
+                f"{len(after.density_um_per_v2)} cells where {model.path} has {low_v:g} to "
+                f"{high_v:g} V in {len(before.density_um_per_v2)}: give a model that extends it")
+        check(following, extended.sha256, present)
+        self._extended[model.sha256] = extended
+
+    def withdraw(self, model: ModelText) -> None:
+        """Use a model itself again."""
+        self._extended.pop(model.sha256, None)
+
+    def in_place_of(self, model: ModelText, read: Callable[[str], str]) -> ModelText:
+        """Return the model to use for a run that names a model.
+
+        Parameters
+        ----------
+        model : ModelText
+        read : callable
+            Returns the text of a file.
+
+        Raises
+        ------
+        ValueError
+            If the extended model has been changed since it was accepted.
+        """
+        extended = self._extended.get(model.sha256)
+        if extended is None:
+            return model
+        if read(extended.path) != extended.text:
+            raise ValueError(f"{extended.path} has been changed since it was accepted in place of "
+                             f"{model.path}: accept it again, or withdraw it")
+        return extended

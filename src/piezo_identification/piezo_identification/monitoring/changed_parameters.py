@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which of a model's own parameters a stage has changed since the model fitted it.
+
+A model that fitted, and does not fit any more, is taken at its word: one of its numbers moved. The
+groups of numbers that one cause moves together are fitted by nonlinear least squares, and compared
+on stretches of the recording that were left out of the fit.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.conditioning.outlier_samples import with_outliers_marked
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_models.cascade import StageModel
+from piezo_recorder.reading.recording import Recording
+
+
+@dataclass(frozen=True)
+class ChangeSettings:
+    """Numbers that steer the search for what has changed.
+
+    Attributes
+    ----------
+    stretches : int
+        Of the recording; every third is held out.
+    most_groups : int
+        That may have changed at once: more causes in one moment are not believed.
+    significant : float
+        Standard deviations of the mean gain of a held-out stretch that a group needs.
+    largest_logarithm : float
+        By which a parameter may have moved.
+    """
+
+    stretches: int = 30
+    most_groups: int = 2
+    significant: float = 5.0
+    largest_logarithm: float = 0.5
+
+
+SETTINGS = ChangeSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedParameters:
+    """What has changed of a model's own parameters.
+
+    Attributes
+    ----------
+    model : StageModel
+        With the changed parameters; the given one where none is believed.
+    changes : dict of str to (float, float)
+        Value before and after by the parameter's name, which ends in its unit.
+    before_rms_um, after_rms_um : float
+        Of the residual on the stretches that were held out.
+    """
+
+    model: StageModel
+    changes: dict[str, tuple[float, float]]
+    before_rms_um: float
+    after_rms_um: float
+
+    @property
+    def sentence(self) -> str:
+        """Tell what has changed."""
+        if not self.changes:
+            return "no parameter of the model explains the change"
+        told = ", ".join(f"{name} from {before:.6g} to {after:.6g}"
+                         for name, (before, after) in self.changes.items())
+        return (f"changed {told}: the residual falls from {1e3 * self.before_rms_um:.3g} to "
+                f"{1e3 * self.after_rms_um:.3g} nm")
+
+
+def changed_parameters(model: StageModel, recording: Recording,
+                       progress: Callable[[float], object] = lambda fraction: None,
+                       ) -> ChangedParameters:
+    """Find which parameters of a model have changed in a recording.
+
+    Parameters
+    ----------
+    model : StageModel
+    recording : Recording
+        Of the time after the change, with the voltages before it.
+    progress : callable
+        Called with the fraction that is done; what it raises ends the work.
+
+    Returns
+    -------
+    ChangedParameters
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps, or is too short.
+    """
+    problem = _Problem(model, with_outliers_marked(recording))
+    groups = parameter_groups(model)
+    chosen: tuple[str, ...] = ()
+    numbers = np.empty(0)
+    best = problem.left_um(chosen, numbers)
+    for taken in range(SETTINGS.most_groups):
+        fits = {}
+        others = [name for name in groups if name not in chosen]
+        for index, name in enumerate(others):
+            progress((taken + index / len(others)) / SETTINGS.most_groups)
+            names = (*chosen, name)
+            start = np.append(numbers, np.zeros(len(groups[name])))
+            fits[names] = problem.fit(names, start)
+        if not fits:
+            break
+        left = {names: problem.left_um(names, fit) for names, fit in fits.items()}
+        names = min(left, key=lambda key: problem.held_out_rms_um(left[key]))
+        if not problem.is_better(left[names], best):
+            break
+        chosen, numbers, best = names, fits[names], left[names]
+    before_um = problem.held_out_rms_um(problem.left_um((), np.empty(0)))
+    if not chosen:
+        return ChangedParameters(model, {}, before_um, before_um)
+    found = problem.model(chosen, numbers)
+    before, after = (_values(one) for one in (model, found))
+    return ChangedParameters(
+        found, {name: (before[name], after[name]) for group in chosen for name in groups[group]},
+        before_um, problem.held_out_rms_um(best))
+
+
+def parameter_groups(model: StageModel) -> dict[str, tuple[str, ...]]:
+    """Return the parameters that one cause moves together, by the cause's part of the model.
+
+    Parameters
+    ----------
+    model : StageModel
+
+    Returns
+    -------
+    dict of str to tuple of str
+    """
+    groups: dict[str, tuple[str, ...]] = {"gain": ("gain_um_per_v",)}
+    if model.dynamics.time_constant_s > 0.0:
+        groups["lag"] = ("time_constant_s",)
+    for index in range(1, len(model.dynamics.mode_frequencies_rad_per_s) + 1):
+        groups[f"mode {index}"] = (
+            f"mode_{index}_frequency_rad_per_s", f"mode_{index}_damping_ratio")
+    return groups
+
+
+def _values(model: StageModel) -> dict[str, float]:
+    low_um, high_um = model.hysteresis.output_range_um
+    dynamics = model.dynamics
+    values = {
+        "gain_um_per_v": float((high_um - low_um) / (
+            model.hysteresis.voltage_max_v - model.hysteresis.voltage_min_v)),
+        "time_constant_s": dynamics.time_constant_s}
+    for index, (frequency, damping) in enumerate(zip(
+            dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True), start=1):
+        values[f"mode_{index}_frequency_rad_per_s"] = frequency
+        values[f"mode_{index}_damping_ratio"] = damping
+    return values
+
+
+def _changed(model: StageModel, logarithms: dict[str, float]) -> StageModel:
+    """Return a model with some of its parameters multiplied by exponentials."""
+    factor = {name: float(np.exp(logarithms.get(name, 0.0))) for name in _values(model)}
+    dynamics, hysteresis = model.dynamics, model.hysteresis
+    gain = factor["gain_um_per_v"]
+    modes = range(1, len(dynamics.damping_ratios) + 1)
+    if gain != 1.0:
+        hysteresis = replace(
+            hysteresis, density_um_per_v2=gain * hysteresis.density_um_per_v2,
+            reversible_um_per_v=gain * hysteresis.reversible_um_per_v,
+            offset_um=gain * hysteresis.offset_um)
+    return replace(model, hysteresis=hysteresis, dynamics=replace(
+        dynamics, time_constant_s=dynamics.time_constant_s * factor["time_constant_s"],
+        mode_frequencies_rad_per_s=tuple(
+            value * factor[f"mode_{index}_frequency_rad_per_s"]
+            for index, value in zip(modes, dynamics.mode_frequencies_rad_per_s, strict=True)),
+        damping_ratios=tuple(value * factor[f"mode_{index}_damping_ratio"]
+                             for index, value in zip(modes, dynamics.damping_ratios, strict=True))))
+
+
+class _Problem:
+    """A recording, and what a model with changed parameters leaves of it."""
+
+    def __init__(self, model: StageModel, recording: Recording) -> None:
+        self._model = model
+        self._part = part = SimulatedRecording(model, recording)
+        count = part.time_s.size
+        stretch = np.arange(count) * SETTINGS.stretches // count
+        used = (np.arange(count) >= part.begin) & ~part.outlier
+        self._held_out: BoolArray = used & (stretch % 3 == 2)
+        self._fitted: BoolArray = used & ~self._held_out
+        self._stretch = stretch
+        time_s = part.time_s
+        # How far the creep had come, and where the sensor has its zero, nobody knows.
+        self._nuisance = np.column_stack([np.ones(count), *(
+            np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
+
+    def model(self, groups: Sequence[str], numbers: FloatArray) -> StageModel:
+        """Return the model with the parameters of some groups changed by logarithms."""
+        known = parameter_groups(self._model)
+        names = [name for group in groups for name in known[group]]
+        return _changed(self._model, dict(zip(names, numbers, strict=True)))
+
+    def left_um(self, groups: Sequence[str], numbers: FloatArray) -> FloatArray:
+        """Return the residual without what nobody knows, (N,)."""
+        part, model = self._part, self.model(groups, numbers)
+        scale = _values(model)["gain_um_per_v"] / _values(self._model)["gain_um_per_v"]
+        simulated_um = part.respond(model.linear(), scale * part.input_um)
+        for place in ("displacement", "sensor"):
+            for effect in model.effects_at(place):
+                simulated_um = effect.apply(simulated_um, part.sample_period_s, part.rest_um)
+        left_um = part.measured_um - simulated_um
+        fitted = self._fitted
+        solved = np.linalg.lstsq(self._nuisance[fitted], left_um[fitted], rcond=1e-9)[0]
+        return left_um - self._nuisance @ solved
+
+    def fit(self, groups: Sequence[str], start: FloatArray) -> FloatArray:
+        """Return the logarithms that leave least of the fitted stretches."""
+        most = SETTINGS.largest_logarithm
+        return least_squares(
+            lambda numbers: self.left_um(groups, numbers)[self._fitted], start,
+            bounds=(-most, most), x_scale=0.01, diff_step=1e-4, xtol=1e-6, ftol=1e-6).x
+
+    def held_out_rms_um(self, left_um: FloatArray) -> float:
+        """Return the root mean square of a residual on the stretches that are held out."""
+        return float(np.sqrt(np.mean(left_um[self._held_out] ** 2)))
+
+    def is_better(self, left_um: FloatArray, than_um: FloatArray) -> bool:
+        """Tell whether a residual is surely less than another, stretch by stretch."""
+        gains = np.array([
+            np.mean(than_um[rows] ** 2 - left_um[rows] ** 2)
+            for stretch in range(2, SETTINGS.stretches, 3)
+            if np.any(rows := self._held_out & (self._stretch == stretch))])
+        error = float(np.std(gains, ddof=1)) / np.sqrt(gains.size)
+        return bool(gains.mean() > SETTINGS.significant * error)

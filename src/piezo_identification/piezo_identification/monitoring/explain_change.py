@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a stage has changed, found in the background: a process at low priority, and its result."""
+
+import json
+import multiprocessing
+import os
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from piezo_identification.diagnosis.report.results import diagnose_files
+from piezo_identification.monitoring.changed_parameters import changed_parameters
+from piezo_models.model_file import load_model, save_model
+from piezo_recorder.reading.reader import origin_of, read_recording
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.writing.convert import write_recording
+
+NICENESS = 10
+"""Of the process: a loop on the same computer goes first."""
+
+EXPLAINED = 0.1
+"""Part of the power that the change added, of which an explanation leaves no more."""
+
+RESULT = "change.json"
+
+
+@dataclass(frozen=True)
+class ChangeExplanation:
+    """What a stage has changed, as far as that was found.
+
+    Attributes
+    ----------
+    sentence : str
+    extended_model : str
+        Path of the model that explains it; empty where none does.
+    before_rms_um, after_rms_um : float
+        Of the residual on held-out samples; equal without an extended model.
+    """
+
+    sentence: str
+    extended_model: str = ""
+    before_rms_um: float = 0.0
+    after_rms_um: float = 0.0
+
+
+def explain_change(model: str | Path, recording: str | Path, directory: str | Path,
+                   usual_rms_um: float) -> ChangeExplanation:
+    """Explain a change by the model's own parameters, or else by effects that it lacks.
+
+    Parameters
+    ----------
+    model, recording : path-like
+        Files; the recording is of the time after the change.
+    directory : path-like
+        Gets ``extended_model.json``, and the files of the diagnosis where there is one.
+    usual_rms_um : float
+        Residual of the model before the change.
+
+    Returns
+    -------
+    ChangeExplanation
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be used.
+    """
+    identified, directory = load_model(model), Path(directory)
+    found = changed_parameters(identified.model, read_recording(recording))
+    directory.mkdir(parents=True, exist_ok=True)
+    if found.changes and _explains(found.before_rms_um, found.after_rms_um, usual_rms_um):
+        path = directory / "extended_model.json"
+        save_model(path, replace(
+            identified, model=found.model, uncertainties={}, adequacy={},
+            errors={**identified.errors, "before_change": {"rms_um": found.before_rms_um},
+                    "after_change": {"rms_um": found.after_rms_um}},
+            recordings=[*identified.recordings, origin_of(recording)]))
+        return ChangeExplanation(found.sentence, str(path), found.before_rms_um, found.after_rms_um)
+    results = diagnose_files(model, [recording], None, directory, lambda stage, fraction: None)
+    before_um, after_um = (float(state["rms_um"]) for state in (
+        results.diagnosis.before, results.diagnosis.after))
+    names = ", ".join(entry["name"] for entry in results.diagnosis.effects)
+    if names and _explains(before_um, after_um, usual_rms_um):
+        return ChangeExplanation(
+            f"the model lacks {names}: the residual falls from {1e3 * before_um:.3g} to "
+            f"{1e3 * after_um:.3g} nm", str(results.extended_model), before_um, after_um)
+    return ChangeExplanation(
+        f"{found.sentence}; the verdict of the diagnosis is {results.diagnosis.verdict}"
+        + (f" ({names})" if names else "") + f": see {results.report}", "", before_um, before_um)
+
+
+class Explainer:
+    """Explains one change at a time in a process of its own.
+
+    Parameters
+    ----------
+    model : str
+        Path of the model file.
+    recording : Recording
+        Of the time after the change.
+    directory : Path
+        Gets all files; made if it is missing.
+    usual_rms_um : float
+
+    Raises
+    ------
+    OSError
+        If the recording cannot be written.
+    """
+
+    def __init__(self, model: str, recording: Recording, directory: Path,
+                 usual_rms_um: float) -> None:
+        self._result = directory / RESULT
+        directory.mkdir(parents=True, exist_ok=True)
+        path = directory / "after_change"
+        write_recording(recording, path)
+        # Spawned: a fork would copy what the threads of the middleware hold.
+        self._process = multiprocessing.get_context("spawn").Process(
+            target=_work, args=(model, str(path), str(directory), usual_rms_um), daemon=True)
+        self._process.start()
+
+    @property
+    def explanation(self) -> ChangeExplanation | None:
+        """Return what was found; None while the process works."""
+        if self._process.is_alive():
+            return None
+        try:
+            return ChangeExplanation(**json.loads(self._result.read_text(encoding="utf-8")))
+        except OSError:
+            return ChangeExplanation(
+                f"the diagnosis ended without a result (status {self._process.exitcode}): "
+                f"run diagnose on {self._result.parent / 'after_change'}")
+
+    def end(self) -> None:
+        """End the process, whatever it has found."""
+        self._process.terminate()
+        self._process.join()
+
+
+def _work(model: str, recording: str, directory: str, usual_rms_um: float) -> None:
+    os.nice(NICENESS)
+    try:
+        explanation = explain_change(model, recording, directory, usual_rms_um)
+    except ValueError as error:
+        explanation = ChangeExplanation(f"the change cannot be diagnosed: {error}")
+    result = Path(directory, RESULT)
+    complete = result.with_suffix(".part")
+    complete.write_text(json.dumps(asdict(explanation), indent=1), encoding="utf-8")
+    os.replace(complete, result)
+
+
+def _explains(before_um: float, after_um: float, usual_um: float) -> bool:
+    added_um2 = before_um**2 - usual_um**2
+    return added_um2 > 0.0 and after_um**2 - usual_um**2 <= EXPLAINED * added_um2
