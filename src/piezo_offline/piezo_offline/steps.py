@@ -24,7 +24,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     find_identification_recordings,
 )
-from piezo_identification.diagnosis.report.results import stated_uncertainty_um
+from piezo_identification.diagnosis.report.results import stated_error
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
@@ -178,9 +178,9 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
         return diagnose_response(stage_model, response)
     held_out = None if holdout is None else read(holdout, columns, "held-out data")
     judged = [*(data if isinstance(data, list | tuple) else [data]), holdout]
-    known, stated_um = _known_of(model, identified_from, judged, columns)
+    known, stated = _known_of(model, identified_from, judged, columns)
     return diagnose_recordings(
-        stage_model, recordings_of(data, columns, "data"), held_out, progress, known, stated_um)
+        stage_model, recordings_of(data, columns, "data"), held_out, progress, known, stated)
 
 
 def plot_residuals(verdict: Diagnosis, recording: int = 0) -> "Figure":
@@ -275,20 +275,20 @@ def _identified(model: AnyModel) -> tuple[StageModel, str]:
 
 def _known_of(
     model: AnyModel, identified_from: Any, others: Sequence[Any], columns: Sequence[str],
-) -> tuple[IdentificationRecordings, float]:
-    """Return what a model was identified from, and by how much (um) it is known to be wrong."""
+) -> tuple[IdentificationRecordings, float | None]:
+    """Return what a model was identified from, and how wrong it is known to be, if it is."""
     known = None
     if identified_from is not None:
         given = recordings_of(identified_from, columns, "identified_from")
         known = IdentificationRecordings(tuple(given), ())
     if isinstance(model, StageModel):
-        return known or IdentificationRecordings(), 0.0
+        return known or IdentificationRecordings(), None
     identified, path = (model, ".") if isinstance(model, IdentifiedModel) else (
         load_model(model), str(model))
     known = known or find_identification_recordings(
         identified, path, lambda name: recordings_of(name, columns, str(name)),
         others=[each for each in others if isinstance(each, str | PathLike)])
-    return known, stated_uncertainty_um(identified)
+    return known, stated_error(identified)
 
 
 def _read_at(rows_read: str) -> float:

@@ -31,11 +31,13 @@ from piezo_identification.diagnosis.joint.competition import (
     Competition,
     beside_alternative,
     compare_models,
+    passes_for_noise,
 )
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     old_recordings,
 )
+from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.regression import Fit, Regression, first_regression
@@ -56,14 +58,11 @@ class VerdictSettings:
 
     Attributes
     ----------
-    believed : float
-        Probability of something else from which the recording is unexplained.
     guess : float
         Part of the power of the lack of fit that may be left before the effects found are mere
         guesses.
     """
 
-    believed: float = 0.5
     guess: float = 0.5
 
 
@@ -136,7 +135,7 @@ class Decision:
 def diagnose(model: StageModel, recordings: Sequence[Recording],
              holdout: Recording | None = None, progress: Progress | None = None,
              identified_from: IdentificationRecordings | None = None,
-             stated_um: float = 0.0) -> Diagnosis:
+             stated: float | None = None) -> Diagnosis:
     """Find what a model lacks to explain recordings.
 
     Parameters
@@ -150,8 +149,9 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
         Called with (what is done, fraction).
     identified_from : IdentificationRecordings, optional
         What is at hand of the recordings that the model was identified from; by default nothing.
-    stated_um : float
-        By how much the model is known to be wrong, RMS.
+    stated : float, optional
+        By how much the model is known to be wrong, as a part of the RMS motion; by default what
+        the recordings of the identification tell.
 
     Returns
     -------
@@ -171,10 +171,10 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     old = [] if selection.interrupted else old_recordings(model, known)
     report = _within(progress, share, 1.0)
     try:
-        competition = compare_models(model, given.recordings, old, selection, stated_um, report)
+        competition = compare_models(model, given.recordings, old, selection, stated, report)
     except KeyboardInterrupt:
         selection = replace(selection, interrupted=True)
-        competition = compare_models(model, given.recordings, [], selection, stated_um, report)
+        competition = compare_models(model, given.recordings, [], selection, stated, report)
     decision, found, believed = decide(selection, validation, competition)
     predictable = ceiling_of(found, decision)
     told = tell(model, given, found, believed, decision, predictable)
@@ -269,28 +269,28 @@ def decide(selection: Selection, validation: Validation,
     if best is not None and not best.since:
         beside = beside_alternative(selection, competition, best)
         validation_beside = validation.beside(beside.regression)
-        if validation_beside.improves(beside.end):
+        # The parameters of the new recordings alone may be the better ones for the same effects.
+        is_better = _names(beside.end) != _names(fit) or (
+            left_rms_um(beside) < left_rms_um(selection))
+        if is_better and validation_beside.improves(beside.end):
             found, believed, fit, refused = beside, validation_beside, beside.end, {}
     outliers = found_outliers(found.regression)
-    is_explained = competition.probabilities[SOMETHING_ELSE] < SETTINGS.believed
+    is_explained = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
     if refused or best is not None and not best.since and found is selection:
         # The probabilities are of what the held-out data refuse.
-        is_explained = is_noise(found.regression, fit)
+        is_explained = passes_for_noise(found.regression, fit, competition.stated)
     most = SETTINGS.guess * lack_of_fit(regression, selection.start)
     if not is_explained and lack_of_fit(found.regression, fit) > most:
         found, believed, fit = selection, validation, selection.start
     verdict = "unexplained"
     if is_explained:
         verdict = "explained" if fit.effects or outliers else "none"
-    came = _came(competition, found is selection)
+    came = competition.came(_names(fit))
     return Decision(verdict, fit, outliers, refused, came), found, believed
 
 
-def _came(competition: Competition, is_since: bool) -> str:
-    """Tell when the effects that are named came."""
-    if competition.best is None:
-        return "not asked"
-    return "after the identification" if is_since else "before the identification"
+def _names(fit: Fit) -> list[str]:
+    return sorted(effect.name for effect in fit.effects)
 
 
 def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":

@@ -12,6 +12,8 @@ CLEAN_SHARE, OUTSIDE_SHARE, PAIRS_SHARE = 40 / 260, 20 / 260, 52 / 260
 CASES_PER_PLANT = 10
 WEAKEST, STRONGEST = 1.2, 40.0
 """Contributions to the recording, over the noise."""
+WEAKEST_ALONG, STRONGEST_ALONG = 10.0, 120.0
+"""The same where the effect was there all along: the model's parameters make up for most of it."""
 OUTSIDE_WEAKEST = 6.0
 """An effect outside the list is no weaker."""
 LATER_SHARE = 0.7
@@ -100,6 +102,31 @@ def draw_cases(count, seed):
             number, seed, number // CASES_PER_PLANT, chosen, tuple(map(float, multiples)), kind,
             slow, bool(random.random() < LATER_SHARE or LATER_ONLY & set(chosen)),
         ))
+    return cases
+
+
+def draw_cases_all_along(count, seed):
+    """Draw cases of one strong effect that was there when the model was identified.
+
+    Parameters
+    ----------
+    count, seed : int
+
+    Returns
+    -------
+    list of Case
+    """
+    random = np.random.default_rng([seed, *b"all along"])
+    causes = _in_turn([name for name in CAUSES if name not in LATER_ONLY], count, random)
+    kinds = _in_turn([(kind, slow) for kind in records.KINDS for slow in (False, True)],
+                     count, random)
+    cases = []
+    for number, (cause, (kind, slow)) in enumerate(zip(causes, kinds, strict=True)):
+        if cause in FAST_ONLY | SLOW_ONLY:
+            slow = cause in SLOW_ONLY
+        multiple = np.exp(random.uniform(np.log(WEAKEST_ALONG), np.log(STRONGEST_ALONG)))
+        cases.append(Case(number, seed, number // CASES_PER_PLANT, (cause,), (float(multiple),),
+                          kind, slow, later=False))
     return cases
 
 

@@ -12,6 +12,7 @@ from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
+from piezo_identification.diagnosis.report.results import stated_error
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.parameter_sensitivities import (
     nuisance_regressors,
@@ -42,7 +43,7 @@ def identified_model(plant, seed):
 
     Returns
     -------
-    StageModel
+    IdentifiedModel
     tuple of Recording
         From which the model was identified.
     """
@@ -61,7 +62,7 @@ def identified_model(plant, seed):
 def _identified(recordings, order):
     """Identify a model of an order, with fewer pairs where the creep does not show that many."""
     try:
-        return identify(**recordings, order=order).model
+        return identify(**recordings, order=order)
     except CreepNotShown:
         return _identified(recordings, replace(order, creep_pairs=order.creep_pairs - 1))
 
@@ -77,7 +78,7 @@ def run_case(case, clean):
     Parameters
     ----------
     case : Case
-    clean : (StageModel, tuple of Recording)
+    clean : (IdentifiedModel, tuple of Recording)
         Of the plant without effects; see `identified_model`.
 
     Returns
@@ -102,9 +103,10 @@ def run_case(case, clean):
         known, identified_from = identified_model(hidden, seed % 2**20)
     recording = records.record(hidden, experiment, seed)
     diagnosis = diagnose(
-        known, [recording], identified_from=IdentificationRecordings(identified_from, ()))
+        known.model, [recording], identified_from=IdentificationRecordings(identified_from, ()),
+        stated=stated_error(known))
     # With the same noise and no effect: what perfect knowledge of the effects would leave.
-    perfect_um = _least_error_um(model, records.record(plant, experiment, seed))
+    perfect_um = _least_error_um(model.model, records.record(plant, experiment, seed))
     noise = noise_um(plant)
     contributions = []
     for effect, beside in zip(drawn, [plant, *(effect.plant for effect in drawn)], strict=False):
@@ -124,7 +126,7 @@ def run_case(case, clean):
         "logger": "slow" if case.slow else "fast",
         "model": "identified before" if case.later else "identified with the effects",
         "contributions": contributions,
-        "in_model": [effect.name for effect in known.effects],
+        "in_model": [effect.name for effect in known.model.effects],
         "verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
         "effects": [entry["name"] for entry in diagnosis.effects],
         "not_decidable": sorted(diagnosis.not_decidable),

@@ -7,14 +7,14 @@ from distributed import Client, LocalCluster, as_completed
 
 from piezo_common.progress_line import ProgressLine
 from piezo_studies.diagnosis_benchmark.calibration import calibrate
-from piezo_studies.diagnosis_benchmark.cases import draw_cases
+from piezo_studies.diagnosis_benchmark.cases import draw_cases, draw_cases_all_along
 from piezo_studies.diagnosis_benchmark.outcome import as_text, refused, summary
 from piezo_studies.diagnosis_benchmark.run_case import clean_model, run_case
 
 CONNECT_S = 10
 
 
-def run_suite(client, count, seed, progress=None):
+def run_suite(client, count, seed, progress=None, all_along=False):
     """Run the suite; its result does not depend on where it runs.
 
     Parameters
@@ -24,12 +24,14 @@ def run_suite(client, count, seed, progress=None):
         Cases, and the seed of everything random.
     progress : callable, optional
         Called with the number of cases done.
+    all_along : bool
+        Draw single effects alone that were there when the model was identified.
 
     Returns
     -------
     dict
     """
-    cases = draw_cases(count, seed)
+    cases = (draw_cases_all_along if all_along else draw_cases)(count, seed)
     models = {
         plant: client.submit(clean_model, seed, plant, pure=False)
         for plant in sorted({case.plant for case in cases})
@@ -67,7 +69,7 @@ def diagnose_cases(options):
     except OSError as error:
         raise ValueError(f"no scheduler at {options.scheduler}: {error}") from None
     with client:
-        document = run_suite(client, options.cases, options.seed, show)
+        document = run_suite(client, options.cases, options.seed, show, options.all_along)
         if client.cluster is not None:
             client.cluster.close()
     line.clear()

@@ -16,6 +16,8 @@ def main(arguments=None):
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cases", type=int, default=260, help="how many (%(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of everything random (%(default)s)")
+    parser.add_argument("--all-along", action="store_true",
+                        help="single effects alone that were there when the model was identified")
     parser.add_argument("--scheduler", metavar="ADDRESS",
                         help="of a Dask scheduler, as tcp://host:8786; local processes by default")
     parser.add_argument("--output", type=Path, default=Path("runs/diagnose-suite"),

@@ -28,6 +28,10 @@ from piezo_models.effects import Effect, fitted_values, known_effects, with_fitt
 
 Progress = Callable[[str, float], None]
 
+BEFORE, AFTER = "before the identification", "after the identification"
+NOT_DECIDABLE, NOT_ASKED = "not decidable", "not asked"
+"""When an effect came."""
+
 
 @dataclass(frozen=True)
 class AlternativeSettings:
@@ -47,6 +51,9 @@ class AlternativeSettings:
     many_samples : int
         Of all recordings, beyond which one effect alone is fitted all along beside those that
         explain the new recordings: every fit costs as much as the recordings are long.
+    told_apart : float
+        Logarithm of the ratio of the probabilities of two times at which an effect may have come,
+        from which one of them is told: 95 to 5.
     """
 
     fitted: int = 4
@@ -54,6 +61,7 @@ class AlternativeSettings:
     turns: int = 3
     most_effects: int = 2
     many_samples: int = 500_000
+    told_apart: float = float(np.log(19.0))
 
 
 SETTINGS = AlternativeSettings()
@@ -162,6 +170,29 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
     return alternatives
 
 
+def asked_when(problem: JointProblem, alternatives: Sequence[Alternative]) -> list[Alternative]:
+    """Add the alternative that is believed as it would be all along, where it came since.
+
+    Only beside each other do the two tell when the effects came.
+
+    Parameters
+    ----------
+    problem : JointProblem
+    alternatives : sequence of Alternative
+
+    Returns
+    -------
+    list of Alternative
+    """
+    best = most_probable(problem, alternatives)
+    is_known = any(each.names == best.names and not each.since for each in alternatives)
+    if not best.since or is_known or not all(
+            effect.of_the_stage for effect in best.fit.effects):
+        return list(alternatives)
+    along = _alternative(best.names, problem.fit(best.fit.effects))
+    return _possible(problem, [*alternatives, along])
+
+
 def _continued(problem: JointProblem, alternative: Alternative) -> Alternative:
     """Fit on with new derivatives, where a fit has not converged and leaves much."""
     for _ in range(SETTINGS.turns):
@@ -182,6 +213,36 @@ def most_probable(problem: JointProblem, alternatives: Sequence[Alternative]) ->
         [each.evidence for each in alternatives], independent_samples(alternatives),
         accuracies_um(problem))
     return alternatives[int(np.argmax(logarithms))]
+
+
+def times_of_coming(problem: JointProblem,
+                    alternatives: Sequence[Alternative]) -> dict[tuple[str, ...], str]:
+    """Tell for each set of effects when it came, as far as the recordings tell.
+
+    Parameters
+    ----------
+    problem : JointProblem
+    alternatives : sequence of Alternative
+
+    Returns
+    -------
+    dict of tuple of str to str
+        `BEFORE`, `AFTER` or `NOT_DECIDABLE`, of each set that was tried in one of the two ways; a
+        set of which any effect depends on when a recording begins can only have come later.
+    """
+    logarithms = logarithms_of_evidence(
+        [each.evidence for each in alternatives], independent_samples(alternatives),
+        accuracies_um(problem))
+    best: dict[tuple[str, ...], dict[bool, float]] = {}
+    for each, logarithm in zip(alternatives, logarithms, strict=True):
+        ways = best.setdefault(each.names, {})
+        ways[each.since] = max(logarithm, ways.get(each.since, -np.inf))
+    told = {}
+    for names, ways in best.items():
+        gain = ways.get(False, -np.inf) - ways.get(True, -np.inf)
+        told[names] = (NOT_DECIDABLE if abs(gain) < SETTINGS.told_apart
+                       else BEFORE if gain > 0.0 else AFTER)
+    return told
 
 
 def independent_samples(alternatives: Sequence[Alternative]) -> FloatArray:

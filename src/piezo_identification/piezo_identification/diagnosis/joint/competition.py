@@ -1,22 +1,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the models that compete come to: probabilities, and the alternative that is believed."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_noise
+from piezo_identification.diagnosis.comparison.criteria import is_noise
 from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.comparison.undecided import in_place_of_the_found
 from piezo_identification.diagnosis.joint.alternatives import (
+    NOT_ASKED,
+    NOT_DECIDABLE,
     Alternative,
     accuracies_um,
+    asked_when,
     compete,
     independent_samples,
     most_probable,
     settled,
+    times_of_coming,
 )
 from piezo_identification.diagnosis.joint.joint_fit import JointProblem, correlated_scale
 from piezo_identification.diagnosis.joint.probabilities import (
@@ -25,6 +29,7 @@ from piezo_identification.diagnosis.joint.probabilities import (
     Evidence,
     probabilities,
 )
+from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.diagnosis.residual.dataset import Dataset
 from piezo_identification.diagnosis.residual.regression import (
     SETTINGS,
@@ -51,10 +56,22 @@ class Competition:
         Of each set of effects that matters, of `none` and of `something_else`; they sum to one.
     best : Alternative or None
         The model that is believed; None where the recordings of the identification were not asked.
+    times : dict of tuple of str to str
+        When each set of effects that competed came.
+    stated : float
+        By how much the model that is believed is known to be wrong, as a part of the RMS motion.
     """
 
     probabilities: dict[str, float]
     best: Alternative | None = None
+    times: dict[tuple[str, ...], str] = field(default_factory=dict)
+    stated: float = 0.0
+
+    def came(self, names: Iterable[str]) -> str:
+        """Tell when a set of effects came."""
+        if self.best is None:
+            return NOT_ASKED
+        return self.times.get(tuple(sorted(names)), NOT_DECIDABLE)
 
     def indistinguishable(self) -> dict[str, str]:
         """Return likely effects of others, and the one of the best that each replaces."""
@@ -71,7 +88,7 @@ class Competition:
 
 
 def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Recording],
-                   selection: Selection, stated_um: float,
+                   selection: Selection, stated: float | None,
                    progress: Callable[[str, float], None]) -> Competition:
     """Let models compete on all recordings, or the sets of effects on the new ones alone.
 
@@ -85,8 +102,9 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
         marked.
     selection : Selection
         Of effects that explain the new recordings alone.
-    stated_um : float
-        By how much the model is known to be wrong, RMS.
+    stated : float or None
+        By how much the model is known to be wrong, as a part of the RMS motion; None where only
+        the recordings of the identification tell.
     progress : callable
         Called with (what is done, fraction).
 
@@ -95,34 +113,68 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     Competition
     """
     if not old or is_noise(selection.regression, selection.start):
-        return Competition(_of_new_recordings(selection, stated_um))
+        return Competition(_of_new_recordings(selection, stated or 0.0), stated=stated or 0.0)
     problem, none = settled(JointProblem(model, new, old), progress)
-    alternatives = compete(problem, none, [selection.end.effects], progress)
+    alternatives = asked_when(
+        problem, compete(problem, none, [selection.end.effects], progress))
     best = most_probable(problem, alternatives)
     noise_um = np.array(problem.noise.noise_um)
     least_um = accuracies_um(problem)
-    ranges_um = np.array([np.ptp(part.measured_um) for part in problem.dataset.simulated])
     count = len(new)
-    # What the best leaves of the recordings of the identification: so wrong is it known to be.
-    beyond = np.maximum(0.0, np.array(best.mean_square_um2) - noise_um**2) / ranges_um**2
-    wrong_um = np.sqrt(np.mean(beyond[count:])) * ranges_um[:count]
+    # So wrong is it known to be, but for what the best alternative explains of the recordings of
+    # the identification.
+    beyond = np.maximum(0.0, np.array(best.mean_square_um2) - noise_um**2)
+    left = float(np.sqrt(np.max((beyond / _motion_um(problem.dataset)**2)[count:])))
+    stated = left if stated is None else min(stated, left)
     return Competition(
         probabilities([each.evidence for each in alternatives],
                       independent_samples(alternatives), least_um,
-                      _passing_um(noise_um[:count], least_um[:count], wrong_um)), best)
+                      _passing_um(noise_um[:count], least_um[:count]),
+                      _wrong_um(problem.dataset, stated)[:count]),
+        best, times_of_coming(problem, alternatives), stated)
 
 
-def _passing_um(noise_um: FloatArray, least_um: FloatArray, wrong_um: FloatArray) -> FloatArray:
-    """Return what passes for noise and what a model is known to be wrong by, RMS."""
-    tolerance_um = np.hypot(noise_um, least_um)
-    return np.sqrt(tolerance_um**2 + (CRITERIA.noise * tolerance_um) ** 2 + wrong_um**2)
+def passes_for_noise(regression: Regression, fit: Fit, stated: float) -> bool:
+    """Return whether a fit leaves no more than noise and what the model is known to be wrong by.
+
+    Parameters
+    ----------
+    regression : Regression
+    fit : Fit
+    stated : float
+        By how much the model is known to be wrong, as a part of the RMS motion.
+
+    Returns
+    -------
+    bool
+    """
+    return _of_fits(regression, [fit], stated)[SOMETHING_ELSE] < PROBABILITIES.believed
 
 
-def _of_new_recordings(selection: Selection, stated_um: float) -> dict[str, float]:
+def _passing_um(noise_um: FloatArray, least_um: FloatArray) -> FloatArray:
+    """Return what passes for noise, RMS."""
+    return np.hypot(noise_um, least_um) * np.hypot(1.0, PROBABILITIES.passes)
+
+
+def _motion_um(dataset: Dataset) -> FloatArray:
+    """Return the RMS motion of each recording."""
+    return np.array([np.std(part.measured_um[part.begin :]) for part in dataset.simulated])
+
+
+def _wrong_um(dataset: Dataset, stated: float) -> FloatArray:
+    """Return by how much a model may be wrong in each recording."""
+    return min(stated, PROBABILITIES.most_wrong) * _motion_um(dataset)
+
+
+def _of_new_recordings(selection: Selection, stated: float) -> dict[str, float]:
     """Return the probabilities of the sets that the new recordings alone do not exclude."""
-    regression = selection.regression
     fits = [selection.start, selection.end, *selection.alternatives]
-    fits = fits if selection.end.effects else fits[:1]
+    return _of_fits(
+        selection.regression, fits if selection.end.effects else fits[:1], stated)
+
+
+def _of_fits(regression: Regression, fits: Sequence[Fit], stated: float) -> dict[str, float]:
+    """Return the probabilities of fits to the new recordings alone."""
     evidence, effective = [], []
     for fit in fits:
         squares, samples = _held_out(regression, fit)
@@ -131,10 +183,10 @@ def _of_new_recordings(selection: Selection, stated_um: float) -> dict[str, floa
         effective.append(samples)
     least_um = np.array([SETTINGS.model_tolerance * np.ptp(part.measured_um)
                          for part in regression.dataset.simulated])
-    wrong_um = np.full(least_um.size, stated_um if selection.end.effects else 0.0)
     return probabilities(
         evidence, np.max(effective, axis=0), least_um,
-        _passing_um(np.array(regression.noise.noise_um), least_um, wrong_um))
+        _passing_um(np.array(regression.noise.noise_um), least_um),
+        _wrong_um(regression.dataset, stated))
 
 
 def _held_out(regression: Regression, fit: Fit) -> tuple[tuple[float, ...], list[float]]:

@@ -9,6 +9,10 @@ with the Bayesian penalty for its fitted numbers (Schwarz 1978):
 Here m_r is the mean square left on held-out stretches, n_r how many of its samples err
 independently, l_r the accuracy that a good model has, and k the count of fitted numbers. What is
 not on the list, `something_else`, leaves what passes for noise in the new recordings.
+
+An alternative may also leave what the model is known to be wrong by. That is known from other
+recordings, and so only up to a factor of logarithmic normal distribution, over which the evidence
+against the alternative is averaged: a rest that is a little larger is no sign of another cause.
 """
 
 from collections.abc import Sequence
@@ -35,6 +39,14 @@ class ProbabilitySettings:
         Prior probability of what is not on the list, over that of one of the alternatives.
     passes : float
         What may be left beyond the noise to pass for noise, over the tolerance.
+    carried_over : float
+        Standard deviation of the logarithm of what a model is wrong by in one recording, over what
+        it is wrong by in another.
+    most_wrong : float
+        Part of the RMS motion that a model may be known to be wrong by at most: where it is wrong
+        by more, it lacks something, and that it is known is no explanation.
+    believed : float
+        Probability of something else from which a recording is unexplained.
     most_effective : float
         Samples of a recording that count as independent at most: the noise of a stage is no more
         stationary than that.
@@ -43,10 +55,16 @@ class ProbabilitySettings:
     temperature: float = 1.0
     something_else: float = 0.05
     passes: float = 0.8
+    carried_over: float = 0.3
+    most_wrong: float = 1e-3
+    believed: float = 0.5
     most_effective: float = 1000.0
 
 
 SETTINGS = ProbabilitySettings()
+
+NODES = 60
+"""Of the quadrature over a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +110,8 @@ def logarithms_of_evidence(alternatives: Sequence[Evidence], effective: ArrayLik
 
 
 def probabilities(alternatives: Sequence[Evidence], effective: ArrayLike,
-                  least_um: ArrayLike, passing_um: ArrayLike) -> dict[str, float]:
+                  least_um: ArrayLike, passing_um: ArrayLike,
+                  wrong_um: ArrayLike = 0.0) -> dict[str, float]:
     """Return the probability of each set of effects, of none, and of something else.
 
     Parameters
@@ -103,6 +122,8 @@ def probabilities(alternatives: Sequence[Evidence], effective: ArrayLike,
         See `logarithms_of_evidence`.
     passing_um : (R',) array
         What passes for noise in each of the new recordings, which come first.
+    wrong_um : (R',) array
+        By how much the model is known to be wrong in each of them, RMS.
 
     Returns
     -------
@@ -112,11 +133,10 @@ def probabilities(alternatives: Sequence[Evidence], effective: ArrayLike,
     logarithms = logarithms_of_evidence(alternatives, effective, least_um)
     samples = np.minimum(np.asarray(effective), SETTINGS.most_effective)
     best = int(np.argmax(logarithms))
-    # What is not on the list would leave no more than passes for noise.
     passing, least = np.square(np.asarray(passing_um)), np.square(np.asarray(least_um))
     new = passing.size
     squares = np.array(alternatives[best].mean_square_um2[:new]) + least[:new]
-    gain = 0.5 * np.sum(samples[:new] * np.maximum(0.0, np.log(squares / passing)))
+    gain = _gain(squares, samples[:new], passing, np.square(np.asarray(wrong_um)))
     scaled = np.append(logarithms, logarithms[best] + gain) / SETTINGS.temperature
     scaled[-1] += np.log(SETTINGS.something_else)
     shares = np.exp(scaled - logsumexp(scaled))
@@ -125,3 +145,16 @@ def probabilities(alternatives: Sequence[Evidence], effective: ArrayLike,
     for label, share in zip(labels, shares, strict=True):
         summed[label] = summed.get(label, 0.0) + float(share)
     return dict(sorted(summed.items(), key=lambda entry: -entry[1]))
+
+
+def _gain(squares: FloatArray, samples: FloatArray, passing: FloatArray,
+          wrong: FloatArray) -> float:
+    """Return the evidence for something that would leave no more than passes for noise.
+
+    It is that against the best alternative, which leaves the mean squares given, averaged over how
+    much the model may be wrong by.
+    """
+    sizes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    may_be = passing + wrong * np.exp(2.0 * SETTINGS.carried_over * sizes)[:, None]
+    against = -0.5 * np.maximum(0.0, np.log(squares / may_be)) @ samples
+    return float(logsumexp(np.log(weights)) - logsumexp(against, b=weights))

@@ -100,7 +100,7 @@ def diagnose_files(
         raise ValueError(f"{directory}: {error.strerror}; choose another directory") from None
     diagnosis = diagnose(identified.model, read, held_out, lambda stage, fraction: progress(
         stage, READ_FRACTION + (REPORT_FRACTION - READ_FRACTION) * fraction),
-        identified_from=known, stated_um=stated_uncertainty_um(identified))
+        identified_from=known, stated=stated_error(identified))
     progress("write the report", REPORT_FRACTION)
     results = DiagnosisResults(diagnosis, directory / "verdict.json",
                                directory / "extended_model.json", directory / "report.html",
@@ -124,7 +124,7 @@ def _aligned(identified: IdentifiedModel, recordings: Sequence[Recording],
     return [recording for recording, _ in aligned], [sentence for sentence in told if sentence]
 
 
-def stated_uncertainty_um(identified: IdentifiedModel) -> float:
+def stated_error(identified: IdentifiedModel) -> float | None:
     """Return by how much a model is known to be wrong: what its worst component leaves of its data.
 
     Parameters
@@ -133,12 +133,14 @@ def stated_uncertainty_um(identified: IdentifiedModel) -> float:
 
     Returns
     -------
-    float
-        RMS beyond the noise; 0 where the model file tells none.
+    float or None
+        RMS beyond the noise, as a part of the RMS motion; None where the model file tells none.
     """
-    beyond = [part["residual_rms_um"]**2 - part["noise_rms_um"]**2
-              for part in identified.adequacy.values()]
-    return max(0.0, *beyond, 0.0) ** 0.5
+    parts = [0.01 * part["error_percent"] * max(
+        0.0, 1.0 - (part["noise_rms_um"] / part["residual_rms_um"]) ** 2) ** 0.5
+        for part in identified.adequacy.values()
+        if part["residual_rms_um"] > 0.0 and part.get("error_percent") is not None]
+    return max(parts, default=None)
 
 
 def _outside(identified: IdentifiedModel, recordings: Sequence[Recording]) -> tuple[str, ...]:

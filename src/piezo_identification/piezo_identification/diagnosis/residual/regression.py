@@ -139,8 +139,13 @@ class Regression:
                    np.asarray(coefficients, dtype=float), covariance)
 
     def nuisance_remainder(self, difference: FloatArray) -> FloatArray:
-        """Return what the nuisance regressors alone leave at all rows, (r,)."""
-        nuisance, rows = self.weighted[:, : self.dataset.nuisance_count], self.estimation
+        """Return what the nuisance regressors alone leave at all rows, (r,).
+
+        They belong to a recording and not to a model. So all rows tell of them: the ends of an
+        initial creep that only held-out rows show would be anything otherwise.
+        """
+        nuisance = self.weighted[:, : self.dataset.nuisance_count]
+        rows = self.estimation | self.validation
         sizes = np.linalg.lstsq(nuisance[rows], difference[rows], rcond=1e-12)[0]
         return difference - nuisance @ sizes
 

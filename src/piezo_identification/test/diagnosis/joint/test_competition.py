@@ -21,6 +21,7 @@ from piezo_recorder.sample_block import Flag
 
 PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 3000, 2e-3
 MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.1
+OTHER_MODE = (250.0, 0.02, 0.02)
 
 
 def stage(mode_rad_per_s=MODE_RAD_PER_S, damping_ratio=DAMPING_RATIO, reversible=0.06):
@@ -32,15 +33,18 @@ def stage(mode_rad_per_s=MODE_RAD_PER_S, damping_ratio=DAMPING_RATIO, reversible
         ElectricVibrationDynamics(0.0, (mode_rad_per_s,), (damping_ratio,)))
 
 
-def recording(name, seed, measure=lambda displacement_um: displacement_um):
-    """Record a line with a mode, and what the sensor makes of it."""
+def recording(name, seed, measure=lambda displacement_um: displacement_um, other_mode=False):
+    """Record a line with a mode or two beside each other, and what the sensor makes of it."""
     generator = np.random.default_rng(seed)
     voltage_v = np.convolve(generator.normal(size=SAMPLES), np.hanning(20), mode="same")
     voltage_v *= 50.0 / np.abs(voltage_v).max()
-    w, z = MODE_RAD_PER_S, DAMPING_RATIO
-    numerator, denominator, _ = cont2discrete(
-        ([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
-    displacement_um = lfilter(numerator[0], denominator, 0.1 * voltage_v)
+    modes = [OTHER_MODE] if other_mode else []
+    modes.append((MODE_RAD_PER_S, DAMPING_RATIO, 1.0 - sum(part for *_, part in modes)))
+    displacement_um = np.zeros(SAMPLES)
+    for w, z, part in modes:
+        numerator, denominator, _ = cont2discrete(
+            ([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
+        displacement_um += part * lfilter(numerator[0], denominator, 0.1 * voltage_v)
     return Recording(
         path=name, sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
         sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
@@ -117,3 +121,29 @@ def test_free_sensitivities_are_the_derivatives_by_the_free_parameters():
         derivative -= derivative.mean()
         column = columns[:, number] - columns[:, number].mean()
         assert np.linalg.norm(derivative - column) < 0.02 * np.linalg.norm(column) + 1e-8
+
+
+def slow(recorded):
+    """Play a recording again, so slowly that no mode shows in it."""
+    generator = np.random.default_rng(9)
+    voltage_v = 50.0 * np.sin(2.0 * np.pi * np.arange(SAMPLES) / SAMPLES)
+    noise_um = NOISE_UM * generator.normal(size=SAMPLES)
+    return replace(recorded, path="slow", voltage_v=voltage_v,
+                   displacement_um=0.1 * voltage_v + noise_um)
+
+
+@pytest.mark.parametrize(("was_there", "came"), [
+    (True, "before the identification"), (False, "after the identification")])
+def test_a_mode_that_no_parameter_makes_up_for_is_told_when_it_came(was_there, came):
+    # A model without the mode leaves it in both recordings if it was there all along.
+    diagnosis = found(LINE, recording("1", 1, other_mode=True),
+                      recording("2", 2, other_mode=was_there))
+    first = diagnosis.effects[0]
+    assert diagnosis.verdict == "explained"
+    assert (first["name"], first["came"]) == ("vibration_mode", came)
+
+
+def test_recordings_that_do_not_show_an_effect_do_not_tell_when_it_came():
+    diagnosis = found(LINE, recording("1", 1, other_mode=True), slow(recording("2", 2)))
+    first = diagnosis.effects[0]
+    assert (first["name"], first["came"]) == ("vibration_mode", "not decidable")

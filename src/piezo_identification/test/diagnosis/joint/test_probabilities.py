@@ -61,3 +61,25 @@ def test_errors_that_are_alike_count_once():
     alike = np.repeat(generator.normal(size=1000), 100)
     # A hundred equal samples tell as much as one: the scale grows by the root of a hundred.
     assert correlated_scale(alike) == pytest.approx(10.0, rel=0.3)
+
+
+@pytest.mark.parametrize(("left_um", "noise_um", "wrong_um", "is_believed"), [
+    (0.0040, 0.0020, 0.0030, False),  # as much as the model declares
+    (0.0055, 0.0020, 0.0030, False),  # a little more than it declares
+    (0.0200, 0.0020, 0.0030, True),
+    (0.489, 0.009, 0.009, True),
+    (0.0040, 0.0020, 0.0, True),  # the model declares nothing
+])
+def test_a_rest_passes_that_is_no_larger_than_what_the_model_is_known_to_be_wrong_by(
+        left_um, noise_um, wrong_um, is_believed):
+    found = probabilities([Evidence("none", (left_um**2,), 0)], [1000.0], [1e-4],
+                          [1.28 * noise_um], [wrong_um])
+    assert (found["something_else"] > 0.5) is is_believed
+
+
+def test_the_probability_of_something_else_rises_steadily_beyond_what_is_declared():
+    shares = [
+        probabilities([Evidence("none", (left_um**2,), 0)], [1000.0], [0.0], [0.0025],
+                      [0.003])["something_else"] for left_um in np.geomspace(0.004, 0.02, 9)]
+    assert np.all(np.diff(shares) >= 0.0)
+    assert any(0.1 < share < 0.5 for share in shares)
