@@ -2,10 +2,12 @@
 """A stage follows what another node publishes while it does."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from piezo_interfaces.msg import Reference, ReferenceSamples, SampleBlock
+from rosbags.highlevel import AnyReader
 
 from piezo_controller.references import reference as references
 from piezo_models.identified_model import IdentifiedModel
@@ -73,6 +75,11 @@ def test_published_reference_is_followed_and_held_where_its_publisher_falls_sile
     assert "it was held, as nothing was published" in followed.message
     recording = read_recording(followed.recording)
     assert recording.gaps == []
+    with AnyReader([Path(followed.recording)]) as reader:
+        kept = [reader.deserialize(data, connection.msgtype).first_sample
+                for connection, _, data in reader.messages()
+                if connection.topic == "/published/reference"]
+    assert len(kept) > 400 and set(np.diff(kept)) == {TICK}
     moving_um, held_um = (recording.displacement_um[recording.tracking][piece] for piece in (
         slice(14000, 16000), slice(-2000, None)))
     assert np.ptp(held_um) < 0.1 < 1.0 < np.ptp(moving_um)

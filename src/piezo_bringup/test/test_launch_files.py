@@ -24,7 +24,7 @@ def calls(path, name):
 
 def executables(package):
     setup = (SOURCE / package / "setup.py").read_text()
-    return re.findall(r'"(\w+) = [\w.]+:main"', setup)
+    return re.findall(r'"(\w+) = [\w.]+:\w+"', setup)
 
 
 def declared(path):
