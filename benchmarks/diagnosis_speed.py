@@ -1,52 +1,134 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Time the diagnosis of a million samples beside one simulation of them."""
+"""Time the diagnosis beside one simulation of the same samples, for every kind of verdict."""
 
+import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from stage_model import SAMPLE_RATE_HZ, stage_model
 
 from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+)
+from piezo_models.effects import Effect
+from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
 from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.effects.voltage_clipping import VoltageClipping
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
-SAMPLES = 1_000_000
+SAMPLES, MANY_SAMPLES, RECORDINGS = 400_000, 1_000_000, 2
+IDENTIFIED_FROM_SAMPLES = 50_000
 LEVEL_S, LEVELS_V = 0.02, (5.0, 95.0)
-MODE = VibrationMode(8800.0, 0.02, 0.02)
 NOISE_UM = 0.009
+HEATING_S, HEATING_PER_V = 0.2, 2e-4
+"""Of a gain that follows the mean change of the voltage: no effect on the list does that."""
 
 
-def recording_with_a_mode(model):
-    """Random levels on a stage with one mode more than the model has."""
-    generator = np.random.default_rng(0)
+@dataclass(frozen=True)
+class Case:
+    """What a stage has and its model lacks, and the verdict it must come to.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+    verdict : str
+    named : str or None
+        Effect that must be named first.
+    is_heated : bool
+        The gain follows the mean change of the voltage.
+    """
+
+    effects: tuple[Effect, ...]
+    verdict: str
+    named: str | None = None
+    is_heated: bool = False
+
+
+CASES = {
+    "none": Case((), "none"),
+    "explained": Case((VibrationMode(8800.0, 0.02, 0.02),), "explained", VibrationMode.name),
+    "unexplained": Case((), "unexplained", is_heated=True),
+    "rate dependence": Case((RateDependentHysteresis(0.5, 100.0, 0.02, 1e-3),), "explained",
+                            RateDependentHysteresis.name),
+    "clipped": Case((VoltageClipping(8.0, 80.0),), "explained", VoltageClipping.name),
+}
+
+
+def recorded(model, samples, seed, is_heated=False):
+    """Random levels on a stage with noise.
+
+    Parameters
+    ----------
+    model : StageModel
+        Of the stage.
+    samples, seed : int
+    is_heated : bool
+
+    Returns
+    -------
+    Recording
+    """
+    generator = np.random.default_rng(seed)
     held = round(LEVEL_S * SAMPLE_RATE_HZ)
-    voltage_v = np.repeat(generator.uniform(*LEVELS_V, -(-SAMPLES // held)), held)[:SAMPLES]
-    displacement_um = replace(model, effects=(MODE,)).simulate(voltage_v, 1.0 / SAMPLE_RATE_HZ)
+    voltage_v = np.repeat(generator.uniform(*LEVELS_V, -(-samples // held)), held)[:samples]
+    displacement_um = model.simulate(voltage_v, 1.0 / SAMPLE_RATE_HZ)
+    if is_heated:
+        changes_v = np.abs(np.diff(voltage_v[::held], prepend=voltage_v[0]))
+        decay = np.exp(-LEVEL_S / HEATING_S)
+        heat_v = np.zeros(changes_v.size)
+        for n in range(1, changes_v.size):
+            heat_v[n] = decay * heat_v[n - 1] + (1.0 - decay) * changes_v[n]
+        displacement_um = displacement_um * (1.0 + HEATING_PER_V * np.repeat(heat_v, held)[:samples])
     return Recording(
-        path="random levels", sample_rate_hz=SAMPLE_RATE_HZ, sample_index=np.arange(SAMPLES),
-        sample_periods_s=np.full(SAMPLES, 1.0 / SAMPLE_RATE_HZ), voltage_v=voltage_v,
-        displacement_um=displacement_um + generator.normal(scale=NOISE_UM, size=SAMPLES),
-        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32),
+        path=f"random levels {seed}", sample_rate_hz=SAMPLE_RATE_HZ,
+        sample_index=np.arange(samples), sample_periods_s=np.full(samples, 1.0 / SAMPLE_RATE_HZ),
+        voltage_v=voltage_v,
+        displacement_um=displacement_um + generator.normal(scale=NOISE_UM, size=samples),
+        flags=np.full(samples, Flag.PLAYING, dtype=np.uint32),
     )
 
 
-def diagnosis_times_s():
-    """Time of a simulation, and of the diagnosis that finds the mode.
+def diagnosis_times_s(name, samples=SAMPLES, recordings=RECORDINGS):
+    """Time of a simulation, and of the diagnosis of the same samples.
+
+    Parameters
+    ----------
+    name : str
+        Of one of the `CASES`.
+    samples : int
+        Of all recordings together.
+    recordings : int
 
     Returns
     -------
     simulation_s, diagnosis_s : float
+
+    Raises
+    ------
+    RuntimeError
+        If the diagnosis comes to another verdict.
     """
-    model = stage_model()
-    recording = recording_with_a_mode(model)
+    case, model = CASES[name], stage_model()
+    stage = replace(model, effects=case.effects)
+    given = [recorded(stage, samples // recordings, number, case.is_heated)
+             for number in range(recordings)]
+    # The effect came after the identification.
+    known = IdentificationRecordings((recorded(model, IDENTIFIED_FROM_SAMPLES, recordings),), ())
     times_s = [time.perf_counter()]
-    model.simulate(recording.voltage_v, 1.0 / SAMPLE_RATE_HZ)
+    for recording in given:
+        model.simulate(recording.voltage_v, 1.0 / SAMPLE_RATE_HZ)
     times_s.append(time.perf_counter())
-    found = diagnose(model, [recording])
+    found = diagnose(model, given, identified_from=known)
     times_s.append(time.perf_counter())
-    names = [entry["name"] for entry in found.effects]
-    if names[:1] != [MODE.name]:
-        raise RuntimeError(f"{names} found in place of {MODE.name}")
+    first = found.effects[0]["name"] if found.effects else None
+    if (found.verdict, first) != (case.verdict, case.named):
+        raise RuntimeError(f"{name}: {found.verdict} by {first}, not {case.verdict} by {case.named}")
     return tuple(np.diff(times_s))
+
+
+if __name__ == "__main__":
+    for asked in sys.argv[1:] or CASES:
+        print(asked, *(f"{time_s:.3f} s" for time_s in diagnosis_times_s(asked)))

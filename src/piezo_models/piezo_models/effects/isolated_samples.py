@@ -87,17 +87,20 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
     answer = answer_per_v * maximum_filter1d(
         changes_v, ANSWER, origin=ANSWER // 2 - 1, mode="nearest")
     good = np.arange(signal.size)
+    left, limits = signal, _limits(signal, answer, noise)
     for longest in LENGTHS:
         for way in (slice(None), slice(None, None, -1)):
             if good.size < 2 * AROUND:
                 break
-            left, limit = signal[good], _limits(signal[good], answer[good], noise)
-            walk = STEPS * _beside(np.abs(np.diff(left, prepend=left[0])))
+            limit, walk = (each[way] for each in limits)
             if way.step:
                 # The limit of a step stands at its second sample.
-                limit, walk = np.roll(limit[::-1], 1), walk[::-1]
-            wrong = _runs(np.ascontiguousarray(left[way]), limit, walk, longest)
-            good = good[~wrong[way]]
+                limit = np.roll(limit, 1)
+            wrong = _runs(*map(np.ascontiguousarray, (left[way], limit, walk)), longest)
+            if wrong.any():
+                good = good[~wrong[way]]
+                left = signal[good]
+                limits = _limits(left, answer[good], noise) if good.size else limits
     wrong = np.ones(signal.size, dtype=bool)
     wrong[good] = False
     wrong = _surprising(signal, wrong, noise)
@@ -135,17 +138,16 @@ def typical_range(values: FloatArray) -> float:
     return float(high - low)
 
 
-def _limits(left: FloatArray, answer: FloatArray, noise: float) -> FloatArray:
-    """Return the step to each sample that a good signal does not exceed, shape (N,)."""
-    steps = np.abs(np.diff(left, prepend=left[0]))
+def _limits(left: FloatArray, answer: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
+    """Return the step to each sample that a good signal does not exceed, and a usual walk, (N,)."""
+    walk = STEPS * _beside(np.abs(np.diff(left, prepend=left[0])))
     bends = np.abs(np.diff(left, 2, prepend=left[0], append=left[-1]))
     spread = 1.4826 / np.sqrt(6.0) * _beside(bends)
     values = np.unique(left)
     rounding = np.diff(values).min(initial=np.inf) if values.size > 1 else 0.0
     return np.maximum.reduce([
-        SPREAD * np.maximum(spread, noise), STEPS * _beside(steps),
-        np.full(left.size, ROUNDINGS * rounding), answer,
-    ])
+        SPREAD * np.maximum(spread, noise), walk, np.full(left.size, ROUNDINGS * rounding), answer,
+    ]), walk
 
 
 def _surprising(signal: FloatArray, wrong: Mask, noise: float) -> Mask:

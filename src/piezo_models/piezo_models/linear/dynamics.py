@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_models.linear.blocks import FEWEST, run_blocks
 
 Section = tuple[Any, Any, Any, Any]
 """Matrices A, B, C and D of a section of the cascade."""
@@ -337,15 +338,13 @@ def continue_linear(discrete_system: control.StateSpace, input: ArrayLike,
         raise ValueError(
             f"the state has shape {state.shape}; the system has {discrete_system.nstates} states"
         )
-    output = _run(
-        np.ascontiguousarray(discrete_system.A.T),
-        np.ascontiguousarray(discrete_system.B[:, 0]),
-        np.ascontiguousarray(discrete_system.C[0]),
-        discrete_system.D[0, 0],
-        samples,
-        state,
-    )
-    return output, state
+    a, direct = np.ascontiguousarray(discrete_system.A), discrete_system.D[0, 0]
+    b, c = (np.ascontiguousarray(each) for each in (discrete_system.B[:, 0], discrete_system.C[0]))
+    done = np.empty(0)
+    if state.size and samples.size >= FEWEST:
+        done = run_blocks(a, b, c, direct, samples, state)
+    rest = _run(np.ascontiguousarray(a.T), b, c, direct, samples[done.size :], state)
+    return np.concatenate([done, rest]) if done.size else rest, state
 
 
 def _check_single(system: control.StateSpace) -> None:

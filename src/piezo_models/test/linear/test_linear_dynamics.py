@@ -5,6 +5,7 @@ import pytest
 import scipy.linalg
 import scipy.signal
 
+from piezo_models.linear.blocks import FEWEST, LENGTH
 from piezo_models.linear.dynamics import (
     CreepDynamics,
     ElectricVibrationDynamics,
@@ -232,3 +233,17 @@ def test_a_mode_needs_no_lag():
     analytic = 1e6 / (s**2 + 200.0 * s + 1e6)
     np.testing.assert_allclose(dynamics.response(frequency_hz), analytic, rtol=1e-12)
     np.testing.assert_allclose(system(s), analytic, rtol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [FEWEST - 1, FEWEST, FEWEST + LENGTH - 1, 3 * FEWEST + 5])
+def test_blocks_are_the_recursion_of_another_library_and_leave_its_state(
+        samples, thesis_creep, antiresonant):
+    generator = np.random.default_rng(samples)
+    system = zoh(thesis_creep.state_space() * antiresonant.state_space(), PERIOD_S)
+    state = generator.normal(size=system.nstates)
+    driven = generator.normal(size=samples)
+    output, after = continue_linear(system, driven, state)
+    _, expected, states = scipy.signal.dlsim(
+        (system.A, system.B, system.C, system.D, PERIOD_S), np.append(driven, 0.0), x0=state)
+    np.testing.assert_allclose(output, expected[:-1, 0], atol=1e-12)
+    np.testing.assert_allclose(after, states[-1], atol=1e-12)
