@@ -81,7 +81,7 @@ def recorded(model, samples, seed, is_heated=False):
         heat_v = np.zeros(changes_v.size)
         for n in range(1, changes_v.size):
             heat_v[n] = decay * heat_v[n - 1] + (1.0 - decay) * changes_v[n]
-        displacement_um = displacement_um * (1.0 + HEATING_PER_V * np.repeat(heat_v, held)[:samples])
+        displacement_um *= 1.0 + HEATING_PER_V * np.repeat(heat_v, held)[:samples]
     return Recording(
         path=f"random levels {seed}", sample_rate_hz=SAMPLE_RATE_HZ,
         sample_index=np.arange(samples), sample_periods_s=np.full(samples, 1.0 / SAMPLE_RATE_HZ),
@@ -125,7 +125,8 @@ def diagnosis_times_s(name, samples=SAMPLES, recordings=RECORDINGS):
     times_s.append(time.perf_counter())
     first = found.effects[0]["name"] if found.effects else None
     if (found.verdict, first) != (case.verdict, case.named):
-        raise RuntimeError(f"{name}: {found.verdict} by {first}, not {case.verdict} by {case.named}")
+        raise RuntimeError(
+            f"{name}: {found.verdict} by {first}, not {case.verdict} by {case.named}")
     return tuple(np.diff(times_s))
 
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.polynomial.polynomial import polyval
+from numba import njit
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 FEWEST_PERIODS = 10
@@ -17,6 +17,26 @@ HARMONICS = 2
 DRIVEN = 0.05
 """Part of the displacement's energy from which a line is the waveform's own."""
 LINE_BINS = 2
+
+TURNED_ON = 64
+"""Samples after which the angle is computed anew, before rounding adds up."""
+
+
+@njit(cache=True)
+def _sum_of_tones(sizes: ComplexArray, turn: float, first: int, samples: int) -> FloatArray:
+    """Return c cos k p + s sin k p = Re (c - i s) exp(i p)^k, summed over the harmonics k."""
+    tones = np.empty(samples)
+    step = np.exp(1j * turn)
+    for begin in range(0, samples, TURNED_ON):
+        number = np.exp(1j * turn * (first + begin))
+        for n in range(begin, min(begin + TURNED_ON, samples)):
+            # Horner's scheme in the turning number.
+            value = 0j
+            for k in range(sizes.size - 1, -1, -1):
+                value = (value + sizes[k]) * number
+            tones[n] = value.real
+            number *= step
+    return tones
 
 
 @dataclass(frozen=True)
@@ -58,13 +78,10 @@ class PeriodicDisturbance(Effect):
                 past: Any = None) -> tuple[FloatArray, Any]:
         """Continue the signal behind the effect; the past is the number of samples."""
         first = past or 0
-        sample = np.arange(first, first + signal.size)
-        phase = 2.0 * np.pi * self.frequency_hz * sample_period_s * sample
-        # A polynomial of one turning number: c cos n p + s sin n p = Re (c - i s) exp(i p)^n.
         sizes = np.array([self.cosine_um, *self.harmonic_cosines_um]) - 1j * np.array(
             [self.sine_um, *self.harmonic_sines_um])
-        tones = polyval(np.exp(1j * phase), [0.0, *sizes]).real
-        return signal + tones, first + signal.size
+        turn = 2.0 * np.pi * self.frequency_hz * sample_period_s
+        return signal + _sum_of_tones(sizes, turn, first, signal.size), first + signal.size
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Amplifier that does not reach the voltages asked for."""
 
+import math
 from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar, Self
 
 import numpy as np
-from scipy.special import ndtr
+from numba import njit
 
 from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
@@ -22,6 +23,24 @@ TRIED, LIKELY_GAIN = 4, 4.0
 
 NEWTON_STEPS = 40
 INVERSION_TOLERANCE = 1e-9
+
+FARTHEST_KNEES = 9.0
+"""So far in front of a limit it removes less than the rounding of a voltage."""
+
+
+@njit(cache=True)
+def _beyond(distance_v: FloatArray, knee_v: float) -> tuple[FloatArray, FloatArray]:
+    """Return what a limit removes from a voltage that lies so far beyond it, and its slope."""
+    removed, slopes = np.zeros(distance_v.size), np.zeros(distance_v.size)
+    for n in range(distance_v.size):
+        x = distance_v[n] / knee_v
+        if x > FARTHEST_KNEES:
+            removed[n], slopes[n] = distance_v[n], 1.0
+        elif x > -FARTHEST_KNEES:
+            slopes[n] = 0.5 * math.erfc(-x / math.sqrt(2.0))
+            removed[n] = knee_v * (
+                x * slopes[n] + math.exp(-0.5 * x * x) / math.sqrt(2.0 * math.pi))
+    return removed, slopes
 
 
 @dataclass(frozen=True)
@@ -47,15 +66,9 @@ class VoltageClipping(Effect):
         highest_v = max(self.lowest_v, self.highest_v)
         if self.knee_v == 0.0:
             return np.clip(signal, self.lowest_v, highest_v)
-        over, _ = self._beyond(signal - highest_v)
-        under, _ = self._beyond(self.lowest_v - signal)
+        over, _ = _beyond(signal - highest_v, self.knee_v)
+        under, _ = _beyond(self.lowest_v - signal, self.knee_v)
         return signal - over + under
-
-    def _beyond(self, distance_v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what a limit removes from a voltage that lies so far beyond it, and its slope."""
-        x = distance_v / self.knee_v
-        slope = ndtr(x)
-        return self.knee_v * (x * slope + np.exp(-0.5 * x * x) / np.sqrt(2.0 * np.pi)), slope
 
     def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
         """Return the wanted voltage within the limits, and more of it where they bend it."""
@@ -69,8 +82,8 @@ class VoltageClipping(Effect):
             return wanted
         voltage_v = wanted.copy()
         for _ in range(NEWTON_STEPS):
-            over, over_slope = self._beyond(voltage_v - self.highest_v)
-            under, under_slope = self._beyond(self.lowest_v - voltage_v)
+            over, over_slope = _beyond(voltage_v - self.highest_v, self.knee_v)
+            under, under_slope = _beyond(self.lowest_v - voltage_v, self.knee_v)
             missing = wanted - (voltage_v - over + under)
             if np.abs(missing).max() < INVERSION_TOLERANCE * self.knee_v:
                 return voltage_v

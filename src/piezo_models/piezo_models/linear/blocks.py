@@ -21,8 +21,8 @@ BATCH = 512
 
 
 def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, samples: FloatArray,
-               state: FloatArray) -> FloatArray:
-    """Return the output of as many whole blocks as there are.
+               state: FloatArray, output: FloatArray) -> int:
+    """Simulate as many whole blocks as there are, and return how many samples they are.
 
     Parameters
     ----------
@@ -33,26 +33,28 @@ def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, sampl
     samples : (N,) array
     state : (n,) array
         At the first sample; updated in place to that behind the last block.
+    output : (N,) array
+        Gets the output of the blocks.
 
     Returns
     -------
-    (M,) array
-        M <= N, a multiple of `LENGTH`.
+    int
+        A multiple of `LENGTH`.
     """
     gains, outputs, answers, transposed = _block(a, b, c, direct)
-    blocks = samples[: samples.size // LENGTH * LENGTH].reshape(-1, LENGTH)
-    output = np.empty(blocks.shape)
+    done = samples.size // LENGTH * LENGTH
+    blocks, behind = samples[:done].reshape(-1, LENGTH), output[:done].reshape(-1, LENGTH)
     for begin in range(0, len(blocks), BATCH):
         batch = blocks[begin : begin + BATCH]
         states = _states(transposed, batch @ gains, state)
-        np.matmul(batch, answers, out=output[begin : begin + BATCH])
-        output[begin : begin + BATCH] += states @ outputs
-    return output.ravel()
+        np.matmul(batch, answers, out=behind[begin : begin + BATCH])
+        behind[begin : begin + BATCH] += states @ outputs
+    return done
 
 
 def _block(a: FloatArray, b: FloatArray, c: FloatArray, direct: float,
            ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what turns input and state into the next state and the output, and a^LENGTH, turned."""
+    """Return what turns input and state into next state and output, and a^LENGTH, transposed."""
     gains, outputs = np.empty((LENGTH, b.size)), np.empty((b.size, LENGTH))
     impulse, driven, seen = np.empty(LENGTH), b, c
     for k in range(LENGTH):

@@ -340,11 +340,11 @@ def continue_linear(discrete_system: control.StateSpace, input: ArrayLike,
         )
     a, direct = np.ascontiguousarray(discrete_system.A), discrete_system.D[0, 0]
     b, c = (np.ascontiguousarray(each) for each in (discrete_system.B[:, 0], discrete_system.C[0]))
-    done = np.empty(0)
+    output, done = np.empty(samples.size), 0
     if state.size and samples.size >= FEWEST:
-        done = run_blocks(a, b, c, direct, samples, state)
-    rest = _run(np.ascontiguousarray(a.T), b, c, direct, samples[done.size :], state)
-    return np.concatenate([done, rest]) if done.size else rest, state
+        done = run_blocks(a, b, c, direct, samples, state, output)
+    _run(np.ascontiguousarray(a.T), b, c, direct, samples[done:], state, output[done:])
+    return output, state
 
 
 def _check_single(system: control.StateSpace) -> None:
@@ -357,9 +357,8 @@ def _check_single(system: control.StateSpace) -> None:
 
 @njit(cache=True)
 def _run(transposed: FloatArray, gains: FloatArray, weights: FloatArray, direct: float,
-         samples: FloatArray, state: FloatArray) -> FloatArray:
+         samples: FloatArray, state: FloatArray, output: FloatArray) -> None:
     size = state.size
-    output = np.empty(samples.size)
     following = np.empty(size)
     for n in range(samples.size):
         v = samples[n]
@@ -374,4 +373,3 @@ def _run(transposed: FloatArray, gains: FloatArray, weights: FloatArray, direct:
         for i in range(size):
             state[i] = following[i]
         output[n] = y
-    return output

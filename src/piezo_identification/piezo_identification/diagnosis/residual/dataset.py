@@ -100,8 +100,9 @@ class Dataset:
     def difference_um(self, effects: Sequence[Effect] = (),
                       quick: Sequence[Effect] = ()) -> FloatArray:
         """Return measured minus simulated at the rows; see `SimulatedRecording.simulate`."""
-        return self.at_rows(
-            [part.measured_um - part.simulate(effects, quick) for part in self.simulated])
+        return np.concatenate([
+            part.measured_um[rows] - part.simulate(effects, quick)[rows]
+            for part, rows in zip(self.simulated, self.rows, strict=True)])
 
 
 def simulate_recordings(model: StageModel, recordings: Sequence[Recording],

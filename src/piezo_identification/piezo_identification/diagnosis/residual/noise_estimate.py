@@ -9,7 +9,10 @@ import numpy as np
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import outliers_of_residual
 from piezo_identification.diagnosis.residual.dataset import Dataset
-from piezo_identification.diagnosis.residual.parameter_sensitivities import nuisance_regressors
+from piezo_identification.diagnosis.residual.parameter_sensitivities import (
+    nuisance_regressors,
+    nuisance_signal,
+)
 from piezo_identification.diagnosis.residual.sensor_noise import sensor_noise_um
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
@@ -104,4 +107,4 @@ def _without_nuisance(part: SimulatedRecording, effects: Sequence[Effect],
     step = max(1, every.size // MOST_SAMPLES)
     used = every[::step][~outlier[every[::step]]]
     sizes = np.linalg.lstsq(nuisance_regressors(part, used), difference[used], rcond=1e-12)[0]
-    return difference - nuisance_regressors(part, np.arange(difference.size)) @ sizes
+    return difference - nuisance_signal(part, sizes)

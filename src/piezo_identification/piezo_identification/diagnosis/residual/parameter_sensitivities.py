@@ -57,12 +57,30 @@ def nuisance_regressors(part: SimulatedRecording, rows: NDArray[np.intp]) -> Flo
     -------
     (n, 1 + creep pairs) array
     """
-    model = part.model
-    rates = list(model.creep.poles_rad_per_s)
+    time_s = part.time_s[rows]
+    return np.column_stack([np.exp(-p * time_s) for p in _nuisance_rates(part.model)])
+
+
+def nuisance_signal(part: SimulatedRecording, sizes: FloatArray) -> FloatArray:
+    """Return the sum of the nuisance regressors times their sizes at all samples, (N,).
+
+    Parameters
+    ----------
+    part : SimulatedRecording
+    sizes : (1 + creep pairs,) array
+    """
+    summed = np.zeros(part.time_s.size)
+    for size, rate in zip(sizes, _nuisance_rates(part.model), strict=True):
+        summed += size * np.exp(-rate * part.time_s)
+    return summed
+
+
+def _nuisance_rates(model: StageModel) -> list[float]:
+    """Return the rates by which the nuisance regressors decay; that of the offset is zero."""
+    rates = [0.0, *model.creep.poles_rad_per_s]
     if model.hysteretic_creep is not None:
         rates += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
-    time_s = part.time_s[rows]
-    return np.column_stack([np.ones(rows.size), *(np.exp(-p * time_s) for p in rates)])
+    return rates
 
 
 def parameter_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) -> FloatArray:

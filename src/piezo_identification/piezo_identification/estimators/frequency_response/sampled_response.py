@@ -91,9 +91,11 @@ def respond(
     else:
         discrete = mean_zoh(system, sample_period_s, samples)
     late, early = min(max(late, 0), input_um.size), max(-late, 0)
-    played_um = np.concatenate([
-        np.full(late, input_um[0]), input_um[: input_um.size - late],
-        np.full(early, input_um[-1])])
+    played_um = input_um
+    if late or early:
+        played_um = np.concatenate([
+            np.full(late, input_um[0]), input_um[: input_um.size - late],
+            np.full(early, input_um[-1])])
     return simulate_linear(discrete, played_um, equilibrium_state(system, input_um[0]))[early:]
 
 
