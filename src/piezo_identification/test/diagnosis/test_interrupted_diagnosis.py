@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A comparison that Ctrl-C ends: what was found until then becomes the verdict."""
+"""A comparison that Ctrl-C ends, and one on other cores: the verdict is what was found."""
 
 import numpy as np
 import pytest
 
+from piezo_identification.diagnosis import side_by_side
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -58,3 +59,12 @@ def test_before_anything_is_found_the_verdict_names_nothing(line, recording):
     assert (document["verdict"], document["effects"]) == ("unexplained", [])
     assert document["after"] == document["before"]
     assert found.model is line
+
+
+def test_what_is_found_is_the_same_on_any_number_of_cores(line, recording, monkeypatch):
+    documents = []
+    for cores in (1, 3):
+        monkeypatch.setattr(side_by_side, "cores", lambda cores=cores: cores)
+        found = diagnose(line, [recording], progress=interrupted_at("effect 2"))
+        documents.append(found.document())
+    assert documents[0] == documents[1]

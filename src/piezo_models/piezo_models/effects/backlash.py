@@ -11,7 +11,7 @@ from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _played(position: FloatArray, half_width: float, start: float) -> FloatArray:
     output = np.empty(position.size)
     last = start

@@ -195,7 +195,7 @@ def _beside(sizes: FloatArray) -> FloatArray:
     return np.maximum(before, behind)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _runs(signal: FloatArray, limit: FloatArray, walk: FloatArray, longest: int) -> Mask:
     """Mask of the runs between a step away and the next sample where the signal is back."""
     wrong = np.zeros(signal.size, dtype=np.bool_)

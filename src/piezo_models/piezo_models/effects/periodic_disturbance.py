@@ -22,7 +22,7 @@ TURNED_ON = 64
 """Samples after which the angle is computed anew, before rounding adds up."""
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _sum_of_tones(sizes: ComplexArray, turn: float, first: int, samples: int) -> FloatArray:
     """Return c cos k p + s sin k p = Re (c - i s) exp(i p)^k, summed over the harmonics k."""
     tones = np.empty(samples)

@@ -15,7 +15,7 @@ SCANNED_PARTS = (4.0, 2.0, 1.2, 0.98, 0.95, 0.9, 0.82, 0.7, 0.5, 0.3, 0.15, 0.05
 SCANNED_FALL_RATIOS = (1.0, 4.0, 0.25)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _slewed(voltage: FloatArray, rise: float, fall: float, change_per_v: float,
             start: float) -> tuple[FloatArray, float]:
     output = np.empty(voltage.size)

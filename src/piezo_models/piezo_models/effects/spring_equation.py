@@ -54,7 +54,7 @@ def straight_beyond(parts: ArrayLike, half_range_um: float) -> tuple[float, floa
     return float(low), float(high)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def force_and_slope(x: float, parts: FloatArray, low: float,
                     high: float) -> tuple[float, float]:
     """Return the force of the spring beside its linear one, and its slope, at a displacement.
@@ -82,7 +82,7 @@ def force_and_slope(x: float, parts: FloatArray, low: float,
     return force + slope * (x - inside), slope
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _balanced(load: float, part: float, first: float, centre: float, half_range: float,
               parts: FloatArray, low: float, high: float) -> tuple[float, float]:
     """Solve y + part f(y) = load by Newton steps within a bracket; return y and f(y)."""
@@ -113,7 +113,7 @@ def _balanced(load: float, part: float, first: float, centre: float, half_range:
     return y, force
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _static(loads: FloatArray, centre: float, half_range: float, parts: FloatArray, low: float,
             high: float) -> FloatArray:
     balanced = np.empty(loads.size)
@@ -124,7 +124,7 @@ def _static(loads: FloatArray, centre: float, half_range: float, parts: FloatArr
     return balanced
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _swinging(loads: FloatArray, rest: float, centre: float, half_range: float,
               parts: FloatArray, low: float, high: float, half_step: FloatArray,
               step_rad: float, substeps: int) -> FloatArray:

@@ -28,7 +28,7 @@ FARTHEST_KNEES = 9.0
 """So far in front of a limit it removes less than the rounding of a voltage."""
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _beyond(distance_v: FloatArray, knee_v: float) -> tuple[FloatArray, FloatArray]:
     """Return what a limit removes from a voltage that lies so far beyond it, and its slope."""
     removed, slopes = np.zeros(distance_v.size), np.zeros(distance_v.size)

@@ -106,7 +106,7 @@ class HystereticCreep:
         )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _simulate(voltage: FloatArray, half_widths: FloatArray, decays: FloatArray,
               weights: FloatArray, positions: FloatArray, states: FloatArray) -> FloatArray:
     output = np.zeros(voltage.size)

@@ -269,7 +269,7 @@ def simulate_while_room(voltage_v: FloatArray, output_um: FloatArray, n: int,
     return n, top
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def simulate(voltage_v: FloatArray, extremes: FloatArray, outputs: FloatArray, top: int,
              grid: Grid, table: Table) -> Past:
     """Return the hysteresis output for voltages that continue a remembered past.

@@ -68,7 +68,7 @@ def _block(a: FloatArray, b: FloatArray, c: FloatArray, direct: float,
     return gains, outputs, answers, np.ascontiguousarray(power.T)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _states(transposed: FloatArray, driven: FloatArray, state: FloatArray) -> FloatArray:
     """Return the states at the start of each block; the given one moves behind the last."""
     states = np.empty(driven.shape)

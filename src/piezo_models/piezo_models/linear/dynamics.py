@@ -355,7 +355,7 @@ def _check_single(system: control.StateSpace) -> None:
         )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _run(transposed: FloatArray, gains: FloatArray, weights: FloatArray, direct: float,
          samples: FloatArray, state: FloatArray, output: FloatArray) -> None:
     size = state.size

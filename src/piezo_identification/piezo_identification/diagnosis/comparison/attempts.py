@@ -16,6 +16,7 @@ from piezo_identification.diagnosis.comparison.measures_of_fits import (
     visible_part,
 )
 from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_identification.diagnosis.side_by_side import side_by_side
 from piezo_models.effects import Effect, Evidence
 
 SAME_AS_OTHER_PARAMETERS = "here a model with slightly other parameters does the same"
@@ -66,11 +67,9 @@ def try_each(regression: Regression, kinds: Sequence[type[Effect]], current: Fit
         In the order of the kinds.
     """
     evidence = recording_evidence(regression, current.effects)
-    attempts = []
-    for number, kind in enumerate(kinds):
-        report(kind.name, number / len(kinds))
-        attempts.append(_attempt(regression, kind, current, evidence))
-    return attempts
+    return side_by_side(
+        lambda kind: _attempt(regression, kind, current, evidence), kinds,
+        lambda number: report(kinds[number].name, number / len(kinds)))
 
 
 def _attempt(regression: Regression, kind: type[Effect], current: Fit,

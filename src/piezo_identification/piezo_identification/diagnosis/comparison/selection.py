@@ -27,6 +27,7 @@ from piezo_identification.diagnosis.residual.regression import (
     fit_without_effects,
     reweighted,
 )
+from piezo_identification.diagnosis.side_by_side import side_by_side
 from piezo_models.effects import Effect, known_effects
 from piezo_models.effects.outliers import Outliers
 
@@ -172,8 +173,8 @@ def _fitted_as_a_whole(regression: Regression, attempts: Sequence[Attempt]) -> l
         if attempt.fit is not None:
             names = tuple(sorted(effect.name for effect in attempt.fit.effects))
             tried.setdefault(names, attempt.fit)
-    fits = [fit_effects(regression, fit.effects)
-            for fit in alternatives(regression, list(tried.values()))]
+    fits = side_by_side(lambda fit: fit_effects(regression, fit.effects),
+                        alternatives(regression, list(tried.values())))
     fits = [fit for fit in fits if not impossible_effects(fit, regression.dataset.extent)]
     return sorted(fits, key=lambda fit: score(regression, fit))
 

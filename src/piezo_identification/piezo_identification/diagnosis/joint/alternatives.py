@@ -24,6 +24,7 @@ from piezo_identification.diagnosis.joint.probabilities import (
 )
 from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
 from piezo_identification.diagnosis.residual.regression import Regression
+from piezo_identification.diagnosis.side_by_side import side_by_side
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
 
 Progress = Callable[[str, float], None]
@@ -154,11 +155,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         regression = problem.start if turn == 0 else best.fit.regression
         guesses = _promising(problem, regression, best.fit.effects, asked)
         guesses = guesses[: len(asked) + (1 if is_long else SETTINGS.fitted)]
-        for number, guess in enumerate(guesses):
-            progress(f"all recordings together: {guess.name}",
-                     (turn + 0.2 + 0.8 * number / len(guesses)) / SETTINGS.most_effects)
-            names = (*best.names, guess.name)
-            alternatives.append(_alternative(names, problem.fit((*best.fit.effects, guess))))
+        alternatives += _each_beside(problem, best, guesses, _part_of(progress, turn))
         alternatives = _possible(problem, alternatives)
         leading = most_probable(problem, [each for each in alternatives if not each.since])
         alternatives = [_continued(problem, each) if each is leading else each
@@ -191,6 +188,22 @@ def asked_when(problem: JointProblem, alternatives: Sequence[Alternative]) -> li
         return list(alternatives)
     along = _alternative(best.names, problem.fit(best.fit.effects))
     return _possible(problem, [*alternatives, along])
+
+
+def _each_beside(problem: JointProblem, best: Alternative, guesses: Sequence[Effect],
+                 progress: Progress) -> list[Alternative]:
+    """Fit one more effect beside those of an alternative, each of the guesses by itself."""
+    def fitted(guess: Effect) -> Alternative:
+        return _alternative((*best.names, guess.name), problem.fit((*best.fit.effects, guess)))
+
+    return side_by_side(fitted, guesses, lambda number: progress(
+        f"all recordings together: {guesses[number].name}", number / len(guesses)))
+
+
+def _part_of(progress: Progress, turn: int) -> Progress:
+    """Return the progress of the fits of one turn, behind what settles the model."""
+    return lambda what, fraction: progress(
+        what, (turn + 0.2 + 0.8 * fraction) / SETTINGS.most_effects)
 
 
 def _continued(problem: JointProblem, alternative: Alternative) -> Alternative:
@@ -293,21 +306,23 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
                 / evidence[index].noise_um)
     telling = [*evidence[: problem.new_count], evidence[worst]]
     present = {effect.name for effect in own}
-    tried: list[tuple[float, Effect]] = []
-    for kind in known_effects().values():
+
+    def tried(kind: type[Effect]) -> list[tuple[float, Effect]]:
         if not kind.of_the_stage or (kind.name in present and not kind.several):
-            continue
+            return []
         if all(kind.lacks_excitation(shown) for shown in evidence):
-            continue
+            return []
         guesses = [with_fitted_values(guess, fitted_values(guess, problem.dataset.extent)[0])
                    for shown in telling for guess in kind.starts(shown)]
         costs = [_cost(regression.remainder(regression.difference((*own, guess), (guess,))))
                  for guess in guesses]
-        if guesses:
-            best = int(np.argmin(costs))
-            tried.append((costs[best], guesses[best]))
-    tried.sort(key=lambda entry: (entry[1].name not in asked, entry[0]))
-    return [guess for _, guess in tried]
+        best = int(np.argmin(costs)) if guesses else 0
+        return [(costs[best], guesses[best])] if guesses else []
+
+    found = [entry for entries in side_by_side(tried, list(known_effects().values()))
+             for entry in entries]
+    found.sort(key=lambda entry: (entry[1].name not in asked, entry[0]))
+    return [guess for _, guess in found]
 
 
 def _cost(left: FloatArray) -> float:

@@ -41,11 +41,11 @@ class SimulationSettings:
         Samples that a recording needs: a third of them is held out, and a dozen effects are fitted.
     kept_outputs : int
         Outputs of the linear part that are remembered beside the first. A fit varies one effect at
-        a time, so that the last few are what it asks for again.
+        a time, so that the last few are what it asks for again; a few fits go on side by side.
     """
 
     fewest_samples: int = 500
-    kept_outputs: int = 3
+    kept_outputs: int = 6
 
 
 SETTINGS = SimulationSettings()
@@ -196,7 +196,8 @@ class SimulatedRecording:
                 lags: tuple[Effect, ...]) -> FloatArray:
         """Return the output of the linear part and the lags behind it, kept for the next time."""
         key = on_voltage, in_series, lags
-        if key not in self._outputs:
+        output = self._outputs.get(key)
+        if output is None:
             input_um = self.input_um
             if on_voltage:
                 voltage_v = self._joined_v
@@ -207,9 +208,10 @@ class SimulatedRecording:
                 input_um = self._with_creep(hysteresis_um, amplified_v)
             linear = self._linear if not in_series else replace(
                 self.model, effects=(*self.model.effects, *in_series)).linear()
-            # A fit tries many; the first and the last few are worth the memory.
-            while len(self._outputs) > SETTINGS.kept_outputs:
-                del self._outputs[list(self._outputs)[1]]
             system, delay_s = behind_lags(linear, lags)
-            self._outputs[key] = self.respond(system, input_um, delay_s)
-        return self._outputs[key]
+            output = self.respond(system, input_um, delay_s)
+            # A fit tries many; the first and the last few are worth the memory.
+            for old in list(self._outputs)[1 : -SETTINGS.kept_outputs]:
+                self._outputs.pop(old, None)  # another fit beside this one may have been first
+            self._outputs[key] = output
+        return output

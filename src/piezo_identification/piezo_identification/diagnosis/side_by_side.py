@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fits that do not depend on each other, side by side on the cores of the machine.
+
+They run in threads: all share the recordings, which would be copied to processes, and the kernels
+in which the time goes hold no lock of the interpreter.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+MOST_THREADS = 4
+"""Each holds a few copies of the longest recording."""
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (
+        os.cpu_count() or 1)
+
+
+def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
+                 report: Callable[[int], None] | None = None,
+                 threads: int | None = None) -> list[Result]:
+    """Return the result of each item, in their order and the same on any number of cores.
+
+    Parameters
+    ----------
+    work : callable
+        Depends on its item alone.
+    items : sequence
+    report : callable, optional
+        Called with the number of each item, in their order, by the caller's thread. What it raises,
+        or Ctrl-C, ends the work when the items that have begun are done.
+    threads : int, optional
+        By default one for each core, but no more than `MOST_THREADS`.
+
+    Returns
+    -------
+    list
+    """
+    threads = min(len(items), MOST_THREADS, cores()) if threads is None else threads
+    results = []
+    if threads <= 1:
+        for number, item in enumerate(items):
+            if report is not None:
+                report(number)
+            results.append(work(item))
+        return results
+    with ThreadPoolExecutor(threads) as pool:
+        futures = [pool.submit(work, item) for item in items]
+        try:
+            for number, future in enumerate(futures):
+                if report is not None:
+                    report(number)
+                results.append(future.result())
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return results
