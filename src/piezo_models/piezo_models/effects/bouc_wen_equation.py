@@ -22,7 +22,7 @@ NEW_STATE = 7
 there has been a sample."""
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def slope_of_force(force: float, direction: float, half_range: float, linear: float,
                    stiffness: float, beta: float, gamma: float, exponent: float) -> float:
     """Return the slope of the hysteretic force over the displacement.
@@ -48,7 +48,7 @@ def slope_of_force(force: float, direction: float, half_range: float, linear: fl
     return min(max(slope, SOFTEST - 1.0 - linear), STIFFEST - 1.0 - linear)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float,
           parts: FloatArray, damping_ratio: float, step_rad: float, substeps: int) -> FloatArray:
     """Simulate the mode under its hysteretic spring, and change the state to that at the end.
@@ -117,7 +117,7 @@ def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float
     return swung
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def force_under(displacements: FloatArray, half_range: float, stiffness: float, beta: float,
                 gamma: float, exponent: float) -> FloatArray:
     """Return the hysteretic force under a known displacement, from none at the first sample.
