@@ -129,11 +129,15 @@ class Feedforward:
         if missing:
             parts.append(self._take_behind_once(missing))
         self._at += count
-        return np.concatenate(parts)
+        parts = [part for part in parts if len(part)]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _take_behind_once(self, count: int) -> np.ndarray:
         if not self.periodic:
             self._held = True
             return np.full(count, self._last_v)
         first = max(self._at - len(self._once_v), 0)
+        first %= len(self._period_v)
+        if first + count <= len(self._period_v):
+            return self._period_v[first:first + count]
         return self._period_v[np.arange(first, first + count) % len(self._period_v)]

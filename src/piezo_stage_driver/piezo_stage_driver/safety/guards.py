@@ -7,8 +7,7 @@ answer before it acts. Their answer is empty, or the cause of a stop.
 
 import math
 import threading
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -43,8 +42,7 @@ class StopLatch:
         self.cause = ""
 
 
-@dataclass(frozen=True)
-class Stretch:
+class Stretch(NamedTuple):
     """Hold what the stage played and measured since the guards looked last.
 
     Attributes
