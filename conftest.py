@@ -225,6 +225,12 @@ def picture_faults():
 
 
 @pytest.fixture
+def without_pictures(monkeypatch):
+    """Leave every saved picture empty: to draw takes longer than what many tests look at."""
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *given, **options: None)
+
+
+@pytest.fixture
 def package_of_page(tmp_path):
     """Lay out the package that a page tells to write, as pip would install it; return its place."""
     def lay_out(page):

@@ -33,7 +33,8 @@ from piezo_stage_driver.node.stage_node import StageNode
 def make(node):
     told = load_document(PiSettings, sys.argv[2])
     controller = PiController(told, gcs_stand_in.library(gcs_stand_in.Controller()))
-    return StoredWaveformStage(controller, node.settings.for_backend(sys.argv[2]), int(sys.argv[3]), 1.0)
+    settings, longest_samples = node.settings.for_backend(sys.argv[2]), int(sys.argv[3])
+    return StoredWaveformStage(controller, settings, longest_samples, 1.0)
 
 run_node(lambda: StageNode(make), sys.argv)
 """
