@@ -48,6 +48,14 @@ addEventListener("load", () => {{
     found.push("is " + inside.documentElement.scrollWidth + " px wide");
   for (const image of inside.images)
     if (!image.naturalWidth) found.push("lacks the picture " + image.alt);
+  const range = inside.createRange();
+  for (const cell of inside.querySelectorAll("th, td:first-child"))
+    for (const node of cell.childNodes)
+      for (const word of node.nodeType === 3 ? node.data.matchAll(/[A-Za-z]+/g) : []) {{
+        range.setStart(node, word.index);
+        range.setEnd(node, word.index + word[0].length);
+        if (range.getClientRects().length > 1) found.push("breaks the word " + word[0]);
+      }}
   document.getElementById("found").textContent = found.join("\\n");
 }});
 </script>
@@ -134,7 +142,8 @@ def under_each_kernel():
 def page_faults(tmp_path_factory):
     """Return what is wrong with an HTML page in a headless browser, at the width of a device.
 
-    Faults are a page wider than the device, a missing picture, and messages on the console.
+    Faults are a page wider than the device, a missing picture, a broken word in a table's head or
+    first column, and messages on the console.
     """
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
@@ -222,6 +231,12 @@ def picture_faults():
             line_faults(axes) for figure in figures for axes in figure.axes)})
 
     return faults
+
+
+@pytest.fixture
+def without_pictures(monkeypatch):
+    """Leave every saved picture empty: to draw takes longer than what many tests look at."""
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *given, **options: None)
 
 
 @pytest.fixture

@@ -23,6 +23,9 @@ from paced import paced_run
 from paced_onboard import onboard_run
 from stream_length import TARGETS as STREAM_TARGETS
 from stream_length import measure as measure_streams
+from suite_start import TARGETS as START_TARGETS
+from suite_start import TITLE as SUITE_START
+from suite_start import first_recording_s
 from table import Measurements, show, write
 
 OUTPUT = Path(__file__).parents[1] / "runs" / "bench"
@@ -131,9 +134,10 @@ def diagnosis(rows):
 
 
 def answers(rows):
-    """Add how long commands take to answer what costs no work."""
+    """Add how long commands take to answer what costs no work, and the suite to begin with it."""
     for name, time_s in answer_times_s().items():
         rows[name, "s"].append(time_s)
+    rows[SUITE_START, "s"].append(first_recording_s())
 
 
 DIAGNOSIS_S = {SAMPLES: 30.0, MANY_SAMPLES: 60.0}
@@ -176,7 +180,7 @@ def main():
     measure_streams(measured)
     print("identification beside its peers ...", flush=True)
     peers.measure(measured)
-    rows = measured.table(TARGETS | ANSWER_TARGETS | STREAM_TARGETS)
+    rows = measured.table(TARGETS | ANSWER_TARGETS | START_TARGETS | STREAM_TARGETS)
     show(rows)
     write(rows, OUTPUT / "table.json")
     print(f"written to {OUTPUT / 'table.json'}")

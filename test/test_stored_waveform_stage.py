@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The stage node over a controller that plays stored waveforms; the controller is a stand-in."""
+"""All nodes over a controller that plays stored waveforms; the controller is a stand-in."""
 
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,9 +13,13 @@ import pytest
 from action_msgs.msg import GoalStatus
 
 from piezo_bringup.processes import Processes
+from piezo_client.client import GoalFailed
+from piezo_identification.experiments.catalogue import USUAL_LIMITS, multisine
+from piezo_recorder.reading.reader import read_recording
 
 ROOT = Path(__file__).parents[1]
 RATE_HZ = 10_000.0
+LONGEST_SAMPLES = 20_000
 NODE = """
 import sys
 sys.path.insert(0, sys.argv[1])
@@ -28,7 +33,8 @@ from piezo_stage_driver.node.stage_node import StageNode
 def make(node):
     told = load_document(PiSettings, sys.argv[2])
     controller = PiController(told, gcs_stand_in.library(gcs_stand_in.Controller()))
-    return StoredWaveformStage(controller, node.settings.for_backend(sys.argv[2]), 4000, 1.0)
+    settings, longest_samples = node.settings.for_backend(sys.argv[2]), int(sys.argv[3])
+    return StoredWaveformStage(controller, settings, longest_samples, 1.0)
 
 run_node(lambda: StageNode(make), sys.argv)
 """
@@ -47,15 +53,45 @@ def stage(stage_client, tmp_path_factory):
     with (directory / "stage.log").open("w") as log:
         process = subprocess.Popen(
             [sys.executable, "-c", NODE, str(ROOT / "src/piezo_stage_driver/test"),
-             str(ROOT / "src/piezo_stage_driver/config/pi_gcs_settings.yaml"), "--ros-args",
-             "-r", "__ns:=/stored", "-p", "autostart:=true", "-p", "timing:=paced",
-             "-p", f"sample_rate_hz:={RATE_HZ}"], env=environment, stdout=log, stderr=log)
-    client = stage_client("/stored", Processes(directory))
-    client.until(lambda: client.blocks)
-    yield client
-    client.close()
+             str(ROOT / "src/piezo_stage_driver/config/pi_gcs_settings.yaml"),
+             str(LONGEST_SAMPLES), "--ros-args", "-r", "__ns:=/stored", "-p", "autostart:=true",
+             "-p", "timing:=paced", "-p", f"sample_rate_hz:={RATE_HZ}",
+             "-p", "exchange_timeout_s:=60.0"],
+            env=environment, stdout=log, stderr=log)
+    with Processes(directory, data_root="/") as processes:
+        for name in ("recorder", "identification"):
+            processes.start(name, {"autostart": True}, "/stored")
+        client = stage_client("/stored", processes)
+        client.until(lambda: client.blocks and client.node_names() >= {
+            "stage", "recorder", "identification"})
+        yield client
+        client.close()
     process.terminate()
     assert process.wait() == 0
+
+
+def test_experiment_that_fits_the_memory_is_recorded_as_designed(stage, tmp_path):
+    result = stage.run_experiment("multisine", tmp_path)
+    recording = read_recording(result.recording)
+    assert recording.complete and recording.gaps == []
+    assert recording.sample_rate_hz == RATE_HZ
+    designed = multisine(replace(USUAL_LIMITS, sample_rate_hz=RATE_HZ))
+    played = recording.select(recording.playing)
+    assert np.allclose(played.voltage_v[:designed.voltage_v.size], designed.voltage_v)
+    # The stand-in's stage has 1 um/V and shows each voltage one sample later.
+    assert np.allclose(played.displacement_um[1:], played.voltage_v[:-1], atol=1e-4)
+    assert recording.voltage_v[-1] == 0.0
+
+
+@pytest.mark.parametrize(("name", "objection"), [
+    ("dynamics", f"{LONGEST_SAMPLES} are what the backend plays at once: shorten it"),
+    ("relay", "the backend plays stored waveforms only"),
+    ("creep", f"takes 40[0-9]{{5}} samples with its ramps, {LONGEST_SAMPLES} are what"),
+])
+def test_experiment_that_the_controller_cannot_do_is_refused_by_name(
+        stage, tmp_path, name, objection):
+    with pytest.raises(GoalFailed, match=objection):
+        stage.run_experiment(name, tmp_path)
 
 
 def test_waveform_is_recorded_sample_by_sample(stage):
@@ -76,11 +112,11 @@ def test_waveform_is_recorded_sample_by_sample(stage):
 
 
 def test_what_the_controller_cannot_do_is_refused_by_name(stage):
-    goal = stage.send_goal("play_waveform", voltage_v=np.full(5000, 10.0),
+    goal = stage.send_goal("play_waveform", voltage_v=np.full(LONGEST_SAMPLES, 10.0),
                            sample_period_s=1.0 / RATE_HZ, repeats=1)
     status, result = stage.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
-    assert "4000 are what the backend plays at once" in result.message
+    assert f"{LONGEST_SAMPLES} are what the backend plays at once" in result.message
     loaded = stage.load([0.0, 1.0])
     assert not loaded.success
     assert "stored waveforms only" in loaded.message

@@ -53,6 +53,7 @@ figcaption { font-size: .9em; max-width: 38rem; }
   body { padding: .6rem; }
   table { font-size: .8rem; width: 100%; }
   th, td { padding: .2rem .35rem; white-space: normal; overflow-wrap: anywhere; }
+  th, td:first-child { overflow-wrap: break-word; }
   .many thead { display: none; }
   .many tr { display: block; border-bottom: 1px solid #111; padding: .3rem 0; }
   .many td, .many td.text { display: flex; justify-content: space-between; gap: 1rem;

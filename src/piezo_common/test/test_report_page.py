@@ -77,3 +77,10 @@ def test_a_dense_line_keeps_its_lowest_and_highest_values():
     x, thinned = outline(np.arange(y.size, dtype=float), y)
     assert thinned.size <= 2400 and (thinned.max(), thinned.min()) == (50.0, -60.0)
     assert np.all(np.diff(x) >= 0.0)
+
+
+def test_no_word_of_a_narrow_table_is_broken_on_a_phone(page_faults):
+    reason = "levels are held for a hundredth of a second only: hold them for two at least"
+    rows = [["can stand for", "verdict", "because"], ["hysteresis", "no", reason],
+            ["validation", "yes", "any motion that the others did not have"]]
+    assert page_faults(render_page("A page", [], [Section("S", table=rows)]), "phone") == []

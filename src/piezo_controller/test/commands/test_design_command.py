@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
+from contextlib import redirect_stdout
 from hashlib import sha256
 from importlib.resources import files
+from io import StringIO
 
 import pytest
 import yaml
@@ -12,28 +14,35 @@ from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 
 
-@pytest.fixture
-def model_path(stage_model, tmp_path):
-    path = tmp_path / "model.json"
+@pytest.fixture(scope="module")
+def model_path(stage_model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("model") / "model.json"
     save_model(path, IdentifiedModel(stage_model, (-20.0, 120.0)))
     return path
+
+
+@pytest.fixture(scope="module")
+def designed(model_path, tmp_path_factory, picture_faults):
+    """Run the command as it stands; return the path of its controller, and what it prints."""
+    output = tmp_path_factory.mktemp("designed") / "controller.json"
+    with redirect_stdout(StringIO()) as printed:
+        faults = picture_faults(main, ["--model", str(model_path), "--output", str(output)])
+    assert faults == []
+    return output, printed.getvalue()
 
 
 def default_weights():
     return yaml.safe_load((files("piezo_controller") / "weights.yaml").read_text())
 
 
-def test_command_writes_the_controller_and_pictures_and_prints_the_report(model_path, tmp_path,
-                                                                          capsys, page_parts,
-                                                                          picture_faults):
-    output = tmp_path / "controller.json"
-    assert picture_faults(main, ["--model", str(model_path), "--output", str(output)]) == []
+def test_command_writes_the_controller_and_pictures_and_prints_the_report(
+        model_path, designed, page_parts):
+    output, printed = designed
     controller = load_controller(output)
     assert controller.model_sha256 == sha256(model_path.read_bytes()).hexdigest()
     for name in "bode", "nyquist", "weights", "mu":
-        picture = (tmp_path / f"controller_{name}.png").read_bytes()
+        picture = output.with_name(f"controller_{name}.png").read_bytes()
         assert picture.startswith(b"\x89PNG") and len(picture) > 10000
-    printed = capsys.readouterr().out
     assert f"{controller.report['bandwidth_hz']:.1f} Hz" in printed
     assert f"{controller.report['gamma']:.3f}" in printed
     assert f"{controller.report['mu']:.3f}" in printed
@@ -42,8 +51,9 @@ def test_command_writes_the_controller_and_pictures_and_prints_the_report(model_
     assert printed.splitlines()[-1] == (
         f"next: ./run piezo_client stage track --model {model_path} --controller {output} "
         "--output runs")
-    page = page_parts(tmp_path / "controller_report.html")
-    assert f"report: {tmp_path / 'controller_report.html'}" in printed
+    report = output.with_name("controller_report.html")
+    page = page_parts(report)
+    assert f"report: {report}" in printed
     margins = {row[0]: row[1:] for row in page.tables[0][1:]}
     assert margins["gain margin (1)"] == [
         f"{controller.report[f'gain_margin{where}']:.3g}"
@@ -71,18 +81,18 @@ def _assert_the_pictures_hold_the_margins(page, report):
     assert max(sensitivity) == pytest.approx(report["peak_sensitivity"], rel=0.01)
 
 
-def test_design_for_no_computing_time_is_faster_and_says_so(model_path, tmp_path):
-    reports = []
-    for delay_ticks in 0, 1:
-        output = tmp_path / f"{delay_ticks}.json"
-        assert main(["--model", str(model_path), "--delay-ticks", str(delay_ticks),
-                     "--output", str(output), "--no-report"]) == 0
-        reports.append(load_controller(output).report)
-    assert [report["delay_ticks"] for report in reports] == [0, 1]
-    assert reports[0]["bandwidth_hz"] > 1.2 * reports[1]["bandwidth_hz"]
+@pytest.mark.usefixtures("without_pictures")
+def test_design_for_no_computing_time_is_faster_and_says_so(model_path, designed, tmp_path):
+    output = tmp_path / "at_once.json"
+    assert main(["--model", str(model_path), "--delay-ticks", "0", "--output", str(output),
+                 "--no-report"]) == 0
+    at_once, later = load_controller(output).report, load_controller(designed[0]).report
+    assert (at_once["delay_ticks"], later["delay_ticks"]) == (0, 1)
+    assert at_once["bandwidth_hz"] > 1.2 * later["bandwidth_hz"]
 
 
 @pytest.mark.parametrize("method", ["pid", "pi"])
+@pytest.mark.usefixtures("without_pictures")
 def test_other_methods_need_no_weights_and_have_no_picture_of_them(model_path, tmp_path, method,
                                                                    capsys):
     output = tmp_path / "controller.json"
@@ -94,6 +104,7 @@ def test_other_methods_need_no_weights_and_have_no_picture_of_them(model_path, t
     assert "ultimate gain" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_weights_file_changes_the_design(model_path, tmp_path):
     weights = default_weights()
     weights["performance"]["gain"] = 0.05

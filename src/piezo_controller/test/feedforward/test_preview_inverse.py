@@ -100,6 +100,7 @@ for method in METHODS:
 """
 
 
+@pytest.mark.long
 def test_inverse_is_the_same_on_every_kernel_of_the_linear_algebra(under_each_kernel):
     results = under_each_kernel(ON_ANY_KERNEL)
     (_, first), *others = results.items()

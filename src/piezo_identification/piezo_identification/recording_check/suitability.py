@@ -163,7 +163,7 @@ def _creep(check: RecordingCheck) -> Suitability:
 def _dynamics(check: RecordingCheck) -> Suitability:
     waveform = check.waveform
     period_s = float(np.median(check.recording.sample_periods_s))
-    rate = f"at {1.0 / period_s:.4g} rows a second"
+    rate = f"at {round(1.0 / period_s, 4):g} rows a second"
     voltage_v, displacement_um = check.voltage_v, check.displacement_um
     if period_s > NEEDS.slowest_rows_s:
         return Suitability("no", f"too slow to hold dynamics: {rate}, while stages answer within "

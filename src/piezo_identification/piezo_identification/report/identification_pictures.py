@@ -49,7 +49,7 @@ def component_pictures(evidence: ComponentEvidence) -> Iterator[Picture]:
     yield pictured(f"Fit of the {name}", shown, caption, tall=True, closer=True)
     yield pictured(f"What is left of the {name} over time", _over_time(evidence),
                    "Measured minus fitted displacement of all samples; dotted, twice the noise, "
-                   "between which 95 % of it lie.", closer=True)
+                   "between which 95 % of it lies.", closer=True)
     yield pictured(f"What is left of the {name} over frequency", _over_frequency(evidence),
                    "Density of what is left, and of the measured displacement; dotted, white noise "
                    f"as large as that told by {evidence.fit.noise_from}.", closer=True)

@@ -100,7 +100,7 @@ def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
 
 
 def draw_noise(axes: Axes, noise_um: float) -> None:
-    """Draw lines at twice the noise, between which 95 % of it lie."""
+    """Draw lines at twice the noise, between which 95 % of it lies."""
     for sign in -1.0, 1.0:
         axes.axhline(sign * BAND * NANOMETRES * noise_um, **LIMIT)
 

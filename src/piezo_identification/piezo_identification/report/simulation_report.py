@@ -138,7 +138,7 @@ def prediction_pictures(prediction: Prediction,
         signals.draw_difference(figure.subplots(), view.whole(left_um.size), left_um, noise_um,
                                 deviation_um)
         yield pictured("What is left over time", figure, "Measured minus simulated displacement "
-                       "of all samples; dotted, twice the noise, between which 95 % of it lie.",
+                       "of all samples; dotted, twice the noise, between which 95 % of it lies.",
                        closer=True)
     figure = new_figure(3.4)
     signals.draw_residual_spectrum(figure.subplots(), left_um, prediction.measured_um,

@@ -104,9 +104,9 @@ def test_the_model_names_range_periods_and_recordings(files, model_file):
 
 
 def test_identify_takes_orders_and_says_why_and_what_the_data_determine(files, tmp_path, capsys):
-    output = tmp_path / "model.json"
-    arguments = [*options(files), "--output", output, "--creep-pairs", 1, "--modes", 1,
-                 "--no-report"]
+    output, fitted = tmp_path / "model.json", {name: files[name] for name in NAMES[:3]}
+    arguments = [*options(fitted), "--output", output, "--creep-pairs", 1, "--modes", 1,
+                 "--grid", 40, "--no-report"]
     assert identify_main([str(argument) for argument in arguments]) == 0
     model = load_model(output).model
     assert len(model.creep.poles_rad_per_s) == 1
@@ -171,7 +171,8 @@ def test_identify_takes_the_dynamics_from_a_frequency_response(
 def test_identify_takes_the_orders_of_a_frequency_response_and_its_band(
         files, response_file, tmp_path, capsys):
     identified = identified_with(
-        files, tmp_path, response_file, "--modes", 1, "--antiresonances", 0, "--band", 1, 500)
+        files, tmp_path, response_file, "--modes", 1, "--antiresonances", 0, "--band", 1, 500,
+        beside=())
     assert len(identified.model.dynamics.mode_frequencies_rad_per_s) == 1
     assert "0+1-0" in capsys.readouterr().out
 
@@ -185,7 +186,7 @@ def test_what_the_data_do_not_tell_is_said_and_the_model_saved(files, tmp_path, 
                header="frequency_hz,gain_re,gain_im", comments="")
     identified = identified_with(
         files, tmp_path, path, "--creep-pairs", 1, "--modes", 0, "--antiresonances", 0,
-        beside=["hysteresis"])
+        beside=())
     (deviation,) = identified.uncertainties["creep"]["poles_rad_per_s"]
     assert deviation > identified.model.creep.poles_rad_per_s[0]
     assert identified.uncertainties["dynamics"]["time_constant_s"] < 1e-6
@@ -193,6 +194,7 @@ def test_what_the_data_do_not_tell_is_said_and_the_model_saved(files, tmp_path, 
     assert "do not tell creep poles_rad_per_s, creep zeros_rad_per_s" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_identify_takes_the_dynamics_from_a_multisine(files, play, csv_of, tmp_path):
     path = csv_of(play(experiments.multisine(tones_s=0.4), 1), tmp_path / "multisine.csv")
     model = identified_with(files, tmp_path, path, "--modes", 2).model
@@ -204,7 +206,7 @@ def test_identify_fits_a_square_wave_by_armax(
         plant, files, play, csv_of, tmp_path, capsys):
     path = csv_of(play(experiments.dynamics(duration_s=0.6), 1), tmp_path / "dynamics.csv")
     model = identified_with(
-        files, tmp_path, path, "--method", "armax", "--modes", 2, beside=["hysteresis"]).model
+        files, tmp_path, path, "--method", "armax", "--modes", 2, beside=["creep"]).model
     ratio = model.dynamics.response(np.array([100.0, 400.0])) / plant.dynamics.response(
         np.array([100.0, 400.0]))
     assert np.abs(ratio - 1.0).max() < 0.02

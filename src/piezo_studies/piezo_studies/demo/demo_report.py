@@ -74,7 +74,7 @@ def _errors_section(summary):
                       summary["tracking"], summary["tracking_after"]),
                   "Tracking error of each mode over the frequency; that of composite once more "
                   "with the extended model. The distance between hollow and full circles is the "
-                  "sensor's noise."),))
+                  "sensor's noise.", closer=True),))
 
 
 def _identification_section(errors, model, recordings, directory):
@@ -96,21 +96,21 @@ def _identification_section(errors, model, recordings, directory):
         rows,
         (pictured("Hysteresis loops",
                   identification_pictures.draw_loops(predictions["validation"]),
-                  "Loops that were not fitted, measured and modelled."),
+                  "Loops that were not fitted, measured and modelled.", closer=True),
          pictured("Density", identification_pictures.draw_density(model.hysteresis),
                   "The identified density is largest at the diagonal: most relays switch off "
                   "little below the voltage at which they switched on."),
          pictured("Creep", identification_pictures.draw_creep(predictions["creep"]),
                   "Creep after a step of the voltage, measured and modelled. The creep was fitted "
-                  "to this recording."),
+                  "to this recording.", closer=True),
          pictured("Step response",
                   identification_pictures.draw_step_response(predictions["dynamics"], period_s),
                   "Response to one period of the square wave to which the dynamics were fitted, "
-                  "measured and modelled."),
+                  "measured and modelled.", closer=True),
          pictured("Frequency response", identification_pictures.draw_frequency_response(
                       model.linear(), sample_period_s, measured),
                   "From the hysteresis' output to the displacement: the model, and the harmonics "
-                  "of the square wave that stand out of the noise.")))
+                  "of the square wave that stand out of the noise.", closer=True)))
 
 
 def _frequency_section(frequency_hz, runs):
@@ -124,17 +124,17 @@ def _frequency_section(frequency_hz, runs):
         pictures=(
             pictured(f"Tracking at {name}", tracking_pictures.draw_tracking(by_mode),
                      "The last periods of the runs by the sensor, and the error of each on a scale "
-                     "of its own.", tall=True),
+                     "of its own.", tall=True, closer=True),
             pictured(f"Voltages at {name}",
                      tracking_pictures.draw_voltages(feedforward_v, feedback_v, run),
                      "The feedforward carries the trajectory, the feedback the slow remainder. The "
-                     "feedback is what composite adds to the voltage of feedforward."),
+                     "feedback is what composite adds to the voltage of feedforward.", closer=True),
             pictured(f"Spectra at {name}", tracking_pictures.draw_spectra(
                          feedforward_v, feedback_v, run.sample_rate_hz),
                      "Spectra of both voltages over the whole run, through a Hann window. The "
                      "feedback changes once a millisecond, so its spectrum repeats around "
                      "multiples of 1 kHz; the inverse hysteresis that it passes shapes it in "
-                     "between.")))
+                     "between.", closer=True)))
 
 
 def _measures_section(summary):

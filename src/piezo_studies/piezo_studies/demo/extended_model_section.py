@@ -83,11 +83,11 @@ def _model_section(summary, model, validation, extended):
         (pictured("Model error before and after",
                   extension_pictures.draw_model_errors(before, after, sample_period_s),
                   "Spectrum of measured minus simulated displacement on the validation recording, "
-                  "and the sensor's noise."),
+                  "and the sensor's noise.", closer=True),
          pictured("Response before and after", extension_pictures.draw_responses(
                       model, extended.model, sample_period_s),
                   "From the hysteresis' output to the displacement, without and with what was "
-                  "added.")))
+                  "added.", closer=True)))
 
 
 def _tracking_section(summary, runs, extended):
@@ -99,7 +99,8 @@ def _tracking_section(summary, runs, extended):
         (pictured("Tracking errors before and after",
                   extension_pictures.draw_tracking_errors(
                       _composite(runs), _composite(extended.runs)),
-                  "Error of composite over the last periods, by the sensor.", tall=True),))
+                  "Error of composite over the last periods, by the sensor.", tall=True,
+                  closer=True),))
 
 
 def _composite(runs):
