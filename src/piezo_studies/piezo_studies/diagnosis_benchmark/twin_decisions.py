@@ -4,6 +4,9 @@
 import numpy as np
 
 from piezo_identification.diagnosis.experiment_design.decide import decide
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+)
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_recorder.reading.recording import Recording
 from piezo_sim.plant.plant_effect import Surroundings
@@ -21,15 +24,15 @@ OVER_NOISE = 6.0
 """Contribution to the first recording over the noise: clear, and far from overwhelming."""
 
 
-def decide_twin(cause, model, plant_seed, seed, budget=1, over_noise=OVER_NOISE):
+def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE):
     """Record a plant with one effect as on an ordinary day, and decide by proposed recordings.
 
     Parameters
     ----------
     cause : str
         A key of `TWINS`.
-    model : StageModel
-        Of the plant without effects.
+    clean : (StageModel, tuple of Recording)
+        Of the plant without effects; see `run_case.clean_model`.
     plant_seed : sequence of int
     seed, budget : int
     over_noise : float
@@ -47,12 +50,14 @@ def decide_twin(cause, model, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
                         seed, records.clock_samples(experiment))
     count = 0
 
-    def play(proposed):
+    def play(proposal, report):
         nonlocal count
         count += 1
-        return _played(drawn.plant, proposed, seed + count)
+        return _played(drawn.plant, proposal.experiment, seed + count)
 
-    steps = decide(model, [records.record(drawn.plant, experiment, seed)], play, budget, LIMITS)
+    model, identified_from = clean
+    steps = decide(model, [records.record(drawn.plant, experiment, seed)], play, budget, LIMITS,
+                   identified_from=IdentificationRecordings(identified_from, ()))
     return {"cause": cause, "steps": [
         {"verdict": step.diagnosis.verdict,
          "effects": [entry["name"] for entry in step.diagnosis.effects],
