@@ -27,6 +27,7 @@ setup(
             "measured = piezo_identification.node.moved:measured",
             "check = piezo_identification.commands.check_command:main",
             "diagnose = piezo_identification.commands.diagnose_command:main",
+            "diagnose_many = piezo_identification.commands.diagnose_many_command:main",
             "propose = piezo_identification.commands.propose_command:main",
             "identify = piezo_identification.commands.identify_command:main",
             "simulate = piezo_identification.commands.simulate_command:main",

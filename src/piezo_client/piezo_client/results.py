@@ -125,6 +125,10 @@ class Diagnosis:
         HTML page.
     details : dict
         Content of ``verdict.json``.
+    decision : str
+        What the experiments that were played have decided; empty where none was asked for.
+    experiments : tuple of Path
+        Their recordings.
     """
 
     verdict: str
@@ -133,6 +137,8 @@ class Diagnosis:
     path: Path
     report: Path
     details: dict[str, Any]
+    decision: str = ""
+    experiments: tuple[Path, ...] = ()
 
     def __fspath__(self) -> str:
         return str(self.path)

@@ -205,7 +205,8 @@ class Stage:
                         result.missed_feedback, result.message)
 
     def diagnose(self, model: AnyPath, recordings: Sequence[AnyPath], directory: AnyPath,
-                 holdout: AnyPath = "") -> Diagnosis:
+                 holdout: AnyPath = "", experiments: int = 0,
+                 longest_s: float = 0.0) -> Diagnosis:
         """Find what a model lacks to explain recordings, and extend it by that.
 
         Parameters
@@ -218,16 +219,22 @@ class Stage:
             Gets ``verdict.json``, ``extended_model.json`` and ``report.html``.
         holdout : path-like
             A recording on which the errors are measured; by default a part of the others.
+        experiments : int
+            That the stage may play until one explanation has a probability of 95 %.
+        longest_s : float
+            That each of them may last; 30 s where it is 0.
 
         Returns
         -------
         piezo_client.results.Diagnosis
         """
         result = self.client.diagnose(
-            model, recordings, directory, holdout, on_feedback=self._shown("diagnose: "))
+            model, recordings, directory, holdout, on_feedback=self._shown("diagnose: "),
+            experiments=experiments, longest_s=float(longest_s))
         return Diagnosis(result.verdict, result.sentence, tuple(result.effects),
                          Path(result.extended_model), Path(result.report),
-                         json.loads(result.verdict_json))
+                         json.loads(result.verdict_json), result.decision,
+                         tuple(map(Path, result.recordings)))
 
     def offered_model(self, wait_s: float = LATCHED_S) -> OfferedModel | None:
         """Return the extended model that the monitor has offered last; None without one.

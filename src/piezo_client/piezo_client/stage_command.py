@@ -141,6 +141,10 @@ def _add_diagnose(commands: Commands) -> None:
                         help="recordings to explain")
     parser.add_argument("--holdout", type=Path, default="", metavar="FILE",
                         help="recording on which the errors are measured")
+    parser.add_argument("--experiments", type=int, default=0, metavar="NUMBER",
+                        help="that may be played until one explanation is left (default: none)")
+    parser.add_argument("--longest-s", type=float, default=0.0, metavar="SECONDS",
+                        help="that each of them may last (default: 30 s)")
 
 
 def _add_accept(commands: Commands) -> None:

@@ -101,8 +101,10 @@ def _play(stage: Stage, options: argparse.Namespace) -> list[str]:
 
 
 def _diagnose(stage: Stage, options: argparse.Namespace) -> list[str]:
-    diagnosis = stage.diagnose(options.model, options.data, options.output, options.holdout)
-    return [f"{diagnosis.verdict}: {diagnosis.sentence}", f"written {diagnosis.report}",
+    diagnosis = stage.diagnose(options.model, options.data, options.output, options.holdout,
+                               options.experiments, options.longest_s)
+    return [f"{diagnosis.verdict}: {diagnosis.sentence}", *filter(None, [diagnosis.decision]),
+            *(f"recorded {path}" for path in diagnosis.experiments), f"written {diagnosis.report}",
             _next(options, "track", "--model", diagnosis.path, "--output", options.output)]
 
 

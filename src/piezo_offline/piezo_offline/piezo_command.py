@@ -8,6 +8,7 @@ from piezo_common.command_line import UMBRELLA
 from piezo_controller.commands.design_command import COMMAND as DESIGN
 from piezo_identification.commands.check_command import COMMAND as CHECK
 from piezo_identification.commands.diagnose_command import COMMAND as DIAGNOSE
+from piezo_identification.commands.diagnose_many_command import COMMAND as DIAGNOSE_MANY
 from piezo_identification.commands.identify_command import COMMAND as IDENTIFY
 from piezo_identification.commands.propose_command import COMMAND as PROPOSE
 from piezo_identification.commands.simulate_command import COMMAND as SIMULATE
@@ -17,8 +18,8 @@ from piezo_recorder.commands.convert_command import COMMAND as CONVERT
 from piezo_recorder.commands.report_command import COMMAND as REPORT
 
 COMMANDS = {command.name: command for command in (
-    WAVEFORMS, CONVERT, REPORT, CHECK, IDENTIFY, SIMULATE, DIAGNOSE, PROPOSE, DESIGN,
-    COMPLETION)}
+    WAVEFORMS, CONVERT, REPORT, CHECK, IDENTIFY, SIMULATE, DIAGNOSE, DIAGNOSE_MANY, PROPOSE,
+    DESIGN, COMPLETION)}
 """In the order in which they are used."""
 
 

@@ -12,20 +12,26 @@ from piezo_identification.diagnosis.experiment_design.propose import (
     propose,
     save_proposal,
 )
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    find_identification_recordings,
+)
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.data_options import read_all_given
+from piezo_recorder.reading.reader import read_recordings
 
 
 def propose_given(options: argparse.Namespace) -> None:
     """Design the recording that decides, by the files of the options; write and print it."""
     verdict = _read_verdict(options.verdict)
-    model = load_model(options.model).model
+    identified = load_model(options.model)
+    known = find_identification_recordings(
+        identified, options.model, read_recordings, others=options.data)
     recordings = [recording for path in options.data for recording in read_all_given(path, options)]
     limits = StageLimits(options.lowest_v, options.highest_v, options.slew_limit_v_per_s,
                          options.sample_rate_hz, options.rest_v)
     print_progress("fit the alternatives", 0.0)
-    alternatives = alternatives_of_files(model, recordings, verdict)
+    alternatives = alternatives_of_files(identified.model, recordings, verdict, known)
     proposal = propose(alternatives, limits, options.longest_s, print_progress)
     for alternative in alternatives.alternatives:
         print(f"{alternative.name:40}{100.0 * alternative.probability:6.1f} %")

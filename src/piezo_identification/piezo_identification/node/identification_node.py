@@ -11,8 +11,13 @@ from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
 from piezo_identification.adequacy.component_adequacy import overall_verdict
+from piezo_identification.diagnosis.experiment_design.decide_files import (
+    decide_files,
+    decision_sentence,
+)
+from piezo_identification.diagnosis.experiment_design.propose import LONGEST_S
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
-from piezo_identification.diagnosis.report.results import diagnose_files
+from piezo_identification.diagnosis.report.results import DiagnosisResults, diagnose_files
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.experiments.catalogue import (
     EXPERIMENTS,
@@ -127,7 +132,8 @@ class IdentificationNode(LifecycleNode):
         return document
 
     def _record(self, experiment: Experiment | RelayExperiment, stage: StageDescription,
-                directory: Path, result: RunExperiment.Result | Identify.Result, report: Report,
+                directory: Path,
+                result: RunExperiment.Result | Identify.Result | Diagnose.Result, report: Report,
                 progress: Progress, unrecorded: bool) -> tuple[str, RunRecording]:
         """Run and record an experiment; its recording is in the result whatever happens.
 
@@ -260,8 +266,12 @@ class IdentificationNode(LifecycleNode):
         readable, directory = self._data_root.readable, self._writable(goal)
         for name in DIAGNOSIS_FILES:  # which may be links that lead elsewhere
             self._data_root.writable(directory / name)
-        results = diagnose_files(readable(goal.model), [*map(readable, goal.recordings)],
-                                 readable(goal.holdout) or None, directory, report)
+        files = (readable(goal.model), [*map(readable, goal.recordings)],
+                 readable(goal.holdout) or None, directory)
+        if goal.experiments:
+            results, result.decision = self._decide(files, goal, result, progress, report)
+        else:
+            results = diagnose_files(*files, report)
         diagnosis = results.diagnosis
         result.verdict = diagnosis.verdict
         result.sentence = verdict_sentence(diagnosis)
@@ -272,6 +282,24 @@ class IdentificationNode(LifecycleNode):
         for name in ("rms_um", "e_y_percent"):
             setattr(result, f"before_{name}", float(diagnosis.before[name]))
             setattr(result, f"after_{name}", float(diagnosis.after[name]))
+
+    def _decide(self, files: tuple, goal: Diagnose.Goal, result: Diagnose.Result,
+                progress: Progress, report: Report) -> tuple[DiagnosisResults, str]:
+        """Diagnose, and play what decides between the explanations that remain."""
+        if not (np.isfinite(goal.longest_s) and goal.longest_s >= 0.0):
+            raise ValueError(f"longest_s is {goal.longest_s:g}: give how long an experiment may "
+                             "last in s, or 0")
+        stage = self._stage.wait(progress.check)
+
+        def play(experiment: Experiment, directory: Path, told: Report) -> str:
+            note, _ = self._record(experiment, stage, self._data_root.writable(directory), result,
+                                   told, progress, unrecorded=False)
+            result.message = "; ".join(filter(None, (result.message, note)))
+            return str(result.recordings[-1])
+
+        results, steps = decide_files(
+            *files, play, goal.experiments, _limits(stage), report, goal.longest_s or LONGEST_S)
+        return results, decision_sentence(steps)
 
     def _writable(self, goal: RunExperiment.Goal | Identify.Goal | Diagnose.Goal) -> Path:
         """Return the directory in which a goal's files are made."""

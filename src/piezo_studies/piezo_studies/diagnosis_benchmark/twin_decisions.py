@@ -1,35 +1,44 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Effects that resemble each other, decided by one proposed recording on a plant of its own."""
 
+import argparse
+
 import numpy as np
 
 from piezo_identification.diagnosis.experiment_design.decide import decide
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+)
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_recorder.reading.recording import Recording
 from piezo_sim.plant.plant_effect import Surroundings
 from piezo_studies.diagnosis_benchmark import records
 from piezo_studies.diagnosis_benchmark.effect_draws import draw_effect, respond
 from piezo_studies.diagnosis_benchmark.plants import draw_plant
+from piezo_studies.diagnosis_benchmark.run_case import clean_model
 
 TWINS = {"delay": False, "sensor_lag": False, "creep": True, "thermal_drift": True,
          "slew_limit": False, "vibration_mode": False, "stiffening": False,
          "sensor_nonlinearity": False}
 """Effects that another one resembles, and whether they need a slow logger."""
 
+ORDER = ("delay", "sensor_lag", "stiffening", "sensor_nonlinearity", "creep", "thermal_drift",
+         "vibration_mode", "slew_limit")
+"""In which `main` tries them; the number of each is its seed."""
 LIMITS = StageLimits(0.0, 100.0, 1.8e6)
 OVER_NOISE = 6.0
 """Contribution to the first recording over the noise: clear, and far from overwhelming."""
 
 
-def decide_twin(cause, model, plant_seed, seed, budget=1, over_noise=OVER_NOISE):
+def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE):
     """Record a plant with one effect as on an ordinary day, and decide by proposed recordings.
 
     Parameters
     ----------
     cause : str
         A key of `TWINS`.
-    model : StageModel
-        Of the plant without effects.
+    clean : (StageModel, tuple of Recording)
+        Of the plant without effects; see `run_case.clean_model`.
     plant_seed : sequence of int
     seed, budget : int
     over_noise : float
@@ -47,12 +56,14 @@ def decide_twin(cause, model, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
                         seed, records.clock_samples(experiment))
     count = 0
 
-    def play(proposed):
+    def play(proposal, report):
         nonlocal count
         count += 1
-        return _played(drawn.plant, proposed, seed + count)
+        return _played(drawn.plant, proposal.experiment, seed + count)
 
-    steps = decide(model, [records.record(drawn.plant, experiment, seed)], play, budget, LIMITS)
+    model, identified_from = clean
+    steps = decide(model, [records.record(drawn.plant, experiment, seed)], play, budget, LIMITS,
+                   identified_from=IdentificationRecordings(identified_from, ()))
     return {"cause": cause, "steps": [
         {"verdict": step.diagnosis.verdict,
          "effects": [entry["name"] for entry in step.diagnosis.effects],
@@ -72,3 +83,27 @@ def _played(plant, experiment, seed):
         experiment.name, LIMITS.sample_rate_hz, held * np.arange(voltage_v.size),
         np.full(voltage_v.size, experiment.sample_period_s), voltage_v,
         measured_um.reshape(-1, held).mean(axis=1), flags)
+
+
+def main(arguments=None):
+    """Decide one case of each effect, and print the steps."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--seed", type=int, default=91)
+    parser.add_argument("--budget", type=int, default=1)
+    options = parser.parse_args(arguments)
+    clean = clean_model(options.seed, 0)
+    for number, cause in enumerate(ORDER, start=1):
+        told = decide_twin(cause, clean, (options.seed, 0), number, options.budget)
+        print(cause)
+        for step in told["steps"]:
+            chances = ", ".join(f"{name} {share:.3f}"
+                                for name, share in step["probabilities"].items())
+            played = step["proposed"] and (
+                f"; then {step['proposed']['waveform']}, expected to decide with "
+                f"{step['proposed']['probability_of_deciding']:.3f}")
+            print(f"  {chances}{' (decided)' if step['is_decided'] else ''}{played or ''}",
+                  flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -32,7 +32,7 @@ def test_one_recording_decides():
 
 
 def test_a_diagnosis_without_alternatives_asks_for_nothing(monkeypatch):
-    played = []
+    played, told = [], []
     model = object()
     module = "piezo_identification.diagnosis.experiment_design.decide."
 
@@ -49,12 +49,17 @@ def test_a_diagnosis_without_alternatives_asks_for_nothing(monkeypatch):
             self.probabilities = chances
 
     monkeypatch.setattr(module + "diagnose", lambda *_: Found())
-    monkeypatch.setattr(module + "propose", lambda *_: type("P", (), {"experiment": "wave"})())
+    monkeypatch.setattr(module + "old_recordings", lambda *_: [])
+    monkeypatch.setattr(module + "decided_verdict", lambda *given: given[-2])
+    monkeypatch.setattr(module + "propose", lambda *_: "proposal")
     for chances, budget, count in (({"delay": 1.0}, 3, 0), ({"a": 0.5, "b": 0.5}, 2, 2),
                                    ({"a": 0.5, "b": 0.5}, 0, 0)):
         played.clear()
+        told.clear()
         monkeypatch.setattr(module + "find_alternatives", lambda *_, c=chances: Alone(c))
-        steps = decide(model, [], lambda wave: played.append(wave) or wave, budget)
-        assert len(played) == count and len(steps) == count + 1
+        steps = decide(model, [], lambda proposal, report: played.append(proposal), budget,
+                       progress=lambda what, fraction: told.append(fraction))
+        assert played == ["proposal"] * count and len(steps) == count + 1
+        assert told == sorted(told) and 0.0 <= told[0] and told[-1] <= 1.0
         assert steps[-1].proposal is None
         assert steps[-1].is_decided == (max(chances.values()) >= 0.95)

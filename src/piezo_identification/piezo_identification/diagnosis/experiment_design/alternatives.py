@@ -1,87 +1,91 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Alternative explanations of recordings, each with its parameters and how far these are known."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.diagnosis.candidates.effect_fit import (
-    fit_effects,
-    fit_one_more,
-    impossible_effects,
-)
+from piezo_identification.diagnosis.candidates.effect_fit import fit_one_more
 from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
 from piezo_identification.diagnosis.comparison.attempts import SAME_AS_OTHER_PARAMETERS
-from piezo_identification.diagnosis.comparison.measures_of_fits import (
-    distance,
-    lack_of_fit,
-    mean_square,
+from piezo_identification.diagnosis.experiment_design.model_weights import (
+    HeldOut,
+    determined_numbers,
+    probabilities_of,
 )
-from piezo_identification.diagnosis.residual.dataset import SPLIT
+from piezo_identification.diagnosis.joint.joint_fit import JointFit, JointProblem
 from piezo_identification.diagnosis.residual.regression import (
-    Fit,
+    SETTINGS,
     Regression,
     with_fixed_parameters,
 )
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
 from piezo_models.effects.outliers import Outliers
+from piezo_recorder.reading.recording import Recording
 
 NONE = "none"
 LEAST_PROBABLE = 0.01
-"""Sets of effects that a verdict gives less are no alternatives."""
-RESEMBLING = 0.4
-"""Part of the misfit that may resemble the difference of two alternatives: set on drawn cases, in
-which one with more numbers made up for a quarter of it."""
+"""Sets of effects that a verdict gives less are no alternatives, and none is left with less."""
+WIDEST = 2.3
+"""Widest prior of a fitted number, over the number or as a logarithm: a decade."""
+STEPS = 8
+"""Gauss-Newton steps of a fit: with the three of a diagnosis, alternatives that are right lose
+where their model has to move farther."""
+TURNS, WORTHWHILE = 1, 0.98
+"""Fits are repeated with new derivatives so often, while they leave less than this part."""
 STEP = 1e-4
 """Change of a fitted number from which its sensitivity is taken, over the number."""
+
+Effects = tuple[Effect, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """A set of effects as fitted to the recordings so far.
+    """A set of effects, estimated with the model on all recordings together.
 
     Attributes
     ----------
     name : str
         Names of the effects joined by +, or "none".
-    fit : Fit
+    effects : tuple of Effect
+        Without those that the model had.
+    fit : JointFit
     probability : float
         By the recordings so far; those too improbable to be listed have what is missing to one.
     information : (p, p) array
         Root of the information on the model's parameters, in prior widths, and then on the fitted
-        numbers of the effects: a change x of them costs |information x|^2 in tolerances.
+        numbers of the effects: a change x of them costs |information x|^2 in standard deviations.
     """
 
     name: str
-    fit: Fit
+    effects: Effects
+    fit: JointFit
     probability: float
     information: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Alternatives:
-    """The alternatives, and how errors count when they are compared.
+    """The alternatives, and what errors are to be expected in the next recording.
 
     Attributes
     ----------
     alternatives : tuple of Alternative
         The most probable first.
-    regression : Regression
-        On the recordings so far.
-    variance : float
-        Of the errors of the best one in tolerances, times how many neighbouring errors are alike.
+    problem : JointProblem
+        On the recordings so far and those of the identification.
+    alike : float
+        How many neighbouring errors count as one.
     misfit : float
-        What the best one leaves beyond the noise, RMS over that of the motion: it may resemble the
-        difference of two alternatives, and such a difference decides nothing.
+        What the best one leaves beyond the noise, RMS over that of the motion.
     """
 
     alternatives: tuple[Alternative, ...]
-    regression: Regression
-    variance: float
+    problem: JointProblem
+    alike: float
     misfit: float
 
     @property
@@ -118,8 +122,13 @@ def effects_of(verdict: Mapping[str, Any]) -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def find_alternatives(regression: Regression, verdict: Mapping[str, Any]) -> Alternatives:
+def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
+                      old: Sequence[Recording] = (),
+                      others: Iterable[Effects] = ()) -> Alternatives:
     """Fit the explanations that a verdict leaves, and say how probable each is.
+
+    Each is estimated together with the model's parameters, which a prior leaves as free as the
+    recordings of the identification do: errors of a model that was held fixed resemble effects.
 
     Parameters
     ----------
@@ -127,42 +136,122 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any]) -> Alt
         On the recordings that were diagnosed, weighed beside the effects found.
     verdict : dict
         Content of `verdict.json`.
+    old : sequence of Recording
+        Those of the identification, conditioned as for a diagnosis.
+    others : iterable of tuples of Effect
+        Sets that were alternatives before.
 
     Returns
     -------
     Alternatives
     """
-    found = effects_of(verdict)
-    fits = {_name(found): fit_effects(regression, found) if found else regression.fit(())}
-    for fit in (*_undecided(regression, found, verdict), *_probable(regression, found, verdict)):
-        if not impossible_effects(fit, regression.dataset.extent):
-            fits.setdefault(_name(fit.effects), fit)
-    best = min(fits.values(), key=lambda fit: _cost(regression, fit))
-    # However little is left, a good model may be wrong by the tolerance.
-    variance = max(1.0, mean_square(regression, best)) * max(
-        _alike(regression, best, fit) for fit in fits.values())
-    chances = _probabilities(
-        regression, fits, best, variance, verdict.get("probabilities") or {})
-    fits = {name: fit for name, fit in fits.items() if chances[name] >= LEAST_PROBABLE}
-    alternatives = [Alternative(name, fit, chances[name], _information(regression, fit))
-              for name, fit in fits.items()]
-    alternatives.sort(key=lambda alternative: -alternative.probability)
-    motion = np.concatenate([
-        part.measured_um[rows] - part.measured_um[rows].mean() for part, rows in zip(
-            regression.dataset.simulated, regression.dataset.rows, strict=True)])
-    misfit = np.sqrt(lack_of_fit(regression, best)
-                     / np.mean((motion / regression.tolerance_um)[regression.validation] ** 2))
-    return Alternatives(tuple(alternatives), regression, variance, float(misfit))
+    dataset, found = regression.dataset, effects_of(verdict)
+    sets: dict[str, Effects] = {_name(found): found}
+    for effects in (*others, *_undecided(regression, found, verdict),
+                    *_probable(regression, found, verdict)):
+        sets.setdefault(_name(effects), effects)
+    problem = JointProblem(dataset.model, dataset.recordings, old, len(dataset.recordings), STEPS)
+    was_there = any(entry.get("came") == "before the identification"
+                    for entry in verdict.get("effects", []))
+    fitted = _fit(problem, sets, was_there)
+    for _ in range(TURNS):
+        again = _fit(_moved(problem, fitted), {
+            name: fit.effects[len(problem.own):] for name, fit in fitted.items()}, was_there)
+        better = {name: fit for name, fit in again.items()
+                  if _left_over(fit) < WORTHWHILE * _left_over(fitted[name])}
+        fitted = {**fitted, **better}
+        if not better:
+            break
+    return _weighed(problem, fitted)
+
+
+def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
+         ) -> dict[str, JointFit]:
+    """Fit sets of effects beside the model, and leave out those that no stage can have."""
+    fits = {name: _fitted(problem, effects, was_there) for name, effects in sets.items()}
+    extent = problem.dataset.extent
+    return {name: fit for name, fit in fits.items()
+            if name == NONE or not any(effect.impossible(extent) for effect in fit.effects)}
+
+
+def _moved(problem: JointProblem, fitted: Mapping[str, JointFit]) -> JointProblem:
+    """Return the problem with its derivatives at the model of the best fit, where fits begin."""
+    best, recordings = min(fitted.values(), key=_left_over), problem.dataset.recordings
+    model = replace(best.regression.dataset.model, effects=best.effects[: len(problem.own)])
+    return JointProblem(model, recordings[: problem.new_count], recordings[problem.new_count :],
+                        problem.undivided, problem.steps)
+
+
+def _left_over(fit: JointFit) -> float:
+    """Return the geometric mean of the mean squares that a fit leaves of the recordings."""
+    return float(np.exp(np.mean([
+        np.log(np.mean(left_um**2)) for left_um, _ in fit.left_um()])))
+
+
+def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit]) -> Alternatives:
+    """Give the fits their probabilities."""
+    own = len(problem.own)
+    roots = {name: _information(fit) for name, fit in fitted.items()}
+    left = {name: held_out_of(fit) for name, fit in fitted.items()}
+    least_um = [SETTINGS.model_tolerance * np.ptp(part.measured_um)
+                for part in problem.dataset.simulated]
+    determined = [_determined(problem, fit, roots[name]) for name, fit in fitted.items()]
+    chances = dict(zip(fitted, probabilities_of(
+        list(left.values()), determined, least_um).tolist(), strict=True))
+    alternatives = sorted(
+        (Alternative(name, fit.effects[own:], fit, chances[name], roots[name])
+         for name, fit in fitted.items() if chances[name] >= LEAST_PROBABLE),
+        key=lambda alternative: -alternative.probability)
+    return Alternatives(tuple(alternatives), problem,
+                        *_errors(problem, left[alternatives[0].name]))
+
+
+def held_out_of(fit: JointFit) -> list[HeldOut]:
+    """Return what a fit leaves of the held-out rows of each recording."""
+    regression = fit.regression
+    good = regression.estimation | regression.validation
+    return [HeldOut(left_um[held_out], regression.dataset.stretch[mask & good][held_out])
+            for (left_um, held_out), mask in zip(
+                fit.left_um(), regression.dataset.masks(), strict=True)]
+
+
+def _errors(problem: JointProblem, left: Sequence[HeldOut]) -> tuple[float, float]:
+    """Return how many errors are alike in new recordings, and what is left beyond the noise."""
+    alike, misfit = 1.0, 0.0
+    for part, of_recording, noise_um in zip(
+            problem.dataset.simulated[: problem.new_count], left, problem.noise.noise_um,
+            strict=False):
+        square = float(np.mean(of_recording.left_um**2))
+        alike = max(alike, of_recording.left_um.size / of_recording.independent)
+        motion_um = float(np.std(part.measured_um[part.begin :]))
+        misfit = max(misfit, np.sqrt(max(0.0, square - noise_um**2)) / motion_um)
+    return alike, float(misfit)
+
+
+def _fitted(problem: JointProblem, effects: Effects, was_there: bool) -> JointFit:
+    """Fit effects as come since the identification, or as there all along."""
+    later = [effect.name for effect in effects if not (was_there and effect.of_the_stage)]
+    return problem.fit((*problem.own, *effects), later)
+
+
+def _determined(problem: JointProblem, fit: JointFit, root: FloatArray) -> float:
+    """Return how many fitted numbers of the effects the recordings determine."""
+    parts = [fitted_values(effect, problem.dataset.extent) for effect in fit.effects]
+    widths = [np.minimum(high - low, WIDEST * np.maximum(1.0, np.abs(values)))
+              for values, low, high in parts]
+    count = sum(each.size for each in widths)
+    of_effects = root[len(root) - count :, len(root) - count :]
+    return determined_numbers(of_effects.T @ of_effects, np.concatenate([np.zeros(0), *widths]))
 
 
 def _name(effects: Sequence[Effect]) -> str:
     return "+".join(sorted(effect.name for effect in effects)) or NONE
 
 
-def _undecided(regression: Regression, found: tuple[Effect, ...],
-               verdict: Mapping[str, Any]) -> list[Fit]:
-    """Fit the effects that are not decidable: in place of one that was found, or as one more."""
-    kinds, fits = known_effects(), []
+def _undecided(regression: Regression, found: Effects,
+               verdict: Mapping[str, Any]) -> list[Effects]:
+    """Guess the effects that are not decidable: in place of one that was found, or as one more."""
+    kinds, sets = known_effects(), []
     because = verdict.get("not_decidable_because", {})
     for name in verdict.get("not_decidable", []):
         reason = because.get(name, "")
@@ -176,63 +265,27 @@ def _undecided(regression: Regression, found: tuple[Effect, ...],
         used = regression if places else with_fixed_parameters(regression, found)
         fit = fit_one_more(used, kinds[name], others, recording_evidence(used, others))
         if fit is not None:
-            fits.append(fit_effects(used, fit.effects))
-    return fits
+            sets.append(fit.effects)
+    return sets
 
 
-def _probable(regression: Regression, found: tuple[Effect, ...],
-              verdict: Mapping[str, Any]) -> list[Fit]:
-    """Fit the sets of effects to which the verdict gives a probability worth a test."""
-    kinds, fits = known_effects(), []
+def _probable(regression: Regression, found: Effects,
+              verdict: Mapping[str, Any]) -> list[Effects]:
+    """Guess the sets of effects to which the verdict gives a probability worth a test."""
+    kinds, sets = known_effects(), []
     for name, probability in (verdict.get("probabilities") or {}).items():
         names = [] if name == NONE else name.split("+")
         if probability < LEAST_PROBABLE or any(each not in kinds for each in names):
             continue
-        effects = tuple(effect for effect in found if effect.name in names)
-        fit: Fit | None = regression.fit(effects)
+        effects: Effects | None = tuple(effect for effect in found if effect.name in names)
         for each in names:
-            if fit is not None and each not in {effect.name for effect in fit.effects}:
-                evidence = recording_evidence(regression, fit.effects)
-                fit = fit_one_more(regression, kinds[each], fit.effects, evidence)
-        if fit is not None:
-            fits.append(fit_effects(regression, fit.effects) if fit.effects else fit)
-    return fits
-
-
-def _alike(regression: Regression, best: Fit, other: Fit) -> float:
-    """Return how many errors count as one where two alternatives are compared, at least one."""
-    rows = regression.validation
-    change, left = (other.residual - best.residual)[rows], best.residual[rows]
-    sums = np.bincount(regression.dataset.stretch[rows], left * change)
-    alone = float(np.mean(left**2) * np.sum(change**2))
-    return max(1.0, float(np.sum(sums**2)) / alone) if alone > 0.0 else 1.0
-
-
-def _cost(regression: Regression, fit: Fit) -> float:
-    """Return the sum of squares on held-out data, and a share of what changed parameters cost."""
-    changed = regression.prior @ fit.coefficients
-    return float(np.sum(fit.residual[regression.validation] ** 2)
-                 + changed @ changed / SPLIT.held_out)
-
-
-def _probabilities(regression: Regression, fits: Mapping[str, Fit], best: Fit, variance: float,
-                   given: Mapping[str, float]) -> dict[str, float]:
-    """Return the probabilities that a verdict gives; else those of the errors on held-out data.
-
-    Errors beyond the noise may resemble the difference of two alternatives. What they could make up
-    for is subtracted from what speaks for the best.
-    """
-    if sum(given.get(name, 0.0) for name in fits) > 0.0:
-        weights = np.array([max(given.get(name, 0.0), LEAST_PROBABLE**2) for name in fits])
-        return dict(zip(fits, (weights / weights.sum()).tolist(), strict=True))
-    count = np.count_nonzero(regression.validation)
-    left = np.sqrt(lack_of_fit(regression, best))
-    logs = []
-    for fit in fits.values():
-        unsure = 2.0 * RESEMBLING * count * left * distance(regression, best, fit)
-        gained = _cost(regression, fit) - _cost(regression, best)
-        logs.append(-0.5 * max(0.0, gained - unsure) / variance)
-    return dict(zip(fits, np.exp(np.array(logs) - logsumexp(logs)).tolist(), strict=True))
+            if effects is not None and each not in {effect.name for effect in effects}:
+                fit = fit_one_more(
+                    regression, kinds[each], effects, recording_evidence(regression, effects))
+                effects = None if fit is None else fit.effects
+        if effects is not None:
+            sets.append(effects)
+    return sets
 
 
 def sensitivities(simulate: Any, effects: tuple[Effect, ...]) -> FloatArray:
@@ -262,8 +315,9 @@ def sensitivities(simulate: Any, effects: tuple[Effect, ...]) -> FloatArray:
     return np.column_stack(columns) if columns else np.zeros((middle.size, 0))
 
 
-def _information(regression: Regression, fit: Fit) -> FloatArray:
+def _information(fit: JointFit) -> FloatArray:
     """Root of what the recordings and the prior tell of model's parameters and effects."""
+    regression = fit.regression
     of_effects = -sensitivities(regression.difference, fit.effects)
     columns = np.hstack([regression.weighted, of_effects])[regression.estimation]
     prior = np.hstack([regression.prior, np.zeros((len(regression.prior), of_effects.shape[1]))])

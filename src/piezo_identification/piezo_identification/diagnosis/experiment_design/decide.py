@@ -4,14 +4,24 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
-from piezo_identification.diagnosis.experiment_design.alternatives import find_alternatives
+from piezo_identification.diagnosis.diagnose import Diagnosis, Progress, diagnose
+from piezo_identification.diagnosis.experiment_design.alternatives import (
+    Alternatives,
+    find_alternatives,
+)
+from piezo_identification.diagnosis.experiment_design.decided_verdict import decided_verdict
 from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
 from piezo_identification.diagnosis.experiment_design.propose import LONGEST_S, Proposal, propose
-from piezo_identification.experiments.catalogue import Experiment
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+    old_recordings,
+)
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
+
+DIAGNOSED, COMPARED, DESIGNED = 0.6, 0.7, 0.8
+"""Parts of the work of a step that are done after its diagnosis, its comparison, its design."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,26 +31,36 @@ class DecisionStep:
     Attributes
     ----------
     diagnosis : Diagnosis
-        On all recordings up to then.
-    probabilities : dict of str to float
-        Of the alternatives that it leaves.
+        On all recordings up to then, with the probabilities of the alternatives.
+    alternatives : Alternatives
+        That it leaves.
     proposal : Proposal or None
         What was played next; None where the decision was made or the budget spent.
     """
 
     diagnosis: Diagnosis
-    probabilities: dict[str, float]
+    alternatives: Alternatives
     proposal: Proposal | None
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Return the probability of each alternative by its name."""
+        return self.alternatives.probabilities
 
     @property
     def is_decided(self) -> bool:
         """Tell whether one alternative is sure enough, or no other is left."""
-        return max(self.probabilities.values()) >= SURE
+        return _is_decided(self.alternatives)
 
 
-def decide(model: StageModel, recordings: Sequence[Recording],
-           play: Callable[[Experiment], Recording], budget: int,
-           limits: StageLimits = USUAL_LIMITS, longest_s: float = LONGEST_S) -> list[DecisionStep]:
+Play = Callable[[Proposal, Progress], Recording]
+
+
+def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budget: int,
+           limits: StageLimits = USUAL_LIMITS, longest_s: float = LONGEST_S,
+           holdout: Recording | None = None, progress: Progress | None = None,
+           identified_from: IdentificationRecordings | None = None,
+           stated: float | None = None) -> list[DecisionStep]:
     """Diagnose, play what tells the alternatives apart, and diagnose again.
 
     Parameters
@@ -49,12 +69,15 @@ def decide(model: StageModel, recordings: Sequence[Recording],
     recordings : sequence of Recording
         So far.
     play : callable
-        Plays an experiment on the stage and returns the recording.
+        Takes a proposal and what to call with (what is done, fraction); plays the experiment on
+        the stage and returns the recording.
     budget : int
         Recordings that may be made.
     limits : StageLimits
     longest_s : float
         That each may last.
+    holdout, progress, identified_from, stated
+        Of `diagnose`.
 
     Returns
     -------
@@ -62,15 +85,39 @@ def decide(model: StageModel, recordings: Sequence[Recording],
         The last one has the decision, if there is one.
     """
     known = list(recordings)
+    old = old_recordings(model, identified_from or IdentificationRecordings())
     steps: list[DecisionStep] = []
     while True:
-        diagnosis = diagnose(model, known)
-        alternatives = find_alternatives(diagnosis.selection.regression, diagnosis.document())
-        step = DecisionStep(diagnosis, alternatives.probabilities, None)
+        report = _part_of(progress, len(steps), budget + 1)
+        diagnosis = diagnose(model, known, holdout, _within(report, 0.0, DIAGNOSED),
+                             identified_from, stated)
+        before = [alternative.effects for step in steps[-1:]
+                  for alternative in step.alternatives.alternatives]
+        report("compare the alternatives", DIAGNOSED)
+        alternatives = find_alternatives(
+            diagnosis.selection.regression, diagnosis.document(), old, before)
+        decided = decided_verdict(model, known, holdout, diagnosis, alternatives)
         proposal = None
-        if not step.is_decided and len(steps) < budget:
-            proposal = propose(alternatives, limits, longest_s)
-        steps.append(DecisionStep(diagnosis, alternatives.probabilities, proposal))
+        if not _is_decided(alternatives) and len(steps) < budget:
+            proposal = propose(
+                alternatives, limits, longest_s, _within(report, COMPARED, DESIGNED))
+        steps.append(DecisionStep(decided, alternatives, proposal))
         if proposal is None:
             return steps
-        known.append(play(proposal.experiment))
+        known.append(play(proposal, _within(report, DESIGNED, 1.0)))
+
+
+def _is_decided(alternatives: Alternatives) -> bool:
+    return max(alternatives.probabilities.values()) >= SURE
+
+
+def _part_of(progress: Progress | None, number: int, count: int) -> Progress:
+    """Return the progress of one of several works."""
+    if progress is None:
+        return lambda what, fraction: None
+    return _within(progress, number / count, (number + 1) / count)
+
+
+def _within(progress: Progress, begin: float, end: float) -> Progress:
+    """Report a part of the work."""
+    return lambda what, fraction: progress(what, begin + (end - begin) * fraction)

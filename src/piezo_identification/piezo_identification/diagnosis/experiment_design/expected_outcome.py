@@ -14,13 +14,13 @@ from scipy.stats import norm
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.diagnosis.experiment_design.alternatives import (
-    RESEMBLING,
-    Alternative,
     Alternatives,
     sensitivities,
 )
+from piezo_identification.diagnosis.joint.free_parameters import free_sensitivities
 from piezo_identification.diagnosis.residual.dataset import SPLIT, simulate_recordings
 from piezo_identification.diagnosis.residual.regression import SETTINGS
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.experiments.catalogue import Experiment
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_recorder.reading.recording import Recording
@@ -74,42 +74,36 @@ def expected_outcome(alternatives: Alternatives, experiment: Experiment,
     -------
     ExpectedOutcome
     """
-    old, count = alternatives.regression, len(alternatives.alternatives)
+    known, count = alternatives.alternatives, len(alternatives.alternatives)
+    problem, unplayed = alternatives.problem, _unplayed(experiment, limits)
     dataset = simulate_recordings(
-        old.dataset.model, [_unplayed(experiment, limits)], past_v=())
-    part, rows = dataset.simulated[0], dataset.rows[0]
-    nuisance = dataset.regressors[:, : dataset.nuisance_count]
-    of_model = dataset.regressors[:, dataset.nuisance_count :]
-
-    def predicted_um(alternative: Alternative) -> FloatArray:
-        changes = alternative.fit.coefficients[old.dataset.nuisance_count :]
-        return np.asarray(part.simulate(alternative.fit.effects)[rows] + of_model @ changes)
-
-    predictions = [predicted_um(alternative) for alternative in alternatives.alternatives]
-    tolerance_um = np.hypot(
-        _noise_um(alternatives, part.sample_period_s),
-        SETTINGS.model_tolerance * max(np.ptp(predicted) for predicted in predictions))
+        problem.dataset.model, [unplayed], past_v=(), sensitivities=free_sensitivities)
+    rows = dataset.rows[0]
+    parts = [SimulatedRecording(alternative.fit.regression.dataset.model, unplayed, ())
+             for alternative in known]
+    predictions = [part.simulate(alternative.fit.effects)[rows]
+                   for part, alternative in zip(parts, known, strict=True)]
+    error_um = np.sqrt(alternatives.alike) * np.linalg.norm([
+        _noise_um(alternatives, dataset.simulated[0].sample_period_s),
+        SETTINGS.model_tolerance * max(np.ptp(predicted) for predicted in predictions),
+        alternatives.misfit * max(np.std(predicted) for predicted in predictions)])
     rms_um, distance = np.zeros((count, count)), np.zeros((count, count))
-    for other, alternative in enumerate(alternatives.alternatives):
+    for other, alternative in enumerate(known):
         of_effects = sensitivities(
-            lambda effects: part.simulate(effects)[rows], alternative.fit.effects)
-        columns = np.hstack([nuisance, of_model, of_effects]) / tolerance_um
-        known = np.hstack([
-            np.zeros((len(alternative.information), nuisance.shape[1])), alternative.information])
-        basis, _ = np.linalg.qr(np.vstack([columns, known]))
+            lambda effects, part=parts[other]: part.simulate(effects)[rows],
+            alternative.fit.effects)
+        columns = np.hstack([dataset.regressors, of_effects]) / error_um
+        root = alternative.information
+        before = np.hstack([np.zeros((len(root), dataset.nuisance_count)), root])
+        basis, _ = np.linalg.qr(np.vstack([columns, before]))
         for true, predicted in enumerate(predictions):
             if true != other:
                 difference = np.concatenate([
-                    (predicted - predictions[other]) / tolerance_um, np.zeros(len(known))])
+                    (predicted - predictions[other]) / error_um, np.zeros(len(root))])
                 left = difference - basis @ (basis.T @ difference)
-                rms_um[true, other] = tolerance_um * np.sqrt(np.mean(left[: rows.size] ** 2))
-                misfit_um = RESEMBLING * alternatives.misfit * np.std(predicted)
-                alike = misfit_um / tolerance_um * np.sqrt(rows.size)
-                size = float(np.linalg.norm(left))
+                rms_um[true, other] = error_um * np.sqrt(np.mean(left[: rows.size] ** 2))
                 # Alternatives are compared on the part of the data that is held out.
-                apart = max(0.0, size * (size - 2.0 * alike))
-                distance[true, other] = np.sqrt(
-                    apart / (alternatives.variance * SPLIT.held_out))
+                distance[true, other] = np.linalg.norm(left) / np.sqrt(SPLIT.held_out)
     chances = np.array([alternative.probability for alternative in alternatives.alternatives])
     deciding = _deciding(distance, chances)
     return ExpectedOutcome(rms_um, distance, deciding, float(deciding @ chances))
@@ -136,11 +130,11 @@ def _deciding(distance: FloatArray, chances: FloatArray) -> FloatArray:
 
 def _noise_um(alternatives: Alternatives, sample_period_s: float) -> float:
     """Return the noise of a sample to be expected: not less than the recordings so far had."""
-    regression = alternatives.regression
+    problem = alternatives.problem
     return max(
         noise_um * max(1.0, float(np.sqrt(part.sample_period_s / sample_period_s)))
         for part, noise_um in zip(
-            regression.dataset.simulated, regression.noise.noise_um, strict=True))
+            problem.dataset.simulated[: problem.new_count], problem.noise.noise_um, strict=False))
 
 
 def _unplayed(experiment: Experiment, limits: StageLimits) -> Recording:

@@ -24,6 +24,10 @@ from piezo_identification.diagnosis.experiment_design.expected_outcome import (
     ExpectedOutcome,
     expected_outcome,
 )
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+    old_recordings,
+)
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.regression import first_regression, reweighted
 from piezo_identification.experiments.catalogue import Experiment
@@ -80,7 +84,8 @@ class Proposal:
 
 
 def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
-                    verdict: Mapping[str, Any]) -> Alternatives:
+                          verdict: Mapping[str, Any],
+                          identified_from: IdentificationRecordings | None = None) -> Alternatives:
     """Fit the explanations that a verdict leaves to the recordings that it came from.
 
     Parameters
@@ -91,6 +96,8 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
         That were diagnosed.
     verdict : dict
         Content of `verdict.json`.
+    identified_from : IdentificationRecordings, optional
+        What is at hand of the recordings that the model was identified from; by default nothing.
 
     Returns
     -------
@@ -98,7 +105,8 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
     """
     given = condition(model, recordings, None)
     first = first_regression(simulate_recordings(model, given.recordings))
-    return find_alternatives(reweighted(first, effects_of(verdict)), verdict)
+    old = old_recordings(model, identified_from or IdentificationRecordings())
+    return find_alternatives(reweighted(first, effects_of(verdict)), verdict, old)
 
 
 def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = LONGEST_S,
@@ -129,7 +137,7 @@ def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = 
     """
     if len(alternatives.alternatives) < 2:
         return None
-    limits = _within_model(limits, alternatives.regression.dataset.model)
+    limits = _within_model(limits, alternatives.problem.dataset.model)
     steps = len(grid()) + 4 * len(FACTORS)
     done = 0
 

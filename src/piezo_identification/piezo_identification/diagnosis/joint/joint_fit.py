@@ -114,13 +114,20 @@ class JointProblem:
         With the sign of the model, and their outliers marked.
     old : sequence of Recording
         Those that the model was identified from.
+    undivided : int
+        New ones that count with as many rows each as all others together.
+    steps : int
+        Gauss-Newton steps of a fit.
     """
 
     def __init__(self, model: StageModel, new: Sequence[Recording],
-                 old: Sequence[Recording]) -> None:
+                 old: Sequence[Recording], undivided: int = 0,
+                 steps: int = SETTINGS.steps) -> None:
         self.own, self.new_count = model.effects, len(new)
+        self.undivided, self.steps = undivided, steps
         self.dataset = simulate_recordings(
-            replace(model, effects=()), [*new, *old], sensitivities=free_sensitivities)
+            replace(model, effects=()), [*new, *old], sensitivities=free_sensitivities,
+            undivided=undivided)
         self.noise = estimate_noise(self.dataset, self.own)
         first = _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise))
         left_um = first.fit(self.own).residual * first.tolerance_um
@@ -130,7 +137,8 @@ class JointProblem:
     def about(self, fit: JointFit) -> "JointProblem":
         """Return the problem with its derivatives at the model of a fit, from which fits begin."""
         recordings = self.dataset.recordings
-        return JointProblem(fit.model, recordings[: self.new_count], recordings[self.new_count :])
+        return JointProblem(fit.model, recordings[: self.new_count], recordings[self.new_count :],
+                            self.undivided, self.steps)
 
     def fit(self, effects: Sequence[Effect], later: Iterable[str] = ()) -> JointFit:
         """Fit the model's parameters and those of effects, from where these are.
@@ -152,7 +160,7 @@ class JointProblem:
             regression = replace(regression, dataset=self._at(self.dataset.model, came))
         found = JointFit(regression, tuple(effects), came)
         least = _mean_logarithm(regression, found.effects)
-        for step in range(SETTINGS.steps):
+        for step in range(self.steps):
             fit = fit_effects(regression, found.effects, quick=step == 0) if effects else (
                 regression.fit(()))
             moved, now = self._step(regression, fit, came)
@@ -197,10 +205,15 @@ def _left_um(regression: Regression, effects: Sequence[Effect]) -> FloatArray:
 
 
 def _mean_logarithm(regression: Regression, effects: Sequence[Effect]) -> float:
-    """Return the mean over the recordings of the logarithm of the mean square that is left."""
-    left_um = _left_um(regression, effects)
-    return float(np.mean([np.log(np.mean(left_um[mask & regression.estimation] ** 2))
-                          for mask in regression.dataset.masks()]))
+    """Return the mean over the recordings of the logarithm of the mean square that is left.
+
+    Less than the accuracy of a good model is no gain, as in the evidence.
+    """
+    left_um, dataset = _left_um(regression, effects), regression.dataset
+    return float(np.mean([
+        np.log(np.mean(left_um[mask & regression.estimation] ** 2)
+               + (TOLERANCE.model_tolerance * np.ptp(part.measured_um)) ** 2)
+        for mask, part in zip(dataset.masks(), dataset.simulated, strict=True)]))
 
 
 def correlated_scale(residual: FloatArray) -> float:

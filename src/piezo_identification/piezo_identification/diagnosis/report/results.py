@@ -2,7 +2,7 @@
 """A diagnosis that reads files and writes verdict, extended model and report."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from os import PathLike
 from pathlib import Path
@@ -24,6 +24,47 @@ from piezo_recorder.reading.recording import Recording
 
 READ_FRACTION, REPORT_FRACTION = 0.05, 0.9
 """Parts of the work that are done before the diagnosis and before the report."""
+
+
+AnyPath = str | PathLike[str]
+
+
+@dataclass(frozen=True)
+class GivenFiles:
+    """What is diagnosed, as read from files.
+
+    Attributes
+    ----------
+    identified : IdentifiedModel
+    model : path-like
+        Its file.
+    recordings : list of Recording
+        With their rows aligned as the model's.
+    paths : tuple of path-like
+        Their files.
+    holdout : Recording or None
+    identified_from : IdentificationRecordings
+    rows : tuple of str
+        Sentences on how rows were aligned.
+    directory : Path
+        For the results.
+    """
+
+    identified: IdentifiedModel
+    model: AnyPath
+    recordings: list[Recording]
+    paths: tuple[AnyPath, ...]
+    holdout: Recording | None
+    identified_from: IdentificationRecordings
+    rows: tuple[str, ...]
+    directory: Path
+
+    def with_recordings(self, paths: Sequence[AnyPath]) -> "GivenFiles":
+        """Return the same with more recordings, which are read from their files."""
+        more, rows = _aligned(
+            self.identified, [recording for path in paths for recording in read_recordings(path)])
+        return replace(self, recordings=[*self.recordings, *more], paths=(*self.paths, *paths),
+                       rows=(*self.rows, *rows))
 
 
 @dataclass(frozen=True)
@@ -50,10 +91,9 @@ class DiagnosisResults:
 
 
 def diagnose_files(
-    model: str | PathLike[str], recordings: Sequence[str | PathLike[str]],
-    holdout: str | PathLike[str] | None, directory: str | PathLike[str], progress: Progress,
-    read_file: Callable[[str | PathLike[str]], list[Recording]] = read_recordings,
-    identified_from: Sequence[str | PathLike[str]] = (),
+    model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath | None, directory: AnyPath,
+    progress: Progress, read_file: Callable[[AnyPath], list[Recording]] = read_recordings,
+    identified_from: Sequence[AnyPath] = (),
 ) -> DiagnosisResults:
     """Diagnose recordings and write verdict, extended model and report.
 
@@ -83,6 +123,41 @@ def diagnose_files(
         If a file cannot be read or written, or a recording cannot be used.
     """
     progress("read the recordings", 0.0)
+    given = read_given(model, recordings, holdout, directory, read_file, identified_from)
+    diagnosis = diagnose(given.identified.model, given.recordings, given.holdout,
+                         diagnosis_progress(progress), identified_from=given.identified_from,
+                         stated=stated_error(given.identified))
+    progress("write the report", REPORT_FRACTION)
+    return write_results(given, diagnosis)
+
+
+def diagnosis_progress(progress: Progress) -> Progress:
+    """Return the progress of the diagnosis alone."""
+    return lambda stage, fraction: progress(
+        stage, READ_FRACTION + (REPORT_FRACTION - READ_FRACTION) * fraction)
+
+
+def read_given(
+    model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath | None, directory: AnyPath,
+    read_file: Callable[[AnyPath], list[Recording]] = read_recordings,
+    identified_from: Sequence[AnyPath] = (),
+) -> GivenFiles:
+    """Read what is to be diagnosed, and make the directory of the results.
+
+    Parameters
+    ----------
+    model, recordings, holdout, directory, read_file, identified_from
+        Of `diagnose_files`.
+
+    Returns
+    -------
+    GivenFiles
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be read, or the directory cannot be made.
+    """
     identified = load_model(model)
     given = [recording for path in recordings for recording in read_file(path)]
     read, rows = _aligned(identified, given)
@@ -98,19 +173,34 @@ def diagnose_files(
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"{directory}: {error.strerror}; choose another directory") from None
-    diagnosis = diagnose(identified.model, read, held_out, lambda stage, fraction: progress(
-        stage, READ_FRACTION + (REPORT_FRACTION - READ_FRACTION) * fraction),
-        identified_from=known, stated=stated_error(identified))
-    progress("write the report", REPORT_FRACTION)
-    results = DiagnosisResults(diagnosis, directory / "verdict.json",
-                               directory / "extended_model.json", directory / "report.html",
-                               (*rows, *_outside(identified, read)), known)
+    return GivenFiles(identified, model, read, tuple(recordings), held_out, known, tuple(rows),
+                      directory)
+
+
+def write_results(given: GivenFiles, diagnosis: Diagnosis) -> DiagnosisResults:
+    """Write verdict, extended model and report.
+
+    Parameters
+    ----------
+    given : GivenFiles
+    diagnosis : Diagnosis
+        Of its recordings.
+
+    Returns
+    -------
+    DiagnosisResults
+    """
+    directory, identified = given.directory, given.identified
+    results = DiagnosisResults(
+        diagnosis, directory / "verdict.json", directory / "extended_model.json",
+        directory / "report.html", (*given.rows, *_outside(identified, given.recordings)),
+        given.identified_from)
     write_verdict(results.verdict, diagnosis)
-    save_extended_model(results.extended_model, identified, diagnosis, recordings)
+    save_extended_model(results.extended_model, identified, diagnosis, given.paths)
     origin = [("diagnosed", datetime.now().astimezone().isoformat(" ", "seconds")),
-              ("model", f"{model}, of {identified.created}"),
+              ("model", f"{given.model}, of {identified.created}"),
               *(("outside", sentence) for sentence in results.outside),
-              *(("recording", f"{path}, SHA-256 {sha256_of(path)[:16]}") for path in recordings),
+              *(("recording", f"{path}, SHA-256 {sha256_of(path)[:16]}") for path in given.paths),
               ("extended model", str(results.extended_model))]
     results.report.write_text(render_report(diagnosis, origin), encoding="utf-8")
     return results

@@ -107,7 +107,8 @@ class Dataset:
 
 def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
                         past_v: tuple[float, ...] | None = None,
-                        sensitivities: Sensitivities = parameter_sensitivities) -> Dataset:
+                        sensitivities: Sensitivities = parameter_sensitivities,
+                        undivided: int = 0) -> Dataset:
     """Simulate recordings, and split their samples into rows to fit and a validation set.
 
     Parameters
@@ -120,6 +121,9 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
         `starting_past_v`.
     sensitivities : callable
         Returns the change of the displacement with each parameter that is free.
+    undivided : int
+        So many recordings, the first ones, have `SplitSettings.most_rows` each; the others share
+        them, as all do by default.
 
     Returns
     -------
@@ -131,7 +135,7 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
         If a recording cannot be used.
     """
     simulated = tuple(SimulatedRecording(model, recording, past_v) for recording in recordings)
-    rows, stretch, for_estimation = _split(simulated)
+    rows, stretch, for_estimation = _split(simulated, undivided)
     nuisance = [nuisance_regressors(part, used) for part, used in zip(simulated, rows, strict=True)]
     changes = np.vstack([
         sensitivities(part, used) for part, used in zip(simulated, rows, strict=True)
@@ -158,12 +162,12 @@ def _extent(simulated: Sequence[SimulatedRecording]) -> Extent:
     )
 
 
-def _split(simulated: Sequence[SimulatedRecording],
+def _split(simulated: Sequence[SimulatedRecording], undivided: int,
            ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.intp], BoolArray]:
     """Return the rows of each recording, the stretch of each row, and whether it may be fitted."""
-    budget = SPLIT.most_rows // len(simulated)
     rows, numbers = [], []
     for index, part in enumerate(simulated):
+        budget = SPLIT.most_rows // (1 if index < undivided else len(simulated))
         settled = np.arange(part.begin, part.time_s.size)
         if settled.size > budget:
             # Chunks that do not keep step with a periodic waveform.

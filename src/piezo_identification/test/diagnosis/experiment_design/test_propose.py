@@ -59,9 +59,9 @@ def test_alternatives_are_those_that_the_data_does_not_tell_apart(alternatives):
     assert sum(alternatives.probabilities.values()) == pytest.approx(1.0)
     assert max(alternatives.probabilities.values()) < 0.95
     for alternative in alternatives.alternatives:
-        effect, = alternative.fit.effects
+        effect, = alternative.effects
         assert effect.name == alternative.name
-    lag = next(each.fit.effects[0] for each in alternatives.alternatives
+    lag = next(each.effects[0] for each in alternatives.alternatives
                if each.name == "sensor_lag")
     assert isinstance(lag, SensorLag)
     # Slow motion shows the sum of the lags alone.
@@ -69,12 +69,13 @@ def test_alternatives_are_those_that_the_data_does_not_tell_apart(alternatives):
         DELAY_S, rel=0.2)
 
 
-def test_probabilities_of_a_verdict_are_taken(plant, scanned):
+def test_sets_that_a_verdict_gives_a_probability_are_alternatives(plant, scanned):
+    alone = {name: value for name, value in VERDICT.items() if "not_decidable" not in name}
     given = {"delay": 0.6, "sensor_lag": 0.3, "none": 0.0, "something_else": 0.1}
-    alternatives = alternatives_of_files(plant, [scanned], VERDICT | {"probabilities": given})
-    assert alternatives.probabilities == pytest.approx({"delay": 2 / 3, "sensor_lag": 1 / 3})
+    alternatives = alternatives_of_files(plant, [scanned], alone | {"probabilities": given})
+    assert set(alternatives.probabilities) == {"delay", "sensor_lag"}
     only = alternatives_of_files(
-        plant, [scanned], VERDICT | {"probabilities": {"delay": 0.9999, "sensor_lag": 1e-9}})
+        plant, [scanned], alone | {"probabilities": {"delay": 0.9999, "sensor_lag": 1e-9}})
     assert set(only.probabilities) == {"delay"}
     assert propose(only, LIMITS) is None
 
@@ -92,10 +93,11 @@ def test_fast_motion_tells_a_delay_from_a_lag_and_slow_motion_does_not(alternati
 
 def test_more_noise_and_more_misfit_bring_alternatives_together(alternatives):
     before = expected.expected_outcome(alternatives, chirp(1500.0), LIMITS)
-    for change in ({"variance": 4.0 * alternatives.variance},
+    for change in ({"alike": 4.0 * alternatives.alike},
                    {"misfit": alternatives.misfit + 0.01}):
         after = expected.expected_outcome(replace(alternatives, **change), chirp(1500.0), LIMITS)
-        assert after.rms_um == pytest.approx(before.rms_um)
+        # What the recordings so far know of the parameters then counts for more.
+        assert after.rms_um == pytest.approx(before.rms_um, rel=0.1)
         assert after.distance[0, 1] < before.distance[0, 1]
 
 

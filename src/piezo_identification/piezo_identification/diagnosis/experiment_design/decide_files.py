@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A decision that reads files, and keeps what it proposed and played beside the verdict."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+
+from piezo_identification.diagnosis.diagnose import Progress
+from piezo_identification.diagnosis.experiment_design.decide import DecisionStep, decide
+from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
+from piezo_identification.diagnosis.experiment_design.propose import (
+    LONGEST_S,
+    Proposal,
+    save_proposal,
+)
+from piezo_identification.diagnosis.report.results import (
+    REPORT_FRACTION,
+    DiagnosisResults,
+    diagnosis_progress,
+    read_given,
+    stated_error,
+    write_results,
+)
+from piezo_identification.experiments.catalogue import Experiment
+from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_recorder.reading.recording import Recording
+
+AnyPath = str | PathLike[str]
+PlayToFile = Callable[[Experiment, Path, Progress], AnyPath]
+"""Takes an experiment, the directory for its recording and the progress; returns the recording."""
+
+
+def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath | None,
+                 directory: AnyPath, play: PlayToFile, budget: int, limits: StageLimits,
+                 progress: Progress, longest_s: float = LONGEST_S,
+                 ) -> tuple[DiagnosisResults, list[DecisionStep]]:
+    """Decide by experiments, and write verdict, extended model, report and what was played.
+
+    The files of each proposal and its recording are in `experiment_1` and so on.
+
+    Parameters
+    ----------
+    model, recordings, holdout, directory, progress
+        Of `diagnose_files`.
+    play : callable
+        Plays and records an experiment.
+    budget : int
+        Recordings that may be made.
+    limits : StageLimits
+    longest_s : float
+        That each may last.
+
+    Returns
+    -------
+    DiagnosisResults
+    list of DecisionStep
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be read or written, or a recording cannot be used.
+    """
+    progress("read the recordings", 0.0)
+    given = read_given(model, recordings, holdout, directory)
+    played: list[AnyPath] = []
+
+    def play_proposed(proposal: Proposal, report: Progress) -> Recording:
+        nonlocal given
+        folder = given.directory / f"experiment_{len(played) + 1}"
+        save_proposal(proposal, folder)
+        sentence = proposal.sentence()
+        path = play(replace(proposal.experiment, description=sentence), folder,
+                    lambda what, fraction: report(f"{sentence} {what}", fraction))
+        played.append(path)
+        given = given.with_recordings([path])
+        return given.recordings[-1]
+
+    steps = decide(given.identified.model, given.recordings, play_proposed, budget, limits,
+                   longest_s, given.holdout, diagnosis_progress(progress), given.identified_from,
+                   stated_error(given.identified))
+    progress("write the report", REPORT_FRACTION)
+    return write_results(given, steps[-1].diagnosis), steps
+
+
+def decision_sentence(steps: Sequence[DecisionStep]) -> str:
+    """Tell what experiments have decided, and how surely.
+
+    Parameters
+    ----------
+    steps : sequence of DecisionStep
+
+    Returns
+    -------
+    str
+    """
+    last, played = steps[-1], len(steps) - 1
+    after = f"after {played} experiment{'s' * (played != 1)}"
+    told = [f"{name} has probability {share:.3f}"
+            for name, share in list(last.probabilities.items())[: 1 if last.is_decided else 3]]
+    if last.is_decided:
+        return f"decided {after}: {told[0]}"
+    return f"not decided {after}, as none has {SURE:g}: {', '.join(told)}"

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verdict that follows from alternatives estimated on all recordings together."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from piezo_identification.diagnosis.comparison.criteria import is_noise
+from piezo_identification.diagnosis.comparison.validation import Validation
+from piezo_identification.diagnosis.diagnose import (
+    Decision,
+    Diagnosis,
+    ceiling_of,
+    condition,
+    tell,
+)
+from piezo_identification.diagnosis.evidence.found_outliers import found_outliers
+from piezo_identification.diagnosis.experiment_design.alternatives import Alternatives
+from piezo_identification.diagnosis.joint.alternatives import Alternative as Competitor
+from piezo_identification.diagnosis.joint.competition import Competition, beside_alternative
+from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
+from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
+from piezo_identification.diagnosis.residual.dataset import simulate_recordings
+from piezo_identification.diagnosis.residual.regression import (
+    first_regression,
+    fit_without_effects,
+)
+from piezo_models.cascade import StageModel
+from piezo_models.effects.outliers import Outliers
+from piezo_recorder.reading.recording import Recording
+
+
+def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout: Recording | None,
+                    diagnosis: Diagnosis, alternatives: Alternatives) -> Diagnosis:
+    """Return a diagnosis that names the most probable alternative, with all probabilities.
+
+    Parameters
+    ----------
+    model : StageModel
+        That was diagnosed.
+    recordings : sequence of Recording
+    holdout : Recording or None
+    diagnosis : Diagnosis
+        Of these recordings.
+    alternatives : Alternatives
+
+    Returns
+    -------
+    Diagnosis
+    """
+    best = alternatives.alternatives[0]
+    names = tuple(sorted(effect.name for effect in best.effects))
+    unnamed = diagnosis.probabilities.get(SOMETHING_ELSE, 0.0)
+    listed = sum(alternatives.probabilities.values())
+    chances = {name: (1.0 - unnamed) * share / listed
+               for name, share in alternatives.probabilities.items()} | {SOMETHING_ELSE: unnamed}
+    competitor = Competitor(names, bool(best.fit.later), best.fit, (), ())
+    competition = Competition(chances, competitor)
+    left = competition.indistinguishable()
+    found = sorted(entry["name"] for entry in diagnosis.effects if entry["name"] != Outliers.name)
+    if list(names) == found:
+        reasons = {name: why for name, why in diagnosis.not_decidable.items()
+                   if name in left or not any(why.endswith(f"from {each}") for each in found)}
+        return replace(diagnosis, probabilities=chances, not_decidable=reasons)
+    given = condition(model, recordings, holdout)
+    first = first_regression(simulate_recordings(model, given.recordings))
+    beside = beside_alternative(
+        replace(diagnosis.selection, regression=first), competition, competitor)
+    selection = replace(
+        beside, start=fit_without_effects(beside.regression), indistinguishable=left)
+    validation = Validation(first, given.holdout).beside(beside.regression)
+    if names and not validation.improves(selection.end):
+        return replace(diagnosis, probabilities=chances)
+    outliers = found_outliers(selection.regression)
+    verdict = "unexplained"
+    if unnamed < PROBABILITIES.believed or is_noise(selection.regression, selection.end):
+        verdict = "explained" if names or outliers else "none"
+    decision = Decision(verdict, selection.end, outliers, {}, _came(alternatives))
+    told = tell(
+        model, given, selection, validation, decision, ceiling_of(selection, decision))
+    return replace(told, identified_from=diagnosis.identified_from, probabilities=chances)
+
+
+def _came(alternatives: Alternatives) -> str:
+    """Tell when the effects of the most probable alternative came."""
+    problem = alternatives.problem
+    if problem.new_count == len(problem.dataset.recordings):
+        return "not asked"
+    later = alternatives.alternatives[0].fit.later
+    return "after the identification" if later else "before the identification"

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Many diagnoses from a table, spread over processes or machines by Dask, and resumable.
+
+Each row of the table is diagnosed into a folder of its own. A row whose model and recordings are
+those of the results in its folder, by their SHA-256, is not diagnosed again.
+"""
+
+import csv
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from piezo_recorder.reading.reader import sha256_of
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+COLUMNS = ("model", "data", "holdout", "identified_from", "name")
+REQUIRED = ("model", "data")
+BETWEEN = ";"
+"""Stands between the files of one cell."""
+CONTENT = "content.json"
+"""In the folder of a row: from what its results came."""
+CONNECT_S = 10
+
+
+@dataclass(frozen=True)
+class DiagnosisRow:
+    """A row of the table: what is diagnosed together, and where the results go.
+
+    Attributes
+    ----------
+    name : str
+        Of its folder.
+    model : Path
+    data, identified_from : tuple of Path
+    holdout : Path or None
+    directory : Path
+        For the results.
+    """
+
+    name: str
+    model: Path
+    data: tuple[Path, ...]
+    holdout: Path | None
+    identified_from: tuple[Path, ...]
+    directory: Path
+
+    def content(self) -> str:
+        """Return the SHA-256 of all that the results depend on."""
+        digest = hashlib.sha256(self.model.read_bytes())
+        for kind, files in (("data", self.data), ("from", self.identified_from),
+                            ("holdout", (self.holdout,) if self.holdout else ())):
+            for path in files:
+                digest.update(f"{kind} {sha256_of(path)}\n".encode())
+        return digest.hexdigest()
+
+
+def read_table(table: Path, output: Path) -> list[DiagnosisRow]:
+    """Read the table of what is to be diagnosed.
+
+    Parameters
+    ----------
+    table : Path
+        CSV with the columns model and data, and if need be holdout, identified_from and name.
+        Several files in a cell have a semicolon between them; relative paths count from the
+        table's folder.
+    output : Path
+        In which each row gets a folder.
+
+    Returns
+    -------
+    list of DiagnosisRow
+
+    Raises
+    ------
+    ValueError
+        If a column is missing or not known, a cell is empty, or two rows have the same name.
+    """
+    try:
+        with table.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.DictReader(stream)
+            given, entries = reader.fieldnames or [], list(reader)
+    except UnicodeDecodeError:
+        raise ValueError(f"{table} is no text: give a CSV with the columns model,data") from None
+    missing = [name for name in REQUIRED if name not in given]
+    unknown = [name for name in given if name not in COLUMNS]
+    if missing or unknown:
+        wrong = f"lacks {', '.join(missing)}" if missing else f"has {', '.join(unknown)}"
+        raise ValueError(f"the header of {table} {wrong}: its columns are model and data, and if "
+                         "need be holdout, identified_from and name")
+    rows = [_row(table, number, entry, output) for number, entry in enumerate(entries, start=1)]
+    names = [row.name for row in rows]
+    for number, name in enumerate(names, start=1):
+        if name in names[: number - 1]:
+            raise ValueError(f"row {number} of {table} has the name {name}, as one before it: "
+                             "give each row a name of its own")
+    if not rows:
+        raise ValueError(f"{table} has no rows: give one for each recording to diagnose")
+    return rows
+
+
+def _row(table: Path, number: int, entry: dict[str, str | None], output: Path) -> DiagnosisRow:
+    def paths(column: str) -> tuple[Path, ...]:
+        cell = entry.get(column) or ""
+        return tuple((table.parent / each.strip()).absolute()
+                     for each in cell.split(BETWEEN) if each.strip())
+
+    for column in REQUIRED:
+        if not paths(column):
+            raise ValueError(f"row {number} of {table} has no {column}: name the file")
+    for column in ("model", "holdout"):
+        if len(paths(column)) > 1:
+            raise ValueError(f"row {number} of {table} has several files as {column}: give one")
+    name = (entry.get("name") or "").strip() or f"{number:03}_{paths('data')[0].stem}"
+    if name in (".", "..") or Path(name).name != name:
+        raise ValueError(f"row {number} of {table} has the name {name}: give the name of a folder")
+    return DiagnosisRow(name, paths("model")[0], paths("data"), next(iter(paths("holdout")), None),
+                        paths("identified_from"), output.absolute() / name)
+
+
+def diagnose_row(row: DiagnosisRow) -> dict[str, Any]:
+    """Diagnose a row unless its results are there already; bad input is told, not raised.
+
+    Parameters
+    ----------
+    row : DiagnosisRow
+
+    Returns
+    -------
+    dict
+        `name`, and `verdict`, the content of verdict.json, or `error`; and in `is_new` whether it
+        was diagnosed now.
+    """
+    # In a worker its libraries are imported once, and here not at all where all is done.
+    from piezo_identification.diagnosis.report.results import diagnose_files
+
+    verdict, kept = row.directory / "verdict.json", row.directory / CONTENT
+    try:
+        content = row.content()
+        is_new = not (verdict.exists() and _kept(kept) == content)
+        if is_new:
+            kept.unlink(missing_ok=True)
+            diagnose_files(row.model, row.data, row.holdout, row.directory,
+                           lambda step, fraction: None, identified_from=row.identified_from)
+            kept.write_text(json.dumps({"sha256": content}) + "\n", encoding="utf-8")
+        return {"name": row.name, "is_new": is_new,
+                "verdict": json.loads(verdict.read_text(encoding="utf-8"))}
+    except (ValueError, OSError) as error:
+        return {"name": row.name, "is_new": True, "error": str(error)}
+
+
+def _kept(path: Path) -> str:
+    try:
+        return str(json.loads(path.read_text(encoding="utf-8"))["sha256"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+
+
+def diagnose_rows(client: "Client", rows: Sequence[DiagnosisRow],
+                  progress: Callable[[int], None]) -> list[dict[str, Any]]:
+    """Diagnose the rows of a table through Dask.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Its workers see the same files at the same paths.
+    rows : sequence of DiagnosisRow
+    progress : callable
+        Called with how many are done.
+
+    Returns
+    -------
+    list of dict
+        Of `diagnose_row`, in the order of the rows. A worker that died is an error of its row.
+    """
+    from distributed import as_completed
+
+    running = [client.submit(diagnose_row, row, pure=False) for row in rows]
+    for done, _ in enumerate(as_completed(running), start=1):
+        progress(done)
+    return [future.result() if future.status == "finished" else
+            {"name": row.name, "is_new": True, "error": f"not diagnosed: {future.exception()}"}
+            for row, future in zip(rows, running, strict=True)]
+
+
+def cluster_client(scheduler: str | None) -> "Client":
+    """Return a client of a Dask scheduler, or of processes of this machine.
+
+    Parameters
+    ----------
+    scheduler : str or None
+        Address, as tcp://host:8786.
+
+    Returns
+    -------
+    distributed.Client
+
+    Raises
+    ------
+    ValueError
+        If Dask is not installed, or no scheduler answers.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise ValueError(
+            "distributed is not installed: pip install dask distributed") from None
+    try:
+        if scheduler:
+            return Client(scheduler, timeout=CONNECT_S)
+    except OSError as error:
+        raise ValueError(f"no scheduler at {scheduler}: {error}") from None
+    return Client(LocalCluster(threads_per_worker=1, dashboard_address=None))
+
+
+def errors_of(results: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Yield a sentence on each row that could not be diagnosed."""
+    for result in results:
+        if "error" in result:
+            yield f"{result['name']} was skipped: {result['error']}"
