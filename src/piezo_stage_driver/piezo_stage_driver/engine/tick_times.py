@@ -36,6 +36,8 @@ class TickTimes:
         From the moment at which an exchange was due until it was asked for.
     """
 
+    _due_s: float | None
+
     def __init__(self, backend: Any, clock: Callable[[], float] = time.monotonic) -> None:
         self._backend, self._clock = backend, clock
         self._begin()
@@ -73,7 +75,7 @@ class TickTimes:
     def _begin(self) -> None:
         self.missed = 0
         self.lateness = LatencyCounts()
-        self._due_s: float | None = None
+        self._due_s = None
 
     def _count(self, late_s: float, duration_s: float) -> None:
         lead_s = getattr(self._backend, "lead_samples", 0) / self._backend.sample_rate_hz

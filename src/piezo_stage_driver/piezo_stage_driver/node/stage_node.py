@@ -2,7 +2,7 @@
 """The stage as a lifecycle node: one interface over every backend."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from piezo_interfaces.msg import FeedbackVoltage
 from rclpy.clock import Clock, ClockType
@@ -86,7 +86,8 @@ class StageNode(LifecycleNode):
         try:
             backend = self._create_backend(self)
             if not self.settings.lockstep:
-                backend = self._reports.tick_times = TickTimes(backend)
+                self._reports.tick_times = TickTimes(backend)
+                backend = cast(StageBackend, self._reports.tick_times)
             supervisor = self.settings.create_supervisor(backend, self._latch)
             compile_law()
         except ValueError as error:
