@@ -96,7 +96,8 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
             if way.step:
                 # The limit of a step stands at its second sample.
                 limit = np.roll(limit, 1)
-            wrong = _runs(*map(np.ascontiguousarray, (left[way], limit, walk)), longest)
+            wrong = _runs(np.ascontiguousarray(left[way]), np.ascontiguousarray(limit),
+                          np.ascontiguousarray(walk), longest)
             if wrong.any():
                 good = good[~wrong[way]]
                 left = signal[good]

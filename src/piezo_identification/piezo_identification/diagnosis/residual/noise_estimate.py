@@ -107,4 +107,4 @@ def _without_nuisance(part: SimulatedRecording, effects: Sequence[Effect],
     step = max(1, every.size // MOST_SAMPLES)
     used = every[::step][~outlier[every[::step]]]
     sizes = np.linalg.lstsq(nuisance_regressors(part, used), difference[used], rcond=1e-12)[0]
-    return difference - nuisance_signal(part, sizes)
+    return difference - nuisance_signal(part, np.asarray(sizes, dtype=float))
