@@ -15,6 +15,7 @@ from piezo_models.effects.effect import (
     fitted_values,
     with_fitted_values,
 )
+from piezo_models.effects.hysteresis import Hysteresis
 from piezo_models.effects.hysteretic_spring import HystereticSpring
 from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
@@ -37,6 +38,7 @@ EFFECTS = (
     PeriodicDisturbance,
     SlewLimit,
     VoltageClipping,
+    Hysteresis,
     RateDependentHysteresis,
     Stiffening,
     HystereticSpring,

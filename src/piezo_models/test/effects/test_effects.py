@@ -24,6 +24,7 @@ from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import PLACES, parameter
+from piezo_models.effects.hysteresis import Hysteresis
 from piezo_models.effects.hysteretic_spring import HystereticSpring
 from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
@@ -53,6 +54,7 @@ EXAMPLES = (
     PeriodicDisturbance(50.0, 0.1, 0.2),
     SlewLimit(1e5, 0.9, -0.002),
     VoltageClipping(-5.0, 90.0, 1.0),
+    Hysteresis((0.05, 0.1), (0.02, -0.01), (0.1, 0.5), 10.0, 9.0),
     RateDependentHysteresis(0.05, 100.0, 0.3, 1e-3),
     Stiffening(0.1, 0.2, 0.3, 10.0, 20.0, 5000.0, 0.1),
     HystereticSpring(-0.2, 0.01, 0.2, 2.0, -0.5, 1.0, 10.0, 10.0, 5000.0, 0.1),
