@@ -21,8 +21,8 @@ PERIODS_TO_REPEAT = 10
 """After so many periods the hysteresis has forgotten how it began."""
 
 LEAST_SPEED = 0.2
-"""RMS of the speed, over that of a vibration of the mode with the same displacement, from which the
-motion is more than that of a spring that is pushed slowly."""
+"""Largest speed, over the RMS displacement times the frequency of the mode, from which the motion is
+more than that of a spring that is pushed slowly."""
 
 LEAST_SHARE = 0.05
 """Part of what a linear change of the mode leaves that the hysteresis must remove to be fitted:
@@ -111,7 +111,7 @@ class HystereticSpring(Effect):
         modes = _resolved(evidence)
         if not modes:
             return "the samples do not resolve the motion of a mode"
-        speed_um = np.std(np.gradient(evidence.displacement_um)) / evidence.sample_period_s
+        speed_um = np.abs(np.diff(evidence.displacement_um)).max() / evidence.sample_period_s
         slowest = min(frequency for frequency, _ in modes)
         if speed_um < LEAST_SPEED * slowest * np.std(evidence.displacement_um):
             return "the motion is slow beside the modes: hysteresis of the voltage does the same"
