@@ -21,8 +21,8 @@ PERIODS_TO_REPEAT = 10
 """After so many periods the hysteresis has forgotten how it began."""
 
 LEAST_SPEED = 0.2
-"""Largest speed, over the RMS displacement times the frequency of the mode, from which the motion is
-more than that of a spring that is pushed slowly."""
+"""Largest speed, over the RMS displacement times the frequency of the mode, from which the motion
+is more than that of a spring that is pushed slowly."""
 
 LEAST_SHARE = 0.05
 """Part of what a linear change of the mode leaves that the hysteresis must remove to be fitted:
