@@ -15,6 +15,8 @@ from piezo_models.effects.effect import (
     fitted_values,
     with_fitted_values,
 )
+from piezo_models.effects.gain_drift import GainDrift
+from piezo_models.effects.hysteresis import Hysteresis
 from piezo_models.effects.hysteretic_spring import HystereticSpring
 from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
@@ -30,6 +32,7 @@ from piezo_models.effects.voltage_clipping import VoltageClipping
 EFFECTS = (
     Creep,
     ThermalDrift,
+    GainDrift,
     VibrationMode,
     Delay,
     SensorLag,
@@ -37,6 +40,7 @@ EFFECTS = (
     PeriodicDisturbance,
     SlewLimit,
     VoltageClipping,
+    Hysteresis,
     RateDependentHysteresis,
     Stiffening,
     HystereticSpring,

@@ -64,7 +64,7 @@ class Evidence:
         What drives the modes: the displacement if they followed at once.
     reduction : callable
         Given contributions, shape (N, n): the gains that fit them best to the residual, and the
-        part of its energy that they remove.
+        part of its energy that they remove. With `positive=True` no gain is negative.
     visible : callable
         Given a contribution, shape (N, 1): the part of its variation that neither offset nor
         initial creep nor a retuned model could explain.
@@ -77,7 +77,7 @@ class Evidence:
     noise_um: float
     dynamics: ElectricVibrationDynamics
     drive_um: FloatArray
-    reduction: Callable[[FloatArray], tuple[FloatArray, float]]
+    reduction: Callable[..., tuple[FloatArray, float]]
     visible: Callable[[FloatArray], float]
 
     @property

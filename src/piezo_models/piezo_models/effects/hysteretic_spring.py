@@ -20,6 +20,10 @@ SCANNED_GAMMAS = (-1.0, -0.5, 0.0, 1.0)
 PERIODS_TO_REPEAT = 10
 """After so many periods the hysteresis has forgotten how it began."""
 
+LEAST_SPEED = 0.2
+"""Largest speed, over the RMS displacement times the frequency of the mode, from which the motion
+is more than that of a spring that is pushed slowly."""
+
 LEAST_SHARE = 0.05
 """Part of what a linear change of the mode leaves that the hysteresis must remove to be fitted:
 each fit solves the equation of motion dozens of times."""
@@ -104,8 +108,13 @@ class HystereticSpring(Effect):
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
         """Ask for samples that resolve a mode, and for motion."""
-        if not _resolved(evidence):
+        modes = _resolved(evidence)
+        if not modes:
             return "the samples do not resolve the motion of a mode"
+        speed_um = np.abs(np.diff(evidence.displacement_um)).max() / evidence.sample_period_s
+        slowest = min(frequency for frequency, _ in modes)
+        if speed_um < LEAST_SPEED * slowest * np.std(evidence.displacement_um):
+            return "the motion is slow beside the modes: hysteresis of the voltage does the same"
         return None
 
     @classmethod

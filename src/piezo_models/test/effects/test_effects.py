@@ -24,6 +24,8 @@ from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import PLACES, parameter
+from piezo_models.effects.gain_drift import GainDrift
+from piezo_models.effects.hysteresis import Hysteresis
 from piezo_models.effects.hysteretic_spring import HystereticSpring
 from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
@@ -46,6 +48,7 @@ PERIOD_S = 25e-6
 EXAMPLES = (
     Creep((0.01, 0.02), (0.01, 1.0)),
     ThermalDrift(0.1, 0.2, 3.0, (0.05, -0.02), 10.0),
+    GainDrift(-0.1, 0.02, 5.0),
     VibrationMode(6000.0, 0.05, 0.3),
     Delay(1e-4),
     SensorLag(2e-4, 0.3),
@@ -53,6 +56,7 @@ EXAMPLES = (
     PeriodicDisturbance(50.0, 0.1, 0.2),
     SlewLimit(1e5, 0.9, -0.002),
     VoltageClipping(-5.0, 90.0, 1.0),
+    Hysteresis((0.05, 0.1), (0.02, -0.01), (0.1, 0.5), 10.0, 9.0),
     RateDependentHysteresis(0.05, 100.0, 0.3, 1e-3),
     Stiffening(0.1, 0.2, 0.3, 10.0, 20.0, 5000.0, 0.1),
     HystereticSpring(-0.2, 0.01, 0.2, 2.0, -0.5, 1.0, 10.0, 10.0, 5000.0, 0.1),

@@ -13,6 +13,9 @@ CLEAR = 3.0
 AS_STRONG = 0.5
 """Either of two effects may come first if the weaker has at least this part of the stronger."""
 
+ALSO_RIGHT = {"depolarisation": "gain_drift"}
+"""A loss of gain along the way travelled is outside the list in its form, but named rightly."""
+
 TARGETS = {
     "named_first_percent": (">=", 95.0),
     "false_alarms_percent": ("<=", 2.0),
@@ -74,7 +77,9 @@ def outcome(result):
     if not causes:
         return "clean", "right" if result["verdict"] == "none" else "false alarm"
     if set(causes) & CAUSES_OUTSIDE.keys():
-        return "outside", "right" if result["verdict"] == "unexplained" else result["verdict"]
+        is_right = result["verdict"] == "unexplained" or any(
+            first is not None and ALSO_RIGHT.get(cause) == first for cause in causes)
+        return "outside", "right" if is_right else result["verdict"]
     group = "clear" if most > CLEAR else "weak"
     if first in causes or result["verdict"] == "none" and set(causes) <= set(result["in_model"]):
         return group, "right"

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.diagnosis.residual.noise_estimate import residual_um
@@ -46,7 +47,7 @@ def _of_recording(regression: Regression, index: int, mask: BoolArray,
 def _projections(
     regressors: FloatArray, prior: FloatArray, rows: NDArray[np.intp], tolerance_um: float,
     difference_um: FloatArray,
-) -> tuple[Callable[[FloatArray], tuple[FloatArray, float]], Callable[[FloatArray], float]]:
+) -> tuple[Callable[..., tuple[FloatArray, float]], Callable[[FloatArray], float]]:
     """Return how much a contribution explains of what the regressors leave, and how much shows.
 
     Parameters
@@ -74,9 +75,14 @@ def _projections(
     left = project(difference_um[:, None])[:, 0]
     energy = left @ left
 
-    def reduction(contributions: FloatArray) -> tuple[FloatArray, float]:
+    def reduction(contributions: FloatArray,
+                  positive: bool = False) -> tuple[FloatArray, float]:
         seen = project(contributions)
-        gains = np.linalg.lstsq(seen, left, rcond=1e-10)[0]
+        if positive:
+            triangle = np.linalg.qr(np.column_stack([seen, left]), mode="r")
+            gains = nnls(triangle[:, :-1], triangle[:, -1])[0]
+        else:
+            gains = np.linalg.lstsq(seen, left, rcond=1e-10)[0]
         rest = left - seen @ gains
         return np.asarray(gains, dtype=float), float(1.0 - (rest @ rest) / energy)
 

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A gain that changes while it is recorded, by NumPy alone: along the way gone, and in time."""
+
+import numpy as np
+import pytest
+
+from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_models.cascade import StageModel
+from piezo_models.effects.gain_drift import GainDrift
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+PERIOD_S, SAMPLES, NOISE_UM = 1e-2, 4000, 5e-3
+LINE = StageModel(
+    PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -60.0, np.array([0.6])), CreepDynamics(),
+    ElectricVibrationDynamics())
+
+
+def recording(gain, offset_um=0.0):
+    """Record a line whose gain is a function of time and of the way travelled before."""
+    generator = np.random.default_rng(3)
+    voltage_v = np.convolve(generator.normal(size=SAMPLES), np.hanning(60), mode="same")
+    voltage_v *= 50.0 / np.abs(voltage_v).max()
+    travelled_v = np.cumsum(np.abs(np.diff(voltage_v, prepend=voltage_v[0])))
+    time_s = PERIOD_S * np.arange(SAMPLES)
+    displacement_um = 0.6 * voltage_v * gain(time_s, travelled_v / travelled_v[-1]) + offset_um
+    return Recording(
+        path="made", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
+        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
+        displacement_um=displacement_um + NOISE_UM * generator.normal(size=SAMPLES),
+        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+
+
+@pytest.mark.parametrize(("gain", "lost"), [
+    (lambda time_s, way: 1.0 - 0.04 * time_s / 40.0, -0.04),
+    (lambda time_s, way: 1.0 - 0.04 * (1.0 - np.exp(-3.0 * way)), -0.04 * (1.0 - np.exp(-3.0))),
+], ids=["in time", "along the way"])
+def test_a_gain_that_changes_is_named_with_its_change(gain, lost):
+    diagnosis = diagnose(LINE, [recording(gain, offset_um=4.0)])
+    assert [entry["name"] for entry in diagnosis.effects] == ["gain_drift"]
+    (effect,) = diagnosis.model.effects
+    whole = effect.apply(np.array([0.0, *np.ones(SAMPLES)]), PERIOD_S)[-1]
+    unmoved = effect.apply(np.zeros(SAMPLES + 1), PERIOD_S)[-1]
+    # The other gain that is found beside it is free.
+    assert whole - unmoved - 1.0 == pytest.approx(lost, rel=0.15)
+    assert diagnosis.after["rms_um"] < 0.2 * diagnosis.before["rms_um"]
+
+
+def test_a_drift_of_the_whole_stage_is_no_change_of_its_gain():
+    drifting = recording(lambda time_s, way: 1.0)
+    drifting.displacement_um[:] += 0.02 * PERIOD_S * np.arange(SAMPLES)
+    diagnosis = diagnose(LINE, [drifting])
+    assert "gain_drift" not in [entry["name"] for entry in diagnosis.effects]
+
+
+def test_in_parts_it_goes_on_where_it_stopped():
+    drift = GainDrift(-0.2, 1.5, 3.0)
+    signal = np.sin(np.arange(300.0))
+    first, past = drift.advance(signal[:77], PERIOD_S)
+    np.testing.assert_allclose(
+        np.concatenate([first, drift.advance(signal[77:], PERIOD_S, past)[0]]),
+        drift.apply(signal, PERIOD_S), rtol=0.0, atol=1e-14)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Gain that changes with time, as a ceramic ages or an amplifier warms up."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+
+SCANNED_TIMES = (0.1, 0.3, 1.0, 10.0)
+"""Time constants that are tried, in durations of the recording: the longest is a straight line."""
+
+FARTHEST = 10.0
+"""Travels away from the middle of the motion at which its fixed point may lie. Farther away, a gain
+that changes is a drift."""
+
+LEAST_SHARE = 0.05
+"""Part of what a drift leaves of the residual that the gain must remove before it is fitted."""
+
+
+@dataclass(frozen=True)
+class GainDrift(Effect):
+    """The motion about a fixed point grows or shrinks, and comes to rest exponentially.
+
+    It is multiplied by 1 + change (1 - exp(-t / time constant)), from the first sample on.
+    """
+
+    name: ClassVar[str] = "gain_drift"
+    place: ClassVar[str] = "displacement"
+    of_the_stage: ClassVar[bool] = False
+    follows_voltage: ClassVar[bool] = False
+    experiment: ClassVar[str] = "the same waveform repeated for minutes, from a cold start"
+
+    change: float = parameter("1", "linear", -10.0, 10.0)
+    time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e12)
+    fixed_point_um: float = parameter("um")
+
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
+        return self.advance(signal, sample_period_s)[0]
+
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the signal behind the effect; the past is the number of samples."""
+        first = past or 0
+        time_s = np.arange(first, first + signal.size) * sample_period_s
+        grown = self.change * self._approach(time_s)
+        return signal + grown * (signal - self.fixed_point_um), first + signal.size
+
+    def _approach(self, time_s: FloatArray) -> FloatArray:
+        return -np.expm1(-time_s / self.time_constant_s)
+
+    @classmethod
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the time constant by the recording."""
+        return {"time_constant_s": (extent.sample_period_s,
+                                    SCANNED_TIMES[-1] * extent.duration_s)}
+
+    def impossible(self, extent: Extent) -> str | None:
+        """Refuse a gain that changes its sign within the recording."""
+        if 1.0 + self.change * float(self._approach(np.array(extent.duration_s))) <= 0.0:
+            return "the gain would change its sign"
+        return None
+
+    @classmethod
+    def lacks_excitation(cls, evidence: Evidence) -> str | None:
+        """Ask for motion."""
+        return None if evidence.travel_um > 0.0 else "the displacement does not move"
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the best of a few time constants, where a drift leaves clearly more."""
+        found: list[tuple[float, Self]] = []
+        middle_um = float(np.mean(evidence.displacement_um))
+        about_um = evidence.displacement_um - middle_um
+        for part in SCANNED_TIMES:
+            time_s = part * evidence.duration_s
+            approach = cls(0.0, time_s, 0.0)._approach(evidence.time_s)
+            _, of_drift = evidence.reduction(approach[:, None])
+            (change, drift_um), share = evidence.reduction(
+                np.column_stack([approach * about_um, approach]))
+            farthest_um = abs(change) * FARTHEST * evidence.travel_um
+            if share - of_drift < LEAST_SHARE * (1.0 - of_drift) or abs(drift_um) > farthest_um:
+                continue
+            found.append((share, cls(float(np.clip(change, -10.0, 10.0)), time_s,
+                                     middle_um - float(drift_um / change))))
+        found.sort(key=lambda entry: -entry[0])
+        return [start for _, start in found[:2]]

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hysteresis that a model has not, or has of another shape: plays in front of it."""
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numba import njit
+
+from piezo_common.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.linear.dynamics import simulate_linear, zoh
+
+SCANNED_THRESHOLDS = np.array([0.0, *np.geomspace(0.01, 0.9, 28)])
+"""Half widths of the plays that are tried, over half the range: a play of 1 would never move. That
+of no width is another gain, which may be less."""
+
+MOST_PLAYS = 8
+"""Of those that are not needed, most have no weight in a fit of weights that are not negative."""
+
+FARTHEST = 1.5
+"""Half ranges up to which the curvature is told; beyond, it adds no more."""
+
+LEAST_SHARE = 0.2
+"""Part of the residual's power that the plays must remove, beyond what a curve without hysteresis
+does, before they are fitted: hysteresis that is missing is a good part of a residual."""
+
+SOFTEST = 0.02
+"""Slope that remains, over the one without hysteresis."""
+
+LEAST_REVERSALS = 2
+
+
+@njit(cache=True)
+def _plays(x: FloatArray, thresholds: FloatArray, positions: FloatArray) -> FloatArray:
+    """Return the outputs of plays, and change their positions to those at the end."""
+    outputs = np.empty((x.size, thresholds.size))
+    for n in range(x.size):
+        for i in range(thresholds.size):
+            positions[i] = min(max(positions[i], x[n] - thresholds[i]), x[n] + thresholds[i])
+            outputs[n, i] = positions[i]
+    return outputs
+
+
+@dataclass(frozen=True)
+class Hysteresis(Effect):
+    """Plays on the voltage, with a line and a parabola behind each.
+
+    The voltage v is taken as x, from -1 to 1 over its range. With the plays p_i(x), whose half
+    widths are the thresholds, the effect adds h sum(weight_i p_i + curvature_i p_i^2), h being half
+    the range: a generalised operator of Prandtl and Ishlinskii. The parabolas make the way up
+    another one than the way down.
+    """
+
+    name: ClassVar[str] = "hysteresis"
+    place: ClassVar[str] = "voltage"
+    experiment: ClassVar[str] = "hysteresis: slow triangles of rising amplitude"
+    distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
+
+    weights: tuple[float, ...] = parameter("1", "linear", -3.0, 3.0)
+    curvatures: tuple[float, ...] = parameter("1", "linear", -3.0, 3.0)
+    thresholds: tuple[float, ...] = parameter("1", "fixed", 0.0, 1.0)
+    centre_v: float = parameter("V", "fixed")
+    half_range_v: float = parameter("V", "fixed", 1e-12, 1e9)
+
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
+        past = None if rest is None else self._resting(rest)
+        return self.advance(signal, sample_period_s, past)[0]
+
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the signal behind the effect; the past is the positions of the plays."""
+        positions = self._resting(float(signal[0])) if past is None else past.copy()
+        added = self._parts(signal, positions)
+        return signal + added @ np.array([*self.weights, *self.curvatures]), positions
+
+    def parts(self, signal: FloatArray) -> FloatArray:
+        """Return what each part of size 1 would add: plays, then their squares."""
+        return self._parts(signal, self._resting(float(signal[0])))
+
+    def _resting(self, level: float) -> FloatArray:
+        return np.full(len(self.thresholds), (level - self.centre_v) / self.half_range_v)
+
+    def _parts(self, signal: FloatArray, positions: FloatArray) -> FloatArray:
+        x = np.ascontiguousarray((signal - self.centre_v) / self.half_range_v)
+        plays = _plays(x, np.array(self.thresholds), positions)
+        return self.half_range_v * np.hstack([plays, np.clip(plays, -FARTHEST, FARTHEST) ** 2])
+
+    def impossible(self, extent: Extent) -> str | None:
+        """Refuse a stage that goes back where the voltage goes on."""
+        weights, curvatures, thresholds = (
+            np.array(each) for each in (self.weights, self.curvatures, self.thresholds))
+        # A larger swing moves more plays; each stands between the ends of what is left to it.
+        slopes = [1.0 + np.cumsum(weights + side * 2.0 * curvatures * (1.0 - thresholds))
+                  for side in (-1.0, 1.0)]
+        if np.min(slopes) < SOFTEST:
+            return "the stage would go back while the voltage goes on"
+        return None
+
+    @classmethod
+    def lacks_excitation(cls, evidence: Evidence) -> str | None:
+        """Ask for a voltage that turns around."""
+        if _large_reversals(evidence.voltage_v) < LEAST_REVERSALS:
+            return "the voltage does not turn around twice by a tenth of its range"
+        return None
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the plays of least squares, where they remove a good part of the residual."""
+        low, high = float(evidence.voltage_v.min()), float(evidence.voltage_v.max())
+        shape = cls((), (), tuple(SCANNED_THRESHOLDS), 0.5 * (low + high), 0.5 * (high - low))
+        seen = shape._contributions(evidence)
+        plays = seen[:, : SCANNED_THRESHOLDS.size]
+        weights, _ = evidence.reduction(np.column_stack([-plays[:, 0], plays]), positive=True)
+        # A play matters by what it holds back, which grows with its width.
+        matters = weights[1:] * SCANNED_THRESHOLDS
+        count = min(MOST_PLAYS, np.count_nonzero(matters))
+        if count == 0:
+            return []
+        chosen = np.array([0, *np.sort(np.argsort(-matters)[:count])])
+        _, curved_share = evidence.reduction(seen[:, [0, SCANNED_THRESHOLDS.size]])
+        gains, share = evidence.reduction(seen[:, [*chosen, *SCANNED_THRESHOLDS.size + chosen]])
+        if share - curved_share < LEAST_SHARE:
+            return []
+        fitted, curvatures = np.split(np.clip(gains, -3.0, 3.0), 2)
+        return [replace(shape, weights=tuple(fitted), curvatures=tuple(curvatures),
+                        thresholds=tuple(SCANNED_THRESHOLDS[chosen]))]
+
+    def _contributions(self, evidence: Evidence) -> FloatArray:
+        """Return what the parts would add to the displacement if the model were a gain there."""
+        gain = evidence.travel_um / (2.0 * self.half_range_v)
+        dynamics = zoh(evidence.dynamics.state_space(), evidence.sample_period_s)
+        return np.column_stack([
+            gain * simulate_linear(dynamics, np.ascontiguousarray(part))
+            for part in self.parts(evidence.voltage_v).T])
+
+
+def _large_reversals(voltage_v: FloatArray) -> int:
+    """Count the turns after which the voltage comes back by a tenth of its range, at least."""
+    outputs = _plays(np.ascontiguousarray(voltage_v, dtype=float),
+                     np.array([0.05 * np.ptp(voltage_v)]), np.array([float(voltage_v[0])]))[:, 0]
+    moves = np.sign(np.diff(outputs))
+    moves = moves[moves != 0.0]
+    return int(np.count_nonzero(moves[1:] != moves[:-1]))
