@@ -173,7 +173,9 @@ class _Search:
         """Begin orders that leave more than a smaller one from that one."""
         for _ in range(NESTED_ROUNDS):
             changed = False
-            for order, fit in list(self._fits.items()):
+            # The smallest first, so that what one gains reaches all that hold it.
+            for order in sorted(self._fits, key=lambda order: order.parameters):
+                fit = self._fits[order]
                 smaller = [other for other in self._fits.values()
                            if other.order != order and order.holds(other.order)]
                 least = min(smaller, key=lambda other: other.cost, default=fit)
