@@ -102,8 +102,8 @@ def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect])
     ----------
     dynamics : ElectricVibrationDynamics
     effects : sequence of Effect
-        Delays, lags of the amplifier or the sensor, and modes beside those of the dynamics, of which each delays
-        its part of the displacement only.
+        Delays, lags of the amplifier or the sensor, and modes beside those of the dynamics, of
+        which each delays its part of the displacement only.
 
     Returns
     -------
