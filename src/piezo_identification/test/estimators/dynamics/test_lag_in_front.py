@@ -2,7 +2,6 @@
 """Lags on both sides of the hysteresis, by play operators on a grid of time four times finer."""
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,8 @@ from scipy.signal import lfilter
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from independent_stage import IndependentStage, square_wave_v
 
-from piezo_identification.adequacy.component_adequacy import adequacy_of
 from piezo_identification.estimators.dynamics.lag_in_front import lag_in_front
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
-from piezo_identification.estimators.frequency_response.response_fit import ANY_ORDER
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_models.linear.dynamics import CreepDynamics
@@ -85,15 +82,3 @@ def test_no_lag_is_found_where_there_is_none(known):
     measured = square_wave(0.0)
     behind = estimate_dynamics(measured, CreepDynamics(), mode_count=1)
     assert lag_in_front(measured, CreepDynamics(), known, behind, mode_count=1) is None
-
-
-def test_identify_puts_the_lag_first_and_counts_it_in_the_adequacy():
-    said = []
-    measured = square_wave(3.3e-5)
-    identified = identify(dynamics=measured, hysteresis=loops(), density=GRID, note=said.append,
-                          order=replace(ANY_ORDER, modes=1))
-    assert identified.model.effects[0].name == "amplifier_lag"
-    assert len(identified.uncertainties["effects"]) == len(identified.model.effects)
-    assert any(line.startswith("lag in front of the hysteresis: 3") for line in said)
-    entry = adequacy_of(identified.model, {"dynamics": measured}, {"dynamics": 0.0})["dynamics"]
-    assert entry.residual_rms_um < 0.03
