@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import control
@@ -42,6 +42,7 @@ from piezo_controller.references.kind import Watch
 from piezo_controller.references.smooth_rise import minimum_jerk, smooth_rise
 from piezo_controller.references.trajectory import KeptTrajectory, Trajectory
 from piezo_models.cascade import StageModel
+from piezo_models.effects.amplifier_lag import lag_behind_hysteresis
 from piezo_models.hysteresis.preisach import PreisachMemory
 from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh, zoh_response
 
@@ -246,6 +247,8 @@ class StreamPlanner:
 
     def __init__(self, model: StageModel, inverse_of: InverseDesign, limits: StreamLimits,
                  start_voltage_v: float, watch: Watch) -> None:
+        # A stream compensates what lies behind the hysteresis.
+        model = replace(model, effects=lag_behind_hysteresis(model.effects))
         self.model = model
         self.hysteresis = model.hysteresis
         self.limits = limits

@@ -11,6 +11,7 @@ from piezo_controller.feedforward.feasibility import UnreachableReference
 from piezo_controller.feedforward.periodic import plan_feedforward
 from piezo_controller.references.reference import Reference, sample_reference
 from piezo_models.effects import EFFECTS
+from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
@@ -37,6 +38,7 @@ COMPENSATED = [
     (Creep((0.002, 0.003), (0.01, 0.05)), 5e-3), (THIRD_MODE, 1e-6), (Delay(1.3e-4), 1e-6),
     (SensorLag(1e-4), 1e-6), (SensorNonlinearity(0.1, 0.5, 0.3, 0.1, 50.0, 50.0), 1e-6),
     (SlewLimit(1e6), 1e-6), (VoltageClipping(-18.0, 118.0), 1e-6),
+    (AmplifierLag(4e-5), 1e-3),
     (RateDependentHysteresis(0.02, 1000.0, 0.3, 1e-3), 1e-3),
     (Stiffening(0.3, 0.3, 0.3, 50.0, 50.0, 2846.0, 0.68), 1e-6), (Backlash(0.05), 5e-3),
 ]

@@ -82,7 +82,7 @@ def component_residual(
 
     That is the offset, the state in which the recording begins, and for creep and dynamics the gain
     of the hysteresis. Under a square wave the hysteresis is an offset and a gain (4.5), so that it
-    does not enter at all.
+    does not enter at all, unless the model lags in front of it.
 
     Parameters
     ----------
@@ -143,7 +143,8 @@ def _of_square_wave(
         np.ones_like(time_s), *(np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
 
     def left_um(level: FloatArray) -> FloatArray:
-        response = respond(system, level, part.sample_period_s, samples, behind_s + delay_s)
+        driving = _behind_amplifier(model, part, level) if component == "dynamics" else level
+        response = respond(system, driving, part.sample_period_s, samples, behind_s + delay_s)
         columns = np.column_stack([response, beside])[first:]
         fitted = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
         return np.asarray(measured_um - columns @ fitted)
@@ -158,6 +159,16 @@ def _of_square_wave(
     return ComponentResidual(
         str(part.path), time_s[first:], voltage_v, measured_um, residual_um,
         good, repeated_period(wave.level[first:]), wave.steps[wave.steps >= first] - first)
+
+
+def _behind_amplifier(model: StageModel, part: Recording, level: FloatArray) -> FloatArray:
+    """Output of the hysteresis where the voltage between the levels passes it; else the levels."""
+    if not model.effects_at("voltage"):
+        return level
+    low_v, high_v = float(np.min(part.voltage_v)), float(np.max(part.voltage_v))
+    voltage_v = low_v + (high_v - low_v) * (level - level.min()) / np.ptp(level)
+    return model.hysteresis.simulate(
+        model.amplified(voltage_v, part.sample_period_s), model.hysteresis.memory())
 
 
 def _of_any_wave(free_gain: bool, model: StageModel, data: Recording) -> ComponentResidual:

@@ -8,6 +8,7 @@ from typing import TypeGuard
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
@@ -101,8 +102,8 @@ def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect])
     ----------
     dynamics : ElectricVibrationDynamics
     effects : sequence of Effect
-        Delays, lags of the sensor, and modes beside those of the dynamics, of which each delays
-        its part of the displacement only.
+        Delays, lags of the amplifier or the sensor, and modes beside those of the dynamics, of
+        which each delays its part of the displacement only.
 
     Returns
     -------
@@ -113,7 +114,7 @@ def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect])
     for effect in effects:
         if isinstance(effect, Delay):
             delay_s += effect.delay_s
-        elif isinstance(effect, SensorLag):
+        elif isinstance(effect, (SensorLag, AmplifierLag)):
             delay_s += effect.time_constant_s
         elif isinstance(effect, VibrationMode):
             own_s = 2.0 * effect.damping_ratio / effect.frequency_rad_per_s

@@ -51,6 +51,7 @@ from piezo_identification.identification.linear_dynamics import (
     METHODS,
     LinearDynamics,
     estimate_linear_dynamics,
+    with_lag_in_front,
 )
 from piezo_identification.identification.progress import (
     IdentificationCancelled,
@@ -65,6 +66,7 @@ from piezo_identification.identification.row_delays import (
 from piezo_identification.prediction.model_run import ModelRun
 from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
+from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import origin_of
@@ -179,6 +181,9 @@ def identify(
         read_at = found_readings(said, linear)
         recordings = aligned(said, read_at)
         estimate, first_rise, cycled = estimate_loops(recordings, linear, density)
+        if of_kind(said, "hysteresis") and method == METHODS[0] and not isinstance(
+                dynamics, FrequencyResponse):
+            linear = with_lag_in_front(linear, fast, estimate.model(), order)
         tell_estimates(linear, estimate, tell)
         tell_starts(recordings, linear, first_rise, tell)
         fitted = fitted_model(linear, estimate, first_rise)
@@ -249,6 +254,10 @@ def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
         if estimate.delay is not None:
             tell(f"delay of the {name}: {estimate.delay}")
     tell(f"hysteresis: {density.report()}")
+    for effect, spread in zip(linear.all_effects, linear.effect_deviations, strict=True):
+        if isinstance(effect, AmplifierLag):
+            tell(f"lag in front of the hysteresis: {1e6 * effect.time_constant_s:.4g} +- "
+                 f"{1e6 * spread['time_constant_s']:.2g} us")
 
 
 def tell_starts(recordings: Mapping[str, Data], linear: LinearDynamics,

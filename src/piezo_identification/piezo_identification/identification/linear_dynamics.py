@@ -15,6 +15,7 @@ from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
 from piezo_identification.estimators.dynamics.armax_dynamics import estimate_dynamics_armax
+from piezo_identification.estimators.dynamics.lag_in_front import lag_in_front
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
 from piezo_identification.estimators.estimate import SIGNIFICANT, Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -37,6 +38,9 @@ from piezo_recorder.reading.recording import Recording
 NEAR_THE_END = 0.25
 """Sample periods from the end of the hold within which rows may be taken to be read there."""
 
+BEFORE_DELAY = ("voltage", "modes")
+"""Places of the effects that the delay of the stage comes after."""
+
 
 @dataclass(frozen=True)
 class LinearDynamics:
@@ -49,7 +53,7 @@ class LinearDynamics:
     delay_s : float
         Of the stage, beside the dynamics.
     effects : tuple of Effect
-        Modes beside those of the dynamics, and a sensor's lag.
+        A lag in front of the hysteresis, modes beside those of the dynamics, and a sensor's lag.
     read_at_samples : float
         Instant at which the rows of the dynamics' recording were found to be read, in sample
         periods after their voltage.
@@ -74,8 +78,8 @@ class LinearDynamics:
     def all_effects(self) -> tuple[Effect, ...]:
         """Effects of the model, in the order of the signal."""
         delay = (Delay(self.delay_s),) if self.delay_s else ()
-        return (*(effect for effect in self.effects if effect.place == "modes"), *delay,
-                *(effect for effect in self.effects if effect.place != "modes"))
+        return (*(effect for effect in self.effects if effect.place in BEFORE_DELAY), *delay,
+                *(effect for effect in self.effects if effect.place not in BEFORE_DELAY))
 
     @property
     def slow_dynamics(self) -> ElectricVibrationDynamics:
@@ -110,8 +114,8 @@ class LinearDynamics:
                 # The end of the hold is what a logger means.
                 read_at = 1.0
             if delay_s:
-                modes = sum(effect.place == "modes" for effect in estimate.effects)
-                deviations.insert(modes, {"delay_s": delay.standard_deviation_s})
+                before = sum(effect.place in BEFORE_DELAY for effect in estimate.effects)
+                deviations.insert(before, {"delay_s": delay.standard_deviation_s})
         creep, spread = self._creep_beside(estimate.creep, estimate.creep_deviations)
         return replace(
             self, creep=creep, dynamics=estimate.model, effects=estimate.effects, delay_s=delay_s,
@@ -205,6 +209,32 @@ def estimate_linear_dynamics(
             density = aligned_density(hysteresis, found)[0].model()
         found = found.with_dynamics(_from_samples(fast, found.creep, density, method, order))
     return found
+
+
+def with_lag_in_front(
+    found: LinearDynamics, fast: Sequence[Recording], hysteresis: PreisachModel,
+    order: ResponseOrder = ANY_ORDER,
+) -> LinearDynamics:
+    """Add a lag in front of the hysteresis, where the step of a periodic square wave shows one.
+
+    Parameters
+    ----------
+    found : LinearDynamics
+    fast : sequence of Recording
+        Of the dynamics; more than one, or another voltage, tell nothing of it.
+    hysteresis : PreisachModel
+        From loops of its own.
+    order : ResponseOrder
+
+    Returns
+    -------
+    LinearDynamics
+    """
+    if len(fast) != 1 or not _is_periodic(fast[0]):
+        return found
+    estimate = lag_in_front(
+        fast[0], found.creep, hysteresis, found.estimates["dynamics"], order.modes)
+    return found if estimate is None else found.with_dynamics(estimate)
 
 
 def _creep_of(

@@ -5,6 +5,7 @@ A package of its own adds one through an entry point of the group `piezo_models.
 """
 
 from piezo_common.registered import registered
+from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
@@ -42,6 +43,7 @@ EFFECTS = (
     VoltageClipping,
     Hysteresis,
     RateDependentHysteresis,
+    AmplifierLag,
     Stiffening,
     HystereticSpring,
     Backlash,

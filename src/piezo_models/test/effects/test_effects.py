@@ -20,6 +20,7 @@ from piezo_models.effects import (
     known_effects,
     with_fitted_values,
 )
+from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
@@ -58,6 +59,7 @@ EXAMPLES = (
     VoltageClipping(-5.0, 90.0, 1.0),
     Hysteresis((0.05, 0.1), (0.02, -0.01), (0.1, 0.5), 10.0, 9.0),
     RateDependentHysteresis(0.05, 100.0, 0.3, 1e-3),
+    AmplifierLag(4e-5),
     Stiffening(0.1, 0.2, 0.3, 10.0, 20.0, 5000.0, 0.1),
     HystereticSpring(-0.2, 0.01, 0.2, 2.0, -0.5, 1.0, 10.0, 10.0, 5000.0, 0.1),
     Backlash(0.1),

@@ -26,6 +26,10 @@ FASTEST = 30.0
 """Frequency over half the sample rate up to which a pole may go: beyond it is at rest within a
 sample period, as if it were not there."""
 
+NEIGHBOURS = 0.08
+"""Logarithm of the distance between these bounds of one pole and the next: modes that add nothing
+end there, and poles that coincide have no partial fractions."""
+
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 20.0
 """A damping ratio is sought between these."""
 
@@ -268,11 +272,15 @@ class FastRecord:
         period_s = self.input.sample_period_s
         duration_s = self.input.samples.size * period_s
         lag = np.log([1e-3 * period_s, duration_s])
-        rate = np.log([1.0 / duration_s, FASTEST * np.pi / period_s])
+        slowest, fastest = np.log([1.0 / duration_s, FASTEST * np.pi / period_s])
         damping = np.log([LEAST_DAMPING, MOST_DAMPING])
-        limits = [lag, *[rate] * order.modes, *[damping] * order.modes]
-        limits += [*[rate] * order.antiresonances, *[damping] * order.antiresonances]
-        limits += [*[rate] * order.beside, *[np.log(BESIDE_DAMPING)] * order.beside]
+
+        def rates(count: int) -> list[FloatArray]:
+            return [np.array([slowest, fastest - place * NEIGHBOURS]) for place in range(count)]
+
+        limits = [lag, *rates(order.modes), *[damping] * order.modes]
+        limits += [*rates(order.antiresonances), *[damping] * order.antiresonances]
+        limits += [*rates(order.beside), *[np.log(BESIDE_DAMPING)] * order.beside]
         limits += [*[lag] * order.sensor_lags, *[np.array(PARTICIPATION)] * order.beside]
         limits += [np.array([EARLIEST, min(LATEST, 0.25 * self.input.samples.size)])]
         lower, upper = np.array(limits).T

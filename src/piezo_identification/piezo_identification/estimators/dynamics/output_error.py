@@ -22,6 +22,7 @@ from piezo_identification.estimators.dynamics.fast_record import (
     FastRecord,
     FreeFit,
 )
+from piezo_identification.estimators.dynamics.nested_start import nested_start
 from piezo_identification.estimators.dynamics.physical_standing import lack_of_standing
 from piezo_identification.estimators.dynamics.pole_search import QUICK_EVALUATIONS, free_fits
 from piezo_identification.estimators.estimate import (
@@ -84,11 +85,6 @@ SENSOR_LAGS = (0.3, 1.0, 4.0)
 WORTHWHILE = 10.0
 """Information that forms with modes beside others have to be able to gain before they are tried:
 most often the same response can be told by modes in series with antiresonances (4.3)."""
-
-IDLE, IDLE_DAMPING = 25.0, 0.1
-"""Frequency over half the sample rate, and damping ratio, of a mode that adds nothing, from which a
-larger order begins that is to make what a smaller one makes: it is at rest within a sample period,
-and delays by a four-hundredth of it."""
 
 MOST_ALIKE = 0.98
 """Correlation of neighbouring samples of a residual up to which it counts."""
@@ -177,12 +173,15 @@ class _Search:
         """Begin orders that leave more than a smaller one from that one."""
         for _ in range(NESTED_ROUNDS):
             changed = False
-            for order, fit in list(self._fits.items()):
+            # The smallest first, so that what one gains reaches all that hold it.
+            for order in sorted(self._fits, key=lambda order: order.parameters):
+                fit = self._fits[order]
                 smaller = [other for other in self._fits.values()
                            if other.order != order and order.holds(other.order)]
                 least = min(smaller, key=lambda other: other.cost, default=fit)
                 if least.cost < fit.cost:
-                    self._keep(order, self._embedded(least, order))
+                    self._keep(order, [nested_start(
+                        least, order, self._record.input.sample_period_s)])
                     changed = changed or self._fits[order].cost < fit.cost
             if not changed:
                 break
@@ -336,36 +335,6 @@ class _Search:
         if order not in self._fits or best.cost < self._fits[order].cost:
             self._fits[order], self._trials[order] = best, self._trial(best)
         return self._fits[order]
-
-    def _embedded(self, smaller: FastFit, order: ModeOrder) -> list[_Start]:
-        """Begin an order where it makes what a smaller one makes."""
-        period_s = self._record.input.sample_period_s
-        fast, delay = np.log(IDLE * np.pi / period_s), smaller.delay
-        model = fast_dynamics_of(smaller.vector, smaller.order)
-        dynamics = model.dynamics
-        w, zeta = (list(np.log(values)) for values in (
-            dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios))
-        wz, zetaz = (list(np.log(values)) for values in (
-            dynamics.antiresonance_frequencies_rad_per_s, dynamics.antiresonance_damping_ratios))
-        middle = float(np.log(0.3 * np.pi / period_s))
-        for _ in range(min(order.modes - len(w), order.antiresonances - len(wz))):
-            # They cancel each other.
-            for values, value in ((w, middle), (wz, middle), (zeta, -1.0), (zetaz, -1.0)):
-                values.append(value)
-        for frequencies, dampings, count in ((w, zeta, order.modes),
-                                             (wz, zetaz, order.antiresonances)):
-            while len(frequencies) < count:
-                frequencies.append(fast)
-                dampings.append(np.log(IDLE_DAMPING))
-        more = order.beside - len(model.beside)
-        lags = [model.sensor_lag_s] * smaller.order.sensor_lags
-        lags += [1e-2 * period_s] * (order.sensor_lags - smaller.order.sensor_lags)
-        vector = np.concatenate([
-            [np.log(dynamics.time_constant_s)], w, zeta, wz, zetaz,
-            np.log([mode.frequency_rad_per_s for mode in model.beside]), [middle] * more,
-            np.log([mode.damping_ratio for mode in model.beside]), [-1.0] * more,
-            np.log(lags), [mode.participation for mode in model.beside], [0.0] * more])
-        return [(vector, delay)]
 
     def _parameters(self, order: ModeOrder) -> int:
         return order.parameters + self._record.linear_parameters + (self._known_delay is None)

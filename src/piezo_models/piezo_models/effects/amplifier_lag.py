@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Lag of the amplifier and its leads, in front of the hysteresis."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import control
+import numpy as np
+from scipy.signal import lfilter
+
+from piezo_common.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.filtering import slowed
+from piezo_models.effects.sensor_lag import SensorLag
+
+
+@dataclass(frozen=True)
+class AmplifierLag(Effect):
+    """The voltage at the actuator follows the one asked for with a time constant.
+
+    A held voltage x is approached as v' = (x - v) / T; the hysteresis gets the mean of v over each
+    sample period. A sine cannot tell this lag from one behind the hysteresis, a step can: the
+    hysteresis is flat after a reversal, so that it answers the first part of a step with less.
+    """
+
+    name: ClassVar[str] = "amplifier_lag"
+    place: ClassVar[str] = "voltage"
+    experiment: ClassVar[str] = "dynamics beside hysteresis: a fast square wave, and slow loops"
+    distortion: ClassVar[frozenset[str] | None] = frozenset()
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("delay", "sensor_lag")
+
+    time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e6)
+
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
+        return self.advance(signal, sample_period_s, rest)[0]
+
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the signal behind the effect; the past is the voltage that was reached."""
+        signal = np.asarray(signal, dtype=float)
+        start = float(signal[0] if past is None else past)
+        decay, share = self._decay_and_share(sample_period_s)
+        reached, _ = lfilter([1.0 - decay], [1.0, -decay], signal, zi=[decay * start])
+        begun = np.concatenate([[start], reached[:-1]])
+        return signal + share * (begun - signal), float(reached[-1])
+
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Divide the period by the lag, harmonic by harmonic."""
+        decay, share = self._decay_and_share(sample_period_s)
+        back = np.exp(-2j * np.pi * np.fft.rfftfreq(wanted.size))
+        begun = (1.0 - decay) * back / (1.0 - decay * back)
+        return np.fft.irfft(np.fft.rfft(wanted) / (1.0 - share + share * begun), wanted.size)
+
+    def lag(self) -> control.StateSpace | None:
+        """Return the lag as a continuous system, as `Effect.lag` describes."""
+        return slowed([1.0], [1.0, 1.0], self.time_constant_s)
+
+    def _decay_and_share(self, sample_period_s: float) -> tuple[float, float]:
+        """What is left of a difference after a sample period, and on the mean within it."""
+        periods = sample_period_s / self.time_constant_s
+        return float(np.exp(-periods)), float(-np.expm1(-periods) / periods)
+
+    @classmethod
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the time constant by what the recordings can show."""
+        return {"time_constant_s": (1e-9, 0.3 * extent.duration_s)}
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Return none: `identify` fits this lag together with the dynamics that it resembles."""
+        return []
+
+
+def lag_behind_hysteresis(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Return effects with the amplifier's lag behind the hysteresis, where a sine sees it as well.
+
+    Parameters
+    ----------
+    effects : iterable of Effect
+
+    Returns
+    -------
+    tuple of Effect
+    """
+    return tuple(SensorLag(effect.time_constant_s) if isinstance(effect, AmplifierLag) else effect
+                 for effect in effects)
