@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test style quick long coverage kernels soak bench reproduce high-bandwidth published-reference recipe measured diagnose-suite docs api clean
+.PHONY: help setup demo test style quick long coverage kernels soak bench reproduce high-bandwidth published-reference changes recipe measured diagnose-suite docs api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -58,6 +58,9 @@ recipe: setup ## record the simulated stage in shorter ways; writes the tables o
 
 published-reference: setup ## follow a published reference by its preview; writes docs/published_reference.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.published_reference
+
+changes: setup ## change the stage while a model watches it; writes a table of docs/diagnosis.md
+	@$(in_environment) .venv/bin/python -m piezo_studies.changes_in_operation
 
 CASES ?= 260
 diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite

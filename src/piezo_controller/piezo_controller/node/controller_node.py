@@ -129,7 +129,8 @@ class ControllerNode(LifecycleNode):
         uncompensated = (
             f'the feedforward does not compensate: {", ".join(plan.uncompensated)}'
             if plan.uncompensated else "")
-        notes = replaced, learned, uncompensated, run.lateness, plan.note, recording.note
+        notes = (replaced, learned, uncompensated, run.not_followed, run.lateness, plan.note,
+                 recording.note)
         if account.failure:
             raise CallFailed("; ".join(filter(None, (account.failure, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))

@@ -51,6 +51,7 @@ class TrackingRun:
             TOLERANCE_OF_TRAVEL * self._planned_travel_um, LEAST_TOLERANCE_UM)
         self.samples = 0
         self._squares, self._counted = 0.0, 0
+        self._expected_sum = self._expected_squares = 0.0
         self.largest_error_um = math.nan
         self._window = RunningSquares(window_samples)
         self._target = RunningSquares(ON_TARGET_SAMPLES)
@@ -127,6 +128,20 @@ class TrackingRun:
                 f"late ({USUAL_PERCENT} % took {1e6 * times.percentile_s(USUAL_PERCENT):.0f} us "
                 "or less)")
 
+    @property
+    def not_followed(self) -> str:
+        """Return what to tell of a stage that was as far off as one at rest; empty otherwise."""
+        if not self._counted:
+            return ""
+        mean_um = self._expected_sum / self._counted
+        at_rest_um = math.sqrt(max(self._expected_squares / self._counted - mean_um**2, 0.0))
+        error_um = math.sqrt(self._squares / self._counted)
+        if at_rest_um < self.tolerance_um or error_um < at_rest_um:
+            return ""
+        return (f"the stage did not follow the reference: its rms error of {error_um:.3g} um is "
+                f"that of a stage which rests at the mean ({at_rest_um:.3g} um) or more; use "
+                "composite, or a slower reference")
+
     def _account(self, before: int, expected_um: FloatArray, displacement_um: FloatArray) -> None:
         """Add a block to the account, except its samples before the part that counts."""
         expected_um, displacement_um = expected_um[before:], displacement_um[before:]
@@ -138,6 +153,8 @@ class TrackingRun:
         squares = float(error_um @ error_um)
         self._squares += squares
         self._counted += error_um.size
+        self._expected_sum += float(expected_um.sum())
+        self._expected_squares += float(expected_um @ expected_um)
         self.largest_error_um = float(np.fmax(self.largest_error_um, np.abs(error_um).max()))
         self._window.add(squares, error_um.size)
         self._target.add(squares, error_um.size)

@@ -47,6 +47,24 @@ def test_nothing_is_answered_without_feedback_or_after_the_end():
     assert run.complete and run.fraction == 1.0
 
 
+@pytest.mark.parametrize(("factor", "followed"), [
+    (1.0, True), (0.3, True), (0.0, False), (-1.0, False)])
+def test_a_stage_that_moves_no_better_than_one_at_rest_is_told_of(factor, followed):
+    displacement_um = EXPECTED_UM[:ONCE + RUN].copy()
+    displacement_um[ONCE:] = 1.0 + factor * (displacement_um[ONCE:] - 1.0)
+    run = TrackingRun(PLAN, RUN)
+    play(run, displacement_um)
+    assert ("the stage did not follow the reference" in run.not_followed) is not followed
+    assert followed == (run.not_followed == "")
+
+
+def test_a_reference_that_stands_still_is_never_told_of_as_not_followed():
+    still = FeedforwardPlan(np.zeros(ONCE), np.zeros(PERIOD), np.ones(ONCE), np.ones(PERIOD), 80)
+    run = TrackingRun(still, RUN)
+    play(run, np.full(ONCE + RUN, 1.5))
+    assert run.not_followed == ""
+
+
 def test_error_is_that_of_the_periodic_part_alone():
     displacement_um = EXPECTED_UM[:ONCE + RUN].copy()
     displacement_um[:ONCE] += 100.0

@@ -186,7 +186,7 @@ class ModelMonitor:
         return raised
 
     def pass_by(self, voltage_v: FloatArray, sample_period_s: float | None = None) -> None:
-        """Take samples that are not to be judged, such as on the way to a reference.
+        """Take samples that are not tested, such as on the way to a reference.
 
         Parameters
         ----------

@@ -8,7 +8,7 @@ without error; y[n] = C x[n] is the output at the start of the sample.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numba import njit
@@ -149,7 +149,8 @@ class LinearRunner:
     """
 
     def __init__(self, effects: Sequence[LinearEffect], sample_period_s: float) -> None:
-        self._effects, self._period_s = list(effects), sample_period_s
+        self._effects: list[Any] = list(effects)
+        self._period_s = sample_period_s
         self._changes = sorted(
             (round(effect.begin_s / sample_period_s), index)
             for index, effect in enumerate(effects) if isinstance(effect, ChangingEffect))
@@ -182,9 +183,7 @@ class LinearRunner:
             change, index = self._changes.pop(0)
             before, samples = np.split(samples, [max(change - self._at, 0)])
             self._advance(before)
-            effect = self._effects[index]
-            assert isinstance(effect, ChangingEffect)
-            self._effects[index] = _Changed(effect)
+            self._effects[index] = _Changed(self._effects[index])
             self._discretise()
         self._advance(samples)
 
