@@ -37,7 +37,7 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
     ----------
     cause : str
         A key of `TWINS`.
-    clean : (StageModel, tuple of Recording)
+    clean : (IdentifiedModel, tuple of Recording)
         Of the plant without effects; see `run_case.clean_model`.
     plant_seed : sequence of int
     seed, budget : int
@@ -61,8 +61,9 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
         count += 1
         return _played(drawn.plant, proposal.experiment, seed + count)
 
-    model, identified_from = clean
-    steps = decide(model, [records.record(drawn.plant, experiment, seed)], play, budget, LIMITS,
+    identified, identified_from = clean
+    first = records.record(drawn.plant, experiment, seed)
+    steps = decide(identified.model, [first], play, budget, LIMITS,
                    identified_from=IdentificationRecordings(identified_from, ()))
     return {"cause": cause, "steps": [
         {"verdict": step.diagnosis.verdict,

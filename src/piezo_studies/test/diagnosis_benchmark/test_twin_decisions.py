@@ -23,7 +23,7 @@ def test_held_values_are_measured_as_means_at_the_clock():
 @pytest.mark.long
 def test_one_recording_decides():
     cause = "sensor_lag"
-    result = twin_decisions.decide_twin(cause, clean_model(77, 0)[0].model, (77, 0), 1)
+    result = twin_decisions.decide_twin(cause, clean_model(77, 0), (77, 0), 1)
     first, *_, last = result["steps"]
     assert not first["is_decided"] and first["proposed"]["duration_s"] <= 30.0
     assert last["is_decided"]
