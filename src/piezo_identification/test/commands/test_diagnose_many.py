@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from piezo_identification.commands import diagnose_many_work
 from piezo_identification.commands.diagnose_many_command import main
-from piezo_identification.diagnosis import many_recordings
+from piezo_identification.diagnosis import diagnose_table, many_recordings
 from piezo_identification.diagnosis.many_recordings import read_table
 from piezo_identification.diagnosis.report import results
 
@@ -34,7 +33,7 @@ def diagnosed(monkeypatch):
         (Path(directory) / "verdict.json").write_text(json.dumps(VERDICT))
 
     monkeypatch.setattr(results, "diagnose_files", diagnose)
-    monkeypatch.setattr(diagnose_many_work, "cluster_client", lambda scheduler: Client(
+    monkeypatch.setattr(diagnose_table, "cluster_client", lambda scheduler: Client(
         processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None))
     return calls
 

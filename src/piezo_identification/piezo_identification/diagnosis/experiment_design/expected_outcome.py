@@ -83,10 +83,10 @@ def expected_outcome(alternatives: Alternatives, experiment: Experiment,
              for alternative in known]
     predictions = [part.simulate(alternative.fit.effects)[rows]
                    for part, alternative in zip(parts, known, strict=True)]
-    error_um = np.sqrt(alternatives.alike) * np.linalg.norm([
+    error_um = np.sqrt(alternatives.alike) * np.linalg.norm(np.array([
         _noise_um(alternatives, dataset.simulated[0].sample_period_s),
         SETTINGS.model_tolerance * max(np.ptp(predicted) for predicted in predictions),
-        alternatives.misfit * max(np.std(predicted) for predicted in predictions)])
+        alternatives.misfit * max(np.std(predicted) for predicted in predictions)], dtype=float))
     rms_um, distance = np.zeros((count, count)), np.zeros((count, count))
     for other, alternative in enumerate(known):
         of_effects = sensitivities(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The work of `diagnose_many`: diagnose the rows of a table, write and print what they come to."""
+"""Diagnose the rows of a table, write and print what they come to: the work of `diagnose_many`."""
 
 import argparse
 import csv
