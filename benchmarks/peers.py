@@ -19,7 +19,7 @@ from stage_model import VOLTAGE_RANGE_V, preisach_model
 from table import Measurements, show
 
 from piezo_identification.conditioning.waveforms import sample_by_voltage
-from piezo_identification.estimators.dynamics.armax import fit_armax
+from piezo_identification.estimators.armax.armax import fit_armax
 from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
 from piezo_identification.experiments.input_designs import stair_amplitudes, stair_harmonics
 from piezo_models.linear.dynamics import (

@@ -25,7 +25,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 COMMAND = Command(
     "diagnose-many", "Diagnose many recordings, and sum up what is found.", _add_options,
-    "piezo_identification.diagnosis.diagnose_table:diagnose_table",
+    "piezo_identification.diagnosis.many.diagnose_table:diagnose_table",
     epilog="Writes index.html and summary.csv, and for each row what `diagnose` writes. A row that "
     "is done is not done again unless a file of it has changed; one that cannot be diagnosed is "
     "named and skipped.",

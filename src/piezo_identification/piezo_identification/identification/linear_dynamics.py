@@ -11,10 +11,10 @@ from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
 from piezo_identification.conditioning.settling import slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import played, square_wave
+from piezo_identification.estimators.armax.armax_dynamics import estimate_dynamics_armax
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
-from piezo_identification.estimators.dynamics.armax_dynamics import estimate_dynamics_armax
 from piezo_identification.estimators.dynamics.lag_in_front import lag_in_front
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
 from piezo_identification.estimators.estimate import SIGNIFICANT, Estimate

@@ -48,6 +48,8 @@ from piezo_ros.stage_runs.stage_tracking import StageTracker
 EXPERIMENTS_FRACTION = 0.5
 # Takes the step of an experiment, and which fraction of it is done.
 Report = Callable[[str, float], None]
+# Of a diagnosis: the model, the recordings, the held-out recording, the directory of the results.
+DiagnosedFiles = tuple[str, list[str], str | None, Path]
 DIAGNOSIS_FILES = ("verdict.json", "extended_model.json", "report.html")
 
 
@@ -266,8 +268,8 @@ class IdentificationNode(LifecycleNode):
         readable, directory = self._data_root.readable, self._writable(goal)
         for name in DIAGNOSIS_FILES:  # which may be links that lead elsewhere
             self._data_root.writable(directory / name)
-        files = (readable(goal.model), [*map(readable, goal.recordings)],
-                 readable(goal.holdout) or None, directory)
+        files: DiagnosedFiles = (readable(goal.model), [*map(readable, goal.recordings)],
+                                 readable(goal.holdout) or None, directory)
         if goal.experiments:
             results, result.decision = self._decide(files, goal, result, progress, report)
         else:
@@ -283,7 +285,7 @@ class IdentificationNode(LifecycleNode):
             setattr(result, f"before_{name}", float(diagnosis.before[name]))
             setattr(result, f"after_{name}", float(diagnosis.after[name]))
 
-    def _decide(self, files: tuple, goal: Diagnose.Goal, result: Diagnose.Result,
+    def _decide(self, files: DiagnosedFiles, goal: Diagnose.Goal, result: Diagnose.Result,
                 progress: Progress, report: Report) -> tuple[DiagnosisResults, str]:
         """Diagnose, and play what decides between the explanations that remain."""
         if not (np.isfinite(goal.longest_s) and goal.longest_s >= 0.0):

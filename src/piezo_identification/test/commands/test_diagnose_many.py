@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from piezo_identification.commands.diagnose_many_command import main
-from piezo_identification.diagnosis import diagnose_table, many_recordings
-from piezo_identification.diagnosis.many_recordings import read_table
+from piezo_identification.diagnosis.many import diagnose_table, many_recordings
+from piezo_identification.diagnosis.many.many_recordings import read_table
 from piezo_identification.diagnosis.report import results
 
 VERDICT = {

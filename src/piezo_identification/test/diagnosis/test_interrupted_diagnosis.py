@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification.diagnosis import side_by_side
+from piezo_common import side_by_side
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel

@@ -116,7 +116,7 @@ class Hysteresis(Effect):
         weights, _ = evidence.reduction(np.column_stack([-plays[:, 0], plays]), positive=True)
         # A play matters by what it holds back, which grows with its width.
         matters = weights[1:] * SCANNED_THRESHOLDS
-        count = min(MOST_PLAYS, np.count_nonzero(matters))
+        count = min(MOST_PLAYS, int(np.count_nonzero(matters)))
         if count == 0:
             return []
         chosen = np.array([0, *np.sort(np.argsort(-matters)[:count])])

@@ -3,8 +3,8 @@
 
 import numpy as np
 
+from piezo_identification.estimators.armax.armax import fit_armax
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
-from piezo_identification.estimators.dynamics.armax import fit_armax
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
 from piezo_identification.estimators.refinement.sensitivities import sensitivity_systems
 from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh

@@ -7,7 +7,7 @@ The simulated stage has the parameters of chapter 4, which are not quite those o
 import numpy as np
 
 from piezo_common.picture_style import DIFFERENCE, MEASURED, MODELLED, label, new_figure
-from piezo_identification.estimators.dynamics.armax_dynamics import estimate_dynamics_armax
+from piezo_identification.estimators.armax.armax_dynamics import estimate_dynamics_armax
 from piezo_identification.estimators.dynamics.multisine import estimate_dynamics_multisine
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr
 from scipy.optimize import nnls
 
 from piezo_common.arrays import BoolArray, FloatArray
@@ -79,7 +80,7 @@ def _projections(
                   positive: bool = False) -> tuple[FloatArray, float]:
         seen = project(contributions)
         if positive:
-            triangle = np.linalg.qr(np.column_stack([seen, left]), mode="r")
+            triangle = qr(np.column_stack([seen, left]), mode="r")[0]
             gains = nnls(triangle[:, :-1], triangle[:, -1])[0]
         else:
             gains = np.linalg.lstsq(seen, left, rcond=1e-10)[0]

@@ -4,6 +4,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.analysis.error_distortion import excluded_by_distortion
 from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, impossible_effects
 from piezo_identification.diagnosis.comparison.attempts import Attempt, try_each
@@ -27,7 +28,6 @@ from piezo_identification.diagnosis.residual.regression import (
     fit_without_effects,
     reweighted,
 )
-from piezo_identification.diagnosis.side_by_side import side_by_side
 from piezo_models.effects import Effect, known_effects
 from piezo_models.effects.outliers import Outliers
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
 from piezo_identification.diagnosis.joint.joint_fit import (
     JointFit,
@@ -24,7 +25,6 @@ from piezo_identification.diagnosis.joint.probabilities import (
 )
 from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
 from piezo_identification.diagnosis.residual.regression import Regression
-from piezo_identification.diagnosis.side_by_side import side_by_side
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
 
 Progress = Callable[[str, float], None]

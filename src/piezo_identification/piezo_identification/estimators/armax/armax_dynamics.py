@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.waveforms import square_wave
-from piezo_identification.estimators.dynamics.armax import Armax, fit_armax
+from piezo_identification.estimators.armax.armax import Armax, fit_armax
 from piezo_identification.estimators.dynamics.fast_signals import drift_basis, played_at_the_clock
 from piezo_identification.estimators.dynamics.multisine import hysteresis_and_displacement
 from piezo_identification.estimators.dynamics.pole_search import dynamics_of_poles

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from piezo_common.report_page import Section, render_page
-from piezo_identification.diagnosis.many_recordings import errors_of
+from piezo_identification.diagnosis.many.many_recordings import errors_of
 
 HEADS = ("name", "verdict", "effects", "most probable", "probability", "before (nm)", "after (nm)",
          "noise (nm)")

@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from piezo_identification.diagnosis import side_by_side as module
-from piezo_identification.diagnosis.side_by_side import side_by_side
+from piezo_common import side_by_side as module
+from piezo_common.side_by_side import side_by_side
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])

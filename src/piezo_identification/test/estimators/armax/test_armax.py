@@ -2,8 +2,8 @@
 import numpy as np
 import pytest
 
-from piezo_identification.estimators.dynamics.armax import _PredictionErrors, fit_armax
-from piezo_identification.estimators.dynamics.armax_dynamics import (
+from piezo_identification.estimators.armax.armax import _PredictionErrors, fit_armax
+from piezo_identification.estimators.armax.armax_dynamics import (
     dynamics_of_armax,
     estimate_dynamics_armax,
 )

@@ -6,13 +6,13 @@ import csv
 import sys
 
 from piezo_common.command_line import print_progress
-from piezo_identification.diagnosis.many_recordings import (
+from piezo_identification.diagnosis.many.many_page import HEADS, many_page, summary_row
+from piezo_identification.diagnosis.many.many_recordings import (
     cluster_client,
     diagnose_rows,
     errors_of,
     read_table,
 )
-from piezo_identification.diagnosis.report.many_page import HEADS, many_page, summary_row
 
 
 def diagnose_table(options: argparse.Namespace) -> None:
