@@ -27,14 +27,15 @@ Way = tuple[tuple[float, float], tuple[float, float]]
 # The packages from the bottom of the picture to its top, each row with the middle of each frame in
 # inches: chosen so that arrows pass between the frames.
 ROWS = (
-    {"piezo_common": 8.6},
-    {"piezo_models": 2.8, "piezo_ros": 7.2},
-    {"piezo_recorder": 2.8, "piezo_stage_driver": 10.4},
-    {"piezo_identification": 2.1, "piezo_controller": 6.3, "piezo_bringup": 9.1, "piezo_sim": 11.9},
-    {"piezo_client": 3.4, "piezo_offline": 6.0},
-    {"piezo_studies": 6.6},
+    {"piezo_common": 9.9},
+    {"piezo_models": 4.6, "piezo_ros": 8.4},
+    {"piezo_recorder": 4.6, "piezo_stage_driver": 12.0},
+    {"piezo_identification": 2.8, "piezo_controller": 7.75, "piezo_bringup": 10.6,
+     "piezo_sim": 13.5},
+    {"piezo_client": 5.6, "piezo_offline": 7.7},
+    {"piezo_studies": 8.2},
 )
-WIDTH = 14.0
+WIDTH = 15.7
 # In inches.
 ROOM_WIDTH, ROOM_HEIGHT, GAP, RISE = 1.16, 0.36, 0.16, 0.62
 ROW_GAP, MARGIN, TITLE = 0.5, 0.12, 0.26
