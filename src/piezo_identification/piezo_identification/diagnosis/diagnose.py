@@ -31,7 +31,7 @@ from piezo_identification.diagnosis.joint.competition import (
     Competition,
     beside_alternative,
     compare_models,
-    passes_for_noise,
+    probabilities_of_named,
 )
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
@@ -123,6 +123,8 @@ class Decision:
         Effects that the held-out data refuse, and why.
     came : str
         When the effects came, as far as the recordings of the identification tell.
+    probabilities : dict of str to float
+        From which the verdict follows.
     """
 
     verdict: str
@@ -130,6 +132,7 @@ class Decision:
     outliers: FoundOutliers | None
     refused: dict[str, str]
     came: str
+    probabilities: dict[str, float]
 
 
 def diagnose(model: StageModel, recordings: Sequence[Recording],
@@ -179,7 +182,7 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     predictable = ceiling_of(found, decision)
     told = tell(model, given, found, believed, decision, predictable)
     return replace(told, selection=replace(selection, end=found.end),
-                   identified_from=known.document(), probabilities=competition.probabilities)
+                   identified_from=known.document(), probabilities=decision.probabilities)
 
 
 def condition(model: StageModel, recordings: Sequence[Recording],
@@ -275,10 +278,11 @@ def decide(selection: Selection, validation: Validation,
         if is_better and validation_beside.improves(beside.end):
             found, believed, fit, refused = beside, validation_beside, beside.end, {}
     outliers = found_outliers(found.regression)
-    is_explained = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
+    shares = competition.probabilities
     if refused or best is not None and not best.since and found is selection:
-        # The probabilities are of what the held-out data refuse.
-        is_explained = passes_for_noise(found.regression, fit, competition.stated)
+        # Those of the competition are of fits that are not named here.
+        shares = probabilities_of_named(competition, regression, fit, refused)
+    is_explained = shares[SOMETHING_ELSE] < PROBABILITIES.believed
     most = SETTINGS.guess * lack_of_fit(regression, selection.start)
     if not is_explained and lack_of_fit(found.regression, fit) > most:
         found, believed, fit = selection, validation, selection.start
@@ -286,7 +290,7 @@ def decide(selection: Selection, validation: Validation,
     if is_explained:
         verdict = "explained" if fit.effects or outliers else "none"
     came = competition.came(_names(fit))
-    return Decision(verdict, fit, outliers, refused, came), found, believed
+    return Decision(verdict, fit, outliers, refused, came, shares), found, believed
 
 
 def _names(fit: Fit) -> list[str]:

@@ -4,7 +4,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from piezo_identification.diagnosis.comparison.criteria import is_noise
 from piezo_identification.diagnosis.comparison.validation import Validation
 from piezo_identification.diagnosis.diagnose import (
     Decision,
@@ -16,7 +15,11 @@ from piezo_identification.diagnosis.diagnose import (
 from piezo_identification.diagnosis.evidence.found_outliers import found_outliers
 from piezo_identification.diagnosis.experiment_design.alternatives import Alternatives
 from piezo_identification.diagnosis.joint.alternatives import Alternative as Competitor
-from piezo_identification.diagnosis.joint.competition import Competition, beside_alternative
+from piezo_identification.diagnosis.joint.competition import (
+    Competition,
+    beside_alternative,
+    probabilities_of_named,
+)
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
@@ -71,13 +74,17 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     if names and not validation.improves(selection.end):
         return replace(diagnosis, probabilities=chances)
     outliers = found_outliers(selection.regression)
+    if unnamed >= PROBABILITIES.believed:
+        # They are of a fit that is not named here.
+        chances = probabilities_of_named(competition, selection.regression, selection.end, ())
     verdict = "unexplained"
-    if unnamed < PROBABILITIES.believed or is_noise(selection.regression, selection.end):
+    if chances[SOMETHING_ELSE] < PROBABILITIES.believed:
         verdict = "explained" if names or outliers else "none"
-    decision = Decision(verdict, selection.end, outliers, {}, _came(alternatives))
+    decision = Decision(verdict, selection.end, outliers, {}, _came(alternatives), chances)
     told = tell(
         model, given, selection, validation, decision, ceiling_of(selection, decision))
-    return replace(told, identified_from=diagnosis.identified_from, probabilities=chances)
+    return replace(
+        told, identified_from=diagnosis.identified_from, probabilities=decision.probabilities)
 
 
 def _came(alternatives: Alternatives) -> str:

@@ -134,21 +134,44 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
         best, times_of_coming(problem, alternatives), stated)
 
 
-def passes_for_noise(regression: Regression, fit: Fit, stated: float) -> bool:
-    """Return whether a fit leaves no more than noise and what the model is known to be wrong by.
+def probabilities_of_named(competition: Competition, regression: Regression, fit: Fit,
+                           refused: Iterable[str]) -> dict[str, float]:
+    """Return the probabilities where a fit to the new recordings alone is named.
+
+    Something else is as probable as beside that fit. The sets of effects share the rest as they did
+    when they competed, without those that the held-out data refuse; where another one than that of
+    the fit leads them, the competition was not about this fit, and its set alone takes the rest.
 
     Parameters
     ----------
+    competition : Competition
+        Of whole models.
     regression : Regression
+        Of the new recordings.
     fit : Fit
-    stated : float
-        By how much the model is known to be wrong, as a part of the RMS motion.
+        That is named.
+    refused : iterable of str
+        Effects that the held-out data refuse.
 
     Returns
     -------
-    bool
+    dict of str to float
+        The largest first; they sum to one.
     """
-    return _of_fits(regression, [fit], stated)[SOMETHING_ELSE] < PROBABILITIES.believed
+    label, without = _label(fit), set(refused)
+    other = _of_fits(regression, [fit], competition.stated)[SOMETHING_ELSE]
+    kept = {each: share for each, share in competition.probabilities.items()
+            if each != SOMETHING_ELSE and share > 0.0 and not without & set(each.split("+"))}
+    if max(kept, key=kept.__getitem__, default="") != label:
+        kept = {label: 1.0}
+    whole = sum(kept.values())
+    shares = {each: (1.0 - other) * share / whole for each, share in kept.items()}
+    return dict(sorted((shares | {SOMETHING_ELSE: other}).items(), key=lambda entry: -entry[1]))
+
+
+def _label(fit: Fit) -> str:
+    """Return the names of the effects of a fit, joined by +, or none."""
+    return "+".join(sorted(effect.name for effect in fit.effects)) or NONE
 
 
 def _passing_um(noise_um: FloatArray, least_um: FloatArray) -> FloatArray:
@@ -178,8 +201,7 @@ def _of_fits(regression: Regression, fits: Sequence[Fit], stated: float) -> dict
     evidence, effective = [], []
     for fit in fits:
         squares, samples = _held_out(regression, fit)
-        label = "+".join(sorted(effect.name for effect in fit.effects)) or NONE
-        evidence.append(Evidence(label, squares, fit.parameter_count))
+        evidence.append(Evidence(_label(fit), squares, fit.parameter_count))
         effective.append(samples)
     least_um = np.array([SETTINGS.model_tolerance * np.ptp(part.measured_um)
                          for part in regression.dataset.simulated])

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The verdict follows from the probabilities, even where the fit to all recordings goes astray."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.joint.free_parameters import changed_model
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+)
+from piezo_identification.diagnosis.joint.joint_fit import JointFit, JointProblem
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 3000, 2e-3
+MODE = (400.0, 0.1)
+MODEL = StageModel(
+    PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])), CreepDynamics(),
+    ElectricVibrationDynamics(0.0, MODE[:1], MODE[1:]))
+
+
+def with_second_mode(displacement_um, voltage_v):
+    return 0.98 * displacement_um + 0.02 * of_mode(250.0, 0.02, voltage_v)
+
+
+def with_steps_of_its_own(displacement_um, voltage_v):
+    """Add what no effect is: levels that change at random with nothing to tell when."""
+    generator = np.random.default_rng(7)
+    levels_um = np.repeat(generator.normal(size=SAMPLES // 60), 60)
+    return displacement_um + 0.1 * levels_um
+
+
+def unchanged(displacement_um, voltage_v):
+    return displacement_um
+
+
+def of_mode(w, z, voltage_v):
+    numerator, denominator, _ = cont2discrete(([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
+    return lfilter(numerator[0], denominator, 0.1 * voltage_v)
+
+
+def recording(seed, change):
+    generator = np.random.default_rng(seed)
+    voltage_v = np.convolve(generator.normal(size=SAMPLES), np.hanning(20), mode="same")
+    voltage_v *= 50.0 / np.abs(voltage_v).max()
+    displacement_um = change(of_mode(*MODE, voltage_v), voltage_v)
+    return Recording(
+        path=f"{seed}", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
+        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
+        displacement_um=displacement_um + NOISE_UM * generator.normal(size=SAMPLES),
+        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+
+
+def gone_astray(self, effects, later=()):
+    """End with effects as they were guessed, beside a mode that is 1 % off."""
+    changes = np.zeros(self.dataset.regressors.shape[1] - self.dataset.nuisance_count)
+    changes[0] = 0.05
+    came = frozenset(later)
+    bent = replace(
+        self.start, dataset=self._at(changed_model(self.dataset.model, changes), came))
+    return JointFit(bent, tuple(effects), came, has_converged=False)
+
+
+@pytest.mark.parametrize(("change", "joint_fit", "verdict", "likeliest"), [
+    (unchanged, gone_astray, "none", "none"),
+    (with_second_mode, JointProblem.fit, "explained", "vibration_mode"),
+    (with_second_mode, gone_astray, "explained", "vibration_mode"),
+    (with_steps_of_its_own, gone_astray, "unexplained", "something_else"),
+])
+def test_the_verdict_follows_from_the_probabilities(
+        monkeypatch, change, joint_fit, verdict, likeliest):
+    monkeypatch.setattr(JointProblem, "fit", joint_fit)
+    new, old = (recording(seed, change) for seed in (1, 2))
+    diagnosis = diagnose(MODEL, [new], identified_from=IdentificationRecordings((old,), ()))
+    shares = diagnosis.probabilities
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert (diagnosis.verdict, next(iter(shares))) == (verdict, likeliest)
+    assert (shares["something_else"] >= 0.5) is (verdict == "unexplained")
