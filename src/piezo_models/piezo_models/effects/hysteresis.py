@@ -111,8 +111,7 @@ class Hysteresis(Effect):
         """Begin with the plays of least squares, where they remove a good part of the residual."""
         low, high = float(evidence.voltage_v.min()), float(evidence.voltage_v.max())
         shape = cls((), (), tuple(SCANNED_THRESHOLDS), 0.5 * (low + high), 0.5 * (high - low))
-        seen = shape._contributions(evidence)
-        plays = seen[:, : SCANNED_THRESHOLDS.size]
+        plays = shape._contributions(evidence, slice(0, SCANNED_THRESHOLDS.size))
         weights, _ = evidence.reduction(np.column_stack([-plays[:, 0], plays]), positive=True)
         # A play matters by what it holds back, which grows with its width.
         matters = weights[1:] * SCANNED_THRESHOLDS
@@ -120,21 +119,23 @@ class Hysteresis(Effect):
         if count == 0:
             return []
         chosen = np.array([0, *np.sort(np.argsort(-matters)[:count])])
-        _, curved_share = evidence.reduction(seen[:, [0, SCANNED_THRESHOLDS.size]])
-        gains, share = evidence.reduction(seen[:, [*chosen, *SCANNED_THRESHOLDS.size + chosen]])
+        squares = replace(shape, thresholds=tuple(SCANNED_THRESHOLDS[chosen]))._contributions(
+            evidence, slice(chosen.size, None))
+        _, curved_share = evidence.reduction(np.column_stack([plays[:, 0], squares[:, 0]]))
+        gains, share = evidence.reduction(np.column_stack([plays[:, chosen], squares]))
         if share - curved_share < LEAST_SHARE:
             return []
         fitted, curvatures = np.split(np.clip(gains, -3.0, 3.0), 2)
         return [replace(shape, weights=tuple(fitted), curvatures=tuple(curvatures),
                         thresholds=tuple(SCANNED_THRESHOLDS[chosen]))]
 
-    def _contributions(self, evidence: Evidence) -> FloatArray:
-        """Return what the parts would add to the displacement if the model were a gain there."""
+    def _contributions(self, evidence: Evidence, numbers: slice) -> FloatArray:
+        """Return what some parts would add to the displacement if the model were a gain there."""
         gain = evidence.travel_um / (2.0 * self.half_range_v)
         dynamics = zoh(evidence.dynamics.state_space(), evidence.sample_period_s)
         return np.column_stack([
             gain * simulate_linear(dynamics, np.ascontiguousarray(part))
-            for part in self.parts(evidence.voltage_v).T])
+            for part in self.parts(evidence.voltage_v).T[numbers]])
 
 
 def _large_reversals(voltage_v: FloatArray) -> int:

@@ -106,29 +106,16 @@ class HystereticSpring(Effect):
         return None
 
     @classmethod
-    def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Ask for samples that resolve a mode, and for motion."""
-        modes = _resolved(evidence)
-        if not modes:
-            return "the samples do not resolve the motion of a mode"
-        speed_um = np.abs(np.diff(evidence.displacement_um)).max() / evidence.sample_period_s
-        slowest = min(frequency for frequency, _ in modes)
-        if speed_um < LEAST_SPEED * slowest * np.std(evidence.displacement_um):
-            return "the motion is slow beside the modes: hysteresis of the voltage does the same"
-        return None
-
-    @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
         """Begin with the best shapes of a scan under the measured displacement.
 
-        There all parts of the force but the shape are linear in what they remove.
+        There all parts of the force but the shape are linear in what they remove. A motion that is
+        slow beside the mode hints at none: hysteresis of the voltage does the same.
         """
-        if evidence.travel_um == 0.0:
-            return []
         measured_um = evidence.displacement_um + evidence.residual_um
         low, high = float(measured_um.min()), float(measured_um.max())
         found: list[tuple[float, Self]] = []
-        for frequency, damping in _resolved(evidence):
+        for frequency, damping in _moved(evidence):
             shape = cls(0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.5 * (low + high), 0.5 * (high - low),
                         frequency, damping)
             found += shape._scanned(evidence, measured_um)
@@ -164,8 +151,13 @@ class HystereticSpring(Effect):
         return found
 
 
-def _resolved(evidence: Evidence) -> list[tuple[float, float]]:
-    """Return frequency in rad/s and damping of the modes whose motion the samples resolve."""
-    dynamics = evidence.dynamics
+def _moved(evidence: Evidence) -> list[tuple[float, float]]:
+    """Return frequency in rad/s and damping of the modes whose motion is resolved, and not slow."""
+    dynamics, period_s = evidence.dynamics, evidence.sample_period_s
+    size_um = float(np.std(evidence.displacement_um))
+    speed_um = float(np.abs(np.diff(evidence.displacement_um)).max()) / period_s
+    if size_um == 0.0:
+        return []
     modes = zip(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True)
-    return [mode for mode in modes if mode[0] * evidence.sample_period_s <= 1.0]
+    return [mode for mode in modes
+            if mode[0] * period_s <= 1.0 and speed_um >= LEAST_SPEED * mode[0] * size_um]

@@ -40,8 +40,9 @@ class SimulationSettings:
     fewest_samples : int
         Samples that a recording needs: a third of them is held out, and a dozen effects are fitted.
     kept_outputs : int
-        Outputs of the linear part that are remembered beside the first. A fit varies one effect at
-        a time, so that the last few are what it asks for again; a few fits go on side by side.
+        Outputs of the linear part that are remembered beside the first, and signals between effects
+        behind it. A fit varies one effect at a time, so that the last few are what it asks for
+        again; a few fits go on side by side.
     """
 
     fewest_samples: int = 500
@@ -107,6 +108,7 @@ class SimulatedRecording:
         self._highest_v = CYCLED if model.first_rise is None else (
             ModelRun(model, recording).highest_v)
         self._outputs: dict[tuple, FloatArray] = {}
+        self._ahead: dict[tuple, FloatArray] = {}
         self._amplified_v = model.amplified(self._joined_v, self.sample_period_s)
         self.hysteresis_um, rest_um = self._hysteresis(model.hysteresis, self._amplified_v)
         self.input_um = self._with_creep(self.hysteresis_um, self._amplified_v)
@@ -137,11 +139,8 @@ class SimulatedRecording:
             for place in ("displacement", "sensor") for effect in stage if effect.place == place
         )
         lags, others = leading_lags(behind, self.samples_per_mean)
-        displacement_um = self._output(on_voltage, in_series, lags)
         quick = tuple(effect for effect in quick if effect.place == "linear")
-        for effect in (*quick, *others):
-            displacement_um = effect.apply(displacement_um, self.sample_period_s, self.rest_um)
-        return displacement_um
+        return self._behind((on_voltage, in_series, lags), (*quick, *others))
 
     def hysteresis_output_um(self, hysteresis: PreisachModel) -> FloatArray:
         """Return the output of another hysteresis at the same voltages, (N,)."""
@@ -191,6 +190,25 @@ class SimulatedRecording:
         memory = model.hysteretic_creep.memory(past.extremes_v[: past.top + 1])
         return hysteresis_um + model.hysteretic_creep.simulate(
             amplified_v[self._samples_before :], self.sample_period_s, memory)
+
+    def _behind(self, linear_part: tuple, effects: tuple[Effect, ...]) -> FloatArray:
+        """Return the displacement behind effects that follow the linear part one after another.
+
+        What enters the last of them is kept for the next time.
+        """
+        if not effects:
+            return self._output(*linear_part)
+        others, last = effects[:-1], effects[-1]
+        key = linear_part, others
+        ahead_um = self._ahead.pop(key, None)
+        if ahead_um is None:
+            ahead_um = self._behind(linear_part, others)
+        if others:
+            # What was used last goes last.
+            self._ahead[key] = ahead_um
+            for old in list(self._ahead)[: -SETTINGS.kept_outputs]:
+                self._ahead.pop(old, None)  # another fit beside this one may have been first
+        return last.apply(ahead_um, self.sample_period_s, self.rest_um)
 
     def _output(self, on_voltage: tuple[Effect, ...], in_series: tuple[Effect, ...],
                 lags: tuple[Effect, ...]) -> FloatArray:

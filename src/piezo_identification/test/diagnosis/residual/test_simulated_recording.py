@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Effects one behind another: which of them are simulated anew when one of them changes."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from piezo_identification.diagnosis.residual.simulated_recording import (
+    SETTINGS,
+    SimulatedRecording,
+)
+from piezo_identification.experiments import catalogue as experiments
+from piezo_models.effects.backlash import Backlash
+from piezo_models.effects.effect import parameter
+from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
+
+
+@dataclass(frozen=True)
+class CountedBacklash(Backlash):
+    """Tells of each time that it is applied."""
+
+    applied: ClassVar[list] = []
+    number: float = parameter("1", default=0.0)
+
+    def apply(self, signal, sample_period_s, rest=None):
+        self.applied.append(self.number)
+        return super().apply(signal, sample_period_s, rest)
+
+
+def sensor(cubic):
+    return SensorNonlinearity(0.1, 0.5, cubic, 0.1, 50.0, 50.0)
+
+
+@pytest.fixture
+def recording(plant, play):
+    CountedBacklash.applied.clear()
+    return SimulatedRecording(plant, play(experiments.validation(arc_s=0.02, tones_s=0.2), 1))
+
+
+def test_an_effect_is_simulated_once_while_only_what_lies_behind_it_changes(recording):
+    ahead = CountedBacklash(0.05)
+    for cubic in (0.1, 0.2, 0.3):
+        expected_um = sensor(cubic).apply(
+            Backlash(0.05).apply(recording.simulate(), recording.sample_period_s,
+                                 recording.rest_um),
+            recording.sample_period_s, recording.rest_um)
+        np.testing.assert_array_equal(recording.simulate((ahead, sensor(cubic))), expected_um)
+    assert CountedBacklash.applied == [0.0]
+
+
+def test_what_is_used_is_kept_and_what_is_not_goes(recording):
+    kept = CountedBacklash(0.05)
+    for number in range(1, 2 * SETTINGS.kept_outputs):
+        recording.simulate((kept, sensor(0.1 * number)))
+        recording.simulate((CountedBacklash(0.05, number), sensor(0.1)))
+    assert CountedBacklash.applied.count(0.0) == 1
+    recording.simulate((CountedBacklash(0.05, 1), sensor(0.1)))
+    assert CountedBacklash.applied.count(1.0) == 2
