@@ -12,6 +12,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples
+from piezo_identification.conditioning.segments import played_segments
 from piezo_identification.conditioning.waveforms import played
 from piezo_recorder.reading.recording import Recording
 
@@ -43,9 +44,10 @@ def displacement_falls(recording: Recording) -> bool:
     Parameters
     ----------
     recording : Recording
-        Of a voltage that is slow beside the vibrations.
+        Of a voltage that is slow beside the vibrations. Of several stretches the longest counts.
     """
-    part = played(recording)
+    stretches = played_segments(recording) if recording.gaps else [played(recording)]
+    part = max(stretches, key=lambda each: each.voltage_v.size)
     good = good_samples(part)
     return moves_against(part.displacement_um[good], part.voltage_v[good])
 

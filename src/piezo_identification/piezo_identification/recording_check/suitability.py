@@ -4,6 +4,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
+from scipy.signal import correlate
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning import waveforms
@@ -30,6 +32,11 @@ class Needs:
         the rows are too slow to show the dynamics.
     taps : int
         Rows of the past that a linear filter may use to show dynamics under a broadband voltage.
+    long_taps, rows_per_long_tap : int
+        Rows of the past that a second filter may use at most, and rows for each of them.
+    regularisation : float
+        Part of the power of the voltage that is added to it as white noise, so that the second
+        filter is told where the voltage has a narrow band.
     explained : float
         By which part this filter must leave less than a curve of the voltage alone.
     well_visited : float
@@ -43,6 +50,9 @@ class Needs:
     slowest_rows_s: float = 0.02
     followed: float = 0.9
     taps: int = 30
+    long_taps: int = 1000
+    rows_per_long_tap: int = 20
+    regularisation: float = 1e-4
     explained: float = 0.5
     well_visited: float = 0.5
     range_over_noise: float = 30.0
@@ -240,6 +250,20 @@ def _explained(voltage_v: FloatArray, displacement_um: FloatArray) -> float:
     y = y[NEEDS.taps :]
     now = past[:, 0]
     curve = np.column_stack([np.ones(now.size), now, now**2, now**3])
-    left = [float(np.std(y - regressors @ np.linalg.lstsq(regressors, y, rcond=1e-10)[0]))
-            for regressors in (curve, np.column_stack([curve, past]))]
-    return left[1] / left[0] if left[0] else 1.0
+    by_curve, by_filter = [
+        y - regressors @ np.linalg.lstsq(regressors, y, rcond=1e-10)[0]
+        for regressors in (curve, np.column_stack([curve, past]))]
+    left = min(by_filter.std(), _beyond_a_long_past(now, by_filter).std())
+    return float(left / by_curve.std()) if by_curve.any() else 1.0
+
+
+def _beyond_a_long_past(voltage: FloatArray, left_um: FloatArray) -> FloatArray:
+    """Return what the voltage of many rows leaves: a mode rings for long over fast rows."""
+    size = left_um.size
+    taps = min(size // NEEDS.rows_per_long_tap, NEEDS.long_taps)
+    swing = voltage - voltage.mean()
+    covariance = correlate(swing, swing, method="fft")[size - 1 : size + taps]
+    covariance[0] *= 1.0 + NEEDS.regularisation
+    answered = correlate(left_um, swing, method="fft")[size - 1 : size + taps]
+    predicted_um = np.convolve(swing, solve_toeplitz(covariance, answered))
+    return left_um[taps:] - predicted_um[taps:size]

@@ -46,6 +46,21 @@ def test_designed_experiment_can_stand_for_itself(play, name, maker, clock_hz):
         assert fit[other].verdict == "no", (other, fit[other].reason)
 
 
+@pytest.mark.parametrize("kind", ["chirp", "noise"])
+def test_a_mode_that_rings_for_long_over_fast_rows_is_dynamics(read, kind):
+    period_s, random = 1e-4, np.random.default_rng(4)
+    time_s = period_s * np.arange(20_000)
+    voltage_v = 50.0 + (5.0 * np.sin(2.0 * np.pi * (1.0 + 100.0 * time_s) * time_s)
+                        if kind == "chirp" else np.repeat(random.normal(size=5000), 4))
+    noise_um = 0.005 * random.normal(size=time_s.size)
+    ringing_um = vibrating(voltage_v, period_s, 80.0, 0.02) + noise_um
+    check = check_recording(read(voltage_v, ringing_um, period_s))
+    assert check.waveform.kind == kind
+    assert suitability_for(check, "dynamics").verdict == "yes"
+    at_once = check_recording(read(voltage_v, 0.2 * voltage_v + noise_um, period_s))
+    assert suitability_for(at_once, "dynamics").verdict == "no"
+
+
 def test_noise_and_drift_are_measured(read):
     random = np.random.default_rng(2)
     voltage_v = np.tile(50.0 - 50.0 * np.cos(2 * np.pi * np.arange(1000) / 1000), 8)

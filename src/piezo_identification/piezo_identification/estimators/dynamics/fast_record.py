@@ -321,6 +321,8 @@ def independent(columns: FloatArray) -> FloatArray:
     ndarray, shape (N, L)
         With L up to K.
     """
+    norms = np.linalg.norm(columns, axis=0)
+    # A decay that is over before the record begins is zero throughout, and tells nothing.
     left, values, _ = np.linalg.svd(
-        columns / np.linalg.norm(columns, axis=0), full_matrices=False)
+        columns[:, norms > 0.0] / norms[norms > 0.0], full_matrices=False)
     return left[:, values > COLLINEAR * values[0]]

@@ -6,6 +6,7 @@ import pytest
 from scipy import signal
 
 from piezo_identification.estimators.dynamics.fast_creep import fast_creep, joined_creep
+from piezo_identification.estimators.dynamics.fast_record import independent
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics, mean_period
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
@@ -40,6 +41,14 @@ def recording(creep_part):
                      np.full(level.size, 1.0 / RATE_HZ), 35.0 + 10.0 * level,
                      displacement_um + noise_um,
                      np.full(level.size, Flag.PLAYING, dtype=np.uint32))
+
+
+def test_a_decay_that_is_over_before_the_record_begins_takes_no_part():
+    begun = np.exp(-np.linspace(0.0, 3.0, 50))
+    with_nothing = independent(np.column_stack([np.ones(50), begun, np.zeros(50)]))
+    assert with_nothing == pytest.approx(independent(np.column_stack([np.ones(50), begun])))
+    over = mean_period(recording(0.0), CreepDynamics((1.0, 2e3), (1.1, 2.1e3)))
+    assert np.isfinite(over.fit_free(np.log([LAG_S, 3900.0, 0.02]), 0.0, 2).cost)
 
 
 def test_dynamics_behind_creep_of_every_decade_are_those_without_it():

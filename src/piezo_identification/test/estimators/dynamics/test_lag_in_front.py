@@ -13,6 +13,7 @@ from independent_stage import IndependentStage, square_wave_v
 
 from piezo_identification.estimators.dynamics.lag_in_front import lag_in_front
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_models.linear.dynamics import CreepDynamics
@@ -76,6 +77,15 @@ def test_a_lag_in_front_of_the_hysteresis_is_found_and_told_from_that_behind(kno
     assert lag.name == "amplifier_lag"
     assert lag.time_constant_s == pytest.approx(lag_s, rel=0.1)
     assert found.model.time_constant_s == pytest.approx(LAG_BEHIND_S, rel=0.05)
+
+
+@pytest.mark.parametrize(("lag_s", "names"), [(3.3e-5, ["amplifier_lag"]), (0.0, [])])
+def test_identify_names_a_lag_in_front_only_where_there_is_one(lag_s, names):
+    found = identify(hysteresis=loops(), dynamics=square_wave(lag_s), density=GRID,
+                     order=ResponseOrder(None, 1, None)).model
+    lags = [effect for effect in found.effects if effect.name == "amplifier_lag"]
+    assert [lag.name for lag in lags] == names
+    assert [lag.time_constant_s for lag in lags] == pytest.approx([lag_s] * len(names), rel=0.1)
 
 
 def test_no_lag_is_found_where_there_is_none(known):

@@ -1,0 +1,18 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import numpy as np
+import pytest
+
+from piezo_identification.conditioning.sensor_sign import displacement_falls
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_sign_is_found_in_a_recording_with_a_gap(sign):
+    sample = np.concatenate([np.arange(300), np.arange(900, 1500)])
+    voltage_v = 50.0 - 50.0 * np.cos(2.0 * np.pi * sample / 200)
+    recording = Recording(
+        "with a gap", 100.0, sample, np.full(sample.size, 0.01), voltage_v,
+        sign * 0.2 * voltage_v, np.full(sample.size, Flag.PLAYING, dtype=np.uint32),
+        gaps=[(300, 600)])
+    assert displacement_falls(recording) == (sign < 0.0)
