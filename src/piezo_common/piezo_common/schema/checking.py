@@ -74,7 +74,7 @@ def _problem_and_cure(error: Mapping[str, Any], where: str, renew: str) -> tuple
     context = error.get("ctx", {})
     if error["type"] == VIOLATION:
         path = path_of(error["loc"], where)
-        inner = context["field"]
+        inner = printable(context["field"])
         path = f"{path}.{inner}" if path and inner else path + inner
         return f"{path or 'the content'} {context['problem']}", context["cure"]
     path = path_of(error["loc"], where) or "the content"
@@ -121,8 +121,14 @@ def path_of(location: tuple[str | int, ...], where: str = "") -> str:
         if isinstance(name, int):
             path += f"[{name}]"
         elif not name.startswith(HIDDEN):
-            path += f".{name}" if path and not path.endswith(" ") else name
+            shown = printable(name)
+            path += f".{shown}" if path and not path.endswith(" ") else shown
     return path
+
+
+def printable(name: str) -> str:
+    """Return a name from a file as it can stand in one line: a line end as ``\\n``."""
+    return name if name.isprintable() else repr(name)[1:-1]
 
 
 def quoted(found: object) -> str:

@@ -65,8 +65,9 @@ def test_a_linear_cause_leaves_no_distortion_and_excludes_what_distorts(plant, r
     assert found.shown() == {"linear"}
     assert "the cause is linear" in found.sentence()
     excluded = excluded_by_distortion([part], list(known_effects().values()))
-    assert set(excluded) == {"backlash", "rate_dependent_hysteresis", "slew_limit", "stiffening",
-                             "sensor_nonlinearity", "voltage_clipping"}
+    assert set(excluded) == {
+        "backlash", "hysteresis", "hysteretic_spring", "rate_dependent_hysteresis", "slew_limit",
+        "stiffening", "sensor_nonlinearity", "voltage_clipping"}
 
 
 @pytest.mark.parametrize("cause", CURVED, ids=lambda cause: cause.name)
