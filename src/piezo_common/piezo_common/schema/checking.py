@@ -127,7 +127,7 @@ def path_of(location: tuple[str | int, ...], where: str = "") -> str:
 
 
 def printable(name: str) -> str:
-    """Return a name from a file as it can stand in one line: a line end as ``\\n``."""
+    """Return a name from a file as it can stand in one line."""
     return name if name.isprintable() else repr(name)[1:-1]
 
 

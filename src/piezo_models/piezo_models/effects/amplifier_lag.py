@@ -59,7 +59,7 @@ class AmplifierLag(Effect):
         return slowed([1.0], [1.0, 1.0], self.time_constant_s)
 
     def _decay_and_share(self, sample_period_s: float) -> tuple[float, float]:
-        """What is left of a difference after a sample period, and on the mean within it."""
+        """Return what is left of a difference after a sample period, and on the mean in it."""
         periods = sample_period_s / self.time_constant_s
         return float(np.exp(-periods)), float(-np.expm1(-periods) / periods)
 

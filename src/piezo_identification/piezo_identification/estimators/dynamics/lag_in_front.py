@@ -120,7 +120,7 @@ def _periodic_um(
 def _deviation(
     record: Callable[[float], FastRecord], logarithm: float, found: FastFit,
 ) -> float:
-    """Standard deviation of the logarithm of the lag, all other parameters free."""
+    """Return the standard deviation of the logarithm of the lag, all other parameters free."""
     unknowns = np.append(found.vector, found.delay)
     changed = [record(float(np.exp(logarithm + step))).errors(found.order, unknowns)[0]
                for step in (STEP, -STEP)]
