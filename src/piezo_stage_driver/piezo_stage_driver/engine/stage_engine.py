@@ -128,8 +128,10 @@ class StageEngine:
     @property
     def at_rest(self) -> bool:
         """Tell whether the amplifier is at rest, what is written ahead included."""
+        # A copy, which is made at once: the loop's thread goes on while another one asks.
+        ahead = tuple(self._ahead)
         return self.idle and self.voltage_v == self.rest_voltage_v and all(
-            (voltage_v == self.rest_voltage_v).all() for voltage_v, _, _ in self._ahead)
+            (voltage_v == self.rest_voltage_v).all() for voltage_v, _, _ in ahead)
 
     @property
     def seconds_to_rest(self) -> float:

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The stage engine against a backend that echoes what it is given."""
 
+import sys
+import threading
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -348,3 +351,21 @@ def test_answers_to_hardware_that_is_written_ahead_are_awaited_as_much_later():
             ticks.append(block.tick)
     assert ticks == [3, 4, 5, 6]
     assert engine.missed_feedback == 0
+
+
+def test_rest_can_be_asked_for_while_the_loop_runs():
+    backend = EchoBackend()
+    backend.lead_samples = 320
+    engine = StageEngine(backend, VoltageLimits(-20.0, 120.0, 2.0e6))
+    loop = threading.Thread(target=lambda: [engine.advance() for _ in range(1000)])
+    usual_s = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        loop.start()
+        asked = [engine.at_rest]
+        while loop.is_alive():
+            asked.append(engine.at_rest)
+    finally:
+        sys.setswitchinterval(usual_s)
+        loop.join()
+    assert all(asked)
