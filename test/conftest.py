@@ -19,7 +19,7 @@ from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartRecording, StartTracking, StopRecording
 from std_srvs.srv import Trigger
 
-from piezo_bringup.processes import Processes, clean_shared_memory
+from piezo_bringup.processes import USUAL_NODES, Processes, clean_shared_memory
 from piezo_client.client import Client, GoalFailed
 from piezo_client.stage import Stage
 from piezo_models.cascade import StageModel
@@ -361,6 +361,22 @@ def nodes(tmp_path_factory):
         yield nodes
     finally:
         nodes.stop()
+
+
+@pytest.fixture(scope="session")
+def watched(tmp_path_factory, domain):
+    """A stage with the monitor, which the suite does not start."""
+    nodes = Nodes(tmp_path_factory.mktemp("watched"))
+    try:
+        yield nodes.start("monitor", namespace="/watched")
+    finally:
+        nodes.stop()
+
+
+@pytest.fixture
+def serving(request):
+    """Returns the client of the nodes among which one of a name is."""
+    return lambda node: request.getfixturevalue("suite" if node in USUAL_NODES else "watched")
 
 
 @pytest.fixture(scope="session")

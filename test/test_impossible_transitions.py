@@ -13,6 +13,7 @@ from piezo_bringup.processes import EXECUTABLES
     Transition(id=Transition.TRANSITION_ACTIVATE), Transition(id=200),
     Transition(label="configure")], ids=["activate", "unknown", "by label"])
 def test_impossible_transition_is_answered_with_false_and_the_node_stays_active(
-        suite, node, transition):
+        serving, node, transition):
+    suite = serving(node)
     assert not suite.call(ChangeState, f"{node}/change_state", transition=transition).success
     assert suite.call(GetState, f"{node}/get_state").current_state.label == "active"

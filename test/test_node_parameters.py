@@ -20,11 +20,12 @@ CALIBRATION = (Path(__file__).parents[1]
 NOT_OURS = {"use_sim_time", "start_type_description_service"}
 
 # As descriptions bear it: "Rate of the sample clock (Hz)."
-UNIT = re.compile(r"\((V|V/s|Hz|s|um|percent)( RMS)?\)")
+UNIT = re.compile(r"\((V|V/s|Hz|1/h|s|um|percent)( RMS)?\)")
 
 
 @pytest.mark.parametrize("node", EXECUTABLES)
-def test_every_parameter_has_a_description_a_range_and_a_unit(suite, node):
+def test_every_parameter_has_a_description_a_range_and_a_unit(serving, node):
+    suite = serving(node)
     names = suite.call(ListParameters, f"{node}/list_parameters").result.names
     assert "autostart" in names
     descriptors = suite.call(
@@ -53,7 +54,7 @@ def test_every_parameter_has_a_description_a_range_and_a_unit(suite, node):
      "the backend nidaqmx needs the Python package nidaqmx"),
     ("hardware", ["-p", "autostart:=true"], "set the parameter backend_file"),
     ("hardware", ["-p", "backend:=mine"], "there is no backend 'mine': set the parameter backend"),
-    ("recorder", ["-p", "topics:=[samples]"], "names 1 topics, types 4"),
+    ("recorder", ["-p", "topics:=[samples]"], "names 1 topics, types 5"),
     ("recorder", ["--params-file", "/no/parameters.yaml"],
      "Couldn't parse params file: '--params-file /no/parameters.yaml'"),
 ])

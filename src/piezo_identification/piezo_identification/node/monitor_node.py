@@ -39,7 +39,7 @@ class MonitorNode(LifecycleNode):
                 "Blocks of which it is learned what is usual.", 10, 100_000),
             false_alarms_per_hour=declare(
                 self, "false_alarms_per_hour", defaults.false_alarms_per_hour,
-                "False alarms in an hour of tracking while nothing changes.", 1e-6, 100.0))
+                "False alarms while nothing changes (1/h).", 1e-6, 100.0))
         self._kept_s = declare(self, "kept_s", 10.0, "How much of the past is kept for a "
                                "diagnosis (s).", 0.1, 600.0)
         self._diagnosed_s = declare(
