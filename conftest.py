@@ -27,7 +27,8 @@ OF_THE_SUITE = {
     "test_client_library", "test_diagnose_action", "test_diagnose_experiments", "test_examples",
     "test_experiments_recorded", "test_general_references", "test_identify_and_track",
     "test_impossible_transitions", "test_long_streams", "test_node_parameters", "test_probe",
-    "test_run_supervision", "test_stage_faults", "test_stage_tracking", "test_stage_waveforms", "test_two_stages",
+    "test_run_supervision", "test_stage_faults", "test_stage_tracking", "test_stage_waveforms",
+    "test_two_stages",
 }
 """Files that use the fixture ``suite`` or what is identified on it: both are made once."""
 # A test that draws does not watch the clock.
