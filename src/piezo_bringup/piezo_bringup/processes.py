@@ -23,7 +23,7 @@ EXECUTABLES = {
 }
 
 USUAL_NODES = ("stage", "recorder", "identification", "controller")
-"""Of `EXECUTABLES`, those that are started unless others are named."""
+"""These of `EXECUTABLES` are started unless others are named."""
 
 
 class Processes:

@@ -6,12 +6,13 @@ recordings, conditioned, simulated, residual, candidates, fits, comparison, comp
 ceiling, verdict. The report of it is written by `piezo_identification.diagnosis.report.results`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.comparison.criteria import is_noise
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
 from piezo_identification.diagnosis.comparison.selection import (
@@ -48,8 +49,6 @@ from piezo_recorder.reading.recording import Recording
 
 if TYPE_CHECKING:
     from piezo_identification.diagnosis.evidence.ceiling import Ceiling
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -169,10 +168,10 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     # Ctrl-C ends the comparison alone: what was found until then becomes a verdict.
     known = identified_from or IdentificationRecordings()
     share = SHARE_ALONE if known.recordings else 1.0
-    selection = compare_effects(model, given.recordings, _within(progress, 0.0, share))
+    selection = compare_effects(model, given.recordings, part_of(progress, 0.0, share))
     validation = Validation(selection.regression, given.holdout)
     old = [] if selection.interrupted else old_recordings(model, known)
-    report = _within(progress, share, 1.0)
+    report = part_of(progress, share, 1.0)
     try:
         competition = compare_models(model, given.recordings, old, selection, stated, report)
     except KeyboardInterrupt:
@@ -239,7 +238,8 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
     for number, dataset in enumerate(simulated):
         residual = first_regression(dataset)
         selections.append(
-            select_effects(residual, _part_of(progress, number, len(simulated))))
+            select_effects(residual, part_of(
+                progress, number / len(simulated), (number + 1) / len(simulated))))
         if selections[-1].interrupted:
             return selections[-1]
     with_past, plain = selections[0], selections[-1]
@@ -377,17 +377,3 @@ def _not_decidable(selection: Selection, decision: Decision,
         if name not in named and found in named:
             reasons[name] = f"the data does not tell it from {found}"
     return reasons
-
-
-def _within(progress: Progress | None, begin: float, end: float) -> Progress:
-    """Report a part of the work."""
-    if progress is None:
-        return lambda what, fraction: None
-    return lambda what, fraction: progress(what, begin + (end - begin) * fraction)
-
-
-def _part_of(progress: Progress | None, number: int, count: int) -> Progress | None:
-    """Return the progress of one of several works."""
-    if progress is None:
-        return None
-    return lambda what, fraction: progress(what, (number + fraction) / count)

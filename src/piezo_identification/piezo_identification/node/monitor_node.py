@@ -52,6 +52,7 @@ class MonitorNode(LifecycleNode):
         self._model_path = ""
         self._monitor: StageMonitor | None = None
         self._why_blind = "waits for the model of a run"
+        self._explainer: Explainer | None = None
         self._forget()
         self._offers = self.create_publisher(
             ExtendedModel, "monitor/extended_model", DESCRIPTION)
@@ -83,10 +84,10 @@ class MonitorNode(LifecycleNode):
 
     def _forget(self) -> None:
         """Forget what was suspected."""
-        if (explainer := getattr(self, "_explainer", None)) is not None:
-            explainer.end()
+        if self._explainer is not None:
+            self._explainer.end()
         self._first: Suspicion | None = None
-        self._explainer: Explainer | None = None
+        self._explainer = None
         self._offer: ExtendedModel | None = None
         self._found = ""
 

@@ -89,8 +89,7 @@ def draw_cases(count, seed):
         (name, _another(name, random)) for name in _in_turn(list(CAUSES), pairs, random)
     ]
     causes += [(name,) for name in _in_turn(list(CAUSES), count - len(causes), random)]
-    kinds = _in_turn([(kind, slow) for kind in records.KINDS for slow in (False, True)],
-                     count, random)
+    kinds = _kinds(count, random)
     cases = []
     for number, index in enumerate(random.permutation(count)):
         chosen, (kind, slow) = causes[index], kinds[number]
@@ -118,8 +117,7 @@ def draw_cases_all_along(count, seed):
     """
     random = np.random.default_rng([seed, *b"all along"])
     causes = _in_turn([name for name in CAUSES if name not in LATER_ONLY], count, random)
-    kinds = _in_turn([(kind, slow) for kind in records.KINDS for slow in (False, True)],
-                     count, random)
+    kinds = _kinds(count, random)
     cases = []
     for number, (cause, (kind, slow)) in enumerate(zip(causes, kinds, strict=True)):
         if cause in FAST_ONLY | SLOW_ONLY:
@@ -128,6 +126,12 @@ def draw_cases_all_along(count, seed):
         cases.append(Case(number, seed, number // CASES_PER_PLANT, (cause,), (float(multiple),),
                           kind, slow, later=False))
     return cases
+
+
+def _kinds(count, random):
+    """Return so many kinds of recordings, each with whether its logger is slow."""
+    return _in_turn([(kind, slow) for kind in records.KINDS for slow in (False, True)],
+                    count, random)
 
 
 def _in_turn(items, count, random):

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Selection of effects: one is added after another while the gain on held-out data is sure."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from piezo_common.progress_part import Progress
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.analysis.error_distortion import excluded_by_distortion
 from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, impossible_effects
@@ -30,8 +31,6 @@ from piezo_identification.diagnosis.residual.regression import (
 )
 from piezo_models.effects import Effect, known_effects
 from piezo_models.effects.outliers import Outliers
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

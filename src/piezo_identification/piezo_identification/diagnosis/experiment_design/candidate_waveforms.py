@@ -25,7 +25,7 @@ FASTEST_OF_CLOCK = 0.1
 """Highest frequency over the sample rate: above, a held voltage is stairs."""
 MOST_OF_RANGE = 0.95
 SEED = 0
-"""Of levels and phases."""
+"""Levels and phases are drawn from it."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from piezo_identification.diagnosis.diagnose import Diagnosis, Progress, diagnose
+from piezo_common.progress_part import Progress, part_of
+from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
 from piezo_identification.diagnosis.experiment_design.alternatives import (
     Alternatives,
     find_alternatives,
@@ -88,8 +89,9 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
     old = old_recordings(model, identified_from or IdentificationRecordings())
     steps: list[DecisionStep] = []
     while True:
-        report = _part_of(progress, len(steps), budget + 1)
-        diagnosis = diagnose(model, known, holdout, _within(report, 0.0, DIAGNOSED),
+        report = part_of(
+            progress, len(steps) / (budget + 1), (len(steps) + 1) / (budget + 1))
+        diagnosis = diagnose(model, known, holdout, part_of(report, 0.0, DIAGNOSED),
                              identified_from, stated)
         before = [alternative.effects for step in steps[-1:]
                   for alternative in step.alternatives.alternatives]
@@ -100,24 +102,12 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
         proposal = None
         if not _is_decided(alternatives) and len(steps) < budget:
             proposal = propose(
-                alternatives, limits, longest_s, _within(report, COMPARED, DESIGNED))
+                alternatives, limits, longest_s, part_of(report, COMPARED, DESIGNED))
         steps.append(DecisionStep(decided, alternatives, proposal))
         if proposal is None:
             return steps
-        known.append(play(proposal, _within(report, DESIGNED, 1.0)))
+        known.append(play(proposal, part_of(report, DESIGNED, 1.0)))
 
 
 def _is_decided(alternatives: Alternatives) -> bool:
     return max(alternatives.probabilities.values()) >= SURE
-
-
-def _part_of(progress: Progress | None, number: int, count: int) -> Progress:
-    """Return the progress of one of several works."""
-    if progress is None:
-        return lambda what, fraction: None
-    return _within(progress, number / count, (number + 1) / count)
-
-
-def _within(progress: Progress, begin: float, end: float) -> Progress:
-    """Report a part of the work."""
-    return lambda what, fraction: progress(what, begin + (end - begin) * fraction)

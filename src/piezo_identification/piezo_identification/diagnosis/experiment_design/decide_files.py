@@ -6,7 +6,7 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
-from piezo_identification.diagnosis.diagnose import Progress
+from piezo_common.progress_part import Progress
 from piezo_identification.diagnosis.experiment_design.decide import DecisionStep, decide
 from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
 from piezo_identification.diagnosis.experiment_design.propose import (

@@ -21,7 +21,7 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.diagnosis.joint.joint_fit import correlated_scale
 
 DRAWS = 4000
-"""Of the bootstrap: a probability near 0.95 is known to 0.003."""
+"""So many draws of the bootstrap tell a probability near 0.95 to 0.003."""
 SEED = 0
 
 

@@ -2,13 +2,14 @@
 """Design the recording that tells the alternative explanations of a diagnosis apart."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from piezo_common.progress_part import Progress
 from piezo_identification.diagnosis.diagnose import condition
 from piezo_identification.diagnosis.experiment_design.alternatives import (
     Alternatives,
@@ -39,7 +40,6 @@ LONGEST_S = 30.0
 FACTORS = (1.6, 1.25)
 """By which level and rate of the best waveform of the grid are varied, one after the other."""
 
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)

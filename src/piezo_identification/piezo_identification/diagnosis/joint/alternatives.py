@@ -5,12 +5,13 @@ An alternative is a model with its parameters and its effects estimated on the r
 identification and the new ones together.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_common.progress_part import Progress, part_of
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
 from piezo_identification.diagnosis.joint.joint_fit import (
@@ -26,8 +27,6 @@ from piezo_identification.diagnosis.joint.probabilities import (
 from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
 from piezo_identification.diagnosis.residual.regression import Regression
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
-
-Progress = Callable[[str, float], None]
 
 BEFORE, AFTER = "before the identification", "after the identification"
 NOT_DECIDABLE, NOT_ASKED = "not decidable", "not asked"
@@ -155,7 +154,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         regression = problem.start if turn == 0 else best.fit.regression
         guesses = _promising(problem, regression, best.fit.effects, asked)
         guesses = guesses[: len(asked) + (1 if is_long else SETTINGS.fitted)]
-        alternatives += _each_beside(problem, best, guesses, _part_of(progress, turn))
+        alternatives += _each_beside(problem, best, guesses, _turn_of(progress, turn))
         alternatives = _possible(problem, alternatives)
         leading = most_probable(problem, [each for each in alternatives if not each.since])
         alternatives = [_continued(problem, each) if each is leading else each
@@ -200,10 +199,10 @@ def _each_beside(problem: JointProblem, best: Alternative, guesses: Sequence[Eff
         f"all recordings together: {guesses[number].name}", number / len(guesses)))
 
 
-def _part_of(progress: Progress, turn: int) -> Progress:
+def _turn_of(progress: Progress, turn: int) -> Progress:
     """Return the progress of the fits of one turn, behind what settles the model."""
-    return lambda what, fraction: progress(
-        what, (turn + 0.2 + 0.8 * fraction) / SETTINGS.most_effects)
+    return part_of(
+        progress, (turn + 0.2) / SETTINGS.most_effects, (turn + 1) / SETTINGS.most_effects)
 
 
 def _continued(problem: JointProblem, alternative: Alternative) -> Alternative:
@@ -220,12 +219,16 @@ def _continued(problem: JointProblem, alternative: Alternative) -> Alternative:
     return alternative
 
 
-def most_probable(problem: JointProblem, alternatives: Sequence[Alternative]) -> Alternative:
-    """Return the alternative with the largest evidence."""
-    logarithms = logarithms_of_evidence(
+def _logarithms(problem: JointProblem, alternatives: Sequence[Alternative]) -> FloatArray:
+    """Return the logarithm of the evidence of each alternative, among these."""
+    return logarithms_of_evidence(
         [each.evidence for each in alternatives], independent_samples(alternatives),
         accuracies_um(problem))
-    return alternatives[int(np.argmax(logarithms))]
+
+
+def most_probable(problem: JointProblem, alternatives: Sequence[Alternative]) -> Alternative:
+    """Return the alternative with the largest evidence."""
+    return alternatives[int(np.argmax(_logarithms(problem, alternatives)))]
 
 
 def times_of_coming(problem: JointProblem,
@@ -243,9 +246,7 @@ def times_of_coming(problem: JointProblem,
         `BEFORE`, `AFTER` or `NOT_DECIDABLE`, of each set that was tried in one of the two ways; a
         set of which any effect depends on when a recording begins can only have come later.
     """
-    logarithms = logarithms_of_evidence(
-        [each.evidence for each in alternatives], independent_samples(alternatives),
-        accuracies_um(problem))
+    logarithms = _logarithms(problem, alternatives)
     best: dict[tuple[str, ...], dict[bool, float]] = {}
     for each, logarithm in zip(alternatives, logarithms, strict=True):
         ways = best.setdefault(each.names, {})

@@ -64,7 +64,7 @@ class ProbabilitySettings:
 SETTINGS = ProbabilitySettings()
 
 NODES = 60
-"""Of the quadrature over a normal distribution."""
+"""The quadrature over a normal distribution has so many."""
 
 
 @dataclass(frozen=True)

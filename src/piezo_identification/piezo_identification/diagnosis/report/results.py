@@ -7,8 +7,9 @@ from datetime import datetime
 from os import PathLike
 from pathlib import Path
 
+from piezo_common.progress_part import Progress, part_of
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.diagnosis.diagnose import Diagnosis, Progress, diagnose
+from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     find_identification_recordings,
@@ -133,8 +134,7 @@ def diagnose_files(
 
 def diagnosis_progress(progress: Progress) -> Progress:
     """Return the progress of the diagnosis alone."""
-    return lambda stage, fraction: progress(
-        stage, READ_FRACTION + (REPORT_FRACTION - READ_FRACTION) * fraction)
+    return part_of(progress, READ_FRACTION, REPORT_FRACTION)
 
 
 def read_given(

@@ -11,7 +11,7 @@ IDLE_DAMPING = 0.1
 """A mode far above the band begins with this damping ratio, which delays little."""
 
 CANCELLED_DAMPING = 0.3
-"""Of a mode upon which an antiresonance lies."""
+"""A mode upon which an antiresonance lies begins with this damping ratio."""
 
 
 def holds(large: ResponseOrder, small: ResponseOrder) -> bool:
