@@ -13,6 +13,8 @@ LONGEST_NAME_BYTES = 240
 LONGEST_SHOWN = 300
 """Characters of a path in a refusal."""
 
+MOST_LINKS = 40
+"""Linux follows no more in one path."""
 LONGEST_COMPONENT_BYTES = 255
 LONGEST_PATH_BYTES = 3500
 """Linux allows 4096; the files of a recording need some."""
@@ -87,13 +89,25 @@ class DataRoot:
         """
         text = os.fspath(path)
         _check_path(text)
-        real = Path(os.path.realpath(self.folder / text))
+        real = Path(_followed(self.folder / text))
         if not real.is_relative_to(self.folder):
             raise DataRootError(
                 f"{_shown(text)} is outside {self.folder}, under which the node {self._node_name} "
                 "writes: name a directory in there, or start the nodes with the parameter "
                 "data_root set to a folder that holds both")
         return real
+
+
+def _followed(path: Path) -> str:
+    """Return a path with all links followed, also those behind a circle of links."""
+    real = os.path.realpath(path)
+    for _ in range(MOST_LINKS):
+        # Behind a circle the rest is only joined and normalised, and may hold links again.
+        before, real = real, os.path.realpath(real)
+        if real == before:
+            return real
+    raise DataRootError(f"{_shown(str(path))} goes through a circle of links: "
+                        "name a directory without them")
 
 
 def _check_path(text: str) -> None:

@@ -46,6 +46,7 @@ def clear(tree):
 @example(parts=["out", "..", "root", "inside"], absolute="")
 @example(parts=["..", "root", "new"], absolute="")
 @example(parts=["inside", "..", "..", "root2"], absolute="")
+@example(parts=["loop", "..", "out"], absolute="")
 def test_what_is_accepted_lands_under_the_root(tree, parts, absolute):
     path = "/".join(parts)
     path = {"": "", "/": "/", "@": f"{tree / 'root'}/"}[absolute] + path
@@ -137,3 +138,10 @@ def test_what_is_no_plain_name_is_refused(name):
 @pytest.mark.parametrize("name", ["a", "run_2", "model.json", "é", "a b", "-x", "a..b", "日" * 80])
 def test_plain_names_are_taken(name):
     check_file_name(name, "a recording")
+
+
+def test_links_that_lead_to_each_other_behind_a_circle_are_refused(tmp_path):
+    for name, target in (("loop", "loop"), ("one", "loop/../other"), ("other", "loop/../one")):
+        (tmp_path / name).symlink_to(target)
+    with pytest.raises(DataRootError, match="a circle of links: name a directory"):
+        DataRoot(tmp_path, "recorder").writable("one")
