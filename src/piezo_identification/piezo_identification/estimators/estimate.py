@@ -26,6 +26,9 @@ that would cancel it."""
 LEAST_DELAY = 0.01
 """Sample periods below which a delay is of no account: clocks jitter by as much."""
 
+FINEST = 1e-9
+"""Part of a signal that no converter resolves: orders that leave less differ by rounding alone."""
+
 UNTOLD_SHARE = 1e-3
 """A parameter that has this share in a direction that is rounding is not told either."""
 
@@ -163,6 +166,7 @@ class Estimate:
 
 def order_trial(
     order: object, residual: FloatArray, parameters: int, refusal: str = "",
+    signal: FloatArray | None = None,
 ) -> OrderTrial:
     """Rate a fit by its residual: the Bayesian information criterion N ln(mean square) + P ln N.
 
@@ -173,14 +177,23 @@ def order_trial(
         Of equal variance.
     parameters : int
     refusal : str
+    signal : ndarray, optional
+        What was fitted, in the unit of the residual: an exact one leaves rounding alone, which
+        is no reason for more parameters.
 
     Returns
     -------
     OrderTrial
     """
     mean_square = np.mean(residual**2)
-    information = residual.size * np.log(mean_square) + parameters * np.log(residual.size)
+    least = 0.0 if signal is None else finest_power(signal)
+    information = residual.size * np.log(mean_square + least) + parameters * np.log(residual.size)
     return OrderTrial(order, parameters, float(np.sqrt(mean_square)), float(information), refusal)
+
+
+def finest_power(signal: FloatArray) -> float:
+    """Return the mean square of a residual that is rounding of a signal of shape (N,)."""
+    return float(FINEST**2 * np.var(signal))
 
 
 def parameter_covariance(

@@ -8,6 +8,7 @@ import pytest
 
 from piezo_identification.estimators.estimate import (
     creep_of_partial_fractions,
+    order_trial,
     parameter_covariance,
     parameter_deviations,
     propagated,
@@ -96,3 +97,17 @@ def test_parameters_less_certain_than_large_are_named():
         "dynamics": {"time_constant_s": 0.0, "mode_frequencies_rad_per_s": (1.0,),
                      "damping_ratios": (0.5,)},
     }) == ["creep poles_rad_per_s 2", "dynamics damping_ratios"]
+
+
+def test_rounding_is_no_reason_for_a_larger_order(noise):
+    """Exact data leave rounding, which a larger order bends to: the smaller one is taken."""
+    signal = 10.0 * np.sin(np.arange(800) / 30.0)
+    rounding = 1e-10 * noise[:800]
+    small = order_trial(2, rounding, 11, signal=signal)
+    large = order_trial(3, 0.1 * rounding, 15, signal=signal)
+    assert small.information < large.information
+    assert order_trial(3, 0.1 * rounding, 15).information < order_trial(2, rounding, 11).information
+    # What a converter resolves still counts.
+    coarse = 1e-6 * noise[:800]
+    assert (order_trial(3, 0.1 * coarse, 15, signal=signal).information
+            < order_trial(2, coarse, 11, signal=signal).information)

@@ -310,8 +310,8 @@ class _CreepRecord:
         """How well these rates do, and whether they can be creep at all."""
         residual = self._fit(rates)[1]
         is_fast = rates.max(initial=0.0) >= 0.99 * self.fastest
-        return order_trial(rates.size, residual, 2 + 3 * rates.size,
-                           "a rate is as fast as the sampling" if is_fast else "")
+        refusal = "a rate is as fast as the sampling" if is_fast else ""
+        return order_trial(rates.size, residual, 2 + 3 * rates.size, refusal, self.displacement)
 
     def best_further_rate(self, rates: FloatArray) -> float:
         """Rate that, added to the others, explains most."""

@@ -29,6 +29,7 @@ from piezo_identification.estimators.estimate import (
     DelayEstimate,
     Estimate,
     OrderTrial,
+    finest_power,
     order_trial,
     parameter_covariance,
 )
@@ -233,7 +234,8 @@ class _Search:
         is_much = best.residual_rms > LACKING * self._noise_um
         if is_much and free.cost > (1.0 - WORTHWHILE_PART) * left:
             return False
-        gain = samples * np.log(left / free.cost)
+        rounding = samples * finest_power(self._record.measured_um)
+        gain = samples * np.log((left + rounding) / (free.cost + rounding))
         return bool(gain > 2.0 * np.log(samples))
 
     def _try_forms(self, free: FreeFit) -> None:
@@ -344,7 +346,8 @@ class _Search:
         covariance = parameter_covariance(fit.jacobian, fit.residual, parameters)
         refusal = lack_of_standing(
             fit.vector, fit.order, covariance, self._record.input.sample_period_s)
-        return order_trial(fit.order, fit.residual, parameters, refusal)
+        return order_trial(
+            fit.order, fit.residual, parameters, refusal, self._record.measured_um)
 
     def _deviations(self, fit: FastFit) -> FloatArray:
         """Return the deviations of the vector, and of the delay where it was fitted.
