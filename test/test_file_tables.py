@@ -27,7 +27,7 @@ def test_table_tells_type_unit_range_and_meaning(tool):
 
 
 def test_page_without_a_section_is_refused(tool):
-    with pytest.raises(ValueError, match="give one for each of model"):
+    with pytest.raises(ValueError, match="give it one for each of fields of model"):
         tool["page"]("# Files\n")
 
 

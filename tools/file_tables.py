@@ -8,11 +8,11 @@ hand and stays.
 """
 
 import argparse
-import re
 import sys
 from importlib import import_module
 from pathlib import Path
 
+from piezo_common.marked_sections import with_sections
 from piezo_common.schema.tables import table
 
 PAGE = Path(__file__).parents[1] / "docs" / "files.md"
@@ -28,7 +28,7 @@ DOCUMENTS = {
     "probe": "piezo_identification.experiments.probing.probe_file:ProbeDocument",
     "plant": "piezo_sim.plant.plant_file:PlantDocument",
 }
-SECTION = re.compile(r"(<!-- fields of (\w+) -->\n).*?(<!-- end -->)", re.S)
+SECTIONS = "fields of "
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -54,11 +54,7 @@ def page(text: str) -> str:
     ValueError
         If the page lacks the section of a document, or has one too many.
     """
-    found = [match[2] for match in SECTION.finditer(text)]
-    if sorted(found) != sorted(DOCUMENTS):
-        raise ValueError(f"docs/files.md has sections for {', '.join(found)}; "
-                         f"give one for each of {', '.join(DOCUMENTS)}")
-    return SECTION.sub(lambda match: match[1] + table_of(match[2]) + match[3], text)
+    return with_sections(text, {SECTIONS + name: table_of(name) for name in DOCUMENTS}, SECTIONS)
 
 
 def table_of(name: str) -> str:

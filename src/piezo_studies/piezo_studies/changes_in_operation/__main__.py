@@ -2,13 +2,14 @@
 """Change the stage while a model watches it, and write the table into docs/diagnosis.md."""
 
 import argparse
-import re
 from pathlib import Path
 
+from piezo_common.marked_sections import with_sections
 from piezo_studies.changes_in_operation.watched import CHANGES, HOUR_S, table, watch
 from piezo_studies.thesis.identified_stage import identified_stage
 
-SECTION = re.compile(r"(<!-- changes in operation -->\n).*?(<!-- end -->)", re.S)
+SECTION = "changes in operation"
+"""Mark of the table in the page."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -27,8 +28,7 @@ def main(arguments: list[str] | None = None) -> None:
     runs = [watch(model, change, seed) for seed, change in enumerate(CHANGES, start=1)]
     runs.append(watch(model, "", 0, HOUR_S))
     text = options.page.read_text(encoding="utf-8")
-    made = SECTION.sub(lambda match: match[1] + table(runs) + match[2], text)
-    options.page.write_text(made, encoding="utf-8")
+    options.page.write_text(with_sections(text, {SECTION: table(runs)}), encoding="utf-8")
     print(table(runs))
 
 

@@ -2,14 +2,15 @@
 """Run the trials of recordings, and write their tables into docs/recipe.md."""
 
 import argparse
-import re
 import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from piezo_common.marked_sections import with_sections
 from piezo_studies.recording_recipe.trials import TABLES, Trial
 
-SECTION = re.compile(r"(<!-- trials of (\w+) -->\n).*?(<!-- end -->)", re.S)
+SECTIONS = "trials of "
+"""How the marks of the tables in the page begin."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -44,11 +45,8 @@ def page(text: str, made: dict[str, list[Trial]]) -> str:
     ValueError
         If the page lacks the section of a table, or has one too many.
     """
-    found = [match[2] for match in SECTION.finditer(text)]
-    if sorted(found) != sorted(made):
-        raise ValueError(f"the page has sections for {', '.join(found)}; give one for each of "
-                         f"{', '.join(made)}")
-    return SECTION.sub(lambda match: match[1] + table(match[2], made[match[2]]) + match[3], text)
+    tables = {SECTIONS + name: table(name, trials) for name, trials in made.items()}
+    return with_sections(text, tables, SECTIONS)
 
 
 def table(name: str, trials: Iterable[Trial]) -> str:
