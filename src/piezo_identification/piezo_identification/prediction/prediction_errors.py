@@ -12,6 +12,10 @@ from piezo_identification.prediction.prediction import Prediction, predict
 from piezo_models.cascade import StageModel
 from piezo_models.measures import e_y_percent
 
+LEAST_MOTION = 0.02
+"""Part of the standard deviation of voltage and displacement that slow or fast branches need before
+their error is told: where nothing moves, any error is large beside it."""
+
 
 def unseen_errors(model: StageModel, recordings: Recordings) -> dict[str, float]:
     """Return the errors by the sensor on recordings that were not fitted.
@@ -26,7 +30,7 @@ def unseen_errors(model: StageModel, recordings: Recordings) -> dict[str, float]
     -------
     dict of str to float
         `e_y_percent` of the whole, `hysteresis_e_y_percent` of the slow branches and
-        `dynamics_e_y_percent` of the fast ones, as far as there are any.
+        `dynamics_e_y_percent` of the fast ones, as far as these move the stage.
     """
     return errors_of([predict(model, recording) for recording in listed(recordings)])
 
@@ -48,10 +52,16 @@ def errors_of(predictions: Sequence[Prediction]) -> dict[str, float]:
     fast = [~mask for mask in slow]
     for name, masks in (("hysteresis", slow), ("dynamics", fast)):
         parts = [mask & each.good for mask, each in zip(masks, predictions, strict=True)]
-        if any(part.any() and np.ptp(each.measured_um[part])
-               for part, each in zip(parts, predictions, strict=True)):
+        if any(_moves(each, part) for part, each in zip(parts, predictions, strict=True)):
             errors[f"{name}_e_y_percent"] = _joint_e_y_percent(predictions, parts)
     return errors
+
+
+def _moves(prediction: Prediction, part: BoolArray) -> bool:
+    """Whether voltage and displacement move in a part as they do in the whole."""
+    return bool(part.any()) and all(
+        np.std(signal[part]) > LEAST_MOTION * np.std(signal)
+        for signal in (prediction.voltage_v, prediction.measured_um))
 
 
 def _joint_e_y_percent(predictions: Sequence[Prediction], parts: Sequence[BoolArray]) -> float:

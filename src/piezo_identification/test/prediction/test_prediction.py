@@ -32,6 +32,17 @@ def test_errors_on_unseen_data_tell_hysteresis_from_dynamics(plant, play):
     assert errors["dynamics_e_y_percent"] > 1.0
 
 
+def test_no_error_is_told_of_branches_that_do_not_move(plant, play):
+    """A rest is one slow branch, and a last row that jumps back is a fast one."""
+    turns = np.arange(4000) / 20.0
+    cycles_v = 10.0 + turns / 5.0 * (1.0 - np.cos(2.0 * np.pi * turns))
+    wave_v = np.concatenate([np.full(1000, 10.0), cycles_v, [90.0]])
+    recording = play(experiments.Experiment("cycles", wave_v, 1e-3, 1, "rest, cycles, a jump"),
+                     clock_hz=1000.0)
+    recording = recording.select(recording.playing)
+    assert set(unseen_errors(plant, recording)) == {"e_y_percent", "dynamics_e_y_percent"}
+
+
 def test_slow_branches_are_those_between_distant_reversals():
     time_s = np.arange(4000) * 1e-3
     voltage_v = np.where(
