@@ -2,6 +2,7 @@
 """How the offline commands run: options that cost nothing to read, then the work behind them."""
 
 import argparse
+import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -10,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-BAD_INPUT, INTERRUPTED = 2, 130
+BAD_INPUT, INTERRUPTED, NO_READER = 2, 130, 141
 UMBRELLA = "piezo"
 """The command that has all offline commands as its subcommands."""
 
@@ -70,7 +71,8 @@ class Command:
         Returns
         -------
         int
-            Exit status: that of the work, 2 for input that cannot be used, 130 after Ctrl-C.
+            Exit status: that of the work, 2 for input that cannot be used, 130 after Ctrl-C, 141
+            where nobody reads the output any more.
         """
         return self.carry_out(self.parser().parse_args(arguments))
 
@@ -83,6 +85,10 @@ class Command:
             if self.check:
                 self.check(options)
             return self._load()(options) or 0
+        except BrokenPipeError:
+            # Whoever read the output, such as head, has seen enough; Python must not flush again.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return NO_READER
         except (ValueError, OSError) as error:
             print(f"{options.prog}: {error}", file=sys.stderr)
             return BAD_INPUT

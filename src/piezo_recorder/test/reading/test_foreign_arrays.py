@@ -42,6 +42,21 @@ def write_struct_mat(path):
         "time_s": TIME_S, "Vpiezo": VOLTAGE_V, "y_um": DISPLACEMENT_UM}})
 
 
+def capture(signals, time_s=TIME_S):
+    """What ControlDesk of dSPACE saves: structures of names and data."""
+    kinds = [("Name", object), ("Data", object), ("Unit", object)]
+    return {"X": {"Name": [], "Data": time_s, "Unit": []},
+            "Y": np.array([tuple(each) for each in signals], dtype=kinds),
+            "Capture": {"DateTime": "2014-05-09", "SamplingPeriod": 1e-3}}
+
+
+def write_capture(path):
+    scipy.io.savemat(path, {"run_1": capture([
+        ('"Model Root"/"voltage"/"In1"', VOLTAGE_V, []),
+        ('"Model Root"/"sensor"/"In1"', 1e3 * DISPLACEMENT_UM, "nm"),
+        ('"Model Root"/"Pos.\x1adelay"/"In1"', 0.0 * VOLTAGE_V, [])])})
+
+
 def write_mat_with_rate(path):
     scipy.io.savemat(path, {"Fs": 1000.0, "voltage_V": VOLTAGE_V, "y_um": DISPLACEMENT_UM})
 
@@ -96,7 +111,7 @@ def write_feather(path):
 WRITERS = {"a.npz": write_npz, "b.npy": write_structured_npy, "c.mat": write_mat,
            "d.mat": write_struct_mat, "e.mat": write_mat_with_rate, "f.h5": write_hdf5,
            "g.mat": write_mat_v73, "h.tdms": write_tdms, "i.parquet": write_parquet,
-           "j.feather": write_feather, "k.mat": write_mat_v4}
+           "j.feather": write_feather, "k.mat": write_mat_v4, "l.mat": write_capture}
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -126,6 +141,15 @@ def test_file_that_was_cut_short_is_read_or_refused_in_one_line(tmp_path, name, 
         # NumPy and TDMS tell their rows as they come.
         assert name in ("h.tdms",)
         assert len(recording.voltage_v) < ROWS
+
+
+def test_signals_of_a_capture_have_the_words_that_tell_their_blocks_apart(tmp_path):
+    """ControlDesk names each signal by the path of its block in the model."""
+    write_capture(tmp_path / "run.mat")
+    with pytest.raises(RecordingError, match="no column 'x'") as told:
+        read_recording(tmp_path / "run.mat", columns=parse_columns(["voltage=x[V]"]))
+    for label in ("run_1.time [s]", "run_1.voltage", "run_1.sensor [nm]", "run_1.Pos__delay"):
+        assert f"'{label}'" in str(told.value)
 
 
 def test_plain_array_has_columns_by_number(tmp_path):

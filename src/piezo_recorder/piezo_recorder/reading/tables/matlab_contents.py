@@ -33,6 +33,9 @@ def numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
     """
     fields = getattr(value, "_fieldnames", None)
     if fields is not None:
+        if is_capture(value):
+            yield from _of_capture(name, value)
+            return
         for field in fields:
             yield from numeric_arrays(f"{name}.{field}", getattr(value, field))
     elif isinstance(value, np.ndarray) and value.dtype == object:
@@ -54,6 +57,52 @@ def _of_structures(name: str, structures: list[Any]) -> Iterator[tuple[str, np.n
     for arrays in numbered:
         for label, values in arrays.items():
             yield f"{name}.{label}", values
+
+
+def is_capture(structure: Any) -> bool:
+    """Whether a structure is a capture of dSPACE's ControlDesk: X is its time, Y its signals."""
+    if not {"X", "Y"} <= set(structure._fieldnames):
+        return False
+    signals = np.atleast_1d(structure.Y)
+    return "Data" in getattr(structure.X, "_fieldnames", ()) and all(
+        {"Name", "Data"} <= set(getattr(each, "_fieldnames", ())) for each in signals)
+
+
+def _of_capture(name: str, capture: Any) -> Iterator[tuple[str, np.ndarray]]:
+    yield f"{name}.time [s]", np.asarray(capture.X.Data)
+    signals = np.atleast_1d(capture.Y)
+    for signal, label in zip(signals, told_apart([str(each.Name) for each in signals]),
+                             strict=True):
+        unit = getattr(signal, "Unit", "")
+        unit = f" [{unit}]" if isinstance(unit, str) and unit.strip() else ""
+        yield f"{name}.{label}{unit}", np.asarray(signal.Data)
+
+
+def told_apart(paths: list[str]) -> list[str]:
+    """Return the words of block paths that tell them apart, between what all begin and end with.
+
+    Parameters
+    ----------
+    paths : list of str
+        Such as ``"Model Root"/"Sensor"/"In1"``.
+
+    Returns
+    -------
+    list of str
+    """
+    words = [[_printable(word) for word in path.strip('"').split('"/"')] for path in paths]
+    if len(words) == 1:
+        return ["/".join(words[0])]
+    for end in (0, -1):
+        while all(len(each) > 1 for each in words) and len({each[end] for each in words}) == 1:
+            for each in words:
+                del each[end]
+    return ["/".join(each) for each in words]
+
+
+def _printable(word: str) -> str:
+    """Return a word without points, which part groups from names, and what no terminal shows."""
+    return "".join(letter if letter.isprintable() and letter != "." else "_" for letter in word)
 
 
 def main(path: str, target: str, most_bytes: str) -> None:

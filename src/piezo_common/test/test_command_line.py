@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The frame of the offline commands, as a shell sees it."""
+
+import subprocess
+import sys
+
+CHATTY = """
+import sys
+from piezo_common.command_line import Command
+
+def work(options):
+    while True:
+        print("a line", flush=True)
+
+sys.modules["chatty"] = sys.modules["__main__"]
+sys.exit(Command("chatty", "", lambda parser: None, "chatty:work").main([]))
+"""
+
+
+def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():
+    with subprocess.Popen([sys.executable, "-c", CHATTY], stdout=subprocess.PIPE,
+                          stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "a line\n"
+        process.stdout.close()
+        said = process.stderr.read()
+    assert (process.returncode, said) == (141, "")
