@@ -2,12 +2,13 @@
 """Gain that changes with time, as a ceramic ages or an amplifier warms up."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import Evidence, Extent, parameter
+from piezo_models.effects.effect_of_time import EffectOfTime
 
 SCANNED_TIMES = (0.1, 0.3, 1.0, 10.0)
 """Time constants that are tried, in durations of the recording: the longest is a straight line."""
@@ -21,34 +22,24 @@ LEAST_SHARE = 0.05
 
 
 @dataclass(frozen=True)
-class GainDrift(Effect):
+class GainDrift(EffectOfTime):
     """The motion about a fixed point grows or shrinks, and comes to rest exponentially.
 
     It is multiplied by 1 + change (1 - exp(-t / time constant)), from the first sample on.
     """
 
     name: ClassVar[str] = "gain_drift"
-    place: ClassVar[str] = "displacement"
-    of_the_stage: ClassVar[bool] = False
-    follows_voltage: ClassVar[bool] = False
     experiment: ClassVar[str] = "the same waveform repeated for minutes, from a cold start"
 
     change: float = parameter("1", "linear", -10.0, 10.0)
     time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e12)
     fixed_point_um: float = parameter("um")
 
-    def apply(self, signal: FloatArray, sample_period_s: float,
-              rest: float | None = None) -> FloatArray:
-        """Return the signal behind the effect, as `Effect.apply` describes."""
-        return self.advance(signal, sample_period_s)[0]
-
-    def advance(self, signal: FloatArray, sample_period_s: float,
-                past: Any = None) -> tuple[FloatArray, Any]:
-        """Continue the signal behind the effect; the past is the number of samples."""
-        first = past or 0
+    def behind(self, signal: FloatArray, sample_period_s: float, first: int) -> FloatArray:
+        """Return a part of the signal behind the effect, as `EffectOfTime.behind` describes."""
         time_s = np.arange(first, first + signal.size) * sample_period_s
         grown = self.change * self._approach(time_s)
-        return signal + grown * (signal - self.fixed_point_um), first + signal.size
+        return signal + grown * (signal - self.fixed_point_um)
 
     def _approach(self, time_s: FloatArray) -> FloatArray:
         return -np.expm1(-time_s / self.time_constant_s)

@@ -2,13 +2,14 @@
 """Disturbance of one frequency: mains, a pump, the building."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numba import njit
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import Evidence, Extent, parameter
+from piezo_models.effects.effect_of_time import EffectOfTime
 
 FEWEST_PERIODS = 10
 """A recording must show so many; slower disturbances are drift."""
@@ -40,17 +41,14 @@ def _sum_of_tones(sizes: ComplexArray, turn: float, first: int, samples: int) ->
 
 
 @dataclass(frozen=True)
-class PeriodicDisturbance(Effect):
+class PeriodicDisturbance(EffectOfTime):
     """A tone that is added to the displacement, with its phase at the first sample.
 
     Its harmonics, the second and on, have sizes of their own.
     """
 
     name: ClassVar[str] = "periodic_disturbance"
-    place: ClassVar[str] = "displacement"
-    of_the_stage: ClassVar[bool] = False
     several: ClassVar[bool] = True
-    follows_voltage: ClassVar[bool] = False
     experiment: ClassVar[str] = "rest, at the full sample clock"
     distortion: ClassVar[frozenset[str] | None] = frozenset()
 
@@ -69,19 +67,12 @@ class PeriodicDisturbance(Effect):
             *(np.sin(multiple * phase) for multiple in multiples),
         ])
 
-    def apply(self, signal: FloatArray, sample_period_s: float,
-              rest: float | None = None) -> FloatArray:
-        """Return the signal behind the effect, as `Effect.apply` describes."""
-        return self.advance(signal, sample_period_s)[0]
-
-    def advance(self, signal: FloatArray, sample_period_s: float,
-                past: Any = None) -> tuple[FloatArray, Any]:
-        """Continue the signal behind the effect; the past is the number of samples."""
-        first = past or 0
+    def behind(self, signal: FloatArray, sample_period_s: float, first: int) -> FloatArray:
+        """Return a part of the signal behind the effect, as `EffectOfTime.behind` describes."""
         sizes = np.array([self.cosine_um, *self.harmonic_cosines_um]) - 1j * np.array(
             [self.sine_um, *self.harmonic_sines_um])
         turn = 2.0 * np.pi * self.frequency_hz * sample_period_s
-        return signal + _sum_of_tones(sizes, turn, first, signal.size), first + signal.size
+        return signal + _sum_of_tones(sizes, turn, first, signal.size)
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:

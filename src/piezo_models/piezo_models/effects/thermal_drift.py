@@ -2,13 +2,14 @@
 """Drift with the temperature of the surroundings, whatever the voltage."""
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import Evidence, Extent, parameter
+from piezo_models.effects.effect_of_time import EffectOfTime
 
 WAVES = 8
 """Half periods of the fastest wave over the recording."""
@@ -22,16 +23,13 @@ durations of the recording that an approach may take: of a slower one it shows n
 
 
 @dataclass(frozen=True)
-class ThermalDrift(Effect):
+class ThermalDrift(EffectOfTime):
     """A constant rate, an approach to a new temperature, and slow waves about both.
 
     Nothing foretells the waves beyond the recording they were found in: they stay as they end.
     """
 
     name: ClassVar[str] = "thermal_drift"
-    place: ClassVar[str] = "displacement"
-    of_the_stage: ClassVar[bool] = False
-    follows_voltage: ClassVar[bool] = False
     experiment: ClassVar[str] = "rest for minutes, and the same waveform repeated at later times"
     distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("creep",)
@@ -42,17 +40,10 @@ class ThermalDrift(Effect):
     waves_um: tuple[float, ...] = parameter("um", default=())
     duration_s: float = parameter("s", "fixed", 1e-6, 1e9, default=1.0)
 
-    def apply(self, signal: FloatArray, sample_period_s: float,
-              rest: float | None = None) -> FloatArray:
-        """Return the signal behind the effect, as `Effect.apply` describes."""
-        return self.advance(signal, sample_period_s)[0]
-
-    def advance(self, signal: FloatArray, sample_period_s: float,
-                past: Any = None) -> tuple[FloatArray, Any]:
-        """Continue the signal behind the effect; the past is the number of samples."""
-        first = past or 0
+    def behind(self, signal: FloatArray, sample_period_s: float, first: int) -> FloatArray:
+        """Return a part of the signal behind the effect, as `EffectOfTime.behind` describes."""
         time_s = np.arange(first, first + signal.size) * sample_period_s
-        return signal + self._drift_um(time_s), first + signal.size
+        return signal + self._drift_um(time_s)
 
     def _drift_um(self, time_s: FloatArray) -> FloatArray:
         """Return the sum of all parts; the waves as a Chebyshev series, of one cosine for all."""
