@@ -67,16 +67,14 @@ class DelayEstimate:
     delay_s : float
         Negative where the displacement of a row is read later than its voltage changes.
     standard_deviation_s : float
+        Decides on the significance too.
     sample_period_s : float
         Of the recording.
-    is_needed : bool
-        Without it the fit leaves far more, whatever the deviation says where the form lacks more.
     """
 
     delay_s: float
     standard_deviation_s: float
     sample_period_s: float
-    is_needed: bool = False
 
     @property
     def samples(self) -> float:
@@ -86,8 +84,8 @@ class DelayEstimate:
     @property
     def is_significant(self) -> bool:
         """Whether it differs from none by more than chance, and a clock, let it."""
-        return abs(self.samples) > LEAST_DELAY and (
-            self.is_needed or abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s)
+        return (abs(self.samples) > LEAST_DELAY
+                and abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s)
 
     def __str__(self) -> str:
         verdict = "significant" if self.is_significant else "not significant, left out"
