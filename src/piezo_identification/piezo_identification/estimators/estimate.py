@@ -29,6 +29,10 @@ LEAST_DELAY = 0.01
 FINEST = 1e-9
 """Part of a signal that no converter resolves: orders that leave less differ by rounding alone."""
 
+ROWS_OF_DECAY = 1.0
+"""Rows of a recording that the time constant of creep has to last: of what decays faster, the rows
+show no more than a part of each step."""
+
 UNTOLD_SHARE = 1e-3
 """A parameter that has this share in a direction that is rounding is not told either."""
 
@@ -311,6 +315,8 @@ def untold_parameters(
 ) -> list[str]:
     """Name the parameters whose standard deviation is larger than they are.
 
+    A lag is none of them: that it is short, or none at all, is what its deviation tells.
+
     Parameters
     ----------
     model : StageModel
@@ -324,7 +330,8 @@ def untold_parameters(
     """
     untold = []
     for part in ("creep", "dynamics"):
-        deviations = standard_deviations.get(part, {})
+        deviations = {name: each for name, each in standard_deviations.get(part, {}).items()
+                      if name != "time_constant_s"}
         for name, deviation in deviations.items():
             value = np.atleast_1d(getattr(getattr(model, part), name))
             wide = np.flatnonzero(np.atleast_1d(deviation) > np.abs(value))
