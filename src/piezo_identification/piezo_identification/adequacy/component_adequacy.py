@@ -7,8 +7,10 @@ from typing import Any
 
 from piezo_identification.adequacy.component_residual import component_residual
 from piezo_identification.adequacy.lack_of_fit import LackOfFit, lack_of_fit
+from piezo_identification.adequacy.order_advice import advice_on_order
 from piezo_identification.adequacy.residual_location import ResidualLocation, residual_location
 from piezo_identification.conditioning.segments import experiment_of, testable
+from piezo_identification.estimators.estimate import Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
@@ -56,6 +58,7 @@ class ComponentAdequacy:
 def adequacy_of(
     model: StageModel, recordings: Mapping[str, Any],
     delays_s: Mapping[str, float] | None = None,
+    estimates: Mapping[str, Estimate] | None = None,
 ) -> dict[str, ComponentAdequacy]:
     """Set what each component leaves of its recording against the noise.
 
@@ -67,15 +70,18 @@ def adequacy_of(
         numbered: creep, creep 2. Any others are not looked at.
     delays_s : dict of str to float, optional
         Delays of the rows of some of them, beside the model.
+    estimates : dict of str to Estimate, optional
+        Of the components, with the orders that were tried, of which the advice tells.
 
     Returns
     -------
     dict of str to ComponentAdequacy
         By the names of the recordings; stretches of a few samples are left out.
     """
-    delays_s = delays_s or {}
+    delays_s, estimates = delays_s or {}, estimates or {}
     return {
-        name: _component_adequacy(component, model, data, delays_s.get(name, 0.0), recordings)
+        name: _component_adequacy(component, model, data, delays_s.get(name, 0.0), recordings,
+                                  estimates.get(component))
         for component in COMPONENTS for name, data in testable(recordings).items()
         if experiment_of(name) == component
     }
@@ -83,7 +89,7 @@ def adequacy_of(
 
 def _component_adequacy(
     component: str, model: StageModel, data: Recording | FrequencyResponse, delay_s: float,
-    recordings: Mapping[str, Any],
+    recordings: Mapping[str, Any], estimate: Estimate | None,
 ) -> ComponentAdequacy:
     residual = component_residual(component, model, data, delay_s)
     fit = lack_of_fit(residual)
@@ -91,7 +97,7 @@ def _component_adequacy(
     if not fit.is_adequate:
         location = residual_location(residual, fit)
         left = f"{fit.systematic_rms_um:.3g} um beyond the noise, {location.words}"
-        advice = advice_on(component, model, location, residual.path, recordings)
+        advice = advice_on(component, model, location, residual.path, recordings, estimate)
     return ComponentAdequacy(
         fit.residual_rms_um, fit.noise_rms_um, fit.ratio, _verdict(fit), residual.error_percent,
         fit.noise_from, left, advice)
@@ -102,7 +108,7 @@ def _verdict(fit: LackOfFit) -> str:
 
 
 def advice_on(component: str, model: StageModel, location: ResidualLocation, path: str,
-              recordings: Mapping[str, Any]) -> str:
+              recordings: Mapping[str, Any], estimate: Estimate | None = None) -> str:
     """Say what to do about a component that is inadequate.
 
     Parameters
@@ -115,6 +121,8 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
         Of its recording.
     recordings : dict of str to Recording or FrequencyResponse
         All that was given.
+    estimate : Estimate, optional
+        Of the component.
 
     Returns
     -------
@@ -131,10 +139,10 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
         steps.append(f"ask for --creep-pairs {len(model.creep.poles_rad_per_s) + 1}")
     elif "hysteresis" not in recordings and model.hysteresis.density_um_per_v2.any():
         steps.append("give a recording for --hysteresis, which was taken from the fast one alone")
-    elif location.band_is_narrow:
-        steps.append(f"ask for --modes {len(model.dynamics.mode_frequencies_rad_per_s) + 1}")
+    elif estimate is not None:
+        steps.append(advice_on_order(estimate))
     steps.append(f"let diagnose name the cause from {path}")
-    return ", or ".join(steps)
+    return ", or ".join(filter(None, steps))
 
 
 def adequacy_document(adequacy: Mapping[str, ComponentAdequacy]) -> dict[str, dict[str, Any]]:

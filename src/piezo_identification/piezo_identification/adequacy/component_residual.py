@@ -7,10 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import free_running_level
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
+from piezo_identification.conditioning.settled_periods import first_settled_step
 from piezo_identification.conditioning.settling import first_settled, slow_dynamics
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
 from piezo_identification.diagnosis.residual.sensor_noise import repeated_period
@@ -25,6 +27,7 @@ from piezo_identification.estimators.frequency_response.sampled_response import 
 )
 from piezo_identification.prediction.model_run import ModelRun, starting_past_v
 from piezo_models.cascade import StageModel
+from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
 WITH_FREE_GAIN = ("creep", "dynamics")
@@ -126,7 +129,7 @@ def _of_square_wave(
     system, behind_s = behind_lags(model.linear(), lags)
     first = first_settled(model.dynamics, time_s)
     if component == "dynamics":
-        first = max(first, min(int(np.searchsorted(time_s, WARM_UP_S)), time_s.size // 2))
+        first = max(first, _first_used(part, wave.steps, model.creep))
     elif wave.steps.size >= FEWEST_STEPS:
         first = max(first, int(wave.steps[0]))
     good = good_samples(part)[first:]
@@ -159,6 +162,16 @@ def _of_square_wave(
     return ComponentResidual(
         str(part.path), time_s[first:], voltage_v, measured_um, residual_um,
         good, repeated_period(wave.level[first:]), wave.steps[wave.steps >= first] - first)
+
+
+def _first_used(part: Recording, steps: NDArray[np.intp], creep: CreepDynamics) -> int:
+    """First sample that the estimate of the dynamics uses, within the first half."""
+    earliest = int(np.searchsorted(part.time_s, WARM_UP_S))
+    quick_um = remove_creep(part.displacement_um, creep, part.sample_period_s)
+    settled = first_settled_step(quick_um, steps, earliest)
+    if settled > np.searchsorted(steps, earliest):
+        earliest = int(steps[settled])
+    return min(earliest, part.time_s.size // 2)
 
 
 def _behind_amplifier(model: StageModel, part: Recording, level: FloatArray) -> FloatArray:

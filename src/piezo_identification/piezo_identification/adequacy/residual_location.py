@@ -31,14 +31,11 @@ class ResidualLocation:
     ----------
     band_hz : (float, float)
         Between which the middle half of its power lies.
-    band_is_narrow : bool
-        The power makes one peak.
     words : str
         All of it for people: frequency, time and voltage.
     """
 
     band_hz: tuple[float, float]
-    band_is_narrow: bool
     words: str
 
 
@@ -66,7 +63,7 @@ def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLo
         words.append(_time_words(residual, values_um))
         if not residual.steps.size:
             words[-1] += f" and {_voltage_words(residual, values_um)}"
-    return ResidualLocation(band_hz, narrow, ", ".join(words))
+    return ResidualLocation(band_hz, ", ".join(words))
 
 
 def _band(values_um: FloatArray, sample_period_s: float) -> tuple[float, float]:

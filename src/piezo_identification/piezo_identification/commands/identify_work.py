@@ -137,8 +137,7 @@ def _print_summary(identified: IdentifiedModel) -> None:
         ("hysteresis range", f"{high_um - low_um:.3f} um, from the lowest voltage to the highest"),
         *parameter_rows(identified),
         *((f"effect {effect.name}", str(effect.parameters())) for effect in model.effects),
-        *((f"rows of the {name}", "read {read_at_samples:.4g} sample periods late, delay left "
-           "{delay_s:.2g} s +- {standard_deviation_s:.1g} s".format(**row))
+        *((f"rows of the {name}", "read {read_at_samples:.4g} sample periods late".format(**row))
           for name, row in identified.rows.items()),
         *_error_rows(identified.errors),
     ]

@@ -29,12 +29,16 @@ class StartSettings:
         nothing is told.
     least_motion : float
         Part of the displacement's span below which a motion at the start is of no account.
+    fewest_steps : int
+        Between two levels, with other voltages before or after, that make a square wave: fewer
+        never return to a level, and are steps among others.
     """
 
     significant: float = 5.0
     first_samples: int = 200
     fewest_samples: int = 8
     least_motion: float = 1e-3
+    fewest_steps: int = 2
 
 
 SETTINGS = StartSettings()
@@ -52,7 +56,7 @@ def square_part(recording: Recording) -> Recording:
     -------
     Recording
         From the first sample to the last between which the voltage takes no third value; the same
-        where the middle half has no two levels.
+        where the middle half has no two levels, or the voltage never returns to one of them.
     """
     voltage_v = recording.voltage_v
     middle = voltage_v[voltage_v.size // 4 : voltage_v.size - voltage_v.size // 4]
@@ -66,7 +70,8 @@ def square_part(recording: Recording) -> Recording:
     before, after = off[off < half], off[off >= half]
     begin = before[-1] + 1 if before.size else 0
     end = after[0] if after.size else voltage_v.size
-    if end - begin < half:
+    is_high = voltage_v[begin:end] > 0.5 * (low_v + high_v)
+    if end - begin < half or np.count_nonzero(np.diff(is_high)) < SETTINGS.fewest_steps:
         return recording
     kept = np.zeros(voltage_v.size, dtype=bool)
     kept[begin:end] = True

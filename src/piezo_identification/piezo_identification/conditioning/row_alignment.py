@@ -22,6 +22,13 @@ LATEST_READING = 1.5
 JUMP = 0.1
 """Part of the range by which the voltage jumps from one sample to the next."""
 
+SIGNIFICANT = 3.0
+"""Standard deviations by which a delay that is left has to differ from none."""
+
+MOST_UNCERTAIN = 0.5
+"""Standard deviation of a delay, in sample periods, beyond which rows do not tell it: rows that are
+read at the end of the hold could then not be told from those that are read at its beginning."""
+
 WHOLE = 1e-9
 """An instant within this part of a sample period counts as that of the sample."""
 
@@ -38,11 +45,25 @@ class RowDelay:
     delay_s : float
         Of the displacement that is left, beside the dynamics of the model and its delay.
     standard_deviation_s : float
+    sample_period_s : float
+        Of the recording.
     """
 
     read_at_samples: float
     delay_s: float
     standard_deviation_s: float
+    sample_period_s: float
+
+    @property
+    def is_identifiable(self) -> bool:
+        """Whether the rows tell a delay at all."""
+        return self.standard_deviation_s < MOST_UNCERTAIN * self.sample_period_s
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether a delay is left that differs from none by more than chance."""
+        return (self.is_identifiable
+                and abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s)
 
     def fields(self) -> dict[str, float]:
         """Return the numbers by their names in a model file."""

@@ -29,6 +29,10 @@ LEAST_DELAY = 0.01
 FINEST = 1e-9
 """Part of a signal that no converter resolves: orders that leave less differ by rounding alone."""
 
+ROWS_OF_DECAY = 1.0
+"""Rows of a recording that the time constant of creep has to last: of what decays faster, the rows
+show no more than a part of each step."""
+
 UNTOLD_SHARE = 1e-3
 """A parameter that has this share in a direction that is rounding is not told either."""
 
@@ -67,16 +71,14 @@ class DelayEstimate:
     delay_s : float
         Negative where the displacement of a row is read later than its voltage changes.
     standard_deviation_s : float
+        Decides on the significance too.
     sample_period_s : float
         Of the recording.
-    is_needed : bool
-        Without it the fit leaves far more, whatever the deviation says where the form lacks more.
     """
 
     delay_s: float
     standard_deviation_s: float
     sample_period_s: float
-    is_needed: bool = False
 
     @property
     def samples(self) -> float:
@@ -86,8 +88,8 @@ class DelayEstimate:
     @property
     def is_significant(self) -> bool:
         """Whether it differs from none by more than chance, and a clock, let it."""
-        return abs(self.samples) > LEAST_DELAY and (
-            self.is_needed or abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s)
+        return (abs(self.samples) > LEAST_DELAY
+                and abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s)
 
     def __str__(self) -> str:
         verdict = "significant" if self.is_significant else "not significant, left out"
@@ -313,6 +315,8 @@ def untold_parameters(
 ) -> list[str]:
     """Name the parameters whose standard deviation is larger than they are.
 
+    A lag is none of them: that it is short, or none at all, is what its deviation tells.
+
     Parameters
     ----------
     model : StageModel
@@ -326,7 +330,8 @@ def untold_parameters(
     """
     untold = []
     for part in ("creep", "dynamics"):
-        deviations = standard_deviations.get(part, {})
+        deviations = {name: each for name, each in standard_deviations.get(part, {}).items()
+                      if name != "time_constant_s"}
         for name, deviation in deviations.items():
             value = np.atleast_1d(getattr(getattr(model, part), name))
             wide = np.flatnonzero(np.atleast_1d(deviation) > np.abs(value))

@@ -63,6 +63,7 @@ from piezo_identification.identification.row_delays import (
     row_delays,
     tell_row_delays,
 )
+from piezo_identification.identification.told_by_data import failures_explained
 from piezo_identification.prediction.model_run import ModelRun
 from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
@@ -167,7 +168,8 @@ def identify(
     """
     given = given_data(creep, dynamics, hysteresis, validation, refine)
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
-    with checking(stages.check):
+    paths = [data.path for data in given.values()]
+    with checking(stages.check), failures_explained(lambda: stages.current, paths):
         said = conditioned_data(given, tell, read_at_samples)
         tell_implausible(implausible_data(said), tell)
         fast = of_kind(said, "dynamics")
@@ -196,7 +198,7 @@ def identify(
         stages.begin("validation", 0.95)
         errors = validation_errors(fitted.model, recordings) | fitted.errors
         adequacy = adequacy_document(
-            adequacy_of(fitted.model, said, delays_of_rows_s(said, read_at)))
+            adequacy_of(fitted.model, said, delays_of_rows_s(said, read_at), linear.estimates))
         identified = replace(identified_model(fitted, errors, given, rows), adequacy=adequacy)
         stages.begin("done", 1.0)
     return identified

@@ -29,6 +29,11 @@ class Stages:
         if self._cancelled is not None and self._cancelled():
             raise IdentificationCancelled(f"identification cancelled: {self._stage}")
 
+    @property
+    def current(self) -> str:
+        """Stage that goes on."""
+        return self._stage
+
     def begin(self, stage: str, fraction: float) -> None:
         """Tell that a stage begins, unless the work shall end.
 

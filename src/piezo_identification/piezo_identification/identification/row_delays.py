@@ -12,12 +12,14 @@ from piezo_identification.conditioning.row_alignment import (
     remaining_delay,
 )
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.estimators.estimate import SIGNIFICANT
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.identification.given_data import Data, of_kind
 from piezo_identification.identification.linear_dynamics import LinearDynamics, aligned_density
 from piezo_identification.prediction.model_run import ModelRun
 from piezo_models.cascade import StageModel
+
+SHORT_S = 1e-2
+"""Delays below this are told in microseconds."""
 
 
 def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> dict[str, float]:
@@ -97,22 +99,27 @@ def row_delays(
         if estimate is not None and estimate.delay is not None:
             delay = estimate.delay
             left_s = 0.0 if delay.is_significant else delay.delay_s
-            rows[name] = RowDelay(read_at, left_s, delay.standard_deviation_s)
+            rows[name] = RowDelay(
+                read_at, left_s, delay.standard_deviation_s, delay.sample_period_s)
             continue
         run = ModelRun(model, recording)
         kept = run.good & away_from_jumps(run.part.voltage_v[run.settled])
         rows[name] = RowDelay(read_at, *remaining_delay(
             run.measured_um, run.simulated_um(()), run.part.sample_period_s,
-            np.ones((run.measured_um.size, 1)), kept))
+            np.ones((run.measured_um.size, 1)), kept), run.part.sample_period_s)
     return rows
 
 
 def tell_row_delays(rows: Mapping[str, RowDelay], tell: Callable[[str], object]) -> None:
     """Tell when the rows of each recording are read, and what delay is left in it."""
     for name, row in rows.items():
-        is_significant = abs(row.delay_s) > SIGNIFICANT * row.standard_deviation_s
-        verdict = "significant" if is_significant else "not significant"
-        scale, unit = (1e6, "us") if row.standard_deviation_s < 1e-3 else (1.0, "s")
+        is_short = max(abs(row.delay_s), row.standard_deviation_s) < SHORT_S
+        scale, unit = (1e6, "us") if is_short else (1.0, "s")
+        deviation = f"{scale * row.standard_deviation_s:.2g} {unit}"
+        left = "whether a delay is left is not identifiable from these rows"
+        if row.is_significant:
+            left = f"a delay of {scale * row.delay_s:.3g} +- {deviation} is left"
+        elif row.is_identifiable:
+            left = f"no significant delay is left (+- {deviation})"
         tell(f"rows of the {name}: read {row.read_at_samples:.4g} sample periods after their "
-             f"voltage; a delay of {scale * row.delay_s:.3g} +- "
-             f"{scale * row.standard_deviation_s:.2g} {unit} is left, which is {verdict}")
+             f"voltage; {left}")

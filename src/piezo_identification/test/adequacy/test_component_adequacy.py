@@ -15,6 +15,7 @@ from piezo_identification.adequacy.component_adequacy import (
 )
 from piezo_identification.adequacy.component_residual import component_residual
 from piezo_identification.adequacy.lack_of_fit import lack_of_fit
+from piezo_identification.estimators.estimate import Estimate, OrderTrial
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.effects.delay import Delay
@@ -99,16 +100,18 @@ def test_rows_that_are_read_late_are_no_lack_of_the_dynamics(plant, play):
     assert verdicts == ["inadequate", "adequate"]
 
 
-def test_a_mode_is_found_at_its_frequency_and_more_modes_are_advised(plant, play, recordings):
+def test_a_mode_is_found_at_its_frequency_and_the_search_for_the_order_is_advised(
+        plant, play, recordings):
     stage = replace(plant, dynamics=ElectricVibrationDynamics(
         0.00049, (2846.0, 4909.0), (0.685, 0.02)))
     model = replace(plant, dynamics=ElectricVibrationDynamics(0.00049, (2846.0,), (0.685,)))
     fast = play(experiments.dynamics(), 1, stage=stage)
-    part = adequacy_of(
-        model, {"dynamics": fast, "hysteresis": recordings["hysteresis"]})["dynamics"]
+    asked = Estimate(model.dynamics, {}, 1, (OrderTrial(1, 5, 0.1, 0.0),), order_given=True)
+    part = adequacy_of(model, {"dynamics": fast, "hysteresis": recordings["hysteresis"]},
+                       estimates={"dynamics": asked})["dynamics"]
     near_hz = float(part.left.split("near ")[1].split(" Hz")[0])
     assert near_hz == pytest.approx(4909.0 / 2.0 / np.pi, rel=0.1)
-    assert "--modes 2" in part.advice
+    assert "leave --modes out" in part.advice
 
 
 def test_creep_that_is_a_tenth_too_fast_is_inadequate(plant, recordings):

@@ -11,6 +11,7 @@ from piezo_identification.conditioning.recording_start import (
 )
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+from piezo_identification.identification.linear_dynamics import estimate_linear_dynamics
 from piezo_models.linear.dynamics import CreepDynamics
 
 LEVELS_V = np.array([10.0, 50.0])
@@ -83,3 +84,21 @@ def test_a_motion_at_the_start_is_told_from_noise(recorded):
         -0.4, abs=0.1)
     assert motion_um_per_s(recorded("r", voltage_v, voltage_v, 0.01, 0.01)) == 0.0
     assert first_run_length(voltage_v) == 300
+
+
+@pytest.mark.parametrize("late", [0, 1], ids=["start of hold", "end of hold"])
+def test_steps_between_three_levels_are_no_square_wave_of_one_step(
+        independent_stage, recorded, late):
+    voltage_v = np.repeat([50.0, 90.0, 10.0, 50.0], [100, 2400, 2400, 2400])
+    # This stage shows in each row what its voltage has done.
+    displacement_um = independent_stage().displacement_um(voltage_v, 0.05)
+    if late == 0:
+        displacement_um = np.append(displacement_um[0], displacement_um[:-1])
+    recording = recorded("creep", voltage_v, displacement_um, 0.05, NOISE_UM)
+    assert square_part(recording) is recording
+    found = estimate_linear_dynamics([recording], [], [])
+    assert found.creep.poles_rad_per_s == pytest.approx((0.125, 2.0), rel=0.1)
+    # With a way back to its first level it is one, whatever it came from.
+    back_v = np.repeat([50.0, 90.0, 10.0, 90.0, 50.0], [100, 2400, 2400, 2400, 100])
+    back = recorded("creep", back_v, back_v, 0.05, NOISE_UM)
+    assert set(square_part(back).voltage_v) == {10.0, 90.0}

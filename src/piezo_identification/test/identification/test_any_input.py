@@ -101,8 +101,9 @@ def test_a_linear_stage_becomes_a_line_with_its_gain(linear_stage, record):
         assert gain == pytest.approx(0.57, rel=3e-3)
 
 
-def test_a_delay_is_kept_whose_deviation_another_form_of_stage_widens(record, linear_stage):
-    """No linear fit has the stiffening, whose periodic residual makes the deviation endless."""
+def test_a_delay_beside_another_form_of_stage_has_a_deviation_that_agrees_with_its_verdict(
+        record, linear_stage):
+    """No linear fit has the stiffening, whose periodic residual hides delay and lag alike."""
     fine = 4
     time_s = np.arange(COUNT * fine) * PERIOD_S / fine
     voltage_v = voltage_of("multisine")
@@ -113,9 +114,8 @@ def test_a_delay_is_kept_whose_deviation_another_form_of_stage_widens(record, li
     object.__setattr__(recording, "displacement_um", half_a_sample_late - (
         0.06 / np.abs(response).max() ** 2 * half_a_sample_late**3))
     delay = estimate_dynamics_any([recording], CreepDynamics(), mode_count=1).delay
-    assert abs(delay.delay_s) < 0.1 * delay.standard_deviation_s
     assert delay.is_significant
-    assert delay.samples == pytest.approx(-0.5, abs=0.05)
+    assert abs(delay.delay_s + 0.5 * PERIOD_S) < 3.0 * delay.standard_deviation_s < 0.05 * PERIOD_S
 
 
 def test_square_wave_whose_first_row_lies_between_its_levels_is_one(linear_stage, record):

@@ -29,6 +29,7 @@ from piezo_identification.estimators.creep.square_wave_creep import (
     left_out_s,
 )
 from piezo_identification.estimators.estimate import (
+    ROWS_OF_DECAY,
     Estimate,
     OrderTrial,
     creep_of_partial_fractions,
@@ -158,7 +159,8 @@ class _Problem:
             _Part(part, levels_v, settling_s, MOST_BINS // len(parts), drifts) for part in parts]
         self._span = self._explained_by_hysteresis()
         longest_s = max(part.time_s[-1] for part in parts)
-        shortest_s = max(min(part.sample_period_s for part in parts), settling_s / 3.0)
+        shortest_s = max(ROWS_OF_DECAY * min(part.sample_period_s for part in parts),
+                         settling_s / 3.0)
         if self.rows < 20 or 0.3 / longest_s >= 0.5 / shortest_s:
             raise ValueError(
                 f"{parts[0].path} leaves too little beside the {settling_s:.3g} s after each "
@@ -248,7 +250,7 @@ class _Problem:
         if np.any(gains <= self.gains[0] + 0.01) or np.any(gains >= self.gains[1] - 0.01):
             return "a gain is not positive, or larger than the immediate one"
         if np.any(rates >= self.rates[1] - 0.01):
-            return "a rate is as fast as the sampling"
+            return "a rate is too fast for the rows"
         return ""
 
     def gain_of(self, before: FloatArray, after: FloatArray, parameters: int) -> float:
@@ -356,12 +358,17 @@ def _exponential(rate: float, period_s: float, mean_samples: int) -> tuple[float
 
 
 def _used(voltage_v: FloatArray, range_v: float, skipped: int) -> NDArray[np.bool_]:
-    """Mark the samples that are not just after a jump."""
+    """Mark the samples that are not just after a jump, nor the last before one.
+
+    A logger that reads its rows late reads in the last one what the jump has done already.
+    """
     jumps = np.flatnonzero(np.abs(np.diff(voltage_v, prepend=voltage_v[0])) > JUMP_SHARE * range_v)
     since = np.arange(voltage_v.size)
     last = np.full(voltage_v.size, -skipped - 1)
     last[jumps] = jumps
-    return since - np.maximum.accumulate(last) >= skipped
+    used = since - np.maximum.accumulate(last) >= skipped
+    used[jumps - 1] = False
+    return used
 
 
 def _bins(

@@ -15,6 +15,7 @@ from piezo_identification.conditioning.recording_start import square_part, witho
 from piezo_identification.conditioning.settling import low_frequency_delay_s, settling_time_s
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
 from piezo_identification.estimators.estimate import (
+    ROWS_OF_DECAY,
     Estimate,
     OrderTrial,
     creep_of_partial_fractions,
@@ -171,7 +172,7 @@ class _CreepRecord:
                 "show creep: give the recording of a creep experiment"
             )
         self.displacement = self._average(recording.displacement_um)
-        self.fastest = 1.0 / max(self.period_s, self.settling_s / 3.0)
+        self.fastest = 1.0 / max(ROWS_OF_DECAY * self.period_s, self.settling_s / 3.0)
         self.bounds = np.log([0.3 / self.time_s[-1], self.fastest])
 
     def as_held(self, level: FloatArray) -> "_CreepRecord":
@@ -310,7 +311,7 @@ class _CreepRecord:
         """How well these rates do, and whether they can be creep at all."""
         residual = self._fit(rates)[1]
         is_fast = rates.max(initial=0.0) >= 0.99 * self.fastest
-        refusal = "a rate is as fast as the sampling" if is_fast else ""
+        refusal = "a rate is too fast for the rows" if is_fast else ""
         return order_trial(rates.size, residual, 2 + 3 * rates.size, refusal, self.displacement)
 
     def best_further_rate(self, rates: FloatArray) -> float:

@@ -17,6 +17,7 @@ from piezo_identification.estimators.dynamics.fast_record import FastRecord, Fre
 from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH, fit_output_error
 from piezo_identification.estimators.dynamics.pole_search import free_fits
 from piezo_identification.estimators.estimate import (
+    ROWS_OF_DECAY,
     SIGNIFICANT,
     Estimate,
     creep_of_partial_fractions,
@@ -108,7 +109,8 @@ def fast_creep(
     """
     record = record_without(creep).thinned(ROWS_OF_SEARCH)
     best = _best_free_fit(record)
-    fastest = SLOWER_THAN_MODES * _lowest_ringing(best)
+    fastest = min(SLOWER_THAN_MODES * _lowest_ringing(best),
+                  1.0 / (ROWS_OF_DECAY * record.input.sample_period_s))
     duration_s = record.input.samples.size * record.input.sample_period_s
     slowest = max(FASTER_THAN_KNOWN * max(creep.poles_rad_per_s, default=0.0), 1.0 / duration_s)
     is_slow = np.abs(best.poles) < fastest

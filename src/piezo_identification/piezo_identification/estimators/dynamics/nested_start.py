@@ -9,7 +9,7 @@ from piezo_identification.estimators.dynamics.fast_record import NEIGHBOURS, Fas
 
 IDLE, IDLE_DAMPING = 25.0, 0.1
 """Frequency over half the sample rate, and damping ratio, of a mode that adds nothing: it is at
-rest within a sample period, and delays by a four-hundredth of it."""
+rest within a sample period. It delays by a four-hundredth of it, which the delay makes up for."""
 
 MIDDLE, MIDDLE_DAMPING = 0.3, np.exp(-1.0)
 """The same of a mode within the band that adds nothing, as an antiresonance cancels it or as no
@@ -53,10 +53,13 @@ def nested_start(
         wz.append(middle)
         zeta.append(np.log(MIDDLE_DAMPING))
         zetaz.append(np.log(MIDDLE_DAMPING))
-    for frequencies, dampings, count in ((w, zeta, order.modes), (wz, zetaz, order.antiresonances)):
+    delay = smaller.delay - IDLE_LAG * (order.sensor_lags - smaller.order.sensor_lags)
+    for sign, frequencies, dampings, count in (
+            (-1.0, w, zeta, order.modes), (1.0, wz, zetaz, order.antiresonances)):
         while len(frequencies) < count:
             frequencies.append(frequency(IDLE, len(frequencies)))
             dampings.append(np.log(IDLE_DAMPING))
+            delay += sign * 2.0 * IDLE_DAMPING / (np.exp(frequencies[-1]) * sample_period_s)
     further = range(smaller.order.beside, order.beside)
     lags = [model.sensor_lag_s] * smaller.order.sensor_lags
     lags += [IDLE_LAG * sample_period_s] * (order.sensor_lags - smaller.order.sensor_lags)
@@ -66,4 +69,4 @@ def nested_start(
         [frequency(MIDDLE, order.modes + place) for place in further],
         np.log([mode.damping_ratio for mode in model.beside]),
         [np.log(MIDDLE_DAMPING)] * len(further), np.log(lags),
-        [mode.participation for mode in model.beside], [0.0] * len(further)]), smaller.delay
+        [mode.participation for mode in model.beside], [0.0] * len(further)]), delay

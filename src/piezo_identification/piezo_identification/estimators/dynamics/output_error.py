@@ -22,6 +22,11 @@ from piezo_identification.estimators.dynamics.fast_record import (
     FastRecord,
     FreeFit,
 )
+from piezo_identification.estimators.dynamics.fit_deviations import (
+    delay_deviation,
+    fit_covariance,
+    is_told,
+)
 from piezo_identification.estimators.dynamics.nested_start import nested_start
 from piezo_identification.estimators.dynamics.physical_standing import lack_of_standing
 from piezo_identification.estimators.dynamics.pole_search import QUICK_EVALUATIONS, free_fits
@@ -31,7 +36,6 @@ from piezo_identification.estimators.estimate import (
     OrderTrial,
     finest_power,
     order_trial,
-    parameter_covariance,
 )
 
 MOST_MODES = 8
@@ -46,9 +50,6 @@ LAST_EVALUATIONS = 4
 
 POLISHING, ROUNDING = 200, 1e-12
 """Steps, and relative change of the cost, of the fit of the order that is taken."""
-
-FAR_MORE = 2.0
-"""Times the power that a fit may leave without its delay before the delay counts as needed."""
 
 PATIENCE = 2
 """Numbers of modes in succession that may bring no gain before the search ends."""
@@ -86,9 +87,6 @@ SENSOR_LAGS = (0.3, 1.0, 4.0)
 WORTHWHILE = 10.0
 """Information that forms with modes beside others have to be able to gain before they are tried:
 most often the same response can be told by modes in series with antiresonances (4.3)."""
-
-MOST_ALIKE = 0.98
-"""Correlation of neighbouring samples of a residual up to which it counts."""
 
 NESTED_ROUNDS = 3
 """Passes over the orders in which one that leaves more than a smaller one begins from that one."""
@@ -191,16 +189,10 @@ class _Search:
         """Return the best order, its delay left out if it is not significant."""
         trials = tuple(self._trials.values())
         chosen = self._best_trial() or min(trials, key=lambda trial: trial.information)
-        fit = self._polished(self._fits[chosen.order])
-        deviations, delay = self._deviations(fit), None
+        fit, delay = self._polished(self._fits[chosen.order]), None
         if self._known_delay is None:
-            period_s = self._record.input.sample_period_s
-            delay = DelayEstimate(fit.delay * period_s, deviations[-1] * period_s, period_s)
-            if not delay.is_significant:
-                without = self._whole.fit(fit.order, fit.vector, 0.0, is_delay_free=False)
-                delay = replace(delay, is_needed=without.cost > FAR_MORE * fit.cost)
-                if not delay.is_significant:
-                    fit, deviations = without, self._deviations(without)
+            fit, delay = self._with_delay_told(fit)
+        deviations = np.sqrt(np.diag(fit_covariance(fit, self._whole.linear_parameters)))
         places = ascending_places(fit.vector, fit.order)
         model = fast_dynamics_of(fit.vector, fit.order)
         spread = deviations[: places.size] * np.where(
@@ -210,6 +202,18 @@ class _Search:
         return Estimate(
             model.dynamics, of_dynamics, chosen.order, trials, order_given,
             effects=model.effects(), effect_deviations=of_effects, delay=delay)
+
+    def _with_delay_told(self, fit: FastFit) -> tuple[FastFit, DelayEstimate]:
+        """Return the fit and its delay; the fit without it where it is not significant."""
+        variance = float(fit_covariance(fit, self._whole.linear_parameters)[-1, -1])
+        without = None if is_told(fit, variance) else self._whole.fit(
+            fit.order, fit.vector, 0.0, is_delay_free=False)
+        period_s = self._record.input.sample_period_s
+        delay = DelayEstimate(
+            fit.delay * period_s, delay_deviation(fit, without, variance) * period_s, period_s)
+        if not delay.is_significant:
+            fit = without or self._whole.fit(fit.order, fit.vector, 0.0, is_delay_free=False)
+        return fit, delay
 
     def _free_fits(self, most_modes: int) -> Iterator[FreeFit]:
         for free in free_fits(self._coarse, most_modes):
@@ -343,22 +347,11 @@ class _Search:
 
     def _trial(self, fit: FastFit) -> OrderTrial:
         parameters = self._parameters(fit.order)
-        covariance = parameter_covariance(fit.jacobian, fit.residual, parameters)
         refusal = lack_of_standing(
-            fit.vector, fit.order, covariance, self._record.input.sample_period_s)
+            fit.vector, fit.order, fit_covariance(fit, self._record.linear_parameters),
+            self._record.input.sample_period_s)
         return order_trial(
             fit.order, fit.residual, parameters, refusal, self._record.measured_um)
-
-    def _deviations(self, fit: FastFit) -> FloatArray:
-        """Return the deviations of the vector, and of the delay where it was fitted.
-
-        What a form cannot explain is no white noise: neighbours are alike, and tell less.
-        """
-        parameters = fit.jacobian.shape[1] + self._whole.linear_parameters
-        covariance = parameter_covariance(fit.jacobian, fit.residual, parameters)
-        alike = float(np.clip(fit.residual[1:] @ fit.residual[:-1] / fit.cost, 0.0, MOST_ALIKE))
-        deviations: FloatArray = np.sqrt(np.diag(covariance) * (1.0 + alike) / (1.0 - alike))
-        return deviations
 
 
 def _subsets(count: int, size: int) -> Iterator[tuple[int, ...]]:

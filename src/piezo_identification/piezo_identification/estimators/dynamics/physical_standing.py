@@ -15,7 +15,8 @@ HIGHEST = 0.9
 """Frequency over half the sample rate up to which samples tell a mode from its aliases."""
 
 MOST_UNCERTAIN = 0.5
-"""Standard deviation of the logarithm of a mode's frequency beyond which it is not told."""
+"""Standard deviation of the logarithm of a mode's frequency or damping beyond which it is not told:
+of a mode that only stands in for a delay, no more than the ratio of both is."""
 
 
 def lack_of_standing(
@@ -55,7 +56,7 @@ def lack_of_standing(
         return "an overdamped mode beside others"
     if np.any(np.abs(values[parts]) < SIGNIFICANT * spread[parts]):
         return "a mode that moves nothing"
-    if np.any(spread[frequencies] > MOST_UNCERTAIN):
+    if np.any(spread[np.concatenate([frequencies, dampings])] > MOST_UNCERTAIN):
         return "a mode that the data do not tell"
     if np.any(spread[lag] > 1.0 / SIGNIFICANT):
         return "a sensor's lag that the data do not tell"

@@ -6,6 +6,7 @@ import numpy as np
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.recording_start import square_part
+from piezo_identification.conditioning.settled_periods import first_settled_step
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
@@ -16,7 +17,8 @@ from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
 WARM_UP_S = 0.3
-"""Part at the start that is not used, as the approach from rest still shows in it."""
+"""Part at the start that is not used, as the approach from rest still shows in it; more is left out
+where it shows for longer."""
 
 SKIPPED_SAMPLES = (1, 6, 20)
 """So many samples of a decay after a step are skipped in turn, as a delay may hold it up."""
@@ -81,7 +83,8 @@ def mean_period(recording: Recording, creep: CreepDynamics) -> FastRecord:
     period_s = part.sample_period_s
     wave = square_wave(part)
     quick_um = remove_creep(part.displacement_um, creep, period_s)
-    steps = wave.steps[wave.steps >= WARM_UP_S / period_s]
+    earliest = int(np.ceil(WARM_UP_S / period_s))
+    steps = wave.steps[first_settled_step(quick_um, wave.steps, earliest) :]
     if steps.size < 3:
         raise ValueError(
             f"{recording.path} is too short: record several periods of the dynamics"

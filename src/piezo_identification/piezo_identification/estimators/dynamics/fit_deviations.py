@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Standard deviations of a fit of fast dynamics, and of its delay beside its lags."""
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.estimators.dynamics.fast_record import FastFit
+from piezo_identification.estimators.estimate import SIGNIFICANT, parameter_covariance
+
+MOST_ALIKE = 0.98
+"""Correlation of neighbouring samples of a residual up to which it counts."""
+
+FAR_MORE = 2.0
+"""Times the power that a fit has to leave without its delay before that tells of the delay."""
+
+
+def fit_covariance(fit: FastFit, linear_parameters: int) -> FloatArray:
+    """Covariance of the vector of a fit, and of its delay where that was fitted.
+
+    Two things part it from that of a linear fit with white residual. What a form cannot explain is
+    no white noise: neighbours are alike, and tell less. And a lag cannot be negative: a short one
+    is told apart from a delay by its square only.
+
+    Parameters
+    ----------
+    fit : FastFit
+    linear_parameters : int
+        That were fitted beside.
+
+    Returns
+    -------
+    ndarray, shape (P, P) or (P + 1, P + 1)
+        Of logarithms, but for the parts of modes beside others and the delay.
+    """
+    covariance = parameter_covariance(
+        fit.jacobian, fit.residual, fit.jacobian.shape[1] + linear_parameters)
+    alike = _alike(fit.residual)
+    covariance *= (1.0 + alike) / (1.0 - alike)
+    last = fit.order.parameters - fit.order.beside
+    for lag in [0, *range(last - fit.order.sensor_lags, last)]:
+        covariance = _of_positive_lag(covariance, lag)
+    return covariance
+
+
+def _of_positive_lag(covariance: FloatArray, lag: int) -> FloatArray:
+    """Bound the variance of a lag by what its square lets it be.
+
+    A lag T acts as a delay T in first order; only T^2 / 2 is told beside a delay. If that has the
+    deviation d, a long lag has the deviation d / T, and one that may be none is below (2 d)^(1/2).
+    What the variance loses is taken from all that trade with the lag, as if it had been measured.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (P, P)
+    lag : int
+        Place of its logarithm.
+    """
+    variance = covariance[lag, lag]
+    # In the logarithm: d / T^2 against (2 d)^(1/2) / T.
+    if not np.isfinite(variance) or variance <= 4.0:
+        return covariance
+    kept = 2.0 / np.sqrt(variance)
+    trade = covariance[:, lag] / np.sqrt(variance)
+    trade[~np.isfinite(trade)] = 0.0
+    bounded: FloatArray = covariance - (1.0 - kept) * np.outer(trade, trade)
+    return bounded
+
+
+def delay_deviation(fit: FastFit, without: FastFit | None, variance: float) -> float:
+    """Standard deviation of a delay, in sample periods.
+
+    Where the fit without the delay leaves far more, that tells of the delay whatever else the form
+    lacks: the deviation is then no larger than the delay over the root of twice the gain in
+    logarithmic likelihood.
+
+    Parameters
+    ----------
+    fit : FastFit
+    without : FastFit or None
+        The same order, fitted with no delay; None where that was not asked.
+    variance : float
+        Of the delay, from the covariance.
+
+    Returns
+    -------
+    float
+    """
+    deviation = float(np.sqrt(variance))
+    if without is None or without.cost <= FAR_MORE * fit.cost:
+        return deviation
+    alike = _alike(fit.residual)
+    rows = fit.residual.size * (1.0 - alike) / (1.0 + alike)
+    return min(deviation, abs(fit.delay) / float(np.sqrt(rows * np.log(without.cost / fit.cost))))
+
+
+def is_told(fit: FastFit, variance: float) -> bool:
+    """Whether the covariance alone tells that there is a delay."""
+    return bool(abs(fit.delay) > SIGNIFICANT * np.sqrt(variance))
+
+
+def _alike(residual: FloatArray) -> float:
+    """Correlation of neighbouring samples."""
+    power = float(residual @ residual) or 1.0
+    return float(np.clip(residual[1:] @ residual[:-1] / power, 0.0, MOST_ALIKE))

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Numerical failures of any estimator, told as data that do not show what they were given for."""
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+
+@contextmanager
+def failures_explained(stage: Callable[[], str], paths: Iterable[object]) -> Iterator[None]:
+    """Turn a failure of linear algebra into an error that names the stage and the recordings.
+
+    Parameters
+    ----------
+    stage : callable
+        Returns the stage of the work that goes on.
+    paths : iterable of path or str
+        Of the recordings.
+
+    Raises
+    ------
+    ValueError
+        In place of `numpy.linalg.LinAlgError`.
+    """
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        named = ", ".join(map(str, paths))
+        raise ValueError(
+            f"the {stage()} cannot be computed from {named} ({error}): a recording does not show "
+            "what it was given for; look at each with check, and leave out what does not fit"
+        ) from error

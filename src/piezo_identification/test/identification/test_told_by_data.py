@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a file makes of an identification that shows something else than it was given for."""
+
+import numpy as np
+import pytest
+
+import piezo_identification.identification.identify as module
+from piezo_identification.identification.identify import identify
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+PERIOD_S = 0.02
+
+
+@pytest.fixture
+def creep(tmp_path):
+    """Four steps at fifty rows a second, of a sensor that counts down."""
+    path = tmp_path / "creep.csv"
+    path.write_text("creep")
+    voltage_v = np.repeat([0.0, 60.0, 20.0, 100.0, 0.0], [60, 300, 300, 300, 300])
+    noise_um = 0.003 * np.random.default_rng(1).normal(size=voltage_v.size)
+    return Recording(
+        str(path), 1.0 / PERIOD_S, np.arange(voltage_v.size),
+        np.full(voltage_v.size, PERIOD_S), voltage_v, -0.5 * voltage_v + noise_um,
+        np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32))
+
+
+def test_a_creep_file_given_as_dynamics_is_named_with_what_to_do(creep):
+    with pytest.raises(ValueError, match="creep.csv shows no displacement that rises with the "
+                                         "voltage: .* give one of the creep") as raised:
+        identify(dynamics=creep)
+    assert not isinstance(raised.value, np.linalg.LinAlgError)
+
+
+def test_a_failure_of_linear_algebra_names_stage_and_recordings(creep, monkeypatch):
+    monkeypatch.setattr(module, "estimate_loops", lambda *_: np.linalg.cholesky(-np.eye(2)))
+    with pytest.raises(ValueError, match="the hysteresis cannot be computed from .*creep.csv "
+                                         ".*: a recording does not show") as raised:
+        identify(creep=creep)
+    assert not isinstance(raised.value, np.linalg.LinAlgError)
