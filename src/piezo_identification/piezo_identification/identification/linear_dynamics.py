@@ -38,6 +38,10 @@ from piezo_recorder.reading.recording import Recording
 NEAR_THE_END = 0.25
 """Sample periods from the end of the hold within which rows may be taken to be read there."""
 
+DRIVING_LEVELS = 30
+"""Levels of a density that drives a fit of the dynamics, or tells how rows are read: beside the
+error of either, twice as many cells along a threshold make no difference."""
+
 BEFORE_DELAY = ("voltage", "modes")
 """Places of the effects that the delay of the stage comes after."""
 
@@ -194,6 +198,7 @@ def estimate_linear_dynamics(
     needs_hysteresis = len(hysteresis) > 0 and not all(map(_is_square_wave, fast))
     # Where only one is recorded, there is nothing to go through twice.
     passes = 2 if given and (creep or needs_hysteresis) else 1
+    driving: DensityEstimate | None = None
     for turn in range(passes):
         if creep:
             begin("creep beside the dynamics" if turn else "creep", 0.5 * turn)
@@ -204,9 +209,9 @@ def estimate_linear_dynamics(
         if isinstance(dynamics, FrequencyResponse):
             found = found.with_response(_from_response(dynamics, found, order))
             continue
-        density = None
         if needs_hysteresis:
-            density = aligned_density(hysteresis, found)[0].model()
+            driving = aligned_density(hysteresis, found, driving)[0]
+        density = None if driving is None else driving.model()
         found = found.with_dynamics(_from_samples(fast, found.creep, density, method, order))
     return found
 
@@ -251,7 +256,7 @@ def _creep_of(
 
 
 def aligned_density(
-    hysteresis: Sequence[Recording], found: LinearDynamics,
+    hysteresis: Sequence[Recording], found: LinearDynamics, before: DensityEstimate | None = None,
 ) -> tuple[DensityEstimate, float]:
     """Estimate the density, its recordings read as the dynamics' if that explains them better.
 
@@ -259,6 +264,8 @@ def aligned_density(
     ----------
     hysteresis : sequence of Recording
     found : LinearDynamics
+    before : DensityEstimate, optional
+        Beside other dynamics, whose weights are taken; by default they are chosen.
 
     Returns
     -------
@@ -267,10 +274,14 @@ def aligned_density(
         Instant at which the rows of the recordings are read, in sample periods after their voltage.
     """
     tried = []
+    smoothing = before.smoothing_weight if before is not None else None
+    translation = before.translation_weight if before is not None else None
     for read_at in {0.0, *(read_as(each, found.read_at_samples) for each in hysteresis)}:
         aligned = [rows_read_at_start(each, read_as(each, read_at)) for each in hysteresis]
         density = estimate_density(
-            aligned, found.creep, found.slow_dynamics, delay_s=found.slow_delay_s)
+            aligned, found.creep, found.slow_dynamics, smoothing_weight=smoothing,
+            translation_weight=translation, delay_s=found.slow_delay_s,
+            most_levels=DRIVING_LEVELS)
         tried.append((density, read_at, aligned))
     if len(tried) == 1:
         return tried[0][:2]

@@ -62,44 +62,53 @@ class HeldInput:
             In sample periods: output sample n is the response at n less the delay. Where it is
             negative, the output is read later than the input changes.
         rows : ndarray of int, shape (K,), optional
-            Output samples that are wanted; by default all.
+            Output samples that are wanted, ascending; by default all.
 
         Returns
         -------
         PoleResponses
         """
         scaled = poles * self.sample_period_s
-        state, slope = self._states(scaled)
         ahead = int(np.floor(-delay))
         part = -delay - ahead
         rows = self._places(ahead, rows)
+        state, slope = self._states(scaled, rows)
         decay = np.exp(scaled * part)
         gain = (decay - 1.0) / scaled
         gain_slope = (part * decay - gain) / scaled
-        return PoleResponses(*_read(
-            state, slope, self.samples, rows, scaled, part, decay, gain, gain_slope,
-            self.sample_period_s))
+        value, by_pole, by_delay = _read(
+            state, slope, self.samples[rows], scaled, part, decay, gain, gain_slope,
+            self.sample_period_s)
+        return PoleResponses(value.T, by_pole.T, by_delay.T)
 
-    def _states(self, scaled: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """States at the samples, shape (N, n), and their derivatives by the scaled poles."""
+    def _states(
+        self, scaled: ComplexArray, rows: NDArray[np.intp],
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """States at some samples, shape (n, K), and their derivatives by the scaled poles."""
         decay = np.exp(scaled)
         gain = (decay - 1.0) / scaled
         gain_slope = (decay - gain) / scaled
         if self.is_periodic:
+            every = np.arange(self.samples.size)
             nothing = np.zeros_like(decay)
-            _, _, state, slope = _run(decay, gain, gain_slope, self.samples, nothing, nothing)
+            _, _, state, slope = _run(
+                decay, gain, gain_slope, self.samples, nothing, nothing, every)
             rest = 1.0 - decay ** self.samples.size
             start = state / rest
             start_slope = (slope + self.samples.size * (1.0 - rest) * start) / rest
-            states, slopes, _, _ = _run(decay, gain, gain_slope, self.samples, start, start_slope)
-            return states, slopes
-        ends = [*self.begins[1:], self.samples.size]
-        parts = [self.samples[begin:end] for begin, end in zip(self.begins, ends, strict=True)]
-        runs = [_run(decay, gain, gain_slope, part, -part[0] / scaled, part[0] / scaled**2)
-                for part in parts]
+            states, slopes, _, _ = _run(
+                decay, gain, gain_slope, self.samples, start, start_slope, every)
+            return states.take(rows, axis=1), slopes.take(rows, axis=1)
+        runs = []
+        for begin, end in zip(self.begins, [*self.begins[1:], self.samples.size], strict=True):
+            wanted = rows[slice(*np.searchsorted(rows, [begin, end]))] - begin
+            part = self.samples[begin:end]
+            runs.append(_run(decay, gain, gain_slope, part, -part[0] / scaled,
+                             part[0] / scaled**2, wanted))
         if len(runs) == 1:
             return runs[0][0], runs[0][1]
-        return np.concatenate([run[0] for run in runs]), np.concatenate([run[1] for run in runs])
+        return (np.concatenate([run[0] for run in runs], axis=1),
+                np.concatenate([run[1] for run in runs], axis=1))
 
     def _places(self, ahead: int, rows: NDArray[np.intp] | None) -> NDArray[np.intp]:
         """Return samples so many ahead of some; at rest before an input, unknown after it."""
@@ -115,42 +124,50 @@ class HeldInput:
 @njit(cache=True)
 def _run(
     decay: ComplexArray, gain: ComplexArray, gain_slope: ComplexArray, samples: FloatArray,
-    start: ComplexArray, start_slope: ComplexArray,
+    start: ComplexArray, start_slope: ComplexArray, rows: NDArray[np.intp],
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-    """States and their derivatives at the samples, and those after the last one."""
-    states = np.empty((samples.size, decay.size), dtype=np.complex128)
-    slopes = np.empty((samples.size, decay.size), dtype=np.complex128)
+    """States and their derivatives at some samples, and those after the last sample."""
+    states = np.empty((decay.size, rows.size), dtype=np.complex128)
+    slopes = np.empty((decay.size, rows.size), dtype=np.complex128)
     last, last_slope = start.copy(), start_slope.copy()
     for i in range(decay.size):
+        if i > 0 and (decay[i] == np.conj(decay[i - 1]) and gain[i] == np.conj(gain[i - 1])
+                      and start[i] == np.conj(start[i - 1])):
+            states[i], slopes[i] = np.conj(states[i - 1]), np.conj(slopes[i - 1])
+            last[i], last_slope[i] = np.conj(last[i - 1]), np.conj(last_slope[i - 1])
+            continue
         state, slope = start[i], start_slope[i]
-        for n in range(samples.size):
-            states[n, i], slopes[n, i] = state, slope
-            slope = decay[i] * (slope + state) + gain_slope[i] * samples[n]
-            state = decay[i] * state + gain[i] * samples[n]
+        n = 0
+        # Only what is wanted is kept: writing all of it takes longer than the recursion.
+        for k in range(rows.size + 1):
+            until = rows[k] if k < rows.size else samples.size
+            for m in range(n, until):
+                slope = decay[i] * (slope + state) + gain_slope[i] * samples[m]
+                state = decay[i] * state + gain[i] * samples[m]
+            n = until
+            if k < rows.size:
+                states[i, k], slopes[i, k] = state, slope
         last[i], last_slope[i] = state, slope
     return states, slopes, last, last_slope
 
 
 @njit(cache=True)
 def _read(
-    states: ComplexArray, slopes: ComplexArray, samples: FloatArray, rows: NDArray[np.intp],
-    scaled: ComplexArray, part: float, decay: ComplexArray, gain: ComplexArray,
-    gain_slope: ComplexArray, period_s: float,
+    states: ComplexArray, slopes: ComplexArray, held: FloatArray, scaled: ComplexArray,
+    part: float, decay: ComplexArray, gain: ComplexArray, gain_slope: ComplexArray,
+    period_s: float,
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Responses at a part of a sample period behind some samples, and their derivatives."""
     # In one pass: as whole arrays, the terms of these sums take most of the time of a fit.
-    shape = (rows.size, scaled.size)
-    values = np.empty(shape, dtype=np.complex128)
-    by_pole = np.empty(shape, dtype=np.complex128)
-    by_delay = np.empty(shape, dtype=np.complex128)
-    for k in range(rows.size):
-        row = rows[k]
-        held = samples[row]
-        for i in range(scaled.size):
-            value = decay[i] * states[row, i] + gain[i] * held
-            slope = decay[i] * (slopes[row, i] + part * states[row, i]) + gain_slope[i] * held
+    values = np.empty(states.shape, dtype=np.complex128)
+    by_pole = np.empty(states.shape, dtype=np.complex128)
+    by_delay = np.empty(states.shape, dtype=np.complex128)
+    for i in range(scaled.size):
+        for k in range(held.size):
+            value = decay[i] * states[i, k] + gain[i] * held[k]
+            slope = decay[i] * (slopes[i, k] + part * states[i, k]) + gain_slope[i] * held[k]
             # Time is counted in sample periods, and 1 / (s - p) has the unit of a time.
-            values[k, i] = value * period_s
-            by_pole[k, i] = slope * period_s**2
-            by_delay[k, i] = -(scaled[i] * value + held) * period_s
+            values[i, k] = value * period_s
+            by_pole[i, k] = slope * period_s**2
+            by_delay[i, k] = -(scaled[i] * value + held[k]) * period_s
     return values, by_pole, by_delay

@@ -60,7 +60,7 @@ def estimate_density(
     recording: Recordings, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
     level_count: int | None = None, cells_per_level: int = 2,
     smoothing_weight: float | None = None, translation_weight: float | None = None,
-    delay_s: float = 0.0,
+    delay_s: float = 0.0, most_levels: int = LEVELS,
 ) -> DensityEstimate:
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
@@ -78,13 +78,15 @@ def estimate_density(
     creep : CreepDynamics
     dynamics : ElectricVibrationDynamics
     level_count : int, optional
-        Number of levels L above level 0; by default `LEVELS`, or as many as the voltage passes by.
+        Number of levels L above level 0; by default `most_levels`, or as many as the voltage
+        passes by.
     cells_per_level : int
         Cells of the model from one level to the next.
     smoothing_weight, translation_weight : float, optional
         Of `smoothed_density`; chosen on branches held out by default.
     delay_s : float
         Of the measurement, beside the dynamics.
+    most_levels : int
 
     Returns
     -------
@@ -108,7 +110,7 @@ def estimate_density(
     passed = levels_passed(parts, highest_v - lowest_v)
     is_line = passed < FEWEST_LEVELS
     if level_count is None:
-        level_count = max(passed, FEWEST_LEVELS)
+        level_count = max(min(passed, most_levels), FEWEST_LEVELS)
     edges_v = np.linspace(lowest_v, highest_v, level_count * cells_per_level + 1)
     return density_of_segments(
         segments, edges_v, level_count, smoothing_weight, translation_weight, is_line)
