@@ -91,7 +91,7 @@ def test_design_for_no_computing_time_is_faster_and_says_so(model_path, designed
     assert at_once["bandwidth_hz"] > 1.2 * later["bandwidth_hz"]
 
 
-@pytest.mark.parametrize("method", ["pid", "pi"])
+@pytest.mark.parametrize("method", ["pid", pytest.param("pi", marks=pytest.mark.long)])
 @pytest.mark.usefixtures("without_pictures")
 def test_other_methods_need_no_weights_and_have_no_picture_of_them(model_path, tmp_path, method,
                                                                    capsys):

@@ -15,6 +15,7 @@ from piezo_recorder.reading.reader import read_recording, sha256_of
 
 HEADER = "time_s,voltage_v,displacement_um"
 NAMES = ("creep", "dynamics", "hysteresis", "validation")
+GRID = ("--grid", 40, "--smoothing", 1e-10, "--translation-weight", 1e-10)
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +107,7 @@ def test_the_model_names_range_periods_and_recordings(files, model_file):
 def test_identify_takes_orders_and_says_why_and_what_the_data_determine(files, tmp_path, capsys):
     output, fitted = tmp_path / "model.json", {name: files[name] for name in NAMES[:3]}
     arguments = [*options(fitted), "--output", output, "--creep-pairs", 1, "--modes", 1,
-                 "--grid", 40, "--no-report"]
+                 *GRID, "--no-report"]
     assert identify_main([str(argument) for argument in arguments]) == 0
     model = load_model(output).model
     assert len(model.creep.poles_rad_per_s) == 1
@@ -139,7 +140,8 @@ def response_file(plant, tmp_path_factory):
 def identified_with(files, tmp_path, dynamics, *more, beside=("creep", "hysteresis", "validation")):
     output = tmp_path / "model.json"
     given = {name: files[name] for name in beside}
-    arguments = [*options(given | {"dynamics": dynamics}), "--output", output, "--no-report", *more]
+    arguments = [*options(given | {"dynamics": dynamics}), "--output", output, "--no-report",
+                 *(GRID if "hysteresis" in given else ()), *more]
     assert identify_main([str(argument) for argument in arguments]) == 0
     return load_model(output)
 
@@ -342,7 +344,8 @@ def test_a_slow_recording_of_another_stage_is_enough(slow_file, sign, tmp_path, 
     unseen = slow_file(tmp_path / "unseen.csv", sign,
                        [-75.0, 60.0, -40.0, 30.0, -10.0, 70.0, -60.0])
     model = tmp_path / "model.json"
-    arguments = ["--hysteresis", str(fitted), "--output", str(model), "--no-report"]
+    arguments = ["--hysteresis", str(fitted), "--output", str(model), "--no-report",
+                 *map(str, GRID)]
     assert identify_main(arguments) == 0
     identified = load_model(model)
     assert identified.visited.shape == identified.model.hysteresis.density_um_per_v2.shape

@@ -224,9 +224,14 @@ def test_the_command_writes_verdict_model_and_report(
     assert page.external == []
 
 
+@pytest.fixture(scope="module")
+def page_of_mode(of_mode):
+    return render_report(of_mode)
+
+
 @pytest.mark.parametrize("device", ["phone", "desk"])
-def test_the_report_fits_its_device_and_shows_all_pictures(of_mode, page_faults, device):
-    assert page_faults(render_report(of_mode), device) == []
+def test_the_report_fits_its_device_and_shows_all_pictures(page_of_mode, page_faults, device):
+    assert page_faults(page_of_mode, device) == []
 
 
 def test_the_command_refuses_bad_input_in_one_line(tmp_path, capsys):

@@ -71,7 +71,8 @@ def test_all_stretches_of_a_validation_with_gaps_count_but_for_a_few_samples(sta
 def test_creep_alone_gives_a_model_with_its_hysteresis(foreign_stage, record):
     stage = foreign_stage(((0.05, 0.04), (0.8, 0.03)))
     voltage_v = np.concatenate([loops([80.0, 50.0], 600), np.repeat([70.0, 20.0], 1000), [0.0]])
-    model = identify(creep=record(stage, voltage_v, 0.05)).model
+    model = identify(creep=record(stage, voltage_v, 0.05),
+                     density=DensityOptions(40, 1e-10, 1e-10)).model
     assert len(model.creep.poles_rad_per_s) == 2
     assert relative_error(model, stage, loops([80.0, 60.0], 300)) < 0.01
 
@@ -82,7 +83,8 @@ def test_fast_cycles_give_the_hysteresis_where_the_dynamics_are_known(foreign_st
     cycles = loops([80.0, 70.0, 60.0, 50.0, 40.0, 30.0, 20.0, 10.0] * 2, 250)
     cycles = 40.0 - 40.0 * np.cos(np.pi * cycles / 80.0)
     model = identify(dynamics=record(stage, square, 1e-4),
-                     hysteresis=record(stage, cycles, 1e-4)).model
+                     hysteresis=record(stage, cycles, 1e-4),
+                     density=DensityOptions(40, 1e-10, 1e-10)).model
     unseen_v = loops([80.0, 65.0, 45.0, 30.0], 400)
     assert relative_error(model, stage, unseen_v) < 5e-3
 
@@ -95,7 +97,8 @@ def test_a_frequency_response_alone_gives_a_line(tmp_path, capsys):
     np.savetxt(path, np.column_stack([frequency_hz, gain.real, gain.imag]), delimiter=",",
                header="frequency_hz,gain_re,gain_im", comments="")
     output = tmp_path / "model.json"
-    assert identify_main(["--dynamics", str(path), "--output", str(output), "--no-report"]) == 0
+    assert identify_main(["--dynamics", str(path), "--output", str(output), "--no-report",
+                          "--creep-pairs", "0", "--modes", "1", "--antiresonances", "0"]) == 0
     hysteresis = load_model(output).model.hysteresis
     rise_um = np.diff(hysteresis.simulate(np.array([0.0, 10.0])))
     assert rise_um == pytest.approx(4.0, rel=1e-3)

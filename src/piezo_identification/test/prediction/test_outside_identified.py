@@ -90,6 +90,7 @@ def test_voltages_beyond_those_of_the_model_are_told(one_loop):
     assert "beyond the model's voltages, 0 to 100 V" in found.sentences()[0]
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_both_commands_say_it(one_loop, save_csv, tmp_path, capsys, picture_faults):
     model, path = tmp_path / "model.json", tmp_path / "beyond.csv"
     save_model(model, one_loop)

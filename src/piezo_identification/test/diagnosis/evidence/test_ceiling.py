@@ -17,7 +17,7 @@ from piezo_identification.experiments import catalogue as experiments
 
 @pytest.fixture(scope="module")
 def recorded(plant, play):
-    return play(experiments.validation(arc_s=0.02, tones_s=0.2), 1)
+    return play(experiments.validation(arc_s=0.02, tones_s=0.1), 1)
 
 
 @pytest.fixture(scope="module")

@@ -97,6 +97,7 @@ def test_rows_are_aligned_as_for_the_identification(files):
     np.testing.assert_array_equal(aligned[1].voltage_v, raw[1].voltage_v[1:])
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_the_command_says_what_it_could_not_ask(files, tmp_path, capsys):
     def diagnose(*more):
         assert main(["--model", str(files["model"]), "--data", str(files["new"]),

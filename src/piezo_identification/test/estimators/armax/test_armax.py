@@ -50,8 +50,8 @@ def normalised_errors(dynamics, orders, sample_period_s, period_s, periods, swin
 
 @pytest.mark.parametrize(("dynamics", "orders", "record"), [
     (ONE_MODE, (3, 3, 3), (1e-4, 0.1, 2, 8.75, 0.07)),
-    (ONE_MODE, (5, 6, 5), (1e-4, 0.1, 2, 8.75, 0.07)),
-    (TWO_MODES, (5, 6, 5), (5e-5, 0.02, 20, 10.0, 0.07)),
+    pytest.param(ONE_MODE, (5, 6, 5), (1e-4, 0.1, 2, 8.75, 0.07), marks=pytest.mark.long),
+    pytest.param(TWO_MODES, (5, 6, 5), (5e-5, 0.02, 20, 10.0, 0.07), marks=pytest.mark.long),
 ])
 def test_white_noise_square_waves_succeed_whatever_the_seed(dynamics, orders, record):
     response_errors, relative, normalised = normalised_errors(dynamics, orders, *record)

@@ -85,7 +85,7 @@ def growing_residuals(trials):
 
 
 @pytest.mark.parametrize(("hidden", "samples"), [
-    pytest.param({"delay_s": 1e-4}, 4.0, id="delay"),
+    pytest.param({"delay_s": 1e-4}, 4.0, id="delay", marks=pytest.mark.long),
     pytest.param({"read_at": 1.0}, -1.0, id="end of hold"),
     pytest.param({"read_at": 0.4}, -0.4, id="within the hold", marks=pytest.mark.long),
     pytest.param({"sensor_lag_s": 1e-4}, 0.0, id="sensor lag")])

@@ -40,7 +40,8 @@ def recorded(dynamics, seed=0, jump_v=-80.0):
     )
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [
+    0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
 @pytest.mark.parametrize("truth", [ONE_MODE, TWO_MODES])
 def test_modes_are_recovered_within_their_uncertainty(truth, seed):
     estimate = estimate_jump_dynamics(jump_response(recorded(truth, seed)))

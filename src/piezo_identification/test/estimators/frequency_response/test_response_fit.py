@@ -104,7 +104,7 @@ def test_the_error_never_grows_with_the_order(seed):
             3e-4, frequencies, draw.uniform(0.005, 0.2, 3),
             np.sqrt(frequencies[1:] * frequencies[:-1])[:seed % 3],
             draw.uniform(0.01, 0.1, seed % 3)))
-    trials = estimate_from_response(measured(seed, model=truth), most_states=10).trials
+    trials = estimate_from_response(measured(seed, model=truth), most_states=8).trials
     assert len(trials) > 5
     for small in trials:
         for large in trials:

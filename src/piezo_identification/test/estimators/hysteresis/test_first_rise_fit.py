@@ -14,7 +14,7 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
     estimate_first_rise,
     without_first_rise,
 )
-from piezo_identification.identification.given_hysteresis import CHOSEN_BY_DATA
+from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import estimate_loops
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_identification.prediction import predict
@@ -23,6 +23,7 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 
 PERIOD_S, NOISE_UM = 0.02, 0.003
 CYCLE_V = (0.0, 60.0, 0.0)
+GRID = DensityOptions(40, 1e-10, 1e-10)
 
 
 def ways(turns_v, samples=90):
@@ -78,7 +79,7 @@ def virgin(stage, recorded):
 @pytest.fixture(scope="module")
 def loops(virgin):
     density, first_rise, cycled = estimate_loops(
-        {"hysteresis": virgin}, LinearDynamics(), CHOSEN_BY_DATA)
+        {"hysteresis": virgin}, LinearDynamics(), GRID)
     return density, first_rise, cycled["hysteresis"]
 
 
@@ -121,7 +122,7 @@ def test_it_is_not_taken_for_drift(recorded, stage):
     displacement_um = stage.displacement_um(voltage_v, PERIOD_S, CYCLE_V)
     drift_um = np.linspace(0.0, 0.3, voltage_v.size)
     drifts = recorded("drifts", voltage_v, displacement_um + drift_um, PERIOD_S, NOISE_UM)
-    _, first_rise, _ = estimate_loops({"hysteresis": drifts}, LinearDynamics(), CHOSEN_BY_DATA)
+    _, first_rise, _ = estimate_loops({"hysteresis": drifts}, LinearDynamics(), GRID)
     assert first_rise is None
 
 
