@@ -52,6 +52,8 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
         print(results.identified_from.not_asked)
     for sentence in results.outside:
         print(sentence)
+    if results.next_experiment is not None:
+        print(f"what would decide: {results.next_experiment.sentence()}")
     print(f"written to {options.output}")
     print(f"report: {results.report}")
     if results.diagnosis.selection.interrupted:

@@ -31,6 +31,9 @@ SOMETHING_ELSE = "something_else"
 
 SHOWN_PROBABILITY = 1e-3
 
+UNLIKELY = 0.5
+"""Probability of deciding below which a recording is more likely to decide nothing."""
+
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """Return the verdict in one sentence, with its probability where that is known."""
@@ -94,7 +97,7 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
             "Standard deviations are those of the joint fit of all effects; the interval holds the "
             "parameter in 95 of 100 repeats.",), effect_rows(diagnosis.effects)))
     sections += _left(diagnosis)
-    sections.append(_undecided(diagnosis))
+    sections += [_undecided(diagnosis), *_would_decide(diagnosis)]
     sections += [
         _recording(diagnosis, part, residual_um(dataset, index, noise=noise),
                    residual_of_model_um(dataset, index, diagnosis.model, noise),
@@ -272,6 +275,30 @@ def _undecided(diagnosis: Diagnosis) -> Section:
         (name, reason, kinds[name].experiment) for name, reason in diagnosis.not_decidable.items()
     ]
     return Section(title, table=rows)
+
+
+def _would_decide(diagnosis: Diagnosis) -> Iterator[Section]:
+    """Yield the recording that would decide between the rivals, with what each predicts."""
+    designed = diagnosis.next_experiment
+    if designed is None:
+        return
+    chance = designed["probability_of_deciding"]
+    told = [f"Play {designed['file']}: {designed['description']}, from {designed['lowest_v']:.3g} "
+            f"to {designed['highest_v']:.3g} V, for {designed['duration_s']:.3g} s. Then diagnose "
+            "both recordings together. The probability that one explanation has more than 95 % "
+            f"afterwards is {_percent(chance)} %."]
+    if chance < UNLIKELY:
+        told.append("No waveform of the families that were tried tells the explanations apart more "
+                    "surely: within these limits the stage does not show which one is right.")
+    rows: list[tuple[str, ...]] = [(
+        "if it lacks", "probability (%)", "probability that this is decided (%)",
+        "RMS difference from the others (nm)")]
+    rows += [(_alternative(rival["effects"]), _percent(rival["probability"]),
+              _percent(rival["probability_of_deciding"]),
+              ", ".join(f"{_alternative(name)}: {1e3 * apart_um:.3g}" for name, apart_um in
+                        rival["expected_rms_difference_um"].items()))
+             for rival in designed["alternatives"]]
+    yield Section("What would decide", told, rows)
 
 
 def _other_parameters(before: StageModel, after: StageModel) -> Section:
