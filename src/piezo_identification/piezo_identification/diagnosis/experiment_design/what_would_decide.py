@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The next experiment of a diagnosis whose rivals remain: what `propose` would play."""
+"""The next experiment of a diagnosis that leaves several explanations, as `propose` designs it."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -26,7 +26,7 @@ COMPARED = 0.3
 """Part of the work that the estimate of the alternatives is."""
 
 
-def rivals_remain(verdict: Mapping[str, Any]) -> bool:
+def several_remain(verdict: Mapping[str, Any]) -> bool:
     """Tell whether a verdict leaves several known explanations between which a recording decides.
 
     Parameters
@@ -52,7 +52,7 @@ def rivals_remain(verdict: Mapping[str, Any]) -> bool:
 
 def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecordings,
                       progress: Progress) -> Proposal | None:
-    """Design the recording that decides between the rivals of a diagnosis.
+    """Design the recording that decides between the alternatives of a diagnosis.
 
     Parameters
     ----------
@@ -65,13 +65,13 @@ def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecor
     Returns
     -------
     Proposal or None
-        None where no rivals remain, or their estimate leaves one.
+        None where several do not remain, or their estimate leaves one.
     """
     verdict = diagnosis.document()
-    if diagnosis.selection.interrupted or not rivals_remain(verdict):
+    if diagnosis.selection.interrupted or not several_remain(verdict):
         return None
     regression = diagnosis.selection.regression
-    progress("compare the rivals", 0.0)
+    progress("compare the alternatives", 0.0)
     alternatives = find_alternatives(
         regression, verdict, old_recordings(regression.dataset.model, identified_from))
     return propose(alternatives, recorded_limits(regression.dataset),

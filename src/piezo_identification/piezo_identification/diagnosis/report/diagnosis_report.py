@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from piezo_common.arrays import FloatArray
 from piezo_common.report_page import Picture, Section, pictured, render_page
-from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.diagnosis.comparison.attempts import Attempt
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.comparison.selection import Selection
@@ -120,7 +119,8 @@ def _found(diagnosis: Diagnosis) -> Section:
     told = [f"Held out: {where}, the same before and after. e_y is the norm of the difference over "
             "that of the measured displacement without its mean, in percent (4.20).",
             *(f"{text}." for text in diagnosis.left_out),
-            *(f"{sign_text(path)}." for path in diagnosis.reversed)]
+            *(f"{fault['name']}: {fault['sentence']}. What to do: {fault['remedy']}."
+              for fault in diagnosis.recording_faults)]
     rows = [
         ("error on held-out data", "before", "after"),
         ("RMS (nm)", *(f"{1e3 * errors['rms_um']:.3g}" for errors in (before, after))),
@@ -278,7 +278,7 @@ def _undecided(diagnosis: Diagnosis) -> Section:
 
 
 def _would_decide(diagnosis: Diagnosis) -> Iterator[Section]:
-    """Yield the recording that would decide between the rivals, with what each predicts."""
+    """Yield the recording that would decide between the alternatives, with what each predicts."""
     designed = diagnosis.next_experiment
     if designed is None:
         return
@@ -293,11 +293,11 @@ def _would_decide(diagnosis: Diagnosis) -> Iterator[Section]:
     rows: list[tuple[str, ...]] = [(
         "if it lacks", "probability (%)", "probability that this is decided (%)",
         "RMS difference from the others (nm)")]
-    rows += [(_alternative(rival["effects"]), _percent(rival["probability"]),
-              _percent(rival["probability_of_deciding"]),
+    rows += [(_alternative(each["effects"]), _percent(each["probability"]),
+              _percent(each["probability_of_deciding"]),
               ", ".join(f"{_alternative(name)}: {1e3 * apart_um:.3g}" for name, apart_um in
-                        rival["expected_rms_difference_um"].items()))
-             for rival in designed["alternatives"]]
+                        each["expected_rms_difference_um"].items()))
+             for each in designed["alternatives"]]
     yield Section("What would decide", told, rows)
 
 

@@ -201,7 +201,7 @@ def write_results(given: GivenFiles, diagnosis: Diagnosis,
     diagnosis : Diagnosis
         Of its recordings.
     proposal : Proposal, optional
-        Where rivals remain.
+        Where several explanations remain.
 
     Returns
     -------

@@ -28,10 +28,10 @@ SCAN = Experiment("scan", 50.0 - 25.0 * np.cos(2e-3 * np.pi * np.arange(3000)), 
     ({"delay": 0.99}, {"thermal_drift": "in so short a time, a drift looks like creep"}, False),
     ({}, {}, False),
 ])
-def test_rivals_remain_where_no_explanation_of_the_list_is_sure(shares, because, expected):
+def test_several_remain_where_no_explanation_of_the_list_is_sure(shares, because, expected):
     verdict = {"effects": [{"name": "delay"}], "probabilities": shares,
                "not_decidable_because": because}
-    assert module.rivals_remain(verdict) == expected
+    assert module.several_remain(verdict) == expected
 
 
 @pytest.fixture
