@@ -311,8 +311,9 @@ def _other_parameters(before: StageModel, after: StageModel) -> Section:
             rows += [(field.name, _number(was), _number(now), f"{100.0 * (now / was - 1.0):+.2f}")
                      for was, now in pairs if was]
     density = [model.hysteresis.density_um_per_v2.sum() for model in (before, after)]
-    rows.append(("density of the hysteresis, sum", *map(_number, density),
-                 f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
+    if density[0]:
+        rows.append(("density of the hysteresis, sum", *map(_number, density),
+                     f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
     return Section("What changed beside", (
         "Without the effects the model's own parameters had been fitted to make up for them. "
         "Beside the effects they were free to move as far as they are uncertain.",), rows)
