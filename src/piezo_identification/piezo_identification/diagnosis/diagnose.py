@@ -286,7 +286,7 @@ def decide(selection: Selection, validation: Validation,
             left_rms_um(beside) < left_rms_um(selection))
         if is_better and validation_beside.improves(beside.end):
             found, believed, fit, refused = beside, validation_beside, beside.end, {}
-    outliers = found_outliers(found.regression)
+    outliers = found_outliers(found.regression, fit.effects)
     shares = competition.probabilities
     if refused or best is not None and not best.since and found is selection:
         # Those of the competition are of fits that are not named here.
