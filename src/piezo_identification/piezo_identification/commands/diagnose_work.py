@@ -10,7 +10,6 @@ from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
 )
-from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
 from piezo_identification.diagnosis.report.results import diagnose_files
 from piezo_identification.diagnosis.response.response_results import (
@@ -52,6 +51,8 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
         print(results.identified_from.not_asked)
     for sentence in results.outside:
         print(sentence)
+    if results.next_experiment is not None:
+        print(f"what would decide: {results.next_experiment.sentence()}")
     print(f"written to {options.output}")
     print(f"report: {results.report}")
     if results.diagnosis.selection.interrupted:
@@ -65,8 +66,8 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
 
 
 def _print_table(diagnosis: Any, sentence: str) -> None:
-    for path in diagnosis.reversed:
-        print(sign_text(path))
+    for fault in diagnosis.recording_faults:
+        print(f"{fault['sentence']}; {fault['remedy']}")
     for text in diagnosis.left_out:
         print(text)
     print(f"verdict: {diagnosis.verdict}. {sentence}")

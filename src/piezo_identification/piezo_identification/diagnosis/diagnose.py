@@ -27,6 +27,11 @@ from piezo_identification.diagnosis.evidence.found_outliers import (
     found_outliers,
     left_out,
 )
+from piezo_identification.diagnosis.evidence.recording_faults import (
+    WRONG_SIGN,
+    RecordingFault,
+    without_faults,
+)
 from piezo_identification.diagnosis.evidence.residual_description import describe_residual
 from piezo_identification.diagnosis.joint.competition import (
     Competition,
@@ -43,7 +48,7 @@ from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.regression import Fit, Regression, first_regression
 from piezo_identification.diagnosis.verdict import Verdict
-from piezo_identification.prediction import PastSearchSettings, conditioned
+from piezo_identification.prediction import PastSearchSettings
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 
@@ -90,7 +95,7 @@ class Diagnosis(Verdict):
 
 @dataclass(frozen=True)
 class Conditioned:
-    """Recordings with the sign of the model, and their outliers marked.
+    """Recordings with the sign and the rows of the model, and their outliers marked.
 
     Attributes
     ----------
@@ -98,13 +103,18 @@ class Conditioned:
         To be diagnosed.
     holdout : Recording or None
         On which the errors are measured.
-    reversed : list of str
-        Paths of those whose sign was changed.
+    faults : list of RecordingFault
+        That were taken out of them.
     """
 
     recordings: list[Recording]
     holdout: Recording | None
-    reversed: list[str]
+    faults: list[RecordingFault]
+
+    @property
+    def reversed(self) -> list[str]:
+        """Return the paths of those whose sign was changed."""
+        return [fault.recording for fault in self.faults if fault.name == WRONG_SIGN]
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +196,7 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
 
 def condition(model: StageModel, recordings: Sequence[Recording],
               holdout: Recording | None) -> Conditioned:
-    """Give the recordings the sign of the model, and mark their outliers.
+    """Give the recordings the sign and the rows of the model, and mark their outliers.
 
     Parameters
     ----------
@@ -206,11 +216,10 @@ def condition(model: StageModel, recordings: Sequence[Recording],
     if not recordings:
         raise ValueError("there is no recording to diagnose: give one")
     given = [*recordings, *([] if holdout is None else [holdout])]
-    signed, changed = zip(*(conditioned(model, recording) for recording in given), strict=True)
+    usable, faults = zip(*(without_faults(model, recording) for recording in given), strict=True)
     return Conditioned(
-        list(signed[: len(recordings)]), None if holdout is None else signed[-1],
-        [str(recording.path) for recording, is_reversed in zip(given, changed, strict=True)
-         if is_reversed])
+        list(usable[: len(recordings)]), None if holdout is None else usable[-1],
+        [fault for found in faults for fault in found])
 
 
 def compare_effects(model: StageModel, recordings: Sequence[Recording],
@@ -277,7 +286,7 @@ def decide(selection: Selection, validation: Validation,
             left_rms_um(beside) < left_rms_um(selection))
         if is_better and validation_beside.improves(beside.end):
             found, believed, fit, refused = beside, validation_beside, beside.end, {}
-    outliers = found_outliers(found.regression)
+    outliers = found_outliers(found.regression, fit.effects)
     shares = competition.probabilities
     if refused or best is not None and not best.since and found is selection:
         # Those of the competition are of fits that are not named here.
@@ -354,6 +363,7 @@ def tell(model: StageModel, given: Conditioned, selection: Selection, validation
         left=_left(regression, decision, predictable),
         reversed=given.reversed, left_out=[*left_out(regression), *validation.left_out()],
         ceiling=None if predictable is None else asdict(predictable), selection=selection,
+        recording_faults=[fault.document() for fault in given.faults],
     )
 
 

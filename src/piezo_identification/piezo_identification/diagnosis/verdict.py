@@ -58,6 +58,12 @@ class Verdict:
     identified_from : dict
         `recordings` of the identification that were asked as well, and in `not_asked` what could
         not be asked without the others; empty where nothing was asked of them.
+    recording_faults : list of dict
+        What is wrong with the recordings themselves: `name` (`wrong_sign`, `misaligned_rows`),
+        `recording`, `sentence`, `remedy` and its numbers. See `evidence.recording_faults`.
+    next_experiment : dict or None
+        The recording that would decide between the explanations that remain, and what each of them
+        predicts; None where it was not designed. See `experiment_design.propose.Proposal`.
     """
 
     verdict: str
@@ -74,6 +80,8 @@ class Verdict:
     ceiling: dict[str, float] | None
     probabilities: dict[str, float] = field(default_factory=dict, kw_only=True)
     identified_from: dict[str, object] = field(default_factory=dict, kw_only=True)
+    recording_faults: list[dict[str, object]] = field(default_factory=list, kw_only=True)
+    next_experiment: dict[str, Any] | None = field(default=None, kw_only=True)
 
     def __repr__(self) -> str:
         return text_of_verdict(self)
@@ -106,6 +114,8 @@ class Verdict:
             "ceiling": self.ceiling,
             "probabilities": self.probabilities,
             "identified_from": self.identified_from,
+            "recording_faults": self.recording_faults,
+            "next_experiment": self.next_experiment,
         }
 
 

@@ -45,7 +45,8 @@ def summary_of_verdict(verdict: "Verdict") -> SummaryTable:
         rows += _effect_rows(entry)
     rows += [(f"probability of {name}", 100.0 * value, None, "%")
              for name, value in verdict.document().get("probabilities", {}).items()]
-    notes = [*verdict.left_out, verdict.left,
+    notes = [*(str(fault["sentence"]) for fault in verdict.recording_faults),
+             *verdict.left_out, verdict.left,
              *(f"{name} cannot be decided: {why}" for name, why in verdict.not_decidable.items())]
     held_out = "{samples} samples of {source}".format(**verdict.holdout)
     return SummaryTable(f"Verdict: {verdict.verdict}; errors on {held_out}", HEADS, rows,

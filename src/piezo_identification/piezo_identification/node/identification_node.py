@@ -50,7 +50,8 @@ EXPERIMENTS_FRACTION = 0.5
 Report = Callable[[str, float], None]
 # Of a diagnosis: the model, the recordings, the held-out recording, the directory of the results.
 DiagnosedFiles = tuple[str, list[str], str | None, Path]
-DIAGNOSIS_FILES = ("verdict.json", "extended_model.json", "report.html")
+DIAGNOSIS_FILES = ("verdict.json", "extended_model.json", "report.html", "next_experiment.csv",
+                   "next_experiment.json")
 
 
 class IdentificationNode(LifecycleNode):

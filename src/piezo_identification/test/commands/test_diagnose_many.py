@@ -2,15 +2,24 @@
 """Many recordings from a table: resumed by content, with bad ones named and skipped."""
 
 import json
+import os
 import re
+import signal
+import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from piezo_identification.commands.diagnose_many_command import main
 from piezo_identification.diagnosis.many import diagnose_table, many_recordings
-from piezo_identification.diagnosis.many.many_recordings import read_table
+from piezo_identification.diagnosis.many.many_recordings import diagnose_rows, read_table
 from piezo_identification.diagnosis.report import results
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.model_file import save_model
 
 VERDICT = {
     "verdict": "explained", "effects": [{"name": "delay"}], "before": {"rms_um": 0.08},
@@ -94,3 +103,93 @@ def test_a_scheduler_that_is_not_there_is_told_in_one_line(table, tmp_path, caps
     assert main([str(table), "--scheduler", "tcp://127.0.0.1:9",
                  "--output", str(tmp_path / "out")]) == 2
     assert "no scheduler at tcp://127.0.0.1:9" in capsys.readouterr().err
+
+
+def sentences(results):
+    return "\n".join(many_recordings.errors_of(results))
+
+
+def test_rows_that_no_worker_can_do_are_named_with_what_to_do(table, tmp_path, monkeypatch):
+    from distributed import Client
+
+    monkeypatch.setattr(many_recordings, "LONELY_S", 0.0)
+    monkeypatch.setattr(many_recordings, "ASKED_S", 0.01)
+    rows = read_table(table, tmp_path / "out")
+    with Client(processes=False, n_workers=0, dashboard_address=None) as client:
+        told = diagnose_rows(client, rows, lambda done: None)
+    assert len(told) == 3
+    assert sentences(told).count("no worker for 0 s; start one with `dask worker ADDRESS`") == 3
+
+
+def test_a_scheduler_that_goes_away_leaves_what_is_done(table, tmp_path, monkeypatch):
+    from distributed import Client, LocalCluster
+
+    gone = threading.Event()
+
+    def diagnose(model, data, holdout, directory, progress, identified_from):
+        if "a.csv" not in str(data[0]):
+            assert gone.wait(60.0)
+        Path(directory).mkdir(parents=True, exist_ok=True)
+        (Path(directory) / "verdict.json").write_text(json.dumps(VERDICT))
+
+    monkeypatch.setattr(results, "diagnose_files", diagnose)
+    rows = read_table(table, tmp_path / "out")
+    with LocalCluster(processes=False, n_workers=1, threads_per_worker=1,
+                      dashboard_address=None) as cluster, Client(cluster) as client:
+        def lose_the_scheduler(done):
+            # What the client does where its connection breaks.
+            for state in list(client.futures.values()):
+                if state.status == "pending":
+                    client.loop.add_callback(state.cancel, "scheduler-connection-lost", "gone")
+
+        told = diagnose_rows(client, rows, lose_the_scheduler)
+        gone.set()
+    assert "verdict" in told[0]
+    assert sentences(told).count("the scheduler is gone; start it, and begin again") == 2
+
+
+@pytest.fixture
+def five_recordings(tmp_path):
+    """A line with noise, two of the recordings with a hum: made by NumPy alone."""
+    line = StageModel(PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0])),
+                      CreepDynamics(), ElectricVibrationDynamics())
+    save_model(tmp_path / "model.json", IdentifiedModel(line, (0.0, 10.0)))
+    random, lines = np.random.default_rng(5), ["model,data,name"]
+    time_s = 1e-3 * np.arange(3000)
+    for number in range(5):
+        voltage_v = np.repeat(random.uniform(0.0, 10.0, 150), 20)
+        displacement_um = 2.0 * voltage_v + random.normal(scale=2e-3, size=time_s.size)
+        if number > 2:
+            displacement_um += 1.5 * np.sin(2.0 * np.pi * 37.3 * time_s)
+        np.savetxt(tmp_path / f"{number}.csv", np.column_stack(
+            [time_s, voltage_v, displacement_um]), delimiter=",", comments="",
+            header="time_s,voltage_v,displacement_um")
+        lines.append(f"model.json,{number}.csv,row{number}")
+    (tmp_path / "table.csv").write_text("\n".join(lines) + "\n")
+    return read_table(tmp_path / "table.csv", tmp_path / "out")
+
+
+@pytest.mark.long
+def test_a_worker_process_that_is_killed_loses_no_row(five_recordings):
+    from distributed import Client, LocalCluster
+
+    with LocalCluster(processes=True, n_workers=2, threads_per_worker=1,
+                      dashboard_address=None) as cluster, Client(cluster) as client:
+        killed = []
+
+        def kill_first(done):
+            if not killed:
+                killed.append(cluster.workers[0].pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        told = diagnose_rows(client, five_recordings, kill_first)
+        assert killed
+        assert [result["verdict"]["verdict"] for result in told] == ["none"] * 3 + [
+            "explained"] * 2
+        assert [[effect["name"] for effect in result["verdict"]["effects"]]
+                for result in told[3:]] == [["periodic_disturbance"]] * 2
+        counted = []
+        again = diagnose_rows(client, five_recordings, counted.append)
+    assert counted == [1, 2, 3, 4, 5]
+    assert not any(result["is_new"] for result in again)
+    assert [result["verdict"] for result in again] == [result["verdict"] for result in told]

@@ -6,7 +6,9 @@ A package of its own adds one through an entry point of the group `piezo_models.
 
 from piezo_common.registered import registered
 from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
+from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import (
@@ -46,7 +48,10 @@ EFFECTS = (
     AmplifierLag,
     Stiffening,
     HystereticSpring,
+    AmplitudeDamping,
     Backlash,
+    VoltageSteps,
+    SensorSteps,
     Outliers,
 )
 """These effects come with this package."""

@@ -68,6 +68,8 @@ class Evidence:
     visible : callable
         Given a contribution, shape (N, 1): the part of its variation that neither offset nor
         initial creep nor a retuned model could explain.
+    measured_um : (N,) array, optional
+        As the sensor read it.
     """
 
     sample_period_s: float
@@ -79,6 +81,7 @@ class Evidence:
     drive_um: FloatArray
     reduction: Callable[..., tuple[FloatArray, float]]
     visible: Callable[[FloatArray], float]
+    measured_um: FloatArray | None = None
 
     @property
     def time_s(self) -> FloatArray:

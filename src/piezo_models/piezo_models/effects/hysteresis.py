@@ -25,6 +25,9 @@ LEAST_SHARE = 0.2
 """Part of the residual's power that the plays must remove, beyond what a curve without hysteresis
 does, before they are fitted: hysteresis that is missing is a good part of a residual."""
 
+SCANNED_FIRST = slice(0, None, 5)
+"""Plays that are tried first: where they remove half of `LEAST_SHARE` beyond a line, all are."""
+
 SOFTEST = 0.02
 """Slope that remains, over the one without hysteresis."""
 
@@ -111,6 +114,11 @@ class Hysteresis(Effect):
         """Begin with the plays of least squares, where they remove a good part of the residual."""
         low, high = float(evidence.voltage_v.min()), float(evidence.voltage_v.max())
         shape = cls((), (), tuple(SCANNED_THRESHOLDS), 0.5 * (low + high), 0.5 * (high - low))
+        few = replace(shape, thresholds=tuple(SCANNED_THRESHOLDS[SCANNED_FIRST]))
+        plays = few._contributions(evidence, slice(0, len(few.thresholds)))
+        _, of_line = evidence.reduction(plays[:, :1])
+        if evidence.reduction(plays)[1] - of_line < 0.5 * LEAST_SHARE:
+            return []
         plays = shape._contributions(evidence, slice(0, SCANNED_THRESHOLDS.size))
         weights, _ = evidence.reduction(np.column_stack([-plays[:, 0], plays]), positive=True)
         # A play matters by what it holds back, which grows with its width.

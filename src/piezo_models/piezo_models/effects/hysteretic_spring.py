@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hysteresis inside the mechanics: a spring whose force depends on the way that was gone."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import product
 from typing import Any, ClassVar, Self
 
@@ -15,7 +17,7 @@ from piezo_models.effects.stiffening import UNRESOLVED
 
 SCANNED_BETAS = (0.3, 1.0, 3.0)
 SCANNED_GAMMAS = (-1.0, -0.5, 0.0, 1.0)
-"""Times beta."""
+"""Times beta. What the forces of the middle beta do not remove together, no other one does."""
 
 PERIODS_TO_REPEAT = 10
 """After so many periods the hysteresis has forgotten how it began."""
@@ -114,15 +116,22 @@ class HystereticSpring(Effect):
         """
         measured_um = evidence.displacement_um + evidence.residual_um
         low, high = float(measured_um.min()), float(measured_um.max())
+        centre_um, half_um = 0.5 * (low + high), 0.5 * (high - low)
+
+        @cache
+        def force(beta: float, gamma: float) -> FloatArray:
+            return np.asarray(
+                force_under(measured_um - centre_um, half_um, 1.0, beta, gamma, 1.0))
+
         found: list[tuple[float, Self]] = []
         for frequency, damping in _moved(evidence):
-            shape = cls(0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.5 * (low + high), 0.5 * (high - low),
-                        frequency, damping)
-            found += shape._scanned(evidence, measured_um)
+            shape = cls(0.0, 0.0, 1.0, 0.0, 0.0, 1.0, centre_um, half_um, frequency, damping)
+            found += shape._scanned(evidence, measured_um, force)
         found.sort(key=lambda entry: -entry[0])
         return [start for _, start in found[:3]]
 
-    def _scanned(self, evidence: Evidence, measured_um: FloatArray) -> list[tuple[float, Self]]:
+    def _scanned(self, evidence: Evidence, measured_um: FloatArray,
+                 force: Callable[[float, float], FloatArray]) -> list[tuple[float, Self]]:
         """Return the shapes whose force would remove more than a change of the mode, and how much.
 
         With the exponent 1, a stiffness s makes s times the force of a stiffness 1.
@@ -135,14 +144,22 @@ class HystereticSpring(Effect):
             filtered([w, 0.0], mode, away_um, period_s),
         ])
         _, linear_share = evidence.reduction(-changed)
+        least_share = linear_share + LEAST_SHARE * (1.0 - linear_share)
+
+        def removed(beta: float, gamma: float) -> FloatArray:
+            return filtered([w * w], mode, force(beta, gamma), period_s)
+
+        middle = SCANNED_BETAS[len(SCANNED_BETAS) // 2]
+        together = np.column_stack(
+            [changed, *(removed(middle, part * middle) for part in SCANNED_GAMMAS)])
+        if evidence.reduction(-together)[1] < least_share:
+            return []
         found = []
         for beta, part in product(SCANNED_BETAS, SCANNED_GAMMAS):
             gamma = part * beta
-            force = force_under(away_um, self.half_range_um, 1.0, beta, gamma, 1.0)
-            removed = filtered([w * w], mode, force, period_s)
-            gains, share = evidence.reduction(-np.column_stack([changed, removed]))
+            gains, share = evidence.reduction(-np.column_stack([changed, removed(beta, gamma)]))
             linear, viscous, stiffness = gains.tolist()
-            if stiffness <= 0.0 or share - linear_share < LEAST_SHARE * (1.0 - linear_share):
+            if stiffness <= 0.0 or share < least_share:
                 continue
             start = replace(self, linear=float(np.clip(linear, -0.9, 10.0)),
                             viscous=float(np.clip(viscous, -1.0, 10.0)),

@@ -21,7 +21,9 @@ from piezo_models.effects import (
     with_fitted_values,
 )
 from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
+from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import PLACES, parameter
@@ -62,7 +64,10 @@ EXAMPLES = (
     AmplifierLag(4e-5),
     Stiffening(0.1, 0.2, 0.3, 10.0, 20.0, 5000.0, 0.1),
     HystereticSpring(-0.2, 0.01, 0.2, 2.0, -0.5, 1.0, 10.0, 10.0, 5000.0, 0.1),
+    AmplitudeDamping(0.01, 0.5, 10.0, 5000.0, 0.1),
     Backlash(0.1),
+    VoltageSteps(1.0, 0.1, 0.02),
+    SensorSteps(1.0, 0.05, 0.01),
     Outliers(0.01, 0.5, 0.06),
 )
 
@@ -120,7 +125,8 @@ def test_a_model_file_with_an_unknown_or_wrong_effect_is_refused(change, message
 
 @pytest.mark.parametrize("effect", [
     effect for effect in EXAMPLES
-    if effect.follows_voltage and effect.name not in ("voltage_clipping", "slew_limit", "creep")
+    if effect.follows_voltage and effect.name not in (
+        "voltage_clipping", "slew_limit", "creep", "voltage_steps", "sensor_steps")
 ], ids=lambda effect: effect.name)
 def test_compensation_undoes_the_effect_on_a_periodic_signal(effect):
     wanted = wave()

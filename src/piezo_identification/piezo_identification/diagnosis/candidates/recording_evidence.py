@@ -42,6 +42,7 @@ def _of_recording(regression: Regression, index: int, mask: BoolArray,
         *_projections(regression.weighted[mask][used], regression.prior,
                       dataset.rows[index][used], regression.tolerance_um[mask][0],
                       part.measured_um - simulated_um),
+        part.measured_um,
     )
 
 

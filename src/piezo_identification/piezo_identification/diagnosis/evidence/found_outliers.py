@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Outliers of all recordings that are diagnosed: an effect of the sensor, and samples left out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,12 @@ from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.residual.noise_estimate import residual_um
 from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_models.effects import Effect
+from piezo_models.effects.converter_steps import SensorSteps
 from piezo_models.effects.outliers import FEWEST, THRESHOLD, Outliers
+
+NEXT_STEP = 1.6
+"""Steps of the sensor by which a reading that is rounded the other way may be off at most."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +52,22 @@ class FoundOutliers:
         }
 
 
-def found_outliers(regression: Regression) -> FoundOutliers | None:
-    """Return the outliers, if there are more than chance makes and they are worth a name."""
+def found_outliers(regression: Regression,
+                   effects: Sequence[Effect] = ()) -> FoundOutliers | None:
+    """Return the outliers, if there are more than chance makes and they are worth a name.
+
+    Parameters
+    ----------
+    regression : Regression
+    effects : sequence of piezo_models.effects.effect.Effect
+        That are named. Beside steps of the sensor, a reading of the next step is no outlier.
+
+    Returns
+    -------
+    FoundOutliers or None
+    """
+    least_um = max((NEXT_STEP * effect.step_um for effect in effects
+                    if isinstance(effect, SensorSteps)), default=0.0)
     off_um, samples = [], 0
     for index, part in enumerate(regression.dataset.simulated):
         settled = slice(part.begin, None)
@@ -55,7 +75,7 @@ def found_outliers(regression: Regression) -> FoundOutliers | None:
         # What stands out of the residual alone has not been put among its neighbours.
         left_um = residual_um(regression.dataset, index, noise=regression.noise)
         beside_um = np.where(part.outlier, part.off_um, left_um)[settled]
-        off_um.append(beside_um[outlier])
+        off_um.append(beside_um[outlier & (np.abs(beside_um) >= least_um)])
         samples += outlier.size
     joined_um = np.concatenate(off_um)
     if joined_um.size < FEWEST:

@@ -6,18 +6,19 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
-from piezo_common.progress_part import Progress
+from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.experiment_design.decide import DecisionStep, decide
 from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
 from piezo_identification.diagnosis.experiment_design.propose import (
     LONGEST_S,
     Proposal,
+    propose,
     save_proposal,
 )
 from piezo_identification.diagnosis.report.results import (
+    READ_FRACTION,
     REPORT_FRACTION,
     DiagnosisResults,
-    diagnosis_progress,
     read_given,
     stated_error,
     write_results,
@@ -77,10 +78,12 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
         return given.recordings[-1]
 
     steps = decide(given.identified.model, given.recordings, play_proposed, budget, limits,
-                   longest_s, given.holdout, diagnosis_progress(progress), given.identified_from,
-                   stated_error(given.identified))
+                   longest_s, given.holdout, part_of(progress, READ_FRACTION, REPORT_FRACTION),
+                   given.identified_from, stated_error(given.identified))
     progress("write the report", REPORT_FRACTION)
-    return write_results(given, steps[-1].diagnosis), steps
+    last = steps[-1]
+    proposal = None if last.is_decided else propose(last.alternatives, limits, longest_s)
+    return write_results(given, last.diagnosis, proposal), steps
 
 
 def decision_sentence(steps: Sequence[DecisionStep]) -> str:

@@ -73,7 +73,7 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     validation = Validation(first, given.holdout).beside(beside.regression)
     if names and not validation.improves(selection.end):
         return replace(diagnosis, probabilities=chances)
-    outliers = found_outliers(selection.regression)
+    outliers = found_outliers(selection.regression, selection.end.effects)
     if unnamed >= PROBABILITIES.believed:
         # They are of a fit that is not named here.
         chances = probabilities_of_named(competition, selection.regression, selection.end, ())

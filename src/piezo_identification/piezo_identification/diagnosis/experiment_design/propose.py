@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from piezo_common.progress_part import Progress
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.diagnose import condition
 from piezo_identification.diagnosis.experiment_design.alternatives import (
     Alternatives,
@@ -40,6 +41,8 @@ LONGEST_S = 30.0
 FACTORS = (1.6, 1.25)
 """By which level and rate of the best waveform of the grid are varied, one after the other."""
 
+WAVEFORM, OUTCOME = "next_experiment.csv", "next_experiment.json"
+"""Names of the files of a proposal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +54,24 @@ class Proposal:
     experiment : Experiment
     alternatives : Alternatives
     outcome : ExpectedOutcome
+    point : Point
+        Family, level and rate of the waveform.
     """
 
     experiment: Experiment
     alternatives: Alternatives
     outcome: ExpectedOutcome
+    point: Point
 
     def document(self) -> dict[str, Any]:
         """Return the content of the file with the expected outcome."""
         names = [alternative.name for alternative in self.alternatives.alternatives]
         return {
             "waveform": self.experiment.name, "description": self.experiment.description,
+            "kind": self.point.family.name, "level": self.point.level,
+            "rate_hz": self.point.rate_hz,
+            "lowest_v": float(self.experiment.voltage_v.min()),
+            "highest_v": float(self.experiment.voltage_v.max()),
             "duration_s": self.experiment.duration_s,
             "sample_period_s": self.experiment.sample_period_s,
             "probability_of_deciding": self.outcome.probability,
@@ -138,22 +148,23 @@ def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = 
     if len(alternatives.alternatives) < 2:
         return None
     limits = _within_model(limits, alternatives.problem.dataset.model)
-    steps = len(grid()) + 4 * len(FACTORS)
-    done = 0
+    points = grid()
+    steps, done = len(points) + 4 * len(FACTORS), 0
 
-    def tried(point: Point) -> tuple[tuple[float, ...], Proposal, Point]:
-        nonlocal done
-        if progress is not None:
-            progress(f"try {point.family.name.replace('_', ' ')}", done / steps)
-        done += 1
+    def tried(point: Point) -> Proposal:
         experiment = waveform(limits, longest_s, point)
         outcome = expected_outcome(alternatives, experiment, limits)
-        return outcome.rank, Proposal(experiment, alternatives, outcome), point
+        return Proposal(experiment, alternatives, outcome, point)
 
-    best = max((tried(point) for point in grid()), key=_rank)
+    def report(number: int) -> None:
+        if progress is not None:
+            progress(f"try {points[number].family.name.replace('_', ' ')}", (done + number) / steps)
+
+    best = max(side_by_side(tried, points, report), key=_rank)
     for factor in FACTORS:
-        best = max([best, *(tried(point) for point in best[2].neighbours(factor))], key=_rank)
-    return best[1]
+        done, points = done + len(points), best.point.neighbours(factor)
+        best = max([best, *side_by_side(tried, points, report)], key=_rank)
+    return best
 
 
 def save_proposal(proposal: Proposal, directory: Path) -> tuple[Path, Path]:
@@ -174,7 +185,7 @@ def save_proposal(proposal: Proposal, directory: Path) -> tuple[Path, Path]:
     experiment = proposal.experiment
     voltage_v = np.tile(experiment.voltage_v, experiment.repeats)
     time_s = experiment.sample_period_s * np.arange(voltage_v.size)
-    paths = directory / "next_experiment.csv", directory / "next_experiment.json"
+    paths = directory / WAVEFORM, directory / OUTCOME
     np.savetxt(paths[0], np.column_stack([time_s, voltage_v]), "%.9g", ",",
                header="time_s,voltage_v", comments="", encoding="utf-8")
     paths[1].write_text(
@@ -182,8 +193,8 @@ def save_proposal(proposal: Proposal, directory: Path) -> tuple[Path, Path]:
     return paths
 
 
-def _rank(tried: tuple[tuple[float, ...], Proposal, Point]) -> tuple[float, ...]:
-    return tried[0]
+def _rank(proposal: Proposal) -> tuple[float, ...]:
+    return proposal.outcome.rank
 
 
 def _within_model(limits: StageLimits, model: StageModel) -> StageLimits:

@@ -8,7 +8,10 @@ those of the results in its folder, by their SHA-256, is not diagnosed again.
 import csv
 import hashlib
 import json
+import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from piezo_recorder.reading.reader import sha256_of
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Future
 
 COLUMNS = ("model", "data", "holdout", "identified_from", "name")
 REQUIRED = ("model", "data")
@@ -25,6 +28,10 @@ BETWEEN = ";"
 CONTENT = "content.json"
 """In the folder of a row: from what its results came."""
 CONNECT_S = 10
+LONELY_S = 30.0
+"""How long a scheduler may be without any worker: one that died is started again sooner."""
+ASKED_S = 0.5
+"""How often it is asked whether there are workers."""
 
 
 @dataclass(frozen=True)
@@ -175,16 +182,45 @@ def diagnose_rows(client: "Client", rows: Sequence[DiagnosisRow],
     Returns
     -------
     list of dict
-        Of `diagnose_row`, in the order of the rows. A worker that died is an error of its row.
+        Of `diagnose_row`, in the order of the rows. The row of a worker that died goes to another
+        one. A row that no worker can do is an error of it: it kills workers again and again, the
+        scheduler is gone, or it has no worker for `LONELY_S`.
     """
-    from distributed import as_completed
-
     running = [client.submit(diagnose_row, row, pure=False) for row in rows]
-    for done, _ in enumerate(as_completed(running), start=1):
-        progress(done)
-    return [future.result() if future.status == "finished" else
-            {"name": row.name, "is_new": True, "error": f"not diagnosed: {future.exception()}"}
-            for row, future in zip(rows, running, strict=True)]
+    told, lonely_since = 0, time.monotonic()
+    while any(future.status == "pending" for future in running):
+        if client.scheduler_info()["workers"]:
+            lonely_since = time.monotonic()
+        elif time.monotonic() - lonely_since > LONELY_S:
+            break
+        _wait_for_one(running)
+        for done in range(told + 1, sum(future.status != "pending" for future in running) + 1):
+            progress(done)
+            told = done
+    results = [future.result() if future.status == "finished" else
+               {"name": row.name, "is_new": True, "error": f"not diagnosed: {_why_not(future)}"}
+               for row, future in zip(rows, running, strict=True)]
+    client.cancel([future for future in running if future.status == "pending"])
+    return results
+
+
+def _wait_for_one(running: "Sequence[Future[Any]]") -> None:
+    """Wait until one more row is done, or it is time to ask for workers."""
+    from distributed import wait
+
+    pending = [future for future in running if future.status == "pending"]
+    # One that the scheduler lost is seen by its status.
+    with suppress(TimeoutError, CancelledError):
+        wait(pending, timeout=ASKED_S, return_when="FIRST_COMPLETED")
+
+
+def _why_not(future: "Future[Any]") -> str:
+    if future.status == "pending":
+        return (f"the scheduler has had no worker for {LONELY_S:g} s; start one with `dask worker "
+                "ADDRESS`, and begin again")
+    if future.status in ("cancelled", "lost"):
+        return "the scheduler is gone; start it, and begin again"
+    return str(future.exception())
 
 
 def cluster_client(scheduler: str | None) -> "Client":

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from piezo_common.arrays import FloatArray
 from piezo_common.report_page import Picture, Section, pictured, render_page
-from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.diagnosis.comparison.attempts import Attempt
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.comparison.selection import Selection
@@ -30,6 +29,9 @@ SOMETHING_ELSE = "something_else"
 """Name of the probability that none of the known effects is what the model lacks."""
 
 SHOWN_PROBABILITY = 1e-3
+
+UNLIKELY = 0.5
+"""Probability of deciding below which a recording is more likely to decide nothing."""
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
@@ -94,7 +96,7 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
             "Standard deviations are those of the joint fit of all effects; the interval holds the "
             "parameter in 95 of 100 repeats.",), effect_rows(diagnosis.effects)))
     sections += _left(diagnosis)
-    sections.append(_undecided(diagnosis))
+    sections += [_undecided(diagnosis), *_would_decide(diagnosis)]
     sections += [
         _recording(diagnosis, part, residual_um(dataset, index, noise=noise),
                    residual_of_model_um(dataset, index, diagnosis.model, noise),
@@ -117,7 +119,8 @@ def _found(diagnosis: Diagnosis) -> Section:
     told = [f"Held out: {where}, the same before and after. e_y is the norm of the difference over "
             "that of the measured displacement without its mean, in percent (4.20).",
             *(f"{text}." for text in diagnosis.left_out),
-            *(f"{sign_text(path)}." for path in diagnosis.reversed)]
+            *(f"{fault['name']}: {fault['sentence']}. What to do: {fault['remedy']}."
+              for fault in diagnosis.recording_faults)]
     rows = [
         ("error on held-out data", "before", "after"),
         ("RMS (nm)", *(f"{1e3 * errors['rms_um']:.3g}" for errors in (before, after))),
@@ -274,6 +277,30 @@ def _undecided(diagnosis: Diagnosis) -> Section:
     return Section(title, table=rows)
 
 
+def _would_decide(diagnosis: Diagnosis) -> Iterator[Section]:
+    """Yield the recording that would decide between the alternatives, with what each predicts."""
+    designed = diagnosis.next_experiment
+    if designed is None:
+        return
+    chance = designed["probability_of_deciding"]
+    told = [f"Play {designed['file']}: {designed['description']}, from {designed['lowest_v']:.3g} "
+            f"to {designed['highest_v']:.3g} V, for {designed['duration_s']:.3g} s. Then diagnose "
+            "both recordings together. The probability that one explanation has more than 95 % "
+            f"afterwards is {_percent(chance)} %."]
+    if chance < UNLIKELY:
+        told.append("No waveform of the families that were tried tells the explanations apart more "
+                    "surely: within these limits the stage does not show which one is right.")
+    rows: list[tuple[str, ...]] = [(
+        "if it lacks", "probability (%)", "probability that this is decided (%)",
+        "RMS difference from the others (nm)")]
+    rows += [(_alternative(each["effects"]), _percent(each["probability"]),
+              _percent(each["probability_of_deciding"]),
+              ", ".join(f"{_alternative(name)}: {1e3 * apart_um:.3g}" for name, apart_um in
+                        each["expected_rms_difference_um"].items()))
+             for each in designed["alternatives"]]
+    yield Section("What would decide", told, rows)
+
+
 def _other_parameters(before: StageModel, after: StageModel) -> Section:
     """Tabulate the model's own parameters; what they gain alone is no effect's."""
     rows: list[tuple[str, ...]] = [("parameter", "before", "after", "change (%)")]
@@ -284,8 +311,9 @@ def _other_parameters(before: StageModel, after: StageModel) -> Section:
             rows += [(field.name, _number(was), _number(now), f"{100.0 * (now / was - 1.0):+.2f}")
                      for was, now in pairs if was]
     density = [model.hysteresis.density_um_per_v2.sum() for model in (before, after)]
-    rows.append(("density of the hysteresis, sum", *map(_number, density),
-                 f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
+    if density[0]:
+        rows.append(("density of the hysteresis, sum", *map(_number, density),
+                     f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
     return Section("What changed beside", (
         "Without the effects the model's own parameters had been fitted to make up for them. "
         "Beside the effects they were free to move as far as they are uncertain.",), rows)

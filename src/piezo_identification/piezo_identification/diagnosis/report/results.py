@@ -10,6 +10,13 @@ from pathlib import Path
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
+from piezo_identification.diagnosis.experiment_design.propose import (
+    OUTCOME,
+    WAVEFORM,
+    Proposal,
+    save_proposal,
+)
+from piezo_identification.diagnosis.experiment_design.what_would_decide import what_would_decide
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     find_identification_recordings,
@@ -23,8 +30,8 @@ from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import only_recording, read_recordings, sha256_of
 from piezo_recorder.reading.recording import Recording
 
-READ_FRACTION, REPORT_FRACTION = 0.05, 0.9
-"""Parts of the work that are done before the diagnosis and before the report."""
+READ_FRACTION, DESIGN_FRACTION, REPORT_FRACTION = 0.05, 0.7, 0.9
+"""Parts of the work that are done before the diagnosis, the next experiment and the report."""
 
 
 AnyPath = str | PathLike[str]
@@ -81,6 +88,8 @@ class DiagnosisResults:
         identified on.
     identified_from : IdentificationRecordings
         What was at hand of the recordings that the model was identified from.
+    next_experiment : Proposal or None
+        What would decide between the explanations that remain.
     """
 
     diagnosis: Diagnosis
@@ -89,6 +98,7 @@ class DiagnosisResults:
     report: Path
     outside: tuple[str, ...] = ()
     identified_from: IdentificationRecordings = IdentificationRecordings()
+    next_experiment: Proposal | None = None
 
 
 def diagnose_files(
@@ -126,15 +136,19 @@ def diagnose_files(
     progress("read the recordings", 0.0)
     given = read_given(model, recordings, holdout, directory, read_file, identified_from)
     diagnosis = diagnose(given.identified.model, given.recordings, given.holdout,
-                         diagnosis_progress(progress), identified_from=given.identified_from,
+                         part_of(progress, READ_FRACTION, DESIGN_FRACTION),
+                         identified_from=given.identified_from,
                          stated=stated_error(given.identified))
+    proposal = None
+    try:
+        proposal = what_would_decide(diagnosis, given.identified_from,
+                                     part_of(progress, DESIGN_FRACTION, REPORT_FRACTION))
+    except KeyboardInterrupt:
+        # The verdict is worth having without the experiment that would decide more.
+        diagnosis = replace(
+            diagnosis, selection=replace(diagnosis.selection, interrupted=True))
     progress("write the report", REPORT_FRACTION)
-    return write_results(given, diagnosis)
-
-
-def diagnosis_progress(progress: Progress) -> Progress:
-    """Return the progress of the diagnosis alone."""
-    return part_of(progress, READ_FRACTION, REPORT_FRACTION)
+    return write_results(given, diagnosis, proposal)
 
 
 def read_given(
@@ -177,24 +191,34 @@ def read_given(
                       directory)
 
 
-def write_results(given: GivenFiles, diagnosis: Diagnosis) -> DiagnosisResults:
-    """Write verdict, extended model and report.
+def write_results(given: GivenFiles, diagnosis: Diagnosis,
+                  proposal: Proposal | None = None) -> DiagnosisResults:
+    """Write verdict, extended model and report, and the experiment that would decide more.
 
     Parameters
     ----------
     given : GivenFiles
     diagnosis : Diagnosis
         Of its recordings.
+    proposal : Proposal, optional
+        Where several explanations remain.
 
     Returns
     -------
     DiagnosisResults
     """
     directory, identified = given.directory, given.identified
+    if proposal is not None:
+        save_proposal(proposal, directory)
+        diagnosis = replace(
+            diagnosis, next_experiment=proposal.document() | {"file": WAVEFORM})
+    else:
+        for name in (WAVEFORM, OUTCOME):  # of an earlier verdict
+            (directory / name).unlink(missing_ok=True)
     results = DiagnosisResults(
         diagnosis, directory / "verdict.json", directory / "extended_model.json",
         directory / "report.html", (*given.rows, *_outside(identified, given.recordings)),
-        given.identified_from)
+        given.identified_from, proposal)
     write_verdict(results.verdict, diagnosis)
     save_extended_model(results.extended_model, identified, diagnosis, given.paths)
     origin = [("diagnosed", datetime.now().astimezone().isoformat(" ", "seconds")),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from piezo_common.arrays import ComplexArray
+from piezo_identification.diagnosis.evidence.recording_faults import wrong_sign
 from piezo_identification.diagnosis.response.response_candidates import fit_each_candidate
 from piezo_identification.diagnosis.response.response_fit import (
     SETTINGS,
@@ -191,6 +192,7 @@ def _told(problem: ResponseProblem, selection: ResponseSelection,
     """Put the verdict together with its numbers and reasons."""
     given, effects = problem.as_given(), selection.effects
     final = selection.fit if effects else given
+    faults = [wrong_sign(problem.measured.path)] if is_reversed else []
     verdict, left = "explained" if effects else "none", ""
     if not selection.is_explained:
         verdict, left = "unexplained", describe_residual(problem, selection.fit)
@@ -202,7 +204,8 @@ def _told(problem: ResponseProblem, selection: ResponseSelection,
         holdout={"source": "frequencies that were not fitted",
                  "samples": int(np.sum(~problem.estimation))},
         not_decidable=selection.not_decidable, left=left,
-        reversed=[str(problem.measured.path)] if is_reversed else [], left_out=[],
+        reversed=[fault.recording for fault in faults], left_out=[],
+        recording_faults=[fault.document() for fault in faults],
         ceiling=None,
         tried=selection.tried, measured=problem.measured,
         before_gain=problem.gain(given), after_gain=problem.gain(final),

@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is wrong with a recording itself, found before any effect of the stage is asked for.
+
+A sensor that counts down, and rows that put the displacement beside the voltage of another instant,
+are the logger's. They are taken out and told by name; no effect then has to make up for them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.outlier_samples import with_outliers_marked
+from piezo_identification.conditioning.row_alignment import remaining_delay
+from piezo_identification.conditioning.sensor_sign import reversed_displacement, sign_text
+from piezo_identification.prediction.model_run import ModelRun
+from piezo_models.cascade import StageModel
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+
+WRONG_SIGN, MISALIGNED_ROWS = "wrong_sign", "misaligned_rows"
+
+
+@dataclass(frozen=True)
+class FaultSettings:
+    """When rows are misaligned.
+
+    Attributes
+    ----------
+    most_rows : int
+        By which they are looked for.
+    whole : float
+        Part of a row by which the displacement may be off a whole row: a logger shifts by whole
+        ones, and a stage by any time.
+    error_ratio : float
+        Part of the error on the last third that aligned rows may leave: another cause that
+        resembles a shift leaves more.
+    fitted_share : float
+        First part of the samples, from which the shift is estimated.
+    as_much_alike : float
+        Factor within which the difference of two shifts tells nothing: of these the smallest is
+        taken.
+    slow_row : float
+        Group delays of the dynamics that a row must last for a displacement that comes late to be
+        the logger's: in a fast recording the stage may have a delay.
+    """
+
+    most_rows: int = 200
+    whole: float = 0.1
+    error_ratio: float = 1.0 / 3.0
+    fitted_share: float = 2.0 / 3.0
+    as_much_alike: float = 2.0
+    slow_row: float = 3.0
+
+
+SETTINGS = FaultSettings()
+
+
+@dataclass(frozen=True)
+class RecordingFault:
+    """What is wrong with a recording, and what was done about it.
+
+    Attributes
+    ----------
+    name : str
+        `wrong_sign` or `misaligned_rows`.
+    recording : str
+        Its path.
+    sentence : str
+        What was found.
+    remedy : str
+        What to do before the next recording.
+    numbers : dict of str to float
+        `rows` by which the displacement is late, and the errors on held-out samples.
+    """
+
+    name: str
+    recording: str
+    sentence: str
+    remedy: str
+    numbers: dict[str, float] = field(default_factory=dict)
+
+    def document(self) -> dict[str, object]:
+        """Return what `verdict.json` tells of it."""
+        return {"name": self.name, "recording": self.recording, "sentence": self.sentence,
+                "remedy": self.remedy, **self.numbers}
+
+
+def without_faults(model: StageModel,
+                   recording: Recording) -> tuple[Recording, list[RecordingFault]]:
+    """Return a recording with the sign and the rows of the model and its outliers marked.
+
+    Parameters
+    ----------
+    model : StageModel
+    recording : Recording
+
+    Returns
+    -------
+    recording : Recording
+    faults : list of RecordingFault
+        That were taken out.
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps, or is too short to settle.
+    """
+    marked = with_outliers_marked(recording)
+    run = ModelRun(model, marked)
+    rows, is_reversed = _late_rows(run)
+    aligned, fault = _aligned(run, marked, rows, is_reversed)
+    if fault is None:
+        is_reversed = run.is_reversed
+    faults = [*([wrong_sign(recording.path)] if is_reversed else []),
+              *([] if fault is None else [fault])]
+    return (reversed_displacement(aligned) if is_reversed else aligned), faults
+
+
+def wrong_sign(path: object) -> RecordingFault:
+    """Return the fault of a recording whose displacement runs against the model's."""
+    return RecordingFault(
+        WRONG_SIGN, str(path), sign_text(path),
+        "if the sensor counts down, change the sign where it is recorded; if the sign of the "
+        "voltage was wrong, or the recording is of another axis, record again")
+
+
+def _aligned(run: ModelRun, recording: Recording, rows: int,
+             is_reversed: bool) -> tuple[Recording, RecordingFault | None]:
+    """Return the recording with aligned rows, where that explains it, and else as it is."""
+    period_s = run.part.sample_period_s
+    is_slow = period_s > SETTINGS.slow_row * group_delay_s(run.model.dynamics)
+    if rows == 0 or rows > 0 and not is_slow:
+        return recording, None
+    aligned = _read_later(recording, rows)
+    before_um, after_um = (
+        _error_at_end_um(ModelRun(run.model, reversed_displacement(each) if is_reversed else each))
+        for each in (recording, aligned))
+    if not after_um < SETTINGS.error_ratio * before_um:
+        return recording, None
+    when = "before" if rows < 0 else "after"
+    count = f"{abs(rows)} row{'s' * (abs(rows) != 1)}"
+    fault = RecordingFault(
+        MISALIGNED_ROWS, str(recording.path),
+        f"{recording.path}: the displacement stands {count} {when} the voltage that it answers: "
+        f"its rows are aligned, and the error on the last third falls from {1e3 * before_um:.3g} "
+        f"to {1e3 * after_um:.3g} nm",
+        "write voltage and displacement of one instant into one row",
+        {"rows": rows, "before_rms_um": before_um, "after_rms_um": after_um})
+    return aligned, fault
+
+
+def group_delay_s(dynamics: ElectricVibrationDynamics) -> float:
+    """Return by how much dynamics delay slow motion."""
+    pairs = ((dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, 1.0),
+             (dynamics.antiresonance_frequencies_rad_per_s,
+              dynamics.antiresonance_damping_ratios, -1.0))
+    return dynamics.time_constant_s + sum(
+        side * 2.0 * ratio / frequency for frequencies, ratios, side in pairs
+        for frequency, ratio in zip(frequencies, ratios, strict=True))
+
+
+def _late_rows(run: ModelRun) -> tuple[int, bool]:
+    """Return by how many whole rows the displacement is late, and whether it is reversed then.
+
+    The rows are 0 where it is late by no whole number of them.
+    """
+    used = slice(0, round(SETTINGS.fitted_share * run.settled.size))
+    measured_um, simulated_um = (signal[used] for signal in (run.measured_um, run.simulated_um(())))
+    rows = _coarse_shift(measured_um, simulated_um)
+    against = float(np.sign(_product(measured_um, simulated_um, rows))) or 1.0
+    for _ in range(SETTINGS.most_rows):
+        late, early = _overlap(measured_um, simulated_um, rows)
+        more, deviation = remaining_delay(
+            against * late, early, 1.0, np.ones((early.size, 1)))
+        if not np.isfinite(deviation) or abs(rows + more) > SETTINGS.most_rows:
+            break
+        if abs(more) < 0.5:
+            is_whole = abs(more) < SETTINGS.whole and deviation < SETTINGS.whole
+            return rows if is_whole else 0, against < 0.0
+        rows += round(more)
+    return 0, against < 0.0
+
+
+def _coarse_shift(measured_um: FloatArray, simulated_um: FloatArray) -> int:
+    """Return the shift at which the two are most alike; 0 unless they are clearly more alike."""
+    centred = [signal - signal.mean() for signal in (measured_um, simulated_um)]
+    most = min(SETTINGS.most_rows, measured_um.size // 4)
+    size = next_fast_len(measured_um.size + most, real=True)
+    products = irfft(rfft(centred[0], size) * np.conj(rfft(centred[1], size)), size)
+    shifts = np.arange(-most, most + 1)
+    energies = [np.concatenate([[0.0], np.cumsum(signal**2)]) for signal in centred]
+    late, early = np.maximum(shifts, 0), np.maximum(-shifts, 0)
+    overlap = measured_um.size - np.abs(shifts)
+    of_both = [energy[begin + overlap] - energy[begin]
+               for energy, begin in zip(energies, (late, early), strict=True)]
+    unlike = 1.0 - np.abs(products[shifts]) / np.sqrt(np.maximum(of_both[0] * of_both[1], 1e-300))
+    # A periodic waveform is as much alike a period later.
+    close = np.flatnonzero(unlike <= SETTINGS.as_much_alike * unlike.min())
+    best = close[np.argmin(np.abs(shifts[close]))]
+    is_clear = unlike[best] < SETTINGS.error_ratio**2 * unlike[most]
+    return int(shifts[best]) if is_clear else 0
+
+
+def _overlap(measured_um: FloatArray, simulated_um: FloatArray,
+             rows: int) -> tuple[FloatArray, FloatArray]:
+    """Return the measured signal so many rows later, and the simulated one beside it."""
+    size = measured_um.size - abs(rows)
+    late, early = max(rows, 0), max(-rows, 0)
+    return measured_um[late : late + size], simulated_um[early : early + size]
+
+
+def _product(measured_um: FloatArray, simulated_um: FloatArray, rows: int) -> float:
+    late, early = _overlap(measured_um, simulated_um, rows)
+    return float((late - late.mean()) @ (early - early.mean()))
+
+
+def _read_later(recording: Recording, rows: int) -> Recording:
+    """Return the recording with the displacement that stands so many rows later."""
+    index = np.arange(recording.displacement_um.size)
+    known = (index + rows >= 0) & (index + rows < index.size)
+    source = (index + rows)[known]
+    of_sensor = dict(_of_sensor(recording, source))
+    kept = recording.select(known)
+    return replace(kept, displacement_um=recording.displacement_um[source],
+                   columns=kept.columns | of_sensor)
+
+
+def _of_sensor(recording: Recording, source: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield the columns that tell of the displacement, and move with it."""
+    for name, values in recording.columns.items():
+        if name.endswith("_um"):
+            yield name, values[source]
+
+
+def _error_at_end_um(run: ModelRun) -> float:
+    """Return the RMS error of the last samples, which no shift was estimated from."""
+    end = np.arange(run.settled.size) >= SETTINGS.fitted_share * run.settled.size
+    run.good = run.good & end
+    return run.error_um(())

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The next experiment of a diagnosis that leaves several explanations, as `propose` designs it."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from piezo_common.progress_part import Progress, part_of
+from piezo_identification.diagnosis.diagnose import Diagnosis
+from piezo_identification.diagnosis.experiment_design.alternatives import (
+    LEAST_PROBABLE,
+    find_alternatives,
+)
+from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
+from piezo_identification.diagnosis.experiment_design.propose import Proposal, propose
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+    old_recordings,
+)
+from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
+from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
+from piezo_identification.diagnosis.residual.dataset import Dataset
+from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
+
+COMPARED = 0.3
+"""Part of the work that the estimate of the alternatives is."""
+
+
+def several_remain(verdict: Mapping[str, Any]) -> bool:
+    """Tell whether a verdict leaves several known explanations between which a recording decides.
+
+    Parameters
+    ----------
+    verdict : dict
+        Content of `verdict.json`.
+
+    Returns
+    -------
+    bool
+        False also where something else is the most probable: no known effect predicts it.
+    """
+    shares = dict(verdict.get("probabilities") or {})
+    if shares.pop(SOMETHING_ELSE, 0.0) >= PROBABILITIES.believed:
+        return False
+    likely = [share for share in shares.values() if share >= LEAST_PROBABLE]
+    if likely and max(likely) < SURE * sum(likely):
+        return True
+    found = [entry["name"] for entry in verdict["effects"]]
+    return any(reason.endswith(f"from {name}") for name in found
+               for reason in verdict["not_decidable_because"].values())
+
+
+def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecordings,
+                      progress: Progress) -> Proposal | None:
+    """Design the recording that decides between the alternatives of a diagnosis.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    identified_from : IdentificationRecordings
+        With which it was made.
+    progress : callable
+        Called with (what is done, fraction).
+
+    Returns
+    -------
+    Proposal or None
+        None where several do not remain, or their estimate leaves one.
+    """
+    verdict = diagnosis.document()
+    if diagnosis.selection.interrupted or not several_remain(verdict):
+        return None
+    regression = diagnosis.selection.regression
+    progress("compare the alternatives", 0.0)
+    alternatives = find_alternatives(
+        regression, verdict, old_recordings(regression.dataset.model, identified_from))
+    return propose(alternatives, recorded_limits(regression.dataset),
+                   progress=part_of(progress, COMPARED, 1.0))
+
+
+def recorded_limits(dataset: Dataset) -> StageLimits:
+    """Return what a stage allows as far as its model and recordings tell.
+
+    Parameters
+    ----------
+    dataset : Dataset
+
+    Returns
+    -------
+    StageLimits
+        The voltages of the model, and the clock of the fastest recording.
+    """
+    hysteresis = dataset.model.hysteresis
+    lowest_v, highest_v = hysteresis.voltage_min_v, hysteresis.voltage_max_v
+    return replace(
+        USUAL_LIMITS, voltage_min_v=lowest_v, voltage_max_v=highest_v,
+        rest_voltage_v=min(max(USUAL_LIMITS.rest_voltage_v, lowest_v), highest_v),
+        sample_rate_hz=max(recording.sample_rate_hz for recording in dataset.recordings))

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Converter steps and damping that grows with the amplitude, in recordings that SciPy has made."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import cont2discrete, lfilter
+
+from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_models.cascade import StageModel
+from piezo_models.effects.amplitude_damping import AmplitudeDamping
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+PERIOD_S = 1e-3
+W, DAMPING = 400.0, 0.05
+
+
+@pytest.fixture(scope="module")
+def model():
+    return StageModel(
+        PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])), CreepDynamics(),
+        ElectricVibrationDynamics(0.0, (W,), (DAMPING,)))
+
+
+def recorded(voltage_v, displacement_um):
+    return Recording(
+        "logged", 1.0 / PERIOD_S, np.arange(voltage_v.size), np.full(voltage_v.size, PERIOD_S),
+        voltage_v, displacement_um, np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32))
+
+
+def slow(samples=9000):
+    time_s = PERIOD_S * np.arange(samples)
+    return 1.2 * np.sin(2.0 * np.pi * 0.11 * time_s) + 0.9 * np.sin(2.0 * np.pi * 0.31 * time_s)
+
+
+def fast(samples=4000):
+    noise = np.convolve(
+        np.random.default_rng(1).normal(size=samples), np.hanning(9), mode="same")
+    return 40.0 * noise / np.abs(noise).max() * np.repeat([0.15, 1.0, 0.4, 1.0], samples // 4)
+
+
+def linear(voltage_v):
+    (b,), a, _ = cont2discrete(([W * W], [1.0, 2.0 * DAMPING * W, W * W]), PERIOD_S)
+    return lfilter(b, a, 0.1 * (voltage_v - voltage_v[0])) + 0.1 * voltage_v[0]
+
+
+def noise(size, deviation_um):
+    return np.random.default_rng(9).normal(scale=deviation_um, size=size)
+
+
+def damped(voltage_v, quadratic):
+    """A mass with drag by the square of its speed, by an integrator with a step of its own."""
+    def motion(t, state):
+        held_v = voltage_v[min(int(t / PERIOD_S + 1e-9), voltage_v.size - 1)]
+        x, speed = state
+        drag = quadratic * abs(speed) * speed
+        return speed, W * W * (0.1 * held_v - x) - 2.0 * DAMPING * W * speed - drag
+
+    time_s = np.arange(voltage_v.size) * PERIOD_S
+    return solve_ivp(motion, (0.0, time_s[-1]), (0.1 * voltage_v[0], 0.0), "RK45", time_s,
+                     rtol=1e-7, atol=1e-9, max_step=PERIOD_S).y[0]
+
+
+def test_steps_of_the_applied_voltage_are_found_with_their_size(model):
+    voltage_v, step_v = slow(), 0.0571
+    applied_v = step_v * np.round((voltage_v - 0.02) / step_v) + 0.02
+    diagnosis = diagnose(model, [recorded(
+        voltage_v, linear(applied_v) + noise(voltage_v.size, 1e-4))])
+    assert [entry["name"] for entry in diagnosis.effects] == ["voltage_steps"]
+    found = diagnosis.effects[0]["parameters"]
+    assert found["step_v"] == pytest.approx(step_v, rel=2e-3)
+    assert found["share"] == pytest.approx(1.0, abs=0.15)
+    assert diagnosis.after["rms_um"] < 0.5 * diagnosis.before["rms_um"]
+
+
+def test_steps_of_the_sensor_are_found_with_their_size(model):
+    voltage_v, step_um = slow(), 0.0031
+    displacement_um = linear(voltage_v) + noise(voltage_v.size, 1e-4) + 3.0
+    diagnosis = diagnose(model, [recorded(
+        voltage_v, step_um * np.round(displacement_um / step_um))])
+    assert [entry["name"] for entry in diagnosis.effects] == ["sensor_steps"]
+    assert diagnosis.effects[0]["parameters"]["step_um"] == pytest.approx(step_um, rel=1e-4)
+    assert diagnosis.verdict == "explained"
+    assert diagnosis.after["rms_um"] < 0.5 * diagnosis.before["rms_um"]
+
+
+@pytest.mark.parametrize("deviation_um", [1e-3, 1e-2])
+def test_steps_finer_than_the_noise_have_no_name(model, deviation_um):
+    voltage_v, step_um = slow(6000), 1e-3
+    displacement_um = linear(voltage_v) + noise(voltage_v.size, deviation_um)
+    diagnosis = diagnose(model, [recorded(
+        voltage_v, step_um * np.round(displacement_um / step_um))])
+    assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
+
+
+def test_damping_that_grows_with_the_amplitude_is_found(model):
+    voltage_v, quadratic = fast(), 0.1
+    displacement_um = damped(voltage_v, quadratic)
+    diagnosis = diagnose(model, [recorded(
+        voltage_v, displacement_um + noise(voltage_v.size, 2e-3))])
+    assert diagnosis.effects[0]["name"] == "amplitude_damping"
+    found = diagnosis.effects[0]["parameters"]
+    assert found["quadratic"] / found["half_range_um"] == pytest.approx(quadratic, rel=0.1)
+    assert diagnosis.after["rms_um"] < 0.3 * diagnosis.before["rms_um"]
+
+
+def test_the_equation_of_motion_is_solved():
+    """Against an integrator: the load of the spring is the linear stage's displacement."""
+    voltage_v = fast(2000)
+    effect = AmplitudeDamping(0.0, 0.1 * 2.0, 2.0, W, DAMPING)
+    found_um, truth_um = effect.apply(linear(voltage_v), PERIOD_S), damped(voltage_v, 0.1)
+    left_um = linear(voltage_v) - truth_um
+    assert np.std(found_um - truth_um) < 0.02 * np.std(left_um)

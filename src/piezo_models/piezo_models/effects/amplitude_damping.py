@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Damping of a mode that grows with the amplitude of its vibration."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numba import njit
+
+from piezo_common.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.filtering import filtered
+from piezo_models.effects.stiffening import UNRESOLVED
+
+PHASE_STEP = 0.3
+"""Radians by which the mode turns in a step of the solution, at most."""
+
+LEAST_SHARE = 0.05
+"""Part of what another damping of the mode leaves that the part that grows must remove before it is
+fitted."""
+
+STRONGEST = 5.0
+"""Largest damping by speed, over half the range, with which no step of the solution grows."""
+
+
+@njit(cache=True, nogil=True)
+def _damped(loads: FloatArray, state: FloatArray, viscous: float, quadratic: float,
+            damping_ratio: float, step_rad: float, substeps: int) -> FloatArray:
+    """Simulate the mode under its further damping, and change the state to that at the end.
+
+    The state is what the damping removes, its speed by radian of the mode, and the last two loads.
+    Between samples the load is a parabola through three of them; the rule is that of Runge and
+    Kutta.
+    """
+    taken, speed, earlier, last = state[0], state[1], state[2], state[3]
+    swung = np.empty(loads.size)
+    k = np.empty((4, 2))
+    for n in range(loads.size):
+        load = loads[n]
+        first = load - last
+        second = first - last + earlier
+        for substep in range(substeps):
+            for place in range(4):
+                part = 0.0 if place == 0 else 1.0 if place == 3 else 0.5
+                x = (substep + part) / substeps - 1.0
+                rate = (first + (x + 0.5) * second) / (step_rad * substeps)
+                u, v = taken, speed
+                if place > 0:
+                    u += part * step_rad * k[place - 1, 0]
+                    v += part * step_rad * k[place - 1, 1]
+                velocity = rate - v
+                force = (viscous + quadratic * abs(velocity)) * velocity
+                k[place, 0] = v
+                k[place, 1] = force - u - 2.0 * damping_ratio * v
+            taken += step_rad / 6.0 * (k[0, 0] + 2.0 * (k[1, 0] + k[2, 0]) + k[3, 0])
+            speed += step_rad / 6.0 * (k[0, 1] + 2.0 * (k[1, 1] + k[2, 1]) + k[3, 1])
+        swung[n] = load - taken
+        earlier, last = last, load
+    state[:] = taken, speed, earlier, last
+    return swung
+
+
+@dataclass(frozen=True)
+class AmplitudeDamping(Effect):
+    """A mode is damped by the square of its speed, beside another linear damping.
+
+    With the displacement x of the mode as the model has it and the mode G of frequency w, the
+    displacement y is the solution of y = x - G f, f = viscous y'/w + quadratic |y'| y' / (w^2 h),
+    with half the range h.
+    """
+
+    name: ClassVar[str] = "amplitude_damping"
+    place: ClassVar[str] = "displacement"
+    experiment: ClassVar[str] = "a multisine around the mode, at a small and at a large amplitude"
+    distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
+
+    viscous: float = parameter("1", "linear", -1.0, STRONGEST)
+    quadratic: float = parameter("1", "linear", 0.0, STRONGEST)
+    half_range_um: float = parameter("um", "fixed", 1e-12, 1e9)
+    frequency_rad_per_s: float = parameter("rad/s", "fixed", 1e-9, 1e9)
+    damping_ratio: float = parameter("1", "fixed", 0.0, 10.0)
+
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the solution of the equation of motion for the signal as its load."""
+        level = float(signal[0]) if rest is None else rest
+        return self._continued(signal, sample_period_s, np.array([0.0, 0.0, level, level]))[0]
+
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the solution; the past is its state."""
+        level = float(signal[0])
+        return self._continued(signal, sample_period_s, np.array([0.0, 0.0, level, level])
+                               if past is None else past.copy())
+
+    def _continued(self, signal: FloatArray, sample_period_s: float,
+                   state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        phase = self.frequency_rad_per_s * sample_period_s
+        if phase >= UNRESOLVED:
+            return signal.copy(), state
+        substeps = max(1, int(np.ceil(phase / PHASE_STEP)))
+        behind = _damped(
+            np.ascontiguousarray(signal, dtype=float), state, self.viscous,
+            self.quadratic / self.half_range_um, self.damping_ratio, phase / substeps, substeps)
+        return behind, state
+
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Add what the damping of the wanted motion removes."""
+        s = 2j * np.pi * np.fft.rfftfreq(wanted.size, sample_period_s)
+        w = self.frequency_rad_per_s
+        speed_um = np.fft.irfft(s / w * np.fft.rfft(wanted), wanted.size)
+        force = (self.viscous + self.quadratic / self.half_range_um * np.abs(speed_um)) * speed_um
+        mode = w * w / (s * s + 2.0 * self.damping_ratio * w * s + w * w)
+        removed: FloatArray = np.fft.irfft(mode * np.fft.rfft(force), wanted.size)
+        return wanted + removed
+
+    def impossible(self, extent: Extent) -> str | None:
+        """Refuse a mode that swings up by itself."""
+        if 2.0 * self.damping_ratio + self.viscous < 0.0:
+            return "the mode would gain energy in small vibrations"
+        return None
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with least squares for each mode that a changed damping does not explain alone.
+
+        Both parts are linear in what they remove where the motion is that of the model.
+        """
+        travel_um, period_s = evidence.travel_um, evidence.sample_period_s
+        if travel_um == 0.0:
+            return []
+        dynamics = evidence.dynamics
+        found: list[tuple[float, Self]] = []
+        for w, ratio in zip(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios,
+                            strict=True):
+            if w * period_s > 1.0:
+                continue
+            speed_um = np.gradient(evidence.displacement_um, w * period_s)
+            mode = [w * w], [1.0, 2.0 * ratio * w, w * w]
+            removed = np.column_stack([
+                filtered(*mode, part, period_s)
+                for part in (speed_um, 2.0 / travel_um * np.abs(speed_um) * speed_um)])
+            _, linear_share = evidence.reduction(-removed[:, :1])
+            (viscous, quadratic), share = evidence.reduction(-removed)
+            if quadratic > 0.0 and share - linear_share > LEAST_SHARE * (1.0 - linear_share):
+                found.append((share, cls(
+                    float(np.clip(viscous, -2.0 * ratio, STRONGEST)),
+                    min(float(quadratic), STRONGEST), 0.5 * travel_um, w, ratio)))
+        found.sort(key=lambda entry: -entry[0])
+        return [start for _, start in found]

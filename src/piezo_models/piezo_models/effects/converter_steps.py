@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Steps of the converters: of the voltage that is applied, and of the displacement that is read."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.linear.dynamics import simulate_linear, zoh
+
+BINS, FEWEST_STEPS, PADDING = 2**14, 16, 4
+"""The voltage is cut into so many bins to look for a period; a range of fewer steps tells
+nothing of them; the spectrum is interpolated so many times."""
+
+LEAST_SHARE = 0.1
+"""Part of the residual's energy that the fundamental of the steps must hold before they are fitted:
+of what steps leave it is six tenths."""
+
+FEWEST_LEVELS = 50
+ON_LATTICE, NEAR = 0.95, 0.1
+"""So many of the readings lie on the lattice of the steps, to this part of a step."""
+
+LEAST_STEP = 1e-4
+"""Part of the travel below which steps are finer than a good model is exact."""
+
+IDEAL = (0.7, 1.3)
+"""A converter rounds by its whole step: with another share the steps are something else."""
+
+
+def rounded_off(signal: FloatArray, step: float, offset: float) -> FloatArray:
+    """Return by how much a converter changes a signal, (N,).
+
+    Parameters
+    ----------
+    signal : (N,) array
+    step, offset : float
+        The converter has levels at the offset and whole steps from it.
+    """
+    return np.asarray(step * np.round((signal - offset) / step) + offset - signal)
+
+
+def _not_ideal(share: float) -> str | None:
+    if IDEAL[0] <= share <= IDEAL[1]:
+        return None
+    return f"a converter rounds by its whole step, and this would be {share:.2g} of it"
+
+
+@dataclass(frozen=True)
+class VoltageSteps(Effect):
+    """The amplifier's converter applies the voltage in steps, which the recording does not show.
+
+    The share is that of an ideal converter: 1 for one that rounds to its nearest level.
+    """
+
+    name: ClassVar[str] = "voltage_steps"
+    place: ClassVar[str] = "voltage"
+    remembers: ClassVar[bool] = False
+    experiment: ClassVar[str] = "a slow ramp over a small part of the range"
+
+    share: float = parameter("1", "linear", 0.0, 2.0)
+    step_v: float = parameter("V", "fixed", 1e-12, 1e6)
+    offset_v: float = parameter("V", "fixed")
+
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the voltage at the converter's levels."""
+        return signal + self.share * rounded_off(signal, self.step_v, self.offset_v)
+
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return the wanted voltage: between the levels there is no better one."""
+        return wanted
+
+    def impossible(self, extent: Extent) -> str | None:
+        """Refuse what does not round by its whole step."""
+        return _not_ideal(self.share)
+
+    @classmethod
+    def lacks_excitation(cls, evidence: Evidence) -> str | None:
+        """Ask for a voltage with many levels."""
+        levels = np.unique(evidence.voltage_v[: BINS]).size
+        if levels < FEWEST_LEVELS:
+            return "the voltage has too few levels to show steps between them"
+        return None
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the period of the voltage at which the residual repeats."""
+        voltage_v = evidence.voltage_v
+        lowest_v, span_v = float(voltage_v.min()), float(np.ptp(voltage_v))
+        if span_v == 0.0:
+            return []
+        bins = np.minimum((voltage_v - lowest_v) / span_v * BINS, BINS - 1).astype(np.intp)
+        sums = np.bincount(bins, evidence.residual_um - evidence.residual_um.mean(), BINS)
+        power = np.abs(np.fft.rfft(sums, PADDING * BINS))
+        power[: PADDING * FEWEST_STEPS] = 0.0
+        power[len(power) // 2 :] = 0.0
+        count = float(np.argmax(power)) / PADDING
+        angle = 2.0 * np.pi * (voltage_v - lowest_v) / span_v
+
+        dynamics = zoh(evidence.dynamics.state_space(), evidence.sample_period_s)
+
+        def waves(number: float) -> FloatArray:
+            return np.column_stack([
+                simulate_linear(dynamics, wave(number * angle)) for wave in (np.cos, np.sin)])
+
+        if evidence.reduction(waves(count))[1] < 0.5 * LEAST_SHARE:
+            return []
+        (count, gains), = evidence.best(count + np.linspace(-0.3, 0.3, 13), waves)
+        if evidence.reduction(waves(count))[1] < LEAST_SHARE:
+            return []
+        step_v = span_v / float(count)
+        # Rounding removes a sine from the offset on, whose size is the step over pi.
+        cosine_um, sine_um = (float(gain) for gain in gains)
+        size_um = evidence.travel_um / span_v * step_v / np.pi
+        offset_v = lowest_v + step_v * np.arctan2(cosine_um, -sine_um) / (2.0 * np.pi)
+        share = float(np.hypot(cosine_um, sine_um)) / size_um
+        return [cls(min(share, 2.0), step_v, offset_v)]
+
+
+@dataclass(frozen=True)
+class SensorSteps(Effect):
+    """The sensor's converter reads the displacement in steps."""
+
+    name: ClassVar[str] = "sensor_steps"
+    place: ClassVar[str] = "sensor"
+    remembers: ClassVar[bool] = False
+    experiment: ClassVar[str] = "slow motion over a small part of the range"
+
+    share: float = parameter("1", "linear", 0.0, 2.0)
+    step_um: float = parameter("um", "fixed", 1e-12, 1e9)
+    offset_um: float = parameter("um", "fixed")
+
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the displacement at the converter's levels."""
+        return signal + self.share * rounded_off(signal, self.step_um, self.offset_um)
+
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return the wanted displacement: what the sensor does not read is not wrong."""
+        return wanted
+
+    def impossible(self, extent: Extent) -> str | None:
+        """Refuse what does not round by its whole step."""
+        return _not_ideal(self.share)
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the lattice on which the readings lie, where it is coarser than the noise."""
+        measured_um = evidence.measured_um
+        lattice = None if measured_um is None else _lattice(measured_um)
+        if measured_um is None or lattice is None:
+            return []
+        step_um, level_um = lattice
+        if step_um < max(LEAST_STEP * evidence.travel_um, evidence.noise_um):
+            return []
+        # The model's displacement has another zero.
+        apart_um = np.mean(measured_um - evidence.residual_um - evidence.displacement_um)
+        return [cls(1.0, step_um, float((level_um - apart_um) % step_um))]
+
+
+def _lattice(readings: FloatArray) -> tuple[float, float] | None:
+    """Return the step of the lattice on which readings lie, and one of its levels; None without."""
+    levels = np.unique(readings)
+    if not 8 <= levels.size <= 0.5 * readings.size:
+        return None
+    gaps = np.diff(levels)
+    least = np.sort(gaps)[gaps.size // 20]
+    numbers = np.concatenate([[0.0], np.cumsum(np.round(gaps / least))])
+    slope, level = np.polyfit(numbers, levels, 1)
+    off = np.abs(rounded_off(readings, slope, level))
+    return (float(slope), float(level)) if np.mean(off < NEAR * slope) > ON_LATTICE else None
