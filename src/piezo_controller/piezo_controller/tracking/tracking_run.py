@@ -10,11 +10,14 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_controller.tracking.answer_times import AnswerTimes
 from piezo_controller.tracking.feedbacks import Feedback
+from piezo_controller.tracking.foreseen import SHARE_AT_REST
 from piezo_controller.tracking.plan import TrackingPlan
 
 ON_TARGET_SAMPLES = 400
 USUAL_PERCENT = 99
 TOLERANCE_OF_TRAVEL, LEAST_TOLERANCE_UM = 0.01, 0.03
+NOT_FOLLOWED = "the stage did not follow the reference"
+"""How the account of a run begins that must not count as done."""
 
 
 class TrackingRun:
@@ -130,17 +133,16 @@ class TrackingRun:
 
     @property
     def not_followed(self) -> str:
-        """Return what to tell of a stage that was as far off as one at rest; empty otherwise."""
+        """Return why a run does not count whose error was about that at rest; empty otherwise."""
         if not self._counted:
             return ""
         mean_um = self._expected_sum / self._counted
         at_rest_um = math.sqrt(max(self._expected_squares / self._counted - mean_um**2, 0.0))
         error_um = math.sqrt(self._squares / self._counted)
-        if at_rest_um < self.tolerance_um or error_um < at_rest_um:
+        if at_rest_um < self.tolerance_um or error_um < SHARE_AT_REST * at_rest_um:
             return ""
-        return (f"the stage did not follow the reference: its rms error of {error_um:.3g} um is "
-                f"that of a stage which rests at the mean ({at_rest_um:.3g} um) or more; use "
-                "composite, or a slower reference")
+        return (f"{NOT_FOLLOWED}: its rms error is {error_um:.3g} um, and that of a stage which "
+                f"rests at the mean {at_rest_um:.3g} um; use composite, or a slower reference")
 
     def _account(self, before: int, expected_um: FloatArray, displacement_um: FloatArray) -> None:
         """Add a block to the account, except its samples before the part that counts."""
