@@ -15,12 +15,19 @@ from rclpy.lifecycle import LifecycleNode
 
 from piezo_controller.node.law_message import message_of
 from piezo_controller.node.model_service import ModelService
+from piezo_controller.node.present_run import PresentRun
 from piezo_controller.node.reference_topic import ReferenceTopic
 from piezo_controller.references.live_reference import TOPIC
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.accepted_models import ModelText
 from piezo_controller.tracking.feedbacks import LOOPS, PLACES, Feedbacks, FeedbackSettings
-from piezo_controller.tracking.track import Learning, PreparedRun, TrackRequest, prepare
+from piezo_controller.tracking.track import (
+    Learning,
+    PreparedRun,
+    TrackRequest,
+    Unwatched,
+    prepare,
+)
 from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_models.cascade import StageModel
 from piezo_ros.calls import CallFailed
@@ -91,17 +98,19 @@ class ControllerNode(LifecycleNode):
                           progress: Progress) -> None:
         directory = self._data_root.writable(goal.directory or self._directory)
         self._locate_files(goal)
-        model, replaced = self._models.model_for(goal.model)
+        named, model, replaced = self._models.model_for(goal.model)
         described = self._stage.wait(progress.check)
         clock = _clock(described)
         live = None if goal.reference.kind != TOPIC else self._references.begin(
             clock.sample_period_s, described.timing == "lockstep", goal.reference.centre_um,
             progress.check)
-        prepared = prepare(
-            _request(goal, model, directory), clock,
-            self._feedbacks(clock).with_controller(goal.controller, goal.mode),
-            _Preparing(progress, goal.tolerance_um), self._data_root.writable, REPORT_PERIOD_S,
-            live)
+        request = _request(goal, model, directory)
+        feedbacks = self._feedbacks(clock).with_controller(goal.controller, goal.mode)
+        prepared = prepare(request, clock, feedbacks, _Preparing(progress, goal.tolerance_um),
+                           self._data_root.writable, REPORT_PERIOD_S, live)
+        present = PresentRun(
+            request, named, prepared, lambda other: prepare(other, clock, feedbacks, Unwatched()),
+            self._tracker, clock.tick_s)
         progress.check()
         self._stage.check_unchanged(described)
         run, plan = prepared.run, prepared.plan
@@ -112,7 +121,8 @@ class ControllerNode(LifecycleNode):
                 goal.unrecorded) as recording:
             result.recording = recording.path
             try:
-                self._play(prepared, clock, account, progress, recording)
+                with self._models.playing(present):
+                    self._play(prepared, clock, account, progress, recording)
             finally:
                 recording.last_sample = self._tracker.last_sample
                 result.missed_feedback = self._tracker.missed_feedback
@@ -130,7 +140,8 @@ class ControllerNode(LifecycleNode):
         uncompensated = (
             f'the feedforward does not compensate: {", ".join(plan.uncompensated)}'
             if plan.uncompensated else "")
-        notes = (replaced, learned, uncompensated, run.lateness, plan.note, recording.note)
+        notes = (replaced, present.note, learned, uncompensated, run.lateness, plan.note,
+                 recording.note)
         if failures:
             raise CallFailed("; ".join(filter(None, (*failures, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))

@@ -86,6 +86,16 @@ class Steps(Protocol):
         """Hear how much of the present step is done, from 0 to 1."""
 
 
+class Unwatched:
+    """Nobody is told of the steps."""
+
+    def begin(self, step: str) -> None:
+        """Hear nothing."""
+
+    def watch(self, fraction: float) -> None:
+        """Hear nothing."""
+
+
 @dataclass(frozen=True, eq=False)
 class Learning:
     """What a learning run learns, the file that keeps it, and what it began from."""
