@@ -13,6 +13,7 @@ from piezo_interfaces.action import Track
 from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
+from piezo_controller.node.followed_reference import FollowedReference
 from piezo_controller.node.law_message import message_of
 from piezo_controller.node.model_service import ModelService
 from piezo_controller.node.present_run import PresentRun
@@ -78,6 +79,7 @@ class ControllerNode(LifecycleNode):
         self._designed: tuple[StageClock, Feedbacks] | None = None
         self._tracker = StageTracker(self)
         self._references = ReferenceTopic(self, self._tracker.wake)
+        self._followed = FollowedReference(self)
         self._recorder = RecorderCaller(self)
         self._models = ModelService(self, self._data_root.readable, self._check_model)
         self._goals = GoalServers(self)
@@ -124,6 +126,7 @@ class ControllerNode(LifecycleNode):
                 with self._models.playing(present):
                     self._play(prepared, clock, account, progress, recording)
             finally:
+                self._followed.flush()
                 recording.last_sample = self._tracker.last_sample
                 result.missed_feedback = self._tracker.missed_feedback
                 if run.begun:
@@ -172,7 +175,9 @@ class ControllerNode(LifecycleNode):
             if not run.complete:
                 account.take(
                     block.flags, len(block.displacement_um) // clock.samples_per_tick)
-            return prepared.take(np.frombuffer(block.displacement_um))
+            answer_v = prepared.take(np.frombuffer(block.displacement_um))
+            self._followed.take(block, run.expected_um)
+            return answer_v
 
         def shall_end() -> bool:
             return progress.cancelled or recording.must_stop or prepared.over

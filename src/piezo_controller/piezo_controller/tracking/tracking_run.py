@@ -38,6 +38,11 @@ class TrackingRun:
         1 % of the travel, but at least 0.03 um.
     window_samples : int
         Of the running error.
+
+    Attributes
+    ----------
+    expected_um : ndarray, shape (n,)
+        Reference of the samples that were taken last; without those beyond the end of the run.
     """
 
     def __init__(self, plan: TrackingPlan, run_samples: int, feedback: Feedback | None = None,
@@ -53,6 +58,7 @@ class TrackingRun:
         self.tolerance_um = tolerance_um or max(
             TOLERANCE_OF_TRAVEL * self._planned_travel_um, LEAST_TOLERANCE_UM)
         self.samples = 0
+        self.expected_um: FloatArray = np.empty(0)
         self._squares, self._counted = 0.0, 0
         self._expected_sum = self._expected_squares = 0.0
         self.largest_error_um = math.nan
@@ -110,8 +116,9 @@ class TrackingRun:
         self.samples += len(displacement_um)
         displacement_um = displacement_um[:max(total - first, 0)]
         if not len(displacement_um):
+            self.expected_um = np.empty(0)
             return 0.0
-        expected_um = self._plan.expected_um(first, len(displacement_um))
+        expected_um = self.expected_um = self._plan.expected_um(first, len(displacement_um))
         self._account(max(self._plan.begin_sample - first, 0), expected_um, displacement_um)
         if self._feedback is None or first < self._plan.feedback_start_sample:
             return 0.0
