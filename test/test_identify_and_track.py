@@ -13,6 +13,7 @@ from piezo_interfaces.msg import Reference, SampleBlock
 
 from piezo_client.client import GoalFailed
 from piezo_client.overview import status_lines
+from piezo_controller.tracking.tracking_run import NOT_FOLLOWED
 from piezo_recorder.reading.reader import read_recording, sha256_of
 
 CENTRE_UM = 57.0
@@ -195,6 +196,27 @@ def test_unreachable_amplitude_is_refused_and_the_one_named_instead_is_reached(
     assert 10.25 < reachable_um < 80.0
     assert suite.track(
         harmonic(1000.0, reachable_um), model, "feedforward", 0.1, tmp_path).success
+
+
+@pytest.mark.parametrize("mode", ["open_loop", "pid"])
+def test_amplitude_that_no_mode_reaches_is_refused_before_anything_moves(
+        suite, model, tmp_path, mode):
+    before = suite.play([0.0]).last_sample
+    with pytest.raises(GoalFailed, match="um peak to peak is within reach"):
+        suite.track(harmonic(3000.0), model, mode, 0.1, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+    assert suite.play([0.0]).first_sample == before + 1
+
+
+def test_run_that_did_not_follow_is_recorded_and_does_not_succeed(suite, model, tmp_path):
+    goal = suite.send_goal("track", **goal_fields(
+        model, tmp_path, harmonic(1000.0, 10.0), mode="pid", duration_s=0.1))
+    status, result = suite.result(goal)
+    assert (status, result.success) == (GoalStatus.STATUS_ABORTED, False)
+    assert result.message.startswith(NOT_FOLLOWED)
+    assert result.e_rms_percent > 30.0
+    recording = read_recording(result.recording)
+    assert recording.complete and recording.voltage_v[-1] == 0.0
 
 
 def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, model, tmp_path):

@@ -76,6 +76,19 @@ def test_law_on_board_plays_what_answers_play(same):
     assert np.array_equal(onboard.flags, remote.flags)
 
 
+@pytest.mark.parametrize("loop", LOOPS)
+def test_reference_is_recorded_beside_the_samples(same, loop):
+    recording = read_recording(same[loop].recording)
+    assert recording.reference_um.size == recording.sample_index.size
+    followed = np.isfinite(recording.reference_um)
+    assert np.array_equal(followed, recording.tracking)
+    count = round(DURATION_S * 40_000)
+    turn = 2 * np.pi * REFERENCE["frequency_hz"][0] * np.arange(count) / 40_000
+    np.testing.assert_allclose(
+        recording.reference_um[followed][-count:],
+        REFERENCE["centre_um"] + REFERENCE["amplitude_um"][0] / 2 * np.sin(turn), atol=1e-9)
+
+
 def messages(result, topic):
     with AnyReader([Path(result.recording)]) as reader:
         return [reader.deserialize(data, connection.msgtype)

@@ -45,7 +45,7 @@ def offered_model(client: Client, wait_s: float = LATCHED_S) -> OfferedModel | N
 
 
 def accept_extended_model(client: Client, model: AnyPath, extended_model: AnyPath) -> str:
-    """Have the controller use an extended model in place of a model, from the next run on.
+    """Have the controller use an extended model in place of a model, from now on.
 
     Parameters
     ----------

@@ -247,7 +247,7 @@ class Stage:
         return offered_model(self.client, wait_s)
 
     def accept_extended_model(self, model: AnyPath, extended_model: AnyPath = "") -> str:
-        """Have runs that name a model use an extended one, from the next run on.
+        """Have runs that name a model use an extended one, from now on.
 
         Parameters
         ----------

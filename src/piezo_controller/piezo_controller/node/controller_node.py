@@ -13,14 +13,22 @@ from piezo_interfaces.action import Track
 from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
+from piezo_controller.node.followed_reference import FollowedReference
 from piezo_controller.node.law_message import message_of
 from piezo_controller.node.model_service import ModelService
+from piezo_controller.node.present_run import PresentRun
 from piezo_controller.node.reference_topic import ReferenceTopic
 from piezo_controller.references.live_reference import TOPIC
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.accepted_models import ModelText
 from piezo_controller.tracking.feedbacks import LOOPS, PLACES, Feedbacks, FeedbackSettings
-from piezo_controller.tracking.track import Learning, PreparedRun, TrackRequest, prepare
+from piezo_controller.tracking.track import (
+    Learning,
+    PreparedRun,
+    TrackRequest,
+    Unwatched,
+    prepare,
+)
 from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_models.cascade import StageModel
 from piezo_ros.calls import CallFailed
@@ -71,6 +79,7 @@ class ControllerNode(LifecycleNode):
         self._designed: tuple[StageClock, Feedbacks] | None = None
         self._tracker = StageTracker(self)
         self._references = ReferenceTopic(self, self._tracker.wake)
+        self._followed = FollowedReference(self)
         self._recorder = RecorderCaller(self)
         self._models = ModelService(self, self._data_root.readable, self._check_model)
         self._goals = GoalServers(self)
@@ -91,17 +100,19 @@ class ControllerNode(LifecycleNode):
                           progress: Progress) -> None:
         directory = self._data_root.writable(goal.directory or self._directory)
         self._locate_files(goal)
-        model, replaced = self._models.model_for(goal.model)
+        named, model, replaced = self._models.model_for(goal.model)
         described = self._stage.wait(progress.check)
         clock = _clock(described)
         live = None if goal.reference.kind != TOPIC else self._references.begin(
             clock.sample_period_s, described.timing == "lockstep", goal.reference.centre_um,
             progress.check)
-        prepared = prepare(
-            _request(goal, model, directory), clock,
-            self._feedbacks(clock).with_controller(goal.controller, goal.mode),
-            _Preparing(progress, goal.tolerance_um), self._data_root.writable, REPORT_PERIOD_S,
-            live)
+        request = _request(goal, model, directory)
+        feedbacks = self._feedbacks(clock).with_controller(goal.controller, goal.mode)
+        prepared = prepare(request, clock, feedbacks, _Preparing(progress, goal.tolerance_um),
+                           self._data_root.writable, REPORT_PERIOD_S, live)
+        present = PresentRun(
+            request, named, prepared, lambda other: prepare(other, clock, feedbacks, Unwatched()),
+            self._tracker, clock.tick_s)
         progress.check()
         self._stage.check_unchanged(described)
         run, plan = prepared.run, prepared.plan
@@ -112,8 +123,10 @@ class ControllerNode(LifecycleNode):
                 goal.unrecorded) as recording:
             result.recording = recording.path
             try:
-                self._play(prepared, clock, account, progress, recording)
+                with self._models.playing(present):
+                    self._play(prepared, clock, account, progress, recording)
             finally:
+                self._followed.flush()
                 recording.last_sample = self._tracker.last_sample
                 result.missed_feedback = self._tracker.missed_feedback
                 if run.begun:
@@ -125,14 +138,15 @@ class ControllerNode(LifecycleNode):
                 raise CallFailed(
                     f"the stage stopped before the end: {self._tracker.why_ended()}")
         progress.check()
-        learned = "" if account.failure else _keep_learned(prepared.learning, result)
+        failures = list(filter(None, (account.failure, run.not_followed)))
+        learned = "" if failures else _keep_learned(prepared.learning, result)
         uncompensated = (
             f'the feedforward does not compensate: {", ".join(plan.uncompensated)}'
             if plan.uncompensated else "")
-        notes = (replaced, learned, uncompensated, run.not_followed, run.lateness, plan.note,
+        notes = (replaced, present.note, learned, uncompensated, run.lateness, plan.note,
                  recording.note)
-        if account.failure:
-            raise CallFailed("; ".join(filter(None, (account.failure, *notes))))
+        if failures:
+            raise CallFailed("; ".join(filter(None, (*failures, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))
 
     def _feedbacks(self, clock: StageClock) -> Feedbacks:
@@ -161,7 +175,9 @@ class ControllerNode(LifecycleNode):
             if not run.complete:
                 account.take(
                     block.flags, len(block.displacement_um) // clock.samples_per_tick)
-            return prepared.take(np.frombuffer(block.displacement_um))
+            answer_v = prepared.take(np.frombuffer(block.displacement_um))
+            self._followed.take(block, run.expected_um)
+            return answer_v
 
         def shall_end() -> bool:
             return progress.cancelled or recording.must_stop or prepared.over

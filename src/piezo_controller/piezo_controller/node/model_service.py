@@ -2,13 +2,15 @@
 """The service ``accept_extended_model``, and the topic that tells which model runs use."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from piezo_interfaces.srv import AcceptExtendedModel
 from rclpy.node import Node
 from std_msgs.msg import String
 
+from piezo_controller.node.present_run import FROM_THE_NEXT, PresentRun
 from piezo_controller.tracking.accepted_models import AcceptedModels, CheckFeedback, ModelText
 from piezo_ros.late_responses import LateResponse, create_late_service
 from piezo_ros.quality import DESCRIPTION
@@ -29,11 +31,14 @@ class ModelService:
     def __init__(self, node: Node, readable: Callable[[str], str], check: CheckFeedback) -> None:
         self._node, self._readable, self._check = node, readable, check
         self._accepted = AcceptedModels()
+        self._present: PresentRun | None = None
+        # One model at a time, and none while a run begins or ends.
+        self._changing = threading.Lock()
         self._told = node.create_publisher(String, "controller/model", DESCRIPTION)
         create_late_service(
             node, AcceptExtendedModel, "controller/accept_extended_model", self._begin)
 
-    def model_for(self, path: str) -> tuple[ModelText, str]:
+    def model_for(self, path: str) -> tuple[ModelText, ModelText, str]:
         """Return the model that a run uses, and tell everybody.
 
         Parameters
@@ -43,7 +48,8 @@ class ModelService:
 
         Returns
         -------
-        model : ModelText
+        named, model : ModelText
+            That the goal names, and that is used.
         note : str
             What to tell of it in the result; empty for the model that was named.
 
@@ -54,9 +60,23 @@ class ModelService:
         """
         named = ModelText(path, read_model_text(path))
         used = self._accepted.in_place_of(named, read_model_text)
-        self._told.publish(String(data=used.path))
-        return used, "" if used is named else (
+        self._tell(used)
+        return named, used, "" if used is named else (
             f"used {used.path}, which was accepted in place of {path}")
+
+    @contextmanager
+    def playing(self, run: PresentRun) -> Iterator[None]:
+        """Let a run go over to a model that is accepted meanwhile."""
+        self._present = run
+        try:
+            yield
+        finally:
+            run.ended = True
+            with self._changing:
+                self._present = None
+
+    def _tell(self, model: ModelText) -> None:
+        self._told.publish(String(data=model.path))
 
     def _begin(self, request: AcceptExtendedModel.Request, late: LateResponse) -> None:
         # A design takes seconds, in which the loop goes on.
@@ -65,7 +85,8 @@ class ModelService:
     def _answer(self, request: AcceptExtendedModel.Request, late: LateResponse) -> None:
         response = late.response
         try:
-            response.message = self._accept(request)
+            with self._changing:
+                response.message = self._accept(request)
             response.success = True
             self._node.get_logger().info(response.message)
         except ValueError as error:
@@ -76,11 +97,20 @@ class ModelService:
     def _accept(self, request: AcceptExtendedModel.Request) -> str:
         path, extended = map(self._readable, (request.model, request.extended_model))
         model = ModelText(path, read_model_text(path))
+        present = self._present
+
+        def go_over(following: ModelText) -> str:
+            if present is None or present.named.sha256 != model.sha256:
+                return FROM_THE_NEXT
+            return present.go_over(following, self._tell)
+
         if not extended:
+            when = go_over(model)
             self._accepted.withdraw(model)
-            return f"{path} is used itself from the next run on"
-        self._accepted.accept(model, ModelText(extended, read_model_text(extended)), self._check)
-        return f"{extended} is used in place of {path} from the next run on"
+            return f"{path} is used itself {when}"
+        when = self._accepted.accept(
+            model, ModelText(extended, read_model_text(extended)), self._check, go_over)
+        return f"{extended} is used in place of {path} {when}"
 
 
 def read_model_text(path: str) -> str:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Extended models that an operator lets runs use in place of the models they were made from.
 
-A run takes feedforward and feedback from one model, before it begins: both change together,
-between two runs, and never within one.
+A run takes feedforward and feedback from one model: both change together, between two runs or
+between two ticks of one.
 """
 
 import hashlib
@@ -42,20 +42,28 @@ class AcceptedModels:
     def __init__(self) -> None:
         self._extended: dict[str, ModelText] = {}
 
-    def accept(self, model: ModelText, extended: ModelText, check: CheckFeedback) -> None:
-        """Use an extended model in place of a model from the next run on.
+    def accept(self, model: ModelText, extended: ModelText, check: CheckFeedback,
+               go_over: Callable[[ModelText], str] = lambda _: "") -> str:
+        """Use an extended model in place of a model from now on.
 
         Parameters
         ----------
         model, extended : ModelText
         check : callable
             Makes the feedback for the extended model, and refuses what is not stable.
+        go_over : callable
+            Has a run that goes on use the model; may raise, and says from when on it is used.
+
+        Returns
+        -------
+        str
+            What `go_over` said.
 
         Raises
         ------
         ValueError
-            If a file cannot be used, the models are not of one stage, or the feedback is unstable;
-            what was used before then stays.
+            If a file cannot be used, the models are not of one stage, the feedback is unstable, or
+            the run cannot go over; what was used before then stays.
         """
         present, following = (load_model(one.path).model for one in (model, extended))
         before, after = present.hysteresis, following.hysteresis
@@ -68,7 +76,9 @@ class AcceptedModels:
                 f"{len(after.density_um_per_v2)} cells where {model.path} has {low_v:g} to "
                 f"{high_v:g} V in {len(before.density_um_per_v2)}: give a model that extends it")
         check(following, extended.sha256, present)
+        when = go_over(extended)
         self._extended[model.sha256] = extended
+        return when
 
     def withdraw(self, model: ModelText) -> None:
         """Use a model itself again."""

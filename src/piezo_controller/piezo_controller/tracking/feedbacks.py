@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_controller.feedback.controller_file import (
     ControllerFileError,
     load_stabilising_controller,
@@ -25,6 +25,8 @@ from piezo_controller.feedback.onboard_law import onboard_law
 from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedforward.periodic import FeedforwardPlan
+from piezo_controller.learning.fast_sensitivity import fast_sensitivity
+from piezo_controller.tracking.foreseen import Sensitivity, open_loop_sensitivity
 from piezo_controller.tracking.plan import TrackingPlan
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock, feedback_room_v
 from piezo_models.cascade import StageModel
@@ -134,6 +136,31 @@ class Feedbacks:
             self._max_feedback_v if composite else self._room_v(plan),
             before_inverse=composite and self._settings.place == "before_inverse",
             max_error_um=self._settings.max_error_um if composite else math.inf)
+
+    def sensitivity(self, mode: str, model: StageModel, model_sha256: str) -> Sensitivity:
+        """Return what a mode without an inverse leaves of a reference, over frequency.
+
+        Parameters
+        ----------
+        mode : str
+            ``open_loop``, ``pid`` or ``pi``.
+        model : StageModel
+        model_sha256 : str
+            Hash of the model's file.
+        """
+        stage = self._stage
+        if mode not in FEEDBACK_METHODS:
+            return open_loop_sensitivity(model, stage.sample_period_s)
+        controller = self._controller(mode, model, model_sha256, answered=True)
+
+        def left(frequency_hz: FloatArray) -> ComplexArray:
+            within = frequency_hz < 0.5 / stage.tick_s  # above, the ticks show an image of it
+            left = np.ones(frequency_hz.size, dtype=complex)
+            left[within] = fast_sensitivity(
+                model, controller, frequency_hz[within], stage.sample_period_s)
+            return left
+
+        return left
 
     def check_model(self, model: StageModel, model_sha256: str, present: StageModel) -> None:
         """Refuse a model whose composite feedback is unstable with it, or with the present one.

@@ -25,6 +25,7 @@ from piezo_controller.learning.periodic_learner import PeriodicLearner
 from piezo_controller.references.live_reference import TOPIC, LiveReference
 from piezo_controller.references.reference import LONGEST_DURATION_S, Reference
 from piezo_controller.tracking.feedbacks import Feedback, Feedbacks
+from piezo_controller.tracking.foreseen import check_reach
 from piezo_controller.tracking.plan import TrackingPlan
 from piezo_controller.tracking.run_plan import plan_learning, plan_references, plan_topic
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock
@@ -34,6 +35,7 @@ from piezo_models.feedback_law.feedback_law import FeedbackLaw
 from piezo_models.model_file import load_model
 
 LEARNING_ITERATIONS = 10
+WITHOUT_INVERSE = "open_loop", "pid", "pi"
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,16 @@ class Steps(Protocol):
 
     def watch(self, fraction: float) -> None:
         """Hear how much of the present step is done, from 0 to 1."""
+
+
+class Unwatched:
+    """Nobody is told of the steps."""
+
+    def begin(self, step: str) -> None:
+        """Hear nothing."""
+
+    def watch(self, fraction: float) -> None:
+        """Hear nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +201,10 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
         described = request.mode, model, request.model_sha256, plan
         law = feedbacks.law_of_mode(*described)
         feedback = None if law else feedbacks.of_mode(*described)
+    if request.mode in WITHOUT_INVERSE:
+        check_reach(plan.expected_um(plan.begin_sample, plan.period_voltage_v.size),
+                    feedbacks.sensitivity(request.mode, model, request.model_sha256),
+                    request.references[0], model, stage, request.durations_s[0], steps.watch)
     run = TrackingRun(plan, whole_ticks(sum(request.durations_s), stage), feedback, stage.tick_s,
                       request.tolerance_um, round(window_s * stage.sample_rate_hz))
     return PreparedRun(plan, feedback, run, learning, law)

@@ -10,11 +10,14 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_controller.tracking.answer_times import AnswerTimes
 from piezo_controller.tracking.feedbacks import Feedback
+from piezo_controller.tracking.foreseen import SHARE_AT_REST
 from piezo_controller.tracking.plan import TrackingPlan
 
 ON_TARGET_SAMPLES = 400
 USUAL_PERCENT = 99
 TOLERANCE_OF_TRAVEL, LEAST_TOLERANCE_UM = 0.01, 0.03
+NOT_FOLLOWED = "the stage did not follow the reference"
+"""How the account of a run begins that must not count as done."""
 
 
 class TrackingRun:
@@ -35,6 +38,11 @@ class TrackingRun:
         1 % of the travel, but at least 0.03 um.
     window_samples : int
         Of the running error.
+
+    Attributes
+    ----------
+    expected_um : ndarray, shape (n,)
+        Reference of the samples that were taken last; without those beyond the end of the run.
     """
 
     def __init__(self, plan: TrackingPlan, run_samples: int, feedback: Feedback | None = None,
@@ -50,6 +58,7 @@ class TrackingRun:
         self.tolerance_um = tolerance_um or max(
             TOLERANCE_OF_TRAVEL * self._planned_travel_um, LEAST_TOLERANCE_UM)
         self.samples = 0
+        self.expected_um: FloatArray = np.empty(0)
         self._squares, self._counted = 0.0, 0
         self._expected_sum = self._expected_squares = 0.0
         self.largest_error_um = math.nan
@@ -107,8 +116,9 @@ class TrackingRun:
         self.samples += len(displacement_um)
         displacement_um = displacement_um[:max(total - first, 0)]
         if not len(displacement_um):
+            self.expected_um = np.empty(0)
             return 0.0
-        expected_um = self._plan.expected_um(first, len(displacement_um))
+        expected_um = self.expected_um = self._plan.expected_um(first, len(displacement_um))
         self._account(max(self._plan.begin_sample - first, 0), expected_um, displacement_um)
         if self._feedback is None or first < self._plan.feedback_start_sample:
             return 0.0
@@ -130,17 +140,16 @@ class TrackingRun:
 
     @property
     def not_followed(self) -> str:
-        """Return what to tell of a stage that was as far off as one at rest; empty otherwise."""
+        """Return why a run does not count whose error was about that at rest; empty otherwise."""
         if not self._counted:
             return ""
         mean_um = self._expected_sum / self._counted
         at_rest_um = math.sqrt(max(self._expected_squares / self._counted - mean_um**2, 0.0))
         error_um = math.sqrt(self._squares / self._counted)
-        if at_rest_um < self.tolerance_um or error_um < at_rest_um:
+        if at_rest_um < self.tolerance_um or error_um < SHARE_AT_REST * at_rest_um:
             return ""
-        return (f"the stage did not follow the reference: its rms error of {error_um:.3g} um is "
-                f"that of a stage which rests at the mean ({at_rest_um:.3g} um) or more; use "
-                "composite, or a slower reference")
+        return (f"{NOT_FOLLOWED}: its rms error is {error_um:.3g} um, and that of a stage which "
+                f"rests at the mean {at_rest_um:.3g} um; use composite, or a slower reference")
 
     def _account(self, before: int, expected_um: FloatArray, displacement_um: FloatArray) -> None:
         """Add a block to the account, except its samples before the part that counts."""

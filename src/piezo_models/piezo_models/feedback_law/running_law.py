@@ -149,23 +149,32 @@ class RunningLaw:
         """
         if self._inverse is not None:
             self._inverse.take_over(other._inverse)
-        tick = self.law.tick
-        for error_um, voltage_v in other._past:
+        tick, scale = self.law.tick, self._volts_per_volt(other)
+        past = [(error_um, scale * voltage_v) for error_um, voltage_v in other._past]
+        for error_um, voltage_v in past:
             decide(error_um, *self._tick, self._state, self._work, voltage_v, np.inf, 0.0)
-        self._past.extend(other._past)
+        self._past.extend(past)
         self._measured, self._played = other._measured, other._played
         self._decided_ticks, self._acts = other._decided_ticks, other._acts
         self.error_um, self.voltage_v = other.error_um, other.voltage_v
-        self._decided_v, self._added_v = other._decided_v, other._added_v
+        self._decided_v, self._added_v = scale * other._decided_v, scale * other._added_v
         self._sums[:] = other._sums
-        kept = list(other._decisions)[-self.law.delay_ticks:] if self.law.delay_ticks else []
+        kept = [scale * voltage_v for voltage_v in other._decisions]
+        kept = kept[-self.law.delay_ticks:] if self.law.delay_ticks else []
         self._decisions = deque(
             [self._decided_v] * (self.law.delay_ticks - len(kept)) + kept)
-        self._acting_v = other._acting_v
+        self._acting_v = scale * other._acting_v
         weight = float(tick.c @ tick.c)
         if weight > 0.0:
-            rest_v = other._foreseen_v() - self._foreseen_v()
+            rest_v = scale * other._foreseen_v() - self._foreseen_v()
             self._state += tick.c * (rest_v / weight)
+
+    def _volts_per_volt(self, other: "RunningLaw") -> float:
+        """Return what a volt of another law is here: as much output of the hysteresis."""
+        inverses = self.law.inverse, other.law.inverse
+        if inverses[0] is None or inverses[1] is None:
+            return 1.0
+        return inverses[1].gain_um_per_v / inverses[0].gain_um_per_v
 
     def _foreseen_v(self) -> float:
         """Return the next decision, if the error stays."""

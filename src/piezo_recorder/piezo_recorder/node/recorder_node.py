@@ -22,6 +22,7 @@ from rclpy.timer import Timer
 from piezo_common.data_root import DataRootError, check_file_name
 from piezo_recorder import sample_block
 from piezo_recorder.node.waiting_services import create_waiting_service
+from piezo_recorder.reading import tracked_reference
 from piezo_recorder.writing.message_definition import MessageDefinition, installed_definition
 from piezo_recorder.writing.quality_profiles import offered_profile
 from piezo_recorder.writing.session import RecordingSession
@@ -51,11 +52,12 @@ class Recorder(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("recorder")
         declare(self, "topics", ["samples", "feedback", "ground_truth", "applied_feedback",
-                                 "reference"],
+                                 "reference", "controller/reference"],
                 "Topics to record; the first of samples is the one that is counted.")
         declare(self, "types", [sample_block.TYPE_NAME, "piezo_interfaces/msg/FeedbackVoltage",
                                 sample_block.TYPE_NAME, "piezo_interfaces/msg/AppliedFeedback",
-                                "piezo_interfaces/msg/ReferenceSamples"],
+                                "piezo_interfaces/msg/ReferenceSamples",
+                                tracked_reference.TYPE_NAME],
                 "Message types of the topics, in the same order.")
         declare(self, "minimum_free_mb", 200,
                 "Free disk space (megabyte) below which a recording is refused or closed.",

@@ -29,7 +29,8 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
     -------
     pandas.DataFrame
         One row a sample, indexed by ``time_s``, with the columns ``sample_index``, ``voltage_v``,
-        ``displacement_um``, ``flags`` and those of a CSV file beside. Its ``attrs`` hold ``units``
+        ``displacement_um``, ``flags``, ``reference_um`` where a run was recorded, and those of a
+        CSV file beside. Its ``attrs`` hold ``units``
         by column, ``source`` and ``sample_rate_hz``.
 
     Raises
@@ -111,6 +112,7 @@ def read_frame(path: str | PathLike[str], **options: Any) -> "pandas.DataFrame":
 def _columns_of(recording: Recording) -> dict[str, np.ndarray]:
     return {"sample_index": recording.sample_index, "voltage_v": recording.voltage_v,
             "displacement_um": recording.displacement_um, "flags": recording.flags,
+            **({"reference_um": recording.reference_um} if recording.reference_um.size else {}),
             **recording.columns}
 
 

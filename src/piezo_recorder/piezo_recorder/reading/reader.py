@@ -17,6 +17,8 @@ from piezo_recorder.reading.columns import GUESSED, ColumnsDocument
 from piezo_recorder.reading.recording import Recording, RecordingError
 from piezo_recorder.reading.table_reader import read_table_recordings
 from piezo_recorder.reading.tables.table import Progress, no_progress
+from piezo_recorder.reading.tracked_reference import TYPE_NAME as REFERENCE_TYPE
+from piezo_recorder.reading.tracked_reference import reference_of
 from piezo_recorder.writing.writer import STAGE_METADATA
 
 GROUND_TRUTH = "ground_truth"
@@ -151,12 +153,14 @@ def _bounded(file: Path) -> Path:
 
 
 class _Contents:
-    """Sample blocks and side files of one or more MCAP files, undecoded."""
+    """Sample blocks, references and side files of one or more MCAP files, undecoded."""
 
     def __init__(self) -> None:
         self.topics: dict[str, str] = {}
         self.blocks: dict[str, list[bytes]] = {}
         self.schema: mcap.records.Schema | None = None
+        self.references: list[bytes] = []
+        self.reference_schema: mcap.records.Schema | None = None
         self.attachments: dict[str, bytes] = {}
         self.sample_rate_hz: float | None = None
         self.complete = True
@@ -192,6 +196,8 @@ class _Contents:
             if is_samples:
                 self.schema = schema
             channels[record.id] = self.blocks.setdefault(record.topic, []) if is_samples else None
+            if schema.name == REFERENCE_TYPE:
+                self.reference_schema, channels[record.id] = schema, self.references
         elif isinstance(record, mcap.records.Attachment):
             self.attachments[record.name] = record.data
         elif isinstance(record, mcap.records.Metadata) and record.name == STAGE_METADATA:
@@ -219,7 +225,7 @@ def _read_mcap(path: Path, topic: str | None, sample_rate_hz: float | None) -> R
         contents.read(file)
     topic = _choose_topic(path, contents, topic)
     assert contents.schema is not None  # it came with the topic
-    blocks = _decode(path, contents.schema, contents.blocks[topic])
+    blocks = _decode_blocks(path, contents.schema, contents.blocks[topic])
     rate_hz = sample_rate_hz or contents.sample_rate_hz or sample_block.DEFAULT_SAMPLE_RATE_HZ
     return _join(path, topic, blocks, rate_hz, contents)
 
@@ -245,16 +251,27 @@ def _choose_topic(path: Path, contents: _Contents, topic: str | None) -> str:
     return fitting[0]
 
 
-def _decode(path: Path, schema: mcap.records.Schema, blocks: list[bytes]) -> list[Any]:
+def _decode(path: Path, schema: mcap.records.Schema, messages: list[bytes],
+            name: str) -> list[Any]:
     typestore = get_typestore(Stores.EMPTY)
     try:
         typestore.register(get_types_from_msg(schema.data.decode(), schema.name))
-        decoded: list[Any] = [
-            typestore.deserialize_cdr(data, schema.name) for data in blocks]
+        return [typestore.deserialize_cdr(data, schema.name) for data in messages]
     except Exception as error:
         raise RecordingError(
-            f"{path} has a sample block that does not fit its own definition ({_brief(error)}): "
+            f"{path} has a {name} that does not fit its own definition ({_brief(error)}): "
             "record it again.") from None
+
+
+def _reference(path: Path, contents: _Contents, sample_index: np.ndarray) -> np.ndarray:
+    if contents.reference_schema is None:
+        return np.empty(0)
+    return reference_of(_decode(path, contents.reference_schema, contents.references, "reference"),
+                        sample_index)
+
+
+def _decode_blocks(path: Path, schema: mcap.records.Schema, blocks: list[bytes]) -> list[Any]:
+    decoded = _decode(path, schema, blocks, "sample block")
     uneven = next((number for number, block in enumerate(decoded, start=1)
                    if len(block.voltage_v) != len(block.displacement_um)), None)
     if uneven:
@@ -272,10 +289,12 @@ def _join(path: Path, topic: str, blocks: list[Any], sample_rate_hz: float,
     strides = _strides(path, periods_s, sample_rate_hz)
     ends = first + counts * strides
     within_block = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    sample_index = np.repeat(first, counts) + within_block * np.repeat(strides, counts)
     return Recording(
         path=str(path),
         sample_rate_hz=sample_rate_hz,
-        sample_index=np.repeat(first, counts) + within_block * np.repeat(strides, counts),
+        sample_index=sample_index,
+        reference_um=_reference(path, contents, sample_index),
         sample_periods_s=np.repeat(strides / sample_rate_hz, counts),
         voltage_v=np.concatenate([block.voltage_v for block in blocks]),
         displacement_um=np.concatenate([block.displacement_um for block in blocks]),

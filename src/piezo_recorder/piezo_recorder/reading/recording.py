@@ -42,6 +42,8 @@ class Recording:
         `Flag` bits. A CSV file counts as a waveform that plays throughout.
     gaps : list of (int, int)
         First missing index of the sample clock, and how many are missing.
+    reference_um : ndarray, shape (N,) or (0,)
+        What a tracking run followed; NaN where nothing did, empty where nothing was told.
     attachments : dict of str to bytes
         Files kept in the recording.
     columns : dict of str to ndarray, shape (N,)
@@ -66,6 +68,7 @@ class Recording:
     displacement_um: np.ndarray
     flags: np.ndarray
     gaps: list[tuple[int, int]] = field(default_factory=list)
+    reference_um: np.ndarray = field(default_factory=lambda: np.empty(0))
     attachments: dict[str, bytes] = field(default_factory=dict)
     columns: dict[str, np.ndarray] = field(default_factory=dict)
     complete: bool = True
@@ -159,5 +162,6 @@ class Recording:
             self, sample_index=sample_index,
             sample_periods_s=self.sample_periods_s[mask], voltage_v=self.voltage_v[mask],
             displacement_um=self.displacement_um[mask], flags=self.flags[mask],
+            reference_um=self.reference_um[mask] if self.reference_um.size else self.reference_um,
             columns={name: values[mask] for name, values in self.columns.items()},
             gaps=[gap for gap in self.gaps if sample_index[0] < gap[0] < sample_index[-1]])

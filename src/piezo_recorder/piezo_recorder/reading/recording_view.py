@@ -55,6 +55,7 @@ def summary_of(recording: "Recording") -> SummaryTable:
         ("sample rate", float(1.0 / periods_s[-1]), float(1.0 / periods_s[0]), "Hz"),
         ("voltage", *_ends(recording.voltage_v), "V"),
         ("displacement", *_ends(recording.displacement_um), "um"),
+        *_reference_rows(recording),
         ("missing samples", sum(missing for _, missing in recording.gaps), None, ""),
         *((f"column {name}", *_ends(values), "") for name, values in recording.columns.items()),
     ]
@@ -63,6 +64,24 @@ def summary_of(recording: "Recording") -> SummaryTable:
     return SummaryTable(f"Recording {recording.path} {recording.title}".rstrip(),
                         ("", "value, or lowest", "highest", "unit"), rows,
                         (*notes, *recording.notes))
+
+
+def error_um(recording: "Recording") -> FloatArray:
+    """Return reference minus displacement of the samples that have a reference (um)."""
+    if not recording.reference_um.size:
+        return np.empty(0)
+    followed = np.isfinite(recording.reference_um)
+    return np.asarray(recording.reference_um - recording.displacement_um, dtype=float)[followed]
+
+
+def _reference_rows(recording: "Recording") -> list[tuple[str | float | None, ...]]:
+    left_um = error_um(recording)
+    if not left_um.size:
+        return []
+    followed = recording.reference_um[np.isfinite(recording.reference_um)]
+    return [("reference", *_ends(followed), "um"),
+            ("rms error, with the way to its beginning", float(np.sqrt(np.mean(left_um**2))), None,
+             "um")]
 
 
 def draw_recording(recording: "Recording") -> "Figure":
@@ -91,6 +110,8 @@ def draw_recording(recording: "Recording") -> "Figure":
         below = figure.add_subplot(grid[1, column], sharex=above)
         _draw_over_time(above, recording.time_s[part], recording.voltage_v[part])
         _draw_over_time(below, recording.time_s[part], recording.displacement_um[part])
+        if recording.reference_um.size:
+            _draw_reference(below, recording.time_s[part], recording.reference_um[part])
         first = column == 0
         label(above, None, "voltage (V)" if first else None, "whole" if first else "close")
         label(below, "time (s)", "displacement (um)" if first else None)
@@ -128,6 +149,16 @@ def _draw_over_time(axes: "Axes", time_s: FloatArray, values: FloatArray) -> Non
     from piezo_common.picture_style import BLUE, outline
 
     axes.plot(*outline(time_s, values), color=BLUE, linewidth=0.9)
+
+
+def _draw_reference(axes: "Axes", time_s: FloatArray, reference_um: FloatArray) -> None:
+    from piezo_common.picture_style import ORANGE, outline
+
+    followed = np.isfinite(reference_um)
+    if followed.any():
+        axes.plot(*outline(time_s[followed], reference_um[followed]), color=ORANGE,
+                  linestyle="--", linewidth=0.9, label="reference")
+        axes.legend(loc="best")
 
 
 def _draw_loop(axes: "Axes", voltage_v: FloatArray, displacement_um: FloatArray) -> None:

@@ -8,7 +8,12 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from piezo_interfaces.msg import FeedbackLaw, FeedbackVoltage, SampleBlock
-from piezo_interfaces.srv import LoadFeedback, LoadFeedforward, StartTracking
+from piezo_interfaces.srv import (
+    LoadFeedback,
+    LoadFeedforward,
+    ReplaceFeedforward,
+    StartTracking,
+)
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
@@ -49,16 +54,18 @@ class StageTracker:
         # Answers to the first blocks wait here until the number of their run is known.
         self._early_answers: list[tuple[int, float]] = []
         self._run: int | None = None
+        self._first_tick = 0
         self._numbering = threading.Lock()
         self._client = node.get_fully_qualified_name()
         self._stage = StageWatch(node)
-        self._at_rest, self._awake = threading.Event(), threading.Event()
+        self._at_rest, self._awake, self._begun = (threading.Event() for _ in range(3))
         self.last_sample = self.missed_feedback = 0
         self._feedback = node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
         # Raw, as nobody looks at the blocks between two runs.
         node.create_subscription(SampleBlock, "samples", self._on_samples, SAMPLES, raw=True)
         self._load = node.create_client(LoadFeedforward, "load_feedforward")
         self._load_law = node.create_client(LoadFeedback, "load_feedback")
+        self._replace = node.create_client(ReplaceFeedforward, "replace_feedforward")
         self._start = node.create_client(StartTracking, "start_tracking")
         self._stop = node.create_client(Trigger, "stop_tracking")
 
@@ -94,8 +101,8 @@ class StageTracker:
             If the stage refuses, falls silent, or is gone.
         """
         self._stage.begin()
-        self._at_rest.clear()
-        self._awake.clear()
+        for event in self._at_rest, self._awake, self._begun:
+            event.clear()
         self._blocks = self.last_sample = self.missed_feedback = 0
         self._load_voltages(once_voltage_v, period_voltage_v)
         if law is not None:
@@ -107,13 +114,42 @@ class StageTracker:
             if self._stream:
                 self._stream.feed()
             self._run, self._early_answers = None, []
-            self._begin_answers(call_service(self._start, StartTracking.Request(
+            begun = call_service(self._start, StartTracking.Request(
                 feedback=self._answering, onboard=law is not None, ticks=ticks,
-                client=self._client),
-                appearance_s=APPEARANCE_S).run)
+                client=self._client), appearance_s=APPEARANCE_S)
+            self._first_tick = begun.first_tick
+            self._begin_answers(begun.run)
+            self._begun.set()
             self._wait(cancelled, report)
         finally:
             self._take = self._stream = None
+
+    def replace(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray,
+                law: FeedbackLaw | None) -> int:
+        """Replace feedforward and law of the present run in one tick; from any thread.
+
+        Parameters
+        ----------
+        once_voltage_v, period_voltage_v, law
+            See `run`; as long as what plays.
+
+        Returns
+        -------
+        int
+            Ticks since the run began.
+
+        Raises
+        ------
+        CallFailed
+            If nothing runs, or the stage refuses; what acts then goes on.
+        """
+        if not self._begun.wait(STOP_TIMEOUT_S):
+            raise CallFailed(f"no run began within {STOP_TIMEOUT_S:g} s: start one first")
+        replaced = call_service(self._replace, ReplaceFeedforward.Request(
+            run=self._run, once_voltage_v=array.array("d", bytes(once_voltage_v)),
+            period_voltage_v=array.array("d", bytes(period_voltage_v)),
+            onboard=law is not None, law=law or FeedbackLaw()), appearance_s=APPEARANCE_S)
+        return replaced.first_tick - self._first_tick
 
     def wake(self) -> None:
         """Look at once whether further voltages of a stream can be told now; from any thread."""

@@ -5,22 +5,8 @@ import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
 
-import numpy as np
-
-from piezo_stage_driver.engine.sources import Hold
-
-
-class Source(Protocol):
-    """Voltages in their order; each sample is taken once."""
-
-    def take(self, count: int) -> np.ndarray:
-        """Return the next samples, shape (count,), in V."""
-
-    @property
-    def exhausted(self) -> bool:
-        """Tell whether the last voltage was held because nothing was left to take."""
+from piezo_stage_driver.engine.sources import FadeOver, Hold, Source
 
 
 class StageRefusal(ValueError):
@@ -85,6 +71,10 @@ class Program:
         """Go over to another last phase."""
         self._phases = deque([phase] if phase.samples > 0 else [])
         self._samples = self._done_samples + phase.samples
+
+    def fade_over(self, source: Source, samples: int) -> None:
+        """Lead the present phase over to another source in some samples."""
+        self._phases[0].source = FadeOver(self._phases[0].source, source, samples)
 
     def advance(self, count: int) -> Phase | None:
         """Count samples played; return the phase that has ended with them, or None."""

@@ -2,8 +2,20 @@
 """Where the voltage of the next samples comes from."""
 
 from collections import deque
+from typing import Protocol
 
 import numpy as np
+
+
+class Source(Protocol):
+    """Voltages in their order; each sample is taken once."""
+
+    def take(self, count: int) -> np.ndarray:
+        """Return the next samples, shape (count,), in V."""
+
+    @property
+    def exhausted(self) -> bool:
+        """Tell whether the last voltage was held because nothing was left to take."""
 
 
 class Hold:
@@ -104,6 +116,20 @@ class Feedforward:
         """Tell whether appended samples were played, so that it cannot begin anew."""
         return self._appended_played
 
+    @property
+    def streamed(self) -> bool:
+        """Tell whether more was appended than what was loaded first."""
+        return self._appended_played or bool(self._appended)
+
+    @property
+    def lengths(self) -> tuple[int, int]:
+        """Return how many samples are played once and how many are repeated."""
+        return len(self._once_v), len(self._period_v)
+
+    def go_on_from(self, other: "Feedforward") -> None:
+        """Take the place of another of the same lengths at the sample that it has come to."""
+        self._at = other._at
+
     def rewind(self) -> None:
         """Begin anew with the first sample, as long as nothing is forgotten."""
         self._at, self._held = 0, False
@@ -141,3 +167,40 @@ class Feedforward:
         if first + count <= len(self._period_v):
             return self._period_v[first:first + count]
         return self._period_v[np.arange(first, first + count) % len(self._period_v)]
+
+
+class FadeOver:
+    """One source, and from then on another, with a smooth way between the two.
+
+    Both are taken from meanwhile. The way begins and ends without a step in voltage, slew or
+    acceleration, so that no mode of the stage is excited.
+
+    Parameters
+    ----------
+    old, new : Source
+    samples : int
+        Of the way.
+    """
+
+    def __init__(self, old: Source, new: Source, samples: int):
+        self._old: Source | None = old
+        self._new, self._samples = new, samples
+        self._at = 0
+
+    @property
+    def exhausted(self) -> bool:
+        """Tell whether the new source held its last voltage."""
+        return self._new.exhausted
+
+    def take(self, count: int) -> np.ndarray:
+        """Return the next samples, shape (count,), in V."""
+        new_v = self._new.take(count)
+        if self._old is None:
+            return new_v
+        part = np.minimum(np.arange(self._at, self._at + count) / self._samples, 1.0)
+        share = part**3 * (10.0 + part * (6.0 * part - 15.0))
+        voltage_v = self._old.take(count) * (1.0 - share) + new_v * share
+        self._at += count
+        if self._at >= self._samples:
+            self._old = None
+        return voltage_v

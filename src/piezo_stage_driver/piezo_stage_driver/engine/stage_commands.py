@@ -2,6 +2,7 @@
 """What clients may ask of the stage, and when each of it is refused."""
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,24 @@ from piezo_stage_driver.safety.limits import FeedbackLimits, VoltageLimits
 
 if TYPE_CHECKING:
     from piezo_stage_driver.engine.stage_engine import StageEngine
+
+# Ten periods of a mode of 500 Hz: slow enough to excite none, and over before creep matters.
+FADE_S = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Replacement:
+    """A feedforward, and the law that goes with it, to go over to within a run.
+
+    Attributes
+    ----------
+    feedforward : Feedforward
+    law : CheckedLaw or None
+        None where nothing is fed back.
+    """
+
+    feedforward: Feedforward
+    law: CheckedLaw | None
 
 
 class StageCommands:
@@ -152,6 +171,62 @@ class StageCommands:
             raise StageRefusal("no feedforward is loaded beside which the feedback law could act: "
                                "call load_feedforward first")
         self._law = law
+
+    def replacement(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
+                    law: FeedbackLaw | None) -> Replacement:
+        """Check what `replace_feedforward` takes; from any thread, as it takes longer than a tick.
+
+        Raises
+        ------
+        LimitError, FeedbackLawError
+        """
+        feedforward = Feedforward(np.array(once_voltage_v, dtype=float),
+                                  np.array(period_voltage_v, dtype=float))
+        self._limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
+        return Replacement(feedforward, None if law is None else self.checked(law))
+
+    def replace_feedforward(self, replacement: Replacement) -> int:
+        """Go over to another feedforward and its law, between two ticks of a run.
+
+        The law acts from the next tick on, in the state that gives what the one before gave. The
+        voltage that is planned goes over within `FADE_S`.
+
+        Parameters
+        ----------
+        replacement : Replacement
+
+        Returns
+        -------
+        first_tick : int
+
+        Raises
+        ------
+        StageRefusal, FeedbackLawError
+            What acts then goes on.
+        """
+        self._require_not_stopped()
+        engine, present = self._engine, self._feedforward
+        following, feedback = replacement.feedforward, engine.feedback
+        if present is None or engine.phase_name != "track":
+            raise StageRefusal(f"the stage does not track ({engine.phase_name}): "
+                               "load the feedforward for the next run")
+        if present.streamed or isinstance(feedback, FeedbackHold):
+            raise StageRefusal("the feedforward of this run is streamed or its blocks are "
+                               "answered: replace it between two runs")
+        if present.lengths != following.lengths:
+            raise StageRefusal(
+                "the feedforward has {} and {} samples where {} and {} play: plan it for the same "
+                "reference".format(*following.lengths, *present.lengths))
+        if (replacement.law is None) != (feedback is None):
+            raise StageRefusal("a law acts in this run and the replacement has none, or the other "
+                               "way round: replace both, or neither")
+        if isinstance(feedback, OnboardFeedback) and replacement.law is not None:
+            feedback.replace(replacement.law)
+        following.go_on_from(present)
+        engine.fade_over(following, self._ticks.aligned(
+            math.ceil(FADE_S / self._ticks.sample_period_s), 1))
+        self._feedforward, self._law = following, replacement.law
+        return engine.tick
 
     def start_tracking(self, feedback: bool, ticks: int = 0, client: str = "",
                        onboard: bool = False) -> int:

@@ -20,6 +20,7 @@ from piezo_stage_driver.engine.feedback_hold import FeedbackHold
 from piezo_stage_driver.engine.onboard_feedback import OnboardFeedback
 from piezo_stage_driver.engine.program import Phase, Program
 from piezo_stage_driver.engine.ramps import Ramps
+from piezo_stage_driver.engine.sources import Source
 from piezo_stage_driver.engine.stage_commands import StageCommands
 from piezo_stage_driver.engine.ticks import Ticks
 from piezo_stage_driver.safety.guard_set import GuardSet
@@ -213,6 +214,17 @@ class StageEngine:
         feedback = self._feedback  # which another thread may end meanwhile
         if feedback is not None:
             feedback.answer(tick, voltage_v, self.tick)
+
+    def fade_over(self, source: Source, samples: int) -> None:
+        """Lead the phase that is played over to another source, from the next tick on.
+
+        Parameters
+        ----------
+        source : Source
+        samples : int
+            Of the way from one to the other.
+        """
+        self._program.fade_over(source, samples)
 
     def return_to_rest(self) -> None:
         """End the present program by a ramp to the rest voltage, unless that is done."""

@@ -3,9 +3,12 @@
 
 from collections.abc import Callable
 
+import numpy.typing as npt
+
 from piezo_models.feedback_law.feedback_law import FeedbackLaw
 from piezo_stage_driver.engine.onboard_feedback import CheckedLaw
 from piezo_stage_driver.engine.program import StageRefusal
+from piezo_stage_driver.engine.stage_commands import Replacement
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.guards import StopLatch
 from piezo_stage_driver.safety.supervisor import NOT_ACTIVE, StageSupervisor
@@ -60,6 +63,19 @@ class CommandRouter:
         if self.supervisor is None:
             raise StageRefusal(NOT_ACTIVE)
         return self.supervisor.engine.commands.checked(law)
+
+    def replacement(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
+                    law: FeedbackLaw | None) -> Replacement:
+        """Check what is to take the place of a feedforward and its law within a run.
+
+        Raises
+        ------
+        LimitError, FeedbackLawError, StageRefusal
+            It must not act, or there is no stage.
+        """
+        if self.supervisor is None:
+            raise StageRefusal(NOT_ACTIVE)
+        return self.supervisor.engine.commands.replacement(once_voltage_v, period_voltage_v, law)
 
     def submit(self, command: Command) -> None:
         """Have a command run between two ticks, or refused; it tells by itself which."""

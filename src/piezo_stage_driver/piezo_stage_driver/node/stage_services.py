@@ -6,7 +6,12 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from piezo_interfaces.srv import LoadFeedback, LoadFeedforward, StartTracking
+from piezo_interfaces.srv import (
+    LoadFeedback,
+    LoadFeedforward,
+    ReplaceFeedforward,
+    StartTracking,
+)
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
@@ -35,13 +40,15 @@ class StageServices:
                  emergency_stop_timeout_s: float) -> None:
         self._node, self._router = node, router
         self._stop_timeout_s = emergency_stop_timeout_s
-        self._loads, self._laws, self._starts = (RequestMemory() for _ in range(3))
+        self._loads, self._laws, self._starts, self._replacements = (
+            RequestMemory() for _ in range(4))
         # Each with when it counts as failed, and how long that is after it was asked for (s).
         self._stops: list[tuple[LateResponse, float, float]] = []
         self._lock = threading.Lock()
         for service_type, name, callback in (
                 (LoadFeedforward, "load_feedforward", self._on_load_feedforward),
                 (LoadFeedback, "load_feedback", self._on_load_feedback),
+                (ReplaceFeedforward, "replace_feedforward", self._on_replace_feedforward),
                 (StartTracking, "start_tracking", self._on_start_tracking),
                 (Trigger, "stop_tracking", self._on_stop_tracking),
                 (Trigger, "emergency_stop", self._on_emergency_stop),
@@ -71,7 +78,7 @@ class StageServices:
             late.give()
 
     def _ask(self, late: LateResponse, name: str, *arguments: Any,
-             fill: Callable[[Any, Any], None] | None = None) -> None:
+             fill: Callable[[Any, Any], None] | None = None, run: int | None = None) -> None:
         """Submit a command; answer when it has acted or is refused."""
         public_name = "load_feedforward" if name == "append_feedforward" else name
 
@@ -84,7 +91,7 @@ class StageServices:
                 fill(late.response, value)
             late.give()
 
-        self._router.submit(Command(name, *arguments, on_done=done))
+        self._router.submit(Command(name, *arguments, on_done=done, run=run))
 
     def _refuse(self, late: LateResponse, name: str, error: ValueError) -> None:
         late.response.success = False
@@ -107,6 +114,22 @@ class StageServices:
         if not self._loads.repeats(request.request_id, late):
             name = "append_feedforward" if request.append else "load_feedforward"
             self._ask(late, name, request.once_voltage_v, request.period_voltage_v, request.append)
+
+    def _on_replace_feedforward(self, request: ReplaceFeedforward.Request,
+                                late: LateResponse) -> None:
+        def fill(response: ReplaceFeedforward.Response, first_tick: int) -> None:
+            response.first_tick = first_tick
+
+        if self._replacements.repeats(request.request_id, late):
+            return
+        try:
+            replacement = self._router.replacement(
+                request.once_voltage_v, request.period_voltage_v,
+                law_of(request.law) if request.onboard else None)
+        except ValueError as error:
+            self._refuse(late, "replace_feedforward", error)
+        else:
+            self._ask(late, "replace_feedforward", replacement, fill=fill, run=request.run)
 
     def _on_start_tracking(self, request: StartTracking.Request, late: LateResponse) -> None:
         def fill(response: StartTracking.Response, value: tuple[int, int]) -> None:

@@ -22,10 +22,13 @@ class Command:
         command. Called once, in whichever thread decides.
     goal : Goal, optional
         Of a waveform.
+    run : int, optional
+        Number of the run that alone it may act in.
     """
 
-    def __init__(self, name: str, *arguments: Any, on_done: Callable, goal: Any = None):
-        self.name, self.arguments, self.goal = name, arguments, goal
+    def __init__(self, name: str, *arguments: Any, on_done: Callable, goal: Any = None,
+                 run: int | None = None):
+        self.name, self.arguments, self.goal, self.run = name, arguments, goal, run
         self.expires_s = 0.0
         self._on_done = on_done
         self._claim = threading.Lock()

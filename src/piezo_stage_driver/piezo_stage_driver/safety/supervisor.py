@@ -22,6 +22,7 @@ EVENTS = {
     "load_feedforward": Event.LOAD,
     "append_feedforward": Event.APPEND,
     "load_feedback": Event.LAW,
+    "replace_feedforward": Event.REPLACE,
     "start_tracking": Event.TRACK,
     "stop_tracking": Event.END_TRACKING,
     "reset": Event.RESET,
@@ -296,6 +297,9 @@ class StageSupervisor:
                 event = EVENTS[command.name]
                 if not self.active or self._leaving:
                     raise StageRefusal(NOT_ACTIVE)
+                if command.run not in (None, self._gate.run):
+                    raise StageRefusal(f"run {command.run} does not go on: send the number that "
+                                       "start_tracking returned for the present one")
                 value = getattr(self.engine.commands, name)(*command.arguments)
                 if event is Event.TRACK:
                     value = self._gate.begin(), value

@@ -28,6 +28,7 @@ class Event(StrEnum):
     LOAD = "load_feedforward"
     APPEND = "load_feedforward, append"
     LAW = "load_feedback"
+    REPLACE = "replace_feedforward"
     TRACK = "start_tracking"
     END_TRACKING = "stop_tracking"
     RESET = "reset"
@@ -42,8 +43,8 @@ class Event(StrEnum):
     GIVE_UP = "the backend hangs and is given up"
 
 
-COMMANDS = (Event.PLAY, Event.LOAD, Event.APPEND, Event.LAW, Event.TRACK, Event.END_TRACKING,
-            Event.RESET)
+COMMANDS = (Event.PLAY, Event.LOAD, Event.APPEND, Event.LAW, Event.REPLACE, Event.TRACK,
+            Event.END_TRACKING, Event.RESET)
 """Events that a client asks for; it is refused where the table has no entry."""
 
 STATES = {
@@ -54,7 +55,8 @@ STATES = {
                     "the goal's client, by cancelling it"),
     State.TRACKING: ("The feedforward plays; the answers that bear the number of the run act, or "
                      "a law on board.",
-                     "any client: append, stop_tracking, and load_feedback beside a law"),
+                     "any client: append, stop_tracking, and load_feedback beside a law; who knows "
+                     "the number of the run: replace_feedforward"),
     State.STOPPING: ("The voltage returns to rest at ramp_rate_v_per_s.", "nobody"),
     State.LATCHED: ("At rest after a stop whose cause is kept.", "any client: reset"),
     State.FAULTED: ("The backend has failed or is given up. The node deactivates itself.",
@@ -90,6 +92,7 @@ TRANSITIONS = {
     (State.IDLE, Event.APPEND): Transition(State.IDLE, NOTHING),
     (State.IDLE, Event.LAW): Transition(State.IDLE, NOTHING),
     (State.TRACKING, Event.LAW): Transition(State.TRACKING, GO_ON),
+    (State.TRACKING, Event.REPLACE): Transition(State.TRACKING, GO_ON),
     (State.IDLE, Event.TRACK): Transition(
         State.TRACKING, "exchange: feedforward, and answers or a law"),
     (State.IDLE, Event.RESET): Transition(State.IDLE, NOTHING),

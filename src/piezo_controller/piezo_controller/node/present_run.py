@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The run that goes on, and its way over to another model between two ticks."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from piezo_controller.node.law_message import message_of
+from piezo_controller.tracking.accepted_models import ModelText
+from piezo_controller.tracking.track import PreparedRun, TrackRequest
+from piezo_ros.calls import CallFailed
+from piezo_ros.stage_runs.stage_tracking import StageTracker
+
+FROM_THE_NEXT = "from the next run on"
+
+
+class PresentRun:
+    """Lets a run that the stage plays by itself go over to another model.
+
+    A plan that is streamed or learned, and a feedback that answers, keep what they have come to in
+    this node: such a run keeps its model.
+
+    Parameters
+    ----------
+    request : TrackRequest
+    named : ModelText
+        The model that the goal names.
+    prepared : PreparedRun
+        What is played.
+    prepare : callable
+        Prepares the same request for another model; raises ValueError where that cannot be.
+    tracker : StageTracker
+        That plays it.
+    tick_s : float
+
+    Attributes
+    ----------
+    ended : bool
+        Set once the stage is at rest again.
+    """
+
+    def __init__(self, request: TrackRequest, named: ModelText, prepared: PreparedRun,
+                 prepare: Callable[[TrackRequest], PreparedRun], tracker: StageTracker,
+                 tick_s: float) -> None:
+        self.named, self.ended = named, False
+        self._request, self._prepared, self._prepare = request, prepared, prepare
+        self._tracker, self._tick_s = tracker, tick_s
+        self._notes: list[str] = []
+
+    @property
+    def note(self) -> str:
+        """Return what to tell of the models in the result; may be empty."""
+        return "; ".join(self._notes)
+
+    def go_over(self, model: ModelText, told: Callable[[ModelText], None]) -> str:
+        """Replace feedforward and law by those for a model, in one tick.
+
+        Parameters
+        ----------
+        model : ModelText
+        told : callable
+            Called once the stage has gone over.
+
+        Returns
+        -------
+        str
+            From when on the model is used.
+
+        Raises
+        ------
+        ValueError
+            The reference is out of reach with the model, or the stage refuses what is to act; the
+            run then goes on as before.
+        """
+        kept = self._why_kept()
+        if kept:
+            return f"{FROM_THE_NEXT}, as this one {kept}"
+        following = self._prepare(replace(
+            self._request, model=model.path, model_sha256=model.sha256))
+        plan, law = following.plan, following.law
+        try:
+            ticks = self._tracker.replace(
+                plan.once_voltage_v, plan.period_voltage_v,
+                None if law is None else message_of(law))
+        except CallFailed:
+            if self.ended or self._prepared.run.complete:  # meanwhile
+                return FROM_THE_NEXT
+            raise
+        told(model)
+        when = f"from {ticks * self._tick_s:.3f} s of the present run on"
+        self._notes.append(f"used {model.path} {when.replace('the present', 'this')}")
+        return when
+
+    def _why_kept(self) -> str:
+        """Tell why this run keeps its model; empty where it need not."""
+        if self._prepared.learning is not None:
+            return "learns"
+        if self._prepared.plan.streamed:
+            return "is streamed"
+        return "is answered block by block" if self._prepared.feedback is not None else ""

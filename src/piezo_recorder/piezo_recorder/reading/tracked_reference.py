@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The reference of a tracking run, as the controller told it, beside the samples."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+
+TYPE_NAME = "piezo_interfaces/msg/TrackedReference"
+
+
+def reference_of(messages: Iterable[Any], sample_index: np.ndarray) -> FloatArray:
+    """Return the reference of each sample of a recording.
+
+    Parameters
+    ----------
+    messages : iterable of TrackedReference
+        Of one run or several, in any order.
+    sample_index : ndarray, shape (N,), int64
+        Of the samples, rising.
+
+    Returns
+    -------
+    ndarray, shape (N,) or (0,)
+        In um; NaN where none was told. Empty where no sample has one.
+    """
+    reference_um = np.full(sample_index.size, np.nan)
+    for message in messages:
+        first, values = int(message.first_sample), np.asarray(message.displacement_um)
+        begin, end = np.searchsorted(sample_index, (first, first + values.size))
+        reference_um[begin:end] = values[sample_index[begin:end] - first]
+    return reference_um if np.isfinite(reference_um).any() else np.empty(0)
