@@ -28,6 +28,8 @@ from piezo_stage_driver.safety.guards import FeedbackOscillation, SensorGuard, S
 from piezo_stage_driver.safety.limits import FeedbackLimits, VoltageLimits
 
 LONGEST_STRETCH_SAMPLES = 16000
+WAVEFORM_STRETCH_SAMPLES = 200
+"""Of a waveform at the full rate: a quarter of what the guard of a stuck sensor waits for."""
 
 
 class StageEngine:
@@ -47,7 +49,7 @@ class StageEngine:
     max_missed_feedback : int
         More answers missed in a row stop the stage.
     longest_stretch_samples : int
-        How far to run between two looks at the commands while a slow waveform plays.
+        How far to run between two looks at the commands while a waveform plays.
     sensor_guards : sequence
         Examine every stretch of samples; see `guards`.
     feedback_guard : FeedbackOscillation, optional
@@ -57,7 +59,8 @@ class StageEngine:
     feedback_limits : FeedbackLimits, optional
         What one answer may ask for.
     samples_per_block : int
-        Of one block while tracking, where nobody answers it: at least a tick.
+        Of one block while tracking, where nobody answers it: at least a tick. A stretch of a
+        waveform is no longer.
 
     Attributes
     ----------
@@ -243,12 +246,12 @@ class StageEngine:
     # Time
 
     def advance(self) -> Block | None:
-        """Play the next samples: one tick, or many of a slow waveform.
+        """Play the next samples: one tick, or many of a waveform.
 
         Returns
         -------
         block : Block or None
-            None while a slow waveform has not filled a block.
+            None while no block is full.
         """
         if self.holds_block:
             return self._block(self._blocks.flush())
@@ -293,8 +296,12 @@ class StageEngine:
     def _next_voltages(self) -> tuple[np.ndarray, int]:
         """Take the next samples of the program, and their flags."""
         phase, decimation = self._program.phase(self.voltage_v), self._blocks.decimation
-        count = self._ticks.stretch(min(SAMPLES_PER_BLOCK * decimation, phase.samples),
-                                    decimation, self._longest_stretch_samples)
+        # What tracks is looked at every tick: answers, laws and streams come between two of them.
+        wanted = SAMPLES_PER_BLOCK * decimation
+        if decimation == 1:
+            wanted = (1 if phase.name in ("rest", "track")
+                      else min(self._samples_per_block, WAVEFORM_STRETCH_SAMPLES))
+        count = self._ticks.stretch(min(wanted, phase.samples), self._longest_stretch_samples)
         planned_v = phase.source.take(count)
         return planned_v, phase.flag | (FLAG_FEEDFORWARD_HELD if phase.source.exhausted else 0)
 

@@ -47,9 +47,7 @@ class Ticks:
         unit = math.lcm(self.samples_per_tick, decimation)
         return math.ceil(samples / unit) * unit
 
-    def stretch(self, samples: float, decimation: int, longest_samples: int) -> int:
-        """Return how many samples to play at once: a tick, or many of a slow waveform."""
-        if decimation == 1:
-            return self.samples_per_tick
+    def stretch(self, samples: float, longest_samples: int) -> int:
+        """Return how many samples to play at once: whole ticks, and one at least."""
         ticks = min(samples, longest_samples) // self.samples_per_tick
         return max(1, int(ticks)) * self.samples_per_tick

@@ -85,6 +85,24 @@ def test_waveform_is_played_sample_by_sample_between_two_ramps():
     assert blocks[0].flags == FLAG_RAMPING and blocks[-1].flags == FLAG_RAMPING
 
 
+def test_blocks_of_a_waveform_that_nobody_answers_hold_the_samples_of_many_ticks():
+    voltage_v = 50.0 - 30.0 * np.cos(2.0 * np.pi * np.arange(9001) / 400.0)
+    played = []
+    for longest, options in (
+            (40, {}), (200, {"samples_per_block": 800}),
+            (40, {"samples_per_block": 800, "longest_stretch_samples": 40})):
+        engine, backend = make_engine(**options)
+        engine.commands.play(voltage_v, PERIOD_S)
+        blocks = run(engine)
+        assert_every_sample_accounted_for(blocks)
+        assert max(block.voltage_v.size for block in blocks) == longest
+        flags = np.concatenate([np.full(block.voltage_v.size, block.flags) for block in blocks])
+        played.append((backend.played_v, joined(blocks, "displacement_um"), flags))
+    for other in played[1:]:
+        for one, values in zip(played[0], other, strict=True):
+            np.testing.assert_array_equal(one, values)
+
+
 @pytest.mark.parametrize("decimation", [3, 40, 400])
 def test_slow_waveform_is_published_as_means_over_its_samples(decimation):
     engine, backend = make_engine()
