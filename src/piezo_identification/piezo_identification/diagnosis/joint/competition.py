@@ -114,7 +114,8 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     """
     if not old or is_noise(selection.regression, selection.start):
         return Competition(_of_new_recordings(selection, stated or 0.0), stated=stated or 0.0)
-    problem, none = settled(JointProblem(model, new, old), progress)
+    problem = JointProblem(model, new, old)
+    none = settled(problem, progress)
     alternatives = asked_when(
         problem, compete(problem, none, [selection.end.effects], progress))
     best = most_probable(problem, alternatives)
