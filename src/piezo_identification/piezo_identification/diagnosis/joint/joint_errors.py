@@ -22,6 +22,7 @@ from piezo_identification.diagnosis.joint.free_parameters import (
     decay_sensitivities,
     free_sensitivities,
 )
+from piezo_identification.diagnosis.residual.clustered_covariance import clustered_covariance
 from piezo_identification.diagnosis.residual.dataset import Dataset
 from piezo_identification.diagnosis.residual.parameter_sensitivities import nuisance_regressors
 from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
@@ -186,22 +187,13 @@ class JointErrors:
     def covariance(self, vector: FloatArray) -> FloatArray | None:
         """Return the covariance of the numbers of the effects, by the last derivatives.
 
-        Errors may be alike within a stretch of a recording; those of different stretches are
-        independent (Liang and Zeger 1986).
+        Errors may be alike within a stretch of a recording.
         """
         if not self._columns[1] or vector.size == self.count:
             return None
         residual, jacobian = self._weighted(vector, self._columns[1])
-        widths = np.linalg.norm(jacobian, axis=0)
-        widths[widths == 0.0] = 1.0
-        jacobian = jacobian / widths
-        inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True) / widths[:, None]
         stretch = self.dataset.stretch[np.concatenate(self._fitted)]
-        pushes = np.add.reduceat(
-            jacobian[: stretch.size] * residual[: stretch.size, None],
-            np.flatnonzero(np.diff(stretch, prepend=-1)))
-        spread = (pushes @ inverse.T)[:, self.count :]
-        return np.asarray(spread.T @ spread)
+        return clustered_covariance(jacobian, residual, stretch)[self.count :, self.count :]
 
     def _weighted(self, vector: FloatArray,
                   columns: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
