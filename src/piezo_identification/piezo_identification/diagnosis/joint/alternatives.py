@@ -134,7 +134,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
     none : JointFit
         Without more effects; see `settled`.
     since : sequence of sequences of Effect
-        Sets that may explain the new recordings alone.
+        Sets that may explain the new recordings alone, the best first.
     progress : callable
         Called with (what is done, fraction).
 
@@ -157,7 +157,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
     is_long = samples > SETTINGS.many_samples
     for turn in range(1 if is_long else SETTINGS.most_effects):
         guesses = _promising(problem, best.fit.regression, best.fit.effects, asked)
-        guesses = guesses[: len(asked) + (1 if is_long else SETTINGS.fitted)]
+        guesses = guesses[: len(since[0]) + (1 if is_long else SETTINGS.fitted)]
         fitted = _each_beside(problem, best, guesses, _turn_of(progress, turn))
         if turn == 0 and not is_long and not any(
                 _leaves_noise(problem, each, problem.new_count) for each in fitted):

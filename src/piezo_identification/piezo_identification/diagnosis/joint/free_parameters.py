@@ -20,6 +20,7 @@ from piezo_identification.estimators.estimate import dynamics_of_vector, dynamic
 from piezo_identification.estimators.frequency_response.sampled_response import (
     behind_lags,
     leading_lags,
+    respond_each,
 )
 from piezo_identification.estimators.refinement.sensitivities import (
     factor_surfaces,
@@ -60,7 +61,8 @@ SMALL = 1e-6
 
 
 def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
-                       about: StageModel | None = None) -> FloatArray:
+                       about: StageModel | None = None,
+                       pieces_um: Sequence[FloatArray] | None = None) -> FloatArray:
     """Return the change of the displacement with each free parameter, for one of its widths.
 
     Parameters
@@ -71,6 +73,8 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
         Samples.
     about : StageModel, optional
         From which `changed_model` led to the model of the part; by default it is that model.
+    pieces_um : sequence of (N,) array, optional
+        Of `piece_outputs_um`, where no effect acts on the voltage.
 
     Returns
     -------
@@ -92,13 +96,21 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
         part.respond(sensitivity * (linear if number < ahead_of_modes else of_modes),
                      part.input_um, delay_s)
         for number, sensitivity in enumerate(sensitivity_systems(model.creep, model.dynamics))])
-    by_piece = [part.respond(linear, part.hysteresis_output_um(piece), delay_s)
-                for piece in _pieces(given.hysteresis)]
-    columns = np.column_stack([by_logarithm @ _logarithms(given), *by_piece])
+    if pieces_um is None or model.effects_at("voltage"):
+        pieces_um = piece_outputs_um(part, given)
+    by_piece = respond_each(
+        linear, pieces_um, part.sample_period_s, part.samples_per_mean, delay_s)
     if not others:
-        return columns[rows]
+        return np.column_stack([
+            by_logarithm[rows] @ _logarithms(given), *(column[rows] for column in by_piece)])
+    columns = np.column_stack([by_logarithm @ _logarithms(given), *by_piece])
     displacement_um = part.respond(linear, part.input_um, delay_s)
     return _through(others, part, displacement_um, columns, rows)
+
+
+def piece_outputs_um(part: SimulatedRecording, about: StageModel) -> list[FloatArray]:
+    """Return what one width of each change adds to the output of the hysteresis, each (N,)."""
+    return [part.hysteresis_output_um(piece) for piece in _pieces(about.hysteresis)]
 
 
 def decay_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp], sizes: FloatArray,

@@ -121,6 +121,8 @@ class JointErrors:
         Names of those that came later.
     held : sequence of piezo_models.effects.effect.Effect
         Others, which stay as they are.
+    pieces_um : sequence of sequences of (N,) array, optional
+        Of `free_parameters.piece_outputs_um`, for each recording: they are the same for all fits.
 
     Attributes
     ----------
@@ -130,7 +132,8 @@ class JointErrors:
 
     def __init__(self, dataset: Dataset, fitted: BoolArray, new_count: int,
                  effects: Sequence[Effect], later: frozenset[str],
-                 held: Sequence[Effect] = ()) -> None:
+                 held: Sequence[Effect] = (),
+                 pieces_um: Sequence[Sequence[FloatArray]] | None = None) -> None:
         self.dataset, self.new_count, self.later = dataset, new_count, later
         self.count = dataset.regressors.shape[1] - dataset.nuisance_count
         self._fitted = [fitted[mask] for mask in dataset.masks()]
@@ -144,6 +147,7 @@ class JointErrors:
         self.longest[: self.count] = SETTINGS.longest
         self.accuracy_um = np.array([
             TOLERANCE.model_tolerance * np.ptp(part.measured_um) for part in dataset.simulated])
+        self._pieces_um = pieces_um
         self._points: dict[bytes, _Point] = {}
         self._columns: tuple[bytes, list[FloatArray]] = b"", []
 
@@ -174,11 +178,12 @@ class JointErrors:
         return np.array([np.mean(left_um**2) for left_um in self._at(vector).left_um])
 
     def value(self, vector: FloatArray) -> float:
-        """Return the evidence against the unknowns."""
+        """Return the evidence against the unknowns; infinite where nothing can be simulated."""
         squares = self.squares_um2(vector) + self.accuracy_um**2
         changes = vector[: self.count]
-        return float(0.5 * SETTINGS.independent * np.sum(np.log(squares))
-                     + 0.5 * changes @ changes)
+        against = float(0.5 * SETTINGS.independent * np.sum(np.log(squares))
+                        + 0.5 * changes @ changes)
+        return against if np.isfinite(against) else np.inf
 
     def linearised(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return weighted errors and their derivatives, those of the prior behind them."""
@@ -244,7 +249,8 @@ class JointErrors:
                       if index < self.new_count or effect.name not in self.later)
         behind = SimulatedRecording(
             replace(dataset.model, effects=there), dataset.recordings[index], part.past_v)
-        changes = free_sensitivities(behind, rows, given)
+        pieces_um = None if self._pieces_um is None else self._pieces_um[index]
+        changes = free_sensitivities(behind, rows, given, pieces_um)
         decays = decay_sensitivities(part, rows, point.sizes[index], given)
         changes[:, : decays.shape[1]] += decays
         unmoved_um, columns = part.simulate(point.effects)[rows], []

@@ -3,12 +3,16 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.diagnosis.candidates.effect_fit import fit_effects
-from piezo_identification.diagnosis.joint.free_parameters import free_sensitivities
+from piezo_identification.diagnosis.joint.free_parameters import (
+    free_sensitivities,
+    piece_outputs_um,
+)
 from piezo_identification.diagnosis.joint.joint_errors import JointErrors, simulated_by
 from piezo_identification.diagnosis.joint.levenberg_marquardt import descend
 from piezo_identification.diagnosis.residual.dataset import Dataset, simulate_recordings
@@ -31,6 +35,8 @@ class JointSettings:
     worthwhile : float
         Evidence, as a natural logarithm, that a step has to promise: half of it is a factor of 1.3
         in a probability.
+    kept_samples : int
+        Of all recordings, up to which the outputs of some 40 pieces of the hysteresis are kept.
     blocks : tuple of int
         Neighbouring rows whose means tell how far errors are alike.
     fewest_blocks : int
@@ -39,6 +45,7 @@ class JointSettings:
 
     steps: int = 3
     worthwhile: float = 0.5
+    kept_samples: int = 500_000
     blocks: tuple[int, ...] = (10, 100, 1000)
     fewest_blocks: int = 10
 
@@ -130,6 +137,14 @@ class JointProblem:
         self.start = _weighed(
             self.dataset, self.noise, _scale_um(self.dataset, self.noise, left_um))
 
+    @cached_property
+    def _pieces_um(self) -> list[list[FloatArray]] | None:
+        """Return the outputs of the pieces of the hysteresis; None where they are too many."""
+        parts = self.dataset.simulated
+        if sum(part.time_s.size for part in parts) > SETTINGS.kept_samples:
+            return None
+        return [piece_outputs_um(part, self.dataset.model) for part in parts]
+
     def fit(self, effects: Sequence[Effect], later: Iterable[str] = (),
             begun: JointFit | None = None, held: Sequence[Effect] = ()) -> JointFit:
         """Fit the model's parameters and those of effects.
@@ -151,7 +166,8 @@ class JointProblem:
         """
         came, effects = frozenset(later), tuple(effects)
         errors = JointErrors(
-            self.dataset, self.start.estimation, self.new_count, effects, came, held)
+            self.dataset, self.start.estimation, self.new_count, effects, came, held,
+            self._pieces_um)
         changes = np.zeros(errors.count) if begun is None else begun.changes
         first = errors.vector(changes, effects) if held else self._first(
             errors, changes, effects, begun, came)

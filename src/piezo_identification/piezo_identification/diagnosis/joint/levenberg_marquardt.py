@@ -80,6 +80,8 @@ def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: fl
     value, gain, damping = objective.value(vector), np.inf, 0.0
     for _ in range(steps):
         residual, jacobian = objective.linearised(vector)
+        if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
+            return Descent(vector, value, 0.0, True)
         step, promise = _step(objective, vector, residual, jacobian, damping=0.0)
         if promise < worthwhile:
             return Descent(vector, value, promise, True)
