@@ -281,14 +281,16 @@ def decide(selection: Selection, validation: Validation,
     if best is not None and not best.since:
         beside = beside_alternative(selection, competition, best)
         validation_beside = validation.beside(beside.regression)
-        # The parameters of the new recordings alone may be the better ones for the same effects.
-        is_better = _names(beside.end) != _names(fit) or (
+        # The parameters of the new recordings alone may be the better ones, for the same effects or
+        # where the model that is believed explains nothing.
+        explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
+        is_better = explains and _names(beside.end) != _names(fit) or (
             left_rms_um(beside) < left_rms_um(selection))
         if is_better and validation_beside.improves(beside.end):
             found, believed, fit, refused = beside, validation_beside, beside.end, {}
     outliers = found_outliers(found.regression, fit.effects)
     shares = competition.probabilities
-    if refused or best is not None and not best.since and found is selection:
+    if refused or best is not None and found is selection:
         # Those of the competition are of fits that are not named here.
         shares = probabilities_of_named(competition, regression, fit, refused)
     is_explained = shares[SOMETHING_ELSE] < PROBABILITIES.believed

@@ -23,6 +23,7 @@ from piezo_identification.estimators.creep.square_wave_creep import CreepNotShow
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.identification.identify import identify
 from piezo_studies.diagnosis_benchmark import records
+from piezo_studies.diagnosis_benchmark.coverage import estimates
 from piezo_studies.diagnosis_benchmark.effect_draws import DrawError, draw_effect, response_um
 from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
 
@@ -130,6 +131,8 @@ def run_case(case, clean):
         "verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
         "effects": [entry["name"] for entry in diagnosis.effects],
         "not_decidable": sorted(diagnosis.not_decidable),
+        "estimates": [each for effect in drawn for each in estimates(
+            effect.cause, effect.effect, diagnosis.effects)],
         "lacking_over_noise": _lacking_um(diagnosis) / noise,
         "noise_um": noise, "noise_found_um": diagnosis.noise_floor_um,
         "before_um": diagnosis.before["rms_um"], "after_um": diagnosis.after["rms_um"],

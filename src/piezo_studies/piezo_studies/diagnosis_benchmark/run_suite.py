@@ -7,7 +7,9 @@ from distributed import Client, LocalCluster, as_completed
 
 from piezo_common.progress_line import ProgressLine
 from piezo_studies.diagnosis_benchmark.calibration import calibrate
+from piezo_studies.diagnosis_benchmark.calibration_section import write_section
 from piezo_studies.diagnosis_benchmark.cases import draw_cases, draw_cases_all_along
+from piezo_studies.diagnosis_benchmark.coverage import coverage
 from piezo_studies.diagnosis_benchmark.outcome import as_text, refused, summary
 from piezo_studies.diagnosis_benchmark.run_case import clean_model, run_case
 
@@ -43,8 +45,9 @@ def run_suite(client, count, seed, progress=None, all_along=False):
     results = [
         _result(case, future) for case, future in zip(cases, running, strict=True)
     ]
-    return {"seed": seed, "cases": count, **summary(results),
-            "calibration": calibrate(results).document(), "results": results}
+    return {"seed": seed, "cases": count, "all_along": all_along, **summary(results),
+            "calibration": calibrate(results).document(), "coverage": coverage(results),
+            "results": results}
 
 
 def _result(case, future):
@@ -79,5 +82,10 @@ def diagnose_cases(options):
     print(as_text(document))
     print("expected calibration error "
           f"{document['calibration']['expected_calibration_error']:.3f}")
+    intervals = document["coverage"]
+    print(f"{100 * intervals['level']:.0f} % intervals that contain the parameter: "
+          f"{intervals['right']} of {intervals['intervals']}")
+    if options.page is not None:
+        write_section(options.page, document)
     print(f"{options.cases} cases of seed {options.seed}: {path}")
     return 0

@@ -22,6 +22,9 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         help="of a Dask scheduler, as tcp://host:8786; local processes by default")
     parser.add_argument("--output", type=Path, default=Path("runs/diagnose-suite"),
                         help="directory of table.json (%(default)s)")
+    parser.add_argument("--page", type=Path,
+                        help="page whose section on calibration is written anew, such as "
+                             "docs/diagnosis.md")
 
 
 COMMAND = Command(

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.diagnosis.residual.clustered_covariance import clustered_covariance
 from piezo_identification.diagnosis.residual.regression import Fit, Regression
 from piezo_models.effects import Effect, Evidence, Extent, fitted_values, with_fitted_values
 
@@ -78,8 +79,8 @@ def fit_effects(regression: Regression, effects: Sequence[Effect],
         ftol=SETTINGS.relative_change,
         max_nfev=SETTINGS.quick_evaluations if quick else SETTINGS.evaluations,
     )
-    scatter = 2.0 * solution.cost / max(1, np.count_nonzero(regression.estimation) - vector.size)
-    covariance = scatter * np.linalg.pinv(solution.jac.T @ solution.jac)
+    covariance = clustered_covariance(
+        solution.jac, solution.fun, regression.dataset.stretch[regression.estimation])
     found = effects_at(solution.x)
     return regression.fit((*fixed, *found), covariance, found if quick else ())
 

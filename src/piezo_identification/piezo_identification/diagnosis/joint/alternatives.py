@@ -41,11 +41,16 @@ class AlternativeSettings:
     ----------
     fitted : int
         Effects that are fitted all along, the most promising guesses first.
+    starts : int
+        Guesses of each from which fits begin, where the best of them leave more than noise.
     second : float
         Multiple of the noise's power that the best alternative must leave for a second effect to be
         tried beside it.
     turns : int
-        Of the fits without more effects and of the best alternative, each with new derivatives.
+        In which fits go on at most, each of several steps.
+    hopeful : float
+        An alternative is fitted on while it is behind the best by less than so many times the
+        evidence that its last step gained.
     most_effects : int
         Of an alternative that were there all along.
     many_samples : int
@@ -57,8 +62,10 @@ class AlternativeSettings:
     """
 
     fitted: int = 4
+    starts: int = 5
     second: float = 1.3
-    turns: int = 3
+    turns: int = 4
+    hopeful: float = 3.0
     most_effects: int = 2
     many_samples: int = 500_000
     told_apart: float = float(np.log(19.0))
@@ -96,8 +103,8 @@ class Alternative:
         return Evidence("+".join(self.names) or NONE, self.mean_square_um2, self.fit.count)
 
 
-def settled(problem: JointProblem, progress: Progress) -> tuple[JointProblem, JointFit]:
-    """Fit the model without more effects until its parameters no longer move.
+def settled(problem: JointProblem, progress: Progress) -> JointFit:
+    """Fit the model without more effects until no step is worthwhile.
 
     Parameters
     ----------
@@ -106,17 +113,15 @@ def settled(problem: JointProblem, progress: Progress) -> tuple[JointProblem, Jo
 
     Returns
     -------
-    JointProblem
-        With its derivatives where the last fit began.
     JointFit
     """
+    fit = None
     for turn in range(SETTINGS.turns):
         progress("all recordings together: no effect", 0.2 * turn / SETTINGS.turns)
-        fit = problem.fit(problem.own)
+        fit = problem.fit(problem.own if fit is None else fit.effects, begun=fit)
         if fit.has_converged:
             break
-        problem = problem.about(fit)
-    return problem, fit
+    return fit
 
 
 def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effect]],
@@ -129,7 +134,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
     none : JointFit
         Without more effects; see `settled`.
     since : sequence of sequences of Effect
-        Sets that may explain the new recordings alone.
+        Sets that may explain the new recordings alone, the best first.
     progress : callable
         Called with (what is done, fraction).
 
@@ -138,12 +143,12 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
     list of Alternative
         The model without more effects first.
     """
-    own = problem.own
     alternatives = [_alternative((), none)]
     named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
     for names, effects in named.items():
-        if names and not {effect.name for effect in own} & set(names):
-            alternatives.append(_alternative(names, problem.fit((*own, *effects), names), True))
+        if names and not {effect.name for effect in none.effects} & set(names):
+            fit = problem.fit((*none.effects, *effects), names, none)
+            alternatives.append(_alternative(names, fit, True))
     if any(_leaves_noise(problem, each, len(each.mean_square_um2)) for each in alternatives):
         # Nothing is left anywhere that another effect could explain.
         return _possible(problem, alternatives)
@@ -151,19 +156,50 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
     samples = sum(part.measured_um.size for part in problem.dataset.simulated)
     is_long = samples > SETTINGS.many_samples
     for turn in range(1 if is_long else SETTINGS.most_effects):
-        regression = problem.start if turn == 0 else best.fit.regression
-        guesses = _promising(problem, regression, best.fit.effects, asked)
-        guesses = guesses[: len(asked) + (1 if is_long else SETTINGS.fitted)]
-        alternatives += _each_beside(problem, best, guesses, _turn_of(progress, turn))
-        alternatives = _possible(problem, alternatives)
-        leading = most_probable(problem, [each for each in alternatives if not each.since])
-        alternatives = [_continued(problem, each) if each is leading else each
-                        for each in alternatives]
+        guesses = _promising(problem, best.fit.regression, best.fit.effects, asked)
+        guesses = guesses[: len(since[0]) + (1 if is_long else SETTINGS.fitted)]
+        fitted = _each_beside(problem, best, guesses, _turn_of(progress, turn))
+        if turn == 0 and not is_long and not any(
+                _leaves_noise(problem, each, problem.new_count) for each in fitted):
+            fitted = _from_afar(problem, best, guesses, fitted)
+        alternatives = converged(problem, _possible(problem, [*alternatives, *fitted]))
         now = most_probable(problem, alternatives)
         if now is best or now.since or _leaves_noise(problem, now, problem.new_count):
             break
         best = now
     return alternatives
+
+
+def converged(problem: JointProblem, alternatives: Sequence[Alternative]) -> list[Alternative]:
+    """Fit on every alternative that may still become the most probable.
+
+    Parameters
+    ----------
+    problem : JointProblem
+    alternatives : sequence of Alternative
+
+    Returns
+    -------
+    list of Alternative
+        Possible ones, in the same order.
+    """
+    alternatives = list(alternatives)
+    for _ in range(SETTINGS.turns):
+        logarithms = _logarithms(problem, alternatives)
+        behind = np.max(logarithms) - logarithms
+        numbers = [number for number, each in enumerate(alternatives)
+                   if not each.fit.has_converged and not _leaves_noise(
+                       problem, each, len(each.mean_square_um2))
+                   and behind[number] < SETTINGS.hopeful * each.fit.gain]
+        if not numbers:
+            break
+        further = side_by_side(
+            lambda each: _alternative(each.names, problem.fit(
+                each.fit.effects, each.fit.later, each.fit), each.since),
+            [alternatives[number] for number in numbers])
+        for number, each in zip(numbers, further, strict=True):
+            alternatives[number] = each
+    return _possible(problem, alternatives)
 
 
 def asked_when(problem: JointProblem, alternatives: Sequence[Alternative]) -> list[Alternative]:
@@ -185,38 +221,47 @@ def asked_when(problem: JointProblem, alternatives: Sequence[Alternative]) -> li
     if not best.since or is_known or not all(
             effect.of_the_stage for effect in best.fit.effects):
         return list(alternatives)
-    along = _alternative(best.names, problem.fit(best.fit.effects))
-    return _possible(problem, [*alternatives, along])
+    along = _alternative(best.names, problem.fit(best.fit.effects, begun=best.fit))
+    return converged(problem, [*alternatives, along])
 
 
-def _each_beside(problem: JointProblem, best: Alternative, guesses: Sequence[Effect],
+def _each_beside(problem: JointProblem, best: Alternative, guesses: Sequence[Sequence[Effect]],
                  progress: Progress) -> list[Alternative]:
-    """Fit one more effect beside those of an alternative, each of the guesses by itself."""
-    def fitted(guess: Effect) -> Alternative:
-        return _alternative((*best.names, guess.name), problem.fit((*best.fit.effects, guess)))
+    """Fit one more effect beside those of an alternative, from the best guess of each."""
+    def fitted(of_kind: Sequence[Effect]) -> Alternative:
+        return _alternative((*best.names, of_kind[0].name), problem.fit(
+            (*best.fit.effects, of_kind[0]), begun=best.fit))
 
     return side_by_side(fitted, guesses, lambda number: progress(
-        f"all recordings together: {guesses[number].name}", number / len(guesses)))
+        f"all recordings together: {guesses[number][0].name}", number / len(guesses)))
+
+
+def _from_afar(problem: JointProblem, best: Alternative, guesses: Sequence[Sequence[Effect]],
+               fitted: Sequence[Alternative]) -> list[Alternative]:
+    """Return the better of two fits of each effect: as it is, and where the model makes way first.
+
+    The model's parameters have made up for most of an effect that was there all along: beside them
+    it looks smaller than it is, and a fit from there ends with too little of it. So the model is
+    fitted first, beside each guess of the effect held; then both, from the best of these.
+    """
+    def better(entry: tuple[Sequence[Effect], Alternative]) -> Alternative:
+        others, nearby = entry[0][1:], entry[1]
+        held = [problem.fit(best.fit.effects, begun=best.fit, held=(guess,)) for guess in others]
+        if not held:
+            return nearby
+        begun = min(held, key=lambda fit: fit.against)
+        if begun.against - SETTINGS.hopeful * begun.gain > nearby.fit.against:
+            return nearby
+        fit = problem.fit(begun.effects, begun=begun)
+        return _alternative(nearby.names, fit) if fit.against < nearby.fit.against else nearby
+
+    return side_by_side(better, list(zip(guesses, fitted, strict=True)))
 
 
 def _turn_of(progress: Progress, turn: int) -> Progress:
     """Return the progress of the fits of one turn, behind what settles the model."""
     return part_of(
         progress, (turn + 0.2) / SETTINGS.most_effects, (turn + 1) / SETTINGS.most_effects)
-
-
-def _continued(problem: JointProblem, alternative: Alternative) -> Alternative:
-    """Fit on with new derivatives, where a fit has not converged and leaves much."""
-    for _ in range(SETTINGS.turns):
-        if alternative.since or alternative.fit.has_converged or _leaves_noise(
-                problem, alternative, len(alternative.mean_square_um2)):
-            break
-        again = problem.about(alternative.fit)
-        further = _alternative(alternative.names, again.fit(again.own))
-        if sum(np.log(further.mean_square_um2)) >= sum(np.log(alternative.mean_square_um2)):
-            break
-        alternative = further
-    return alternative
 
 
 def _logarithms(problem: JointProblem, alternatives: Sequence[Alternative]) -> FloatArray:
@@ -295,10 +340,11 @@ def _alternative(names: Sequence[str], fit: JointFit, since: bool = False) -> Al
 
 
 def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effect],
-               asked: set[str]) -> list[Effect]:
-    """Return the best guess of each effect, the most promising beside the model first.
+               asked: set[str]) -> list[list[Effect]]:
+    """Return guesses of each effect, the most promising beside the model first.
 
-    Effects that were named for the new recordings come before all others.
+    Behind the best guess of an effect are a few others, spread over all. Effects that were named
+    for the new recordings come before all others.
     """
     evidence = recording_evidence(regression, own)
     # Those diagnosed, and that of the identification which the model fits least.
@@ -308,7 +354,7 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
     telling = [*evidence[: problem.new_count], evidence[worst]]
     present = {effect.name for effect in own}
 
-    def tried(kind: type[Effect]) -> list[tuple[float, Effect]]:
+    def tried(kind: type[Effect]) -> list[tuple[float, list[Effect]]]:
         if not kind.of_the_stage or (kind.name in present and not kind.several):
             return []
         if all(kind.lacks_excitation(shown) for shown in evidence):
@@ -317,13 +363,16 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
                    for shown in telling for guess in kind.starts(shown)]
         costs = [_cost(regression.remainder(regression.difference((*own, guess), (guess,))))
                  for guess in guesses]
-        best = int(np.argmin(costs)) if guesses else 0
-        return [(costs[best], guesses[best])] if guesses else []
+        if not guesses:
+            return []
+        ordered = [guesses[number] for number in np.argsort(costs)]
+        spread = np.linspace(0, len(ordered) - 1, min(len(ordered), SETTINGS.starts), dtype=int)
+        return [(min(costs), [ordered[number] for number in spread])]
 
     found = [entry for entries in side_by_side(tried, list(known_effects().values()))
              for entry in entries]
-    found.sort(key=lambda entry: (entry[1].name not in asked, entry[0]))
-    return [guess for _, guess in found]
+    found.sort(key=lambda entry: (entry[1][0].name not in asked, entry[0]))
+    return [of_kind for _, of_kind in found]
 
 
 def _cost(left: FloatArray) -> float:

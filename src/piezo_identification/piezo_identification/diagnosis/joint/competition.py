@@ -39,11 +39,15 @@ from piezo_identification.diagnosis.residual.regression import (
 )
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
-from piezo_models.effects import known_effects
+from piezo_models.effects import Effect, known_effects
 from piezo_recorder.reading.recording import Recording
 
 LIKELY = 0.05
 """Part of the largest probability from which another set cannot be told from the best."""
+
+
+MOST_RIVALS = 3
+"""Sets that leave little more of the new recordings than the best, and compete with it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +118,10 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     """
     if not old or is_noise(selection.regression, selection.start):
         return Competition(_of_new_recordings(selection, stated or 0.0), stated=stated or 0.0)
-    problem, none = settled(JointProblem(model, new, old), progress)
+    problem = JointProblem(model, new, old)
+    none = settled(problem, progress)
     alternatives = asked_when(
-        problem, compete(problem, none, [selection.end.effects], progress))
+        problem, compete(problem, none, _sets(selection), progress))
     best = most_probable(problem, alternatives)
     noise_um = np.array(problem.noise.noise_um)
     least_um = accuracies_um(problem)
@@ -132,6 +137,14 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
                       _passing_um(noise_um[:count], least_um[:count]),
                       _wrong_um(problem.dataset, stated)[:count]),
         best, times_of_coming(problem, alternatives), stated)
+
+
+def _sets(selection: Selection) -> list[tuple[Effect, ...]]:
+    """Return the sets of effects that explain the new recordings alone, and their rivals there.
+
+    A set without rivals would be as probable as its fit is good, whatever else is as good.
+    """
+    return [selection.end.effects, *(fit.effects for fit in selection.alternatives[:MOST_RIVALS])]
 
 
 def probabilities_of_named(competition: Competition, regression: Regression, fit: Fit,

@@ -1,24 +1,35 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The parameters of a model that are free in a joint fit, and the model's derivatives by them.
 
-They are logarithms of the parameters of creep and dynamics, factors of the density on a surface,
-and additions to the reversible part of the hysteresis; the displacement is linear in the last two.
+They are logarithms of rates and sizes of the creep and of the parameters of the dynamics, factors
+of the density on a surface, and additions to the reversible part of the hysteresis; the
+displacement is linear in the last two. Pole and zero of a creep pair lie so close that they change
+together: see `piezo_models.linear.creep_errors`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.diagnosis.residual.parameter_sensitivities import nuisance_regressors
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.estimators.estimate import dynamics_of_vector, dynamics_vector
+from piezo_identification.estimators.frequency_response.sampled_response import (
+    behind_lags,
+    leading_lags,
+    respond_each,
+)
 from piezo_identification.estimators.refinement.sensitivities import (
     factor_surfaces,
     sensitivity_systems,
 )
 from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect
 from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.creep_errors import creep_error_map
 from piezo_models.linear.dynamics import CreepDynamics
 
 
@@ -29,34 +40,41 @@ class FreeWidths:
     Attributes
     ----------
     logarithm : float
-        Of a parameter of creep or dynamics.
+        Of a rate or a size of the creep, or of a parameter of the dynamics.
     factor : float
         Of a factor of the density.
     reversible : float
         Of the reversible part at a knot of the voltage, over the mean gain of the hysteresis.
     reversible_knots : int
-    most : float
-        Widths that one step may change a parameter by.
     """
 
     logarithm: float = 0.2
     factor: float = 0.2
     reversible: float = 0.05
     reversible_knots: int = 4
-    most: float = 2.0
 
 
 WIDTHS = FreeWidths()
 
+SMALL = 1e-6
+"""Step of the derivative through effects behind the linear part, over the travel."""
 
-def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) -> FloatArray:
+
+def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
+                       about: StageModel | None = None,
+                       pieces_um: Sequence[FloatArray] | None = None) -> FloatArray:
     """Return the change of the displacement with each free parameter, for one of its widths.
 
     Parameters
     ----------
     part : SimulatedRecording
+        Of a model with its effects: the changes go through them.
     rows : array of int
         Samples.
+    about : StageModel, optional
+        From which `changed_model` led to the model of the part; by default it is that model.
+    pieces_um : sequence of (N,) array, optional
+        Of `piece_outputs_um`, where no effect acts on the voltage.
 
     Returns
     -------
@@ -64,14 +82,61 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) -> Floa
         For the changes that `changed_model` takes.
     """
     model = part.model
-    linear = model.linear()
-    columns = [
-        WIDTHS.logarithm * part.respond(sensitivity * linear, part.input_um)[rows]
-        for sensitivity in sensitivity_systems(model.creep, model.dynamics)]
-    columns += [
-        part.respond(linear, part.hysteresis_output_um(piece))[rows]
-        for piece in _pieces(model.hysteresis)]
-    return np.column_stack(columns)
+    given = model if about is None else about
+    lags, others = leading_lags(_behind(model), part.samples_per_mean)
+    linear, delay_s = behind_lags(model.linear(), lags)
+    beside = model.effects_at("modes")
+    # The model's own modes move but a part of the displacement where others are beside them.
+    own_modes = replace(model, effects=tuple(
+        effect for effect in model.effects if effect not in beside))
+    share = 1.0 - sum(mode.participation for mode in beside)
+    of_modes = share * behind_lags(own_modes.linear(), lags)[0] if beside else linear
+    ahead_of_modes = 2 * len(model.creep.poles_rad_per_s) + (model.dynamics.time_constant_s > 0.0)
+    by_logarithm = np.column_stack([
+        part.respond(sensitivity * (linear if number < ahead_of_modes else of_modes),
+                     part.input_um, delay_s)
+        for number, sensitivity in enumerate(sensitivity_systems(model.creep, model.dynamics))])
+    if pieces_um is None or model.effects_at("voltage"):
+        pieces_um = piece_outputs_um(part, given)
+    by_piece = respond_each(
+        linear, pieces_um, part.sample_period_s, part.samples_per_mean, delay_s)
+    if not others:
+        return np.column_stack([
+            by_logarithm[rows] @ _logarithms(given), *(column[rows] for column in by_piece)])
+    columns = np.column_stack([by_logarithm @ _logarithms(given), *by_piece])
+    displacement_um = part.respond(linear, part.input_um, delay_s)
+    return _through(others, part, displacement_um, columns, rows)
+
+
+def piece_outputs_um(part: SimulatedRecording, about: StageModel) -> list[FloatArray]:
+    """Return what one width of each change adds to the output of the hysteresis, each (N,)."""
+    return [part.hysteresis_output_um(piece) for piece in _pieces(about.hysteresis)]
+
+
+def decay_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp], sizes: FloatArray,
+                        about: StageModel) -> FloatArray:
+    """Return the change of the initial creep with each free parameter, for one of its widths.
+
+    The decay of the initial creep has the rate of its pole.
+
+    Parameters
+    ----------
+    part : SimulatedRecording
+    rows : array of int
+        Samples.
+    sizes : (1 + creep pairs or more,) array
+        Of the nuisance regressors.
+    about : StageModel
+        See `free_sensitivities`.
+
+    Returns
+    -------
+    (n, parameters of creep and dynamics) array
+    """
+    poles = np.array(part.model.creep.poles_rad_per_s)
+    decays = nuisance_regressors(part, rows)[:, 1 : 1 + poles.size]
+    by_pole = -sizes[1 : 1 + poles.size] * decays * np.outer(part.time_s[rows], poles)
+    return by_pole @ _logarithms(about)[: poles.size]
 
 
 def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
@@ -87,15 +152,13 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
     -------
     StageModel
     """
-    changes = np.clip(changes, -WIDTHS.most, WIDTHS.most)
-    creep, dynamics, hysteresis = model.creep, model.dynamics, model.hysteresis
-    pairs = len(creep.poles_rad_per_s)
-    physical = np.concatenate([
-        creep.poles_rad_per_s, creep.zeros_rad_per_s, dynamics_vector(dynamics)])
+    dynamics, hysteresis = model.dynamics, model.hysteresis
+    pairs = len(model.creep.poles_rad_per_s)
+    physical = _physical(model)
     # Only a lag that is not there is zero.
     free = physical > 0.0
     count = np.count_nonzero(free)
-    physical[free] *= np.exp(WIDTHS.logarithm * changes[:count])
+    physical[free] *= np.exp(_logarithms(model) @ changes[:count])
     poles, zeros, rest = np.split(physical, [pairs, 2 * pairs])
     surfaces, hats = _shapes(hysteresis)
     factors, additions = np.split(changes[count:], [len(surfaces)])
@@ -109,6 +172,42 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
             hysteresis,
             density_um_per_v2=hysteresis.density_um_per_v2 * np.maximum(surface, 0.0),
             reversible_um_per_v=np.maximum(hysteresis.reversible_um_per_v + added, 0.0)))
+
+
+def _physical(model: StageModel) -> FloatArray:
+    """Return the parameters of creep and dynamics."""
+    creep = model.creep
+    return np.concatenate([
+        creep.poles_rad_per_s, creep.zeros_rad_per_s, dynamics_vector(model.dynamics)])
+
+
+def _logarithms(model: StageModel) -> FloatArray:
+    """Return the changes of the logarithms of these that are free, for one width of each change."""
+    widths = np.eye(np.count_nonzero(_physical(model)))
+    pair = 2 * len(model.creep.poles_rad_per_s)
+    widths[:pair, :pair] = creep_error_map(model.creep)
+    return WIDTHS.logarithm * widths
+
+
+def _behind(model: StageModel) -> tuple[Effect, ...]:
+    return (*model.effects_at("displacement"), *model.effects_at("sensor"))
+
+
+def _through(effects: Sequence[Effect], part: SimulatedRecording, displacement_um: FloatArray,
+             columns: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
+    """Return what small changes of the displacement become behind effects, (n, parameters)."""
+    def behind(signal_um: FloatArray, rest_um: float) -> FloatArray:
+        for effect in effects:
+            signal_um = effect.apply(signal_um, part.sample_period_s, rest_um)
+        return signal_um[rows]
+
+    unchanged_um = behind(displacement_um, part.rest_um)
+    travel_um, changes = np.ptp(displacement_um), []
+    for column in columns.T:
+        step = SMALL * travel_um / max(np.abs(column).max(), SMALL)
+        moved_um = behind(displacement_um + step * column, part.rest_um + step * column[0])
+        changes.append((moved_um - unchanged_um) / step)
+    return np.column_stack(changes)
 
 
 def _pieces(hysteresis: PreisachModel) -> list[PreisachModel]:

@@ -1,19 +1,24 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Model and effects estimated together on several recordings, by Gauss-Newton steps."""
+"""Model and effects estimated together on several recordings, by Levenberg-Marquardt steps."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.diagnosis.candidates.effect_fit import fit_effects
-from piezo_identification.diagnosis.joint.free_parameters import changed_model, free_sensitivities
+from piezo_identification.diagnosis.joint.free_parameters import (
+    free_sensitivities,
+    piece_outputs_um,
+)
+from piezo_identification.diagnosis.joint.joint_errors import JointErrors, simulated_by
+from piezo_identification.diagnosis.joint.levenberg_marquardt import descend
 from piezo_identification.diagnosis.residual.dataset import Dataset, simulate_recordings
 from piezo_identification.diagnosis.residual.noise_estimate import NoiseEstimate, estimate_noise
 from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
-from piezo_identification.diagnosis.residual.regression import Fit, Regression
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_identification.diagnosis.residual.regression import Regression
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, fitted_values
 from piezo_recorder.reading.recording import Recording
@@ -26,11 +31,12 @@ class JointSettings:
     Attributes
     ----------
     steps : int
-        Gauss-Newton steps of the model's parameters; derivatives are those at the start.
+        Most steps of a fit, each with derivatives of its own.
     worthwhile : float
-        Part below which a step must bring the weighted sum of squares for another to follow.
-    damping : tuple of float
-        Widths by which the prior is narrower, one after another, until a step gains.
+        Evidence, as a natural logarithm, that a step has to promise: half of it is a factor of 1.3
+        in a probability.
+    kept_samples : int
+        Of all recordings, up to which the outputs of some 40 pieces of the hysteresis are kept.
     blocks : tuple of int
         Neighbouring rows whose means tell how far errors are alike.
     fewest_blocks : int
@@ -38,8 +44,8 @@ class JointSettings:
     """
 
     steps: int = 3
-    worthwhile: float = 0.98
-    damping: tuple[float, ...] = (1.0, 10.0, 100.0)
+    worthwhile: float = 0.5
+    kept_samples: int = 500_000
     blocks: tuple[int, ...] = (10, 100, 1000)
     fewest_blocks: int = 10
 
@@ -62,7 +68,13 @@ class JointFit:
     covariance : (p, p) array or None
         Of the fitted values of the effects.
     has_converged : bool
-        False if the last step gained so much that another would gain as well.
+        Another step would gain less evidence than is worthwhile.
+    changes : (m,) array
+        Of the model of the problem; see `free_parameters.changed_model`.
+    gain : float
+        Evidence that the last step gained.
+    against : float
+        Evidence against it; see `joint_errors.JointErrors.value`.
     """
 
     regression: Regression
@@ -70,6 +82,9 @@ class JointFit:
     later: frozenset[str]
     covariance: FloatArray | None = None
     has_converged: bool = True
+    changes: FloatArray = field(default_factory=lambda: np.zeros(0))
+    gain: float = 0.0
+    against: float = np.inf
 
     @property
     def model(self) -> StageModel:
@@ -91,18 +106,6 @@ class JointFit:
                 for mask in regression.dataset.masks()]
 
 
-class RecordingBefore(SimulatedRecording):
-    """A recording that was made before some effects came."""
-
-    later: frozenset[str] = frozenset()
-
-    def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = ()) -> FloatArray:
-        """Return the displacement with those effects that did not come later."""
-        return super().simulate(*(
-            tuple(effect for effect in some if effect.name not in self.later)
-            for some in (effects, quick)))
-
-
 class JointProblem:
     """Recordings, a model from which fits begin, and its derivatives.
 
@@ -117,7 +120,7 @@ class JointProblem:
     undivided : int
         New ones that count with as many rows each as all others together.
     steps : int
-        Gauss-Newton steps of a fit.
+        Most steps of a fit.
     """
 
     def __init__(self, model: StageModel, new: Sequence[Recording],
@@ -134,86 +137,66 @@ class JointProblem:
         self.start = _weighed(
             self.dataset, self.noise, _scale_um(self.dataset, self.noise, left_um))
 
-    def about(self, fit: JointFit) -> "JointProblem":
-        """Return the problem with its derivatives at the model of a fit, from which fits begin."""
-        recordings = self.dataset.recordings
-        return JointProblem(fit.model, recordings[: self.new_count], recordings[self.new_count :],
-                            self.undivided, self.steps)
+    @cached_property
+    def _pieces_um(self) -> list[list[FloatArray]] | None:
+        """Return the outputs of the pieces of the hysteresis; None where they are too many."""
+        parts = self.dataset.simulated
+        if sum(part.time_s.size for part in parts) > SETTINGS.kept_samples:
+            return None
+        return [piece_outputs_um(part, self.dataset.model) for part in parts]
 
-    def fit(self, effects: Sequence[Effect], later: Iterable[str] = ()) -> JointFit:
-        """Fit the model's parameters and those of effects, from where these are.
+    def fit(self, effects: Sequence[Effect], later: Iterable[str] = (),
+            begun: JointFit | None = None, held: Sequence[Effect] = ()) -> JointFit:
+        """Fit the model's parameters and those of effects.
 
         Parameters
         ----------
         effects : sequence of piezo_models.effects.effect.Effect
-            All of them, the model's own as well.
+            To begin from: all of them, the model's own as well.
         later : iterable of str
             Names of the effects that came after the identification.
+        begun : JointFit, optional
+            From whose model the fit begins; by default from that of the problem.
+        held : sequence of piezo_models.effects.effect.Effect
+            Others that stay as they are, behind those.
 
         Returns
         -------
         JointFit
         """
-        came = frozenset(later)
-        regression = self.start
-        if came:
-            regression = replace(regression, dataset=self._at(self.dataset.model, came))
-        found = JointFit(regression, tuple(effects), came)
-        least = _mean_logarithm(regression, found.effects)
-        for step in range(self.steps):
-            fit = fit_effects(regression, found.effects, quick=step == 0) if effects else (
-                regression.fit(()))
-            moved, now = self._step(regression, fit, came)
-            if now >= least:
-                break
-            is_last = now > least + np.log(SETTINGS.worthwhile)
-            found = JointFit(moved, fit.effects, came, fit.covariance, is_last)
-            if is_last:
-                break
-            least, regression = now, _reweighed(moved, fit.effects)
-        return found
+        came, effects = frozenset(later), tuple(effects)
+        errors = JointErrors(
+            self.dataset, self.start.estimation, self.new_count, effects, came, held,
+            self._pieces_um)
+        changes = np.zeros(errors.count) if begun is None else begun.changes
+        first = errors.vector(changes, effects) if held else self._first(
+            errors, changes, effects, begun, came)
+        descent = descend(errors, first, self.steps, SETTINGS.worthwhile)
+        found = errors.effects_at(descent.vector)
+        dataset = errors.dataset_at(descent.vector)
+        return JointFit(
+            _reweighed(replace(self.start, dataset=dataset), found), found, came,
+            errors.covariance(descent.vector), descent.has_converged,
+            descent.vector[: errors.count], descent.gain, descent.value)
 
-    def _step(self, regression: Regression, fit: Fit,
-              later: frozenset[str]) -> tuple[Regression, float]:
-        """Change the model's parameters beside effects as they are, less where that is too far."""
-        best, least = regression, _mean_logarithm(regression, fit.effects)
-        for damping in SETTINGS.damping:
-            damped = fit if damping == 1.0 else _weighed(
-                regression.dataset, self.noise, regression.tolerance_um, damping).fit(fit.effects)
-            model = changed_model(
-                regression.dataset.model, damped.coefficients[self.dataset.nuisance_count :])
-            tried = replace(regression, dataset=self._at(model, later))
-            now = _mean_logarithm(tried, fit.effects)
-            if now < least:
-                return tried, now
-        return best, least
-
-    def _at(self, model: StageModel, later: frozenset[str]) -> Dataset:
-        """Simulate another model on the same rows."""
-        simulated = []
-        for number, (recording, part) in enumerate(
-                zip(self.dataset.recordings, self.dataset.simulated, strict=True)):
-            kind = SimulatedRecording if number < self.new_count else RecordingBefore
-            simulated.append(kind(model, recording, part.past_v))
-            if isinstance(simulated[-1], RecordingBefore):
-                simulated[-1].later = later
-        return replace(self.dataset, model=model, simulated=tuple(simulated))
+    def _first(self, errors: JointErrors, changes: FloatArray, effects: tuple[Effect, ...],
+               begun: JointFit | None, came: frozenset[str]) -> FloatArray:
+        """Return unknowns to begin from: effects guessed, or fitted beside a linear model."""
+        guessed = errors.vector(changes, effects)
+        regression = self.start if begun is None else begun.regression
+        if not effects or begun is not None and begun.effects == effects:
+            return guessed
+        regression = replace(regression, dataset=simulated_by(
+            regression.dataset, regression.dataset.model, self.new_count, came))
+        fit = fit_effects(regression, effects, quick=True)
+        most = errors.longest[: errors.count]
+        moved = np.clip(fit.coefficients[self.dataset.nuisance_count :], -most, most)
+        return min((guessed, errors.vector(changes, fit.effects),
+                    errors.vector(changes + moved, fit.effects)), key=errors.value)
 
 
 def _left_um(regression: Regression, effects: Sequence[Effect]) -> FloatArray:
     return regression.tolerance_um * regression.nuisance_remainder(regression.difference(effects))
-
-
-def _mean_logarithm(regression: Regression, effects: Sequence[Effect]) -> float:
-    """Return the mean over the recordings of the logarithm of the mean square that is left.
-
-    Less than the accuracy of a good model is no gain, as in the evidence.
-    """
-    left_um, dataset = _left_um(regression, effects), regression.dataset
-    return float(np.mean([
-        np.log(np.mean(left_um[mask & regression.estimation] ** 2)
-               + (TOLERANCE.model_tolerance * np.ptp(part.measured_um)) ** 2)
-        for mask, part in zip(dataset.masks(), dataset.simulated, strict=True)]))
 
 
 def correlated_scale(residual: FloatArray) -> float:
@@ -259,12 +242,11 @@ def _reweighed(regression: Regression, effects: Sequence[Effect]) -> Regression:
     return _weighed(dataset, noise, _scale_um(dataset, noise, _left_um(regression, effects)))
 
 
-def _weighed(dataset: Dataset, noise: NoiseEstimate, scale_um: FloatArray,
-             damping: float = 1.0) -> Regression:
+def _weighed(dataset: Dataset, noise: NoiseEstimate, scale_um: FloatArray) -> Regression:
     """Weigh the rows by their scales; the prior of one width matters where no recording tells."""
     good = ~dataset.at_rows(noise.outliers)
     estimation, validation = dataset.for_estimation & good, ~dataset.for_estimation & good
     weighted = dataset.regressors / scale_um[:, None]
-    prior = damping * np.eye(weighted.shape[1])[dataset.nuisance_count :]
+    prior = np.eye(weighted.shape[1])[dataset.nuisance_count :]
     q, r = np.linalg.qr(np.vstack([weighted[estimation], prior]))
     return Regression(dataset, noise, scale_um, estimation, validation, weighted, prior, q, r)

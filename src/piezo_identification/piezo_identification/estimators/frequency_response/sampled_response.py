@@ -85,18 +85,30 @@ def respond(
     -------
     (N,) array
     """
+    return respond_each(system, [input_um], sample_period_s, samples, delay_s)[0]
+
+
+def respond_each(
+    system: control.StateSpace, inputs_um: Sequence[FloatArray], sample_period_s: float,
+    samples: int, delay_s: float = 0.0,
+) -> list[FloatArray]:
+    """Responses to several inputs, each by itself; see `respond`."""
     late = 0
     if delay_s != 0.0:
         discrete, late = delayed_zoh(system, sample_period_s, delay_s)
     else:
         discrete = mean_zoh(system, sample_period_s, samples)
-    late, early = min(max(late, 0), input_um.size), max(-late, 0)
-    played_um = input_um
-    if late or early:
-        played_um = np.concatenate([
-            np.full(late, input_um[0]), input_um[: input_um.size - late],
-            np.full(early, input_um[-1])])
-    return simulate_linear(discrete, played_um, equilibrium_state(system, input_um[0]))[early:]
+    held = equilibrium_state(system)
+    responses = []
+    for input_um in inputs_um:
+        delayed, early = min(max(late, 0), input_um.size), max(-late, 0)
+        played_um = input_um
+        if delayed or early:
+            played_um = np.concatenate([
+                np.full(delayed, input_um[0]), input_um[: input_um.size - delayed],
+                np.full(early, input_um[-1])])
+        responses.append(simulate_linear(discrete, played_um, input_um[0] * held)[early:])
+    return responses
 
 
 def delayed_zoh(

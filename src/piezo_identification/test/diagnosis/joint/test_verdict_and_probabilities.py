@@ -12,6 +12,7 @@ from piezo_identification.diagnosis.joint.free_parameters import changed_model
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
+from piezo_identification.diagnosis.joint.joint_errors import simulated_by
 from piezo_identification.diagnosis.joint.joint_fit import JointFit, JointProblem
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -58,14 +59,14 @@ def recording(seed, change):
         flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
 
 
-def gone_astray(self, effects, later=()):
+def gone_astray(self, effects, later=(), begun=None, held=()):
     """End with effects as they were guessed, beside a mode that is 1 % off."""
     changes = np.zeros(self.dataset.regressors.shape[1] - self.dataset.nuisance_count)
     changes[0] = 0.05
     came = frozenset(later)
-    bent = replace(
-        self.start, dataset=self._at(changed_model(self.dataset.model, changes), came))
-    return JointFit(bent, tuple(effects), came, has_converged=False)
+    bent = replace(self.start, dataset=simulated_by(
+        self.dataset, changed_model(self.dataset.model, changes), self.new_count, came))
+    return JointFit(bent, (*effects, *held), came)
 
 
 @pytest.mark.parametrize(("change", "joint_fit", "verdict", "likeliest"), [

@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The evidence of a model with effects on several recordings, and its derivatives.
+
+With Gaussian errors of unknown variance in each recording r, and a prior of the model's changes x,
+
+    -ln p = n / 2 sum_r ln(m_r + l_r^2) + |x|^2 / 2
+
+is to be made least. Here m_r is the mean square that a simulation leaves on the rows to fit, l_r
+the accuracy that a good model has, and n the number of independent errors of a recording. Offset
+and initial creep of each recording are projected out. The logarithm is concave: at some m_r, a sum
+of squares with the weights n / (m_r + l_r^2) has the same gradient, and falls by no more than it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.diagnosis.joint.free_parameters import (
+    changed_model,
+    decay_sensitivities,
+    free_sensitivities,
+)
+from piezo_identification.diagnosis.residual.clustered_covariance import clustered_covariance
+from piezo_identification.diagnosis.residual.dataset import Dataset
+from piezo_identification.diagnosis.residual.parameter_sensitivities import nuisance_regressors
+from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect, fitted_values, with_fitted_values
+
+
+@dataclass(frozen=True)
+class ErrorSettings:
+    """Weights and steps.
+
+    Attributes
+    ----------
+    independent : float
+        Errors of each recording that count: as many as the evidence counts at most.
+    longest : float
+        Widths by which one step may change a parameter of the model.
+    derivative_step : float
+        Of a fitted number of an effect, over the number where it is larger than one.
+    """
+
+    independent: float = 1000.0
+    longest: float = 5.0
+    derivative_step: float = 1e-7
+
+
+SETTINGS = ErrorSettings()
+
+
+class RecordingBefore(SimulatedRecording):
+    """A recording that was made before some effects came."""
+
+    later: frozenset[str] = frozenset()
+
+    def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = ()) -> FloatArray:
+        """Return the displacement with those effects that did not come later."""
+        return super().simulate(*(
+            tuple(effect for effect in some if effect.name not in self.later)
+            for some in (effects, quick)))
+
+
+def simulated_by(dataset: Dataset, model: StageModel, new_count: int,
+                 later: frozenset[str]) -> Dataset:
+    """Simulate another model on the same rows.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    model : StageModel
+    new_count : int
+        Recordings, the first ones, that effects which came later are in.
+    later : frozenset of str
+        Their names.
+
+    Returns
+    -------
+    Dataset
+    """
+    simulated: list[SimulatedRecording] = []
+    for number, (recording, part) in enumerate(
+            zip(dataset.recordings, dataset.simulated, strict=True)):
+        if number < new_count:
+            simulated.append(SimulatedRecording(model, recording, part.past_v))
+        else:
+            before = RecordingBefore(model, recording, part.past_v)
+            before.later = later
+            simulated.append(before)
+    return replace(dataset, model=model, simulated=tuple(simulated))
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """What unknowns make of the recordings, and what offset and initial creep leave of it."""
+
+    dataset: Dataset
+    effects: tuple[Effect, ...]
+    nuisance: list[FloatArray]
+    sizes: list[FloatArray]
+    left_um: list[FloatArray]
+
+
+class JointErrors:
+    """Errors of a model with effects, by the changes of the model and the numbers of the effects.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Simulated by the model whose changes are zero, without effects.
+    fitted : (r,) array of bool
+        Rows that are fitted.
+    new_count : int
+        See `simulated_by`.
+    effects : sequence of piezo_models.effects.effect.Effect
+    later : frozenset of str
+        Names of those that came later.
+    held : sequence of piezo_models.effects.effect.Effect
+        Others, which stay as they are.
+    pieces_um : sequence of sequences of (N,) array, optional
+        Of `free_parameters.piece_outputs_um`, for each recording: they are the same for all fits.
+
+    Attributes
+    ----------
+    low, high, longest : (n,) array
+        See `levenberg_marquardt.Objective`.
+    """
+
+    def __init__(self, dataset: Dataset, fitted: BoolArray, new_count: int,
+                 effects: Sequence[Effect], later: frozenset[str],
+                 held: Sequence[Effect] = (),
+                 pieces_um: Sequence[Sequence[FloatArray]] | None = None) -> None:
+        self.dataset, self.new_count, self.later = dataset, new_count, later
+        self.count = dataset.regressors.shape[1] - dataset.nuisance_count
+        self._fitted = [fitted[mask] for mask in dataset.masks()]
+        self._effects, self._held = tuple(effects), tuple(held)
+        numbers = [fitted_values(effect, dataset.extent) for effect in effects]
+        self._ends = self.count + np.cumsum([0, *(values.size for values, _, _ in numbers)])
+        lows, highs = ([bounds[index] for bounds in numbers] for index in (1, 2))
+        free = np.full(self.count, np.inf)
+        self.low, self.high = np.concatenate([-free, *lows]), np.concatenate([free, *highs])
+        self.longest = np.full(self.low.size, np.inf)
+        self.longest[: self.count] = SETTINGS.longest
+        self.accuracy_um = np.array([
+            TOLERANCE.model_tolerance * np.ptp(part.measured_um) for part in dataset.simulated])
+        self._pieces_um = pieces_um
+        self._points: dict[bytes, _Point] = {}
+        self._columns: tuple[bytes, list[FloatArray]] = b"", []
+
+    def vector(self, changes: FloatArray, effects: Sequence[Effect]) -> FloatArray:
+        """Return the unknowns of a changed model with effects, (n,)."""
+        numbers = [fitted_values(effect, self.dataset.extent)[0] for effect in effects]
+        return np.clip(np.concatenate([changes, *numbers]), self.low, self.high)
+
+    def effects_at(self, vector: FloatArray) -> tuple[Effect, ...]:
+        """Return the effects of some unknowns, and those that are held behind them."""
+        return (*(with_fitted_values(effect, vector[start:end]) for effect, start, end in zip(
+            self._effects, self._ends[:-1], self._ends[1:], strict=True)), *self._held)
+
+    def dataset_at(self, vector: FloatArray) -> Dataset:
+        """Return the data set simulated by the changed model, with its nuisance regressors."""
+        point = self._at(vector)
+        regressors, row, column = self.dataset.regressors.copy(), 0, 0
+        for block in point.nuisance:
+            regressors[row : row + len(block), column : column + block.shape[1]] = block
+            row, column = row + len(block), column + block.shape[1]
+        if self._columns[1]:
+            # Those of the last step, close to where it led.
+            regressors[:, column:] = np.vstack(self._columns[1])[:, : self.count]
+        return replace(point.dataset, regressors=regressors)
+
+    def squares_um2(self, vector: FloatArray) -> FloatArray:
+        """Return the mean square that is left of the fitted rows of each recording, (R,)."""
+        return np.array([np.mean(left_um**2) for left_um in self._at(vector).left_um])
+
+    def value(self, vector: FloatArray) -> float:
+        """Return the evidence against the unknowns; infinite where nothing can be simulated."""
+        squares = self.squares_um2(vector) + self.accuracy_um**2
+        changes = vector[: self.count]
+        against = float(0.5 * SETTINGS.independent * np.sum(np.log(squares))
+                        + 0.5 * changes @ changes)
+        return against if np.isfinite(against) else np.inf
+
+    def linearised(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return weighted errors and their derivatives, those of the prior behind them."""
+        return self._weighted(vector, self._columns_at(vector))
+
+    def covariance(self, vector: FloatArray) -> FloatArray | None:
+        """Return the covariance of the numbers of the effects, by the last derivatives.
+
+        Errors may be alike within a stretch of a recording.
+        """
+        if not self._columns[1] or vector.size == self.count:
+            return None
+        residual, jacobian = self._weighted(vector, self._columns[1])
+        stretch = self.dataset.stretch[np.concatenate(self._fitted)]
+        return clustered_covariance(jacobian, residual, stretch)[self.count :, self.count :]
+
+    def _weighted(self, vector: FloatArray,
+                  columns: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        point = self._at(vector)
+        squares = self.squares_um2(vector) + self.accuracy_um**2
+        residuals, jacobians = [], []
+        for left_um, nuisance, changes, fitted, square in zip(
+                point.left_um, point.nuisance, columns, self._fitted, squares, strict=True):
+            weight = np.sqrt(SETTINGS.independent / (left_um.size * square))
+            residuals.append(weight * left_um)
+            jacobians.append(-weight * _left_beside(nuisance[fitted], changes[fitted])[0])
+        prior = np.eye(self.count, vector.size)
+        return (np.concatenate([*residuals, vector[: self.count]]), np.vstack([*jacobians, prior]))
+
+    def _at(self, vector: FloatArray) -> _Point:
+        """Simulate the model and the effects of some unknowns; the last two are kept."""
+        key = vector.tobytes()
+        if key not in self._points:
+            dataset = simulated_by(
+                self.dataset, changed_model(self.dataset.model, vector[: self.count]),
+                self.new_count, self.later)
+            effects = self.effects_at(vector)
+            nuisance, sizes, left = [], [], []
+            for part, rows, fitted in zip(
+                    dataset.simulated, dataset.rows, self._fitted, strict=True):
+                nuisance.append(nuisance_regressors(part, rows))
+                left_um, size = _left_beside(
+                    nuisance[-1][fitted], (part.measured_um - part.simulate(effects))[rows][fitted])
+                sizes.append(size)
+                left.append(left_um)
+            self._points = dict([*self._points.items()][-1:])
+            self._points[key] = _Point(dataset, effects, nuisance, sizes, left)
+        return self._points[key]
+
+    def _columns_at(self, vector: FloatArray) -> list[FloatArray]:
+        """Return the changes of the displacement of each recording by the unknowns."""
+        key = vector.tobytes()
+        if self._columns[0] != key:
+            point = self._at(vector)
+            self._columns = key, [
+                self._of_recording(point, index, vector) for index in range(len(point.nuisance))]
+        return self._columns[1]
+
+    def _of_recording(self, point: _Point, index: int, vector: FloatArray) -> FloatArray:
+        dataset, rows = point.dataset, point.dataset.rows[index]
+        given, part = self.dataset.model, dataset.simulated[index]
+        there = tuple(effect for effect in point.effects
+                      if index < self.new_count or effect.name not in self.later)
+        behind = SimulatedRecording(
+            replace(dataset.model, effects=there), dataset.recordings[index], part.past_v)
+        pieces_um = None if self._pieces_um is None else self._pieces_um[index]
+        changes = free_sensitivities(behind, rows, given, pieces_um)
+        decays = decay_sensitivities(part, rows, point.sizes[index], given)
+        changes[:, : decays.shape[1]] += decays
+        unmoved_um, columns = part.simulate(point.effects)[rows], []
+        for number in range(self.count, vector.size):
+            step = SETTINGS.derivative_step * max(1.0, abs(vector[number]))
+            moved = vector.copy()
+            moved[number] += step if moved[number] + step <= self.high[number] else -step
+            moved_um = part.simulate(self.effects_at(moved))[rows]
+            columns.append((moved_um - unmoved_um) / (moved[number] - vector[number]))
+        return np.column_stack([changes, *columns])
+
+
+def _left_beside(nuisance: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what the nuisance regressors leave of values, and their sizes."""
+    sizes = np.linalg.lstsq(nuisance, values, rcond=1e-12)[0]
+    return values - nuisance @ sizes, sizes

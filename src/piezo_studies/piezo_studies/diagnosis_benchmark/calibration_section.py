@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The section of docs/diagnosis.md that tells how far probabilities and intervals come true."""
+
+import re
+
+SECTION = re.compile(r"(<!-- calibration -->\n).*?(<!-- end -->)", re.S)
+
+
+def section(document):
+    """Return the text of the section.
+
+    Parameters
+    ----------
+    document : dict
+        Content of `table.json`.
+
+    Returns
+    -------
+    str
+    """
+    calibration, intervals = document["calibration"], document["coverage"]
+    kind = "that were there all along" if document["all_along"] else "of all kinds"
+    lines = [
+        f"{len(document['results'])} cases of seed {document['seed']}, with effects {kind}:", "",
+        "| probability of the first statement | cases | mean | true |", "|---|---|---|---|"]
+    lines += [f"| {each['from']:.1f} to {each['to']:.1f} | {each['cases']} | "
+              f"{each['stated']:.2f} | {each['true']:.2f} |"
+              for each in calibration["bins"] if each["cases"]]
+    lines += ["", "| figure | value |", "|---|---|"]
+    lines += [f"| {group}: {what} | {count} |"
+              for group, counts in document["outcomes"].items() for what, count in counts.items()]
+    lines += [
+        f"| expected calibration error | {calibration['expected_calibration_error']:.3f} |",
+        f"| {100 * intervals['level']:.0f} % intervals that contain the parameter | "
+        f"{intervals['right']} of {intervals['intervals']} |", ""]
+    return "\n".join(lines)
+
+
+def write_section(page, document):
+    """Write the section of a page anew; its other text stays.
+
+    Parameters
+    ----------
+    page : Path
+    document : dict
+        Content of `table.json`.
+
+    Raises
+    ------
+    ValueError
+        If the page has no such section.
+    """
+    text = page.read_text(encoding="utf-8")
+    made, count = SECTION.subn(lambda match: match[1] + section(document) + match[2], text)
+    if not count:
+        raise ValueError(f"{page} has no section <!-- calibration -->: give docs/diagnosis.md")
+    page.write_text(made, encoding="utf-8")
