@@ -67,9 +67,9 @@ diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/
 	@./run piezo_studies diagnose_suite --cases $(CASES) --seed $(SEED) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 docs: setup ## write the tables and the picture in docs that are made from the sources
-	@.venv/bin/python tools/error_table.py
-	@.venv/bin/python tools/stage_table.py
-	@.venv/bin/python tools/import_graph.py
+	@$(in_environment) .venv/bin/python tools/error_table.py
+	@$(in_environment) .venv/bin/python tools/stage_table.py
+	@$(in_environment) .venv/bin/python tools/import_graph.py
 	@$(in_environment) .venv/bin/python tools/file_tables.py
 
 api: setup ## make the API pages of the docstrings; start at build/api/index.html

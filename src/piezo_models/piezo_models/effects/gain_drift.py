@@ -37,7 +37,7 @@ class GainDrift(EffectOfTime):
 
     def behind(self, signal: FloatArray, sample_period_s: float, first: int) -> FloatArray:
         """Return a part of the signal behind the effect, as `EffectOfTime.behind` describes."""
-        time_s = np.arange(first, first + signal.size) * sample_period_s
+        time_s = np.arange(first, first + signal.size, dtype=np.float64) * sample_period_s
         grown = self.change * self._approach(time_s)
         return signal + grown * (signal - self.fixed_point_um)
 

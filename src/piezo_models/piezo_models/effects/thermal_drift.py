@@ -42,7 +42,7 @@ class ThermalDrift(EffectOfTime):
 
     def behind(self, signal: FloatArray, sample_period_s: float, first: int) -> FloatArray:
         """Return a part of the signal behind the effect, as `EffectOfTime.behind` describes."""
-        time_s = np.arange(first, first + signal.size) * sample_period_s
+        time_s = np.arange(first, first + signal.size, dtype=np.float64) * sample_period_s
         return signal + self._drift_um(time_s)
 
     def _drift_um(self, time_s: FloatArray) -> FloatArray:
