@@ -29,6 +29,7 @@ from piezo_identification.estimators.dynamics.fast_signals import (
 )
 from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH
 from piezo_identification.estimators.dynamics.pole_search import free_fits
+from piezo_identification.estimators.dynamics.slow_misfit import beside_slow_misfit
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.estimate import Estimate
 from piezo_identification.estimators.hysteresis.beside_dynamics import (
@@ -102,7 +103,8 @@ def estimate_dynamics_any(
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(recordings, parts, strict=True)]
         return fit_beside_fast_creep(
-            lambda known: _signals(parts, entering_um, known).record(), creep, mode_count, delay)
+            lambda known: beside_slow_misfit(_signals(parts, entering_um, known).record()),
+            creep, mode_count, delay)
     without_hysteresis = _signals(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
     linear = fit_signals(without_hysteresis, MODES_IN_TURN, delay)

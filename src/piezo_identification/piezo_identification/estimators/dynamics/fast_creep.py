@@ -108,7 +108,7 @@ def fast_creep(
     FastCreep or None
     """
     record = record_without(creep).thinned(ROWS_OF_SEARCH)
-    best = _best_free_fit(record)
+    best = best_free_fit(record)
     fastest = min(SLOWER_THAN_MODES * _lowest_ringing(best),
                   1.0 / (ROWS_OF_DECAY * record.input.sample_period_s))
     duration_s = record.input.samples.size * record.input.sample_period_s
@@ -123,12 +123,22 @@ def fast_creep(
         return None
     without = record_without(joined_creep(creep, found.model)).thinned(ROWS_OF_SEARCH)
     price = len(found.model.poles_rad_per_s) * np.log(record.kept.size)
-    gain = _information(record, best) - _information(without, _best_free_fit(without))
+    gain = _information(record, best) - _information(without, best_free_fit(without))
     return found if gain > price - AS_GOOD else None
 
 
-def _best_free_fit(record: FastRecord) -> FreeFit:
-    """Free poles of the least information, of as many modes as bring it down."""
+def best_free_fit(record: FastRecord) -> FreeFit:
+    """Return free poles of the least information, of as many modes as bring it down.
+
+    Parameters
+    ----------
+    record : FastRecord
+        Thinned, as the search takes its time.
+
+    Returns
+    -------
+    FreeFit
+    """
     best: FreeFit | None = None
     for free in free_fits(record, MOST_MODES):
         if best is not None and _information(record, free) > _information(record, best):

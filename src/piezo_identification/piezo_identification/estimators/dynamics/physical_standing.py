@@ -18,6 +18,10 @@ MOST_UNCERTAIN = 0.5
 """Standard deviation of the logarithm of a mode's frequency or damping beyond which it is not told:
 of a mode that only stands in for a delay, no more than the ratio of both is."""
 
+HEAVY_DAMPING, FAR_BELOW = 0.15, 0.05
+"""Damping ratio, and frequency over that of the lowest mode which rings, of what creeps: structures
+have no such modes, and what a hysteresis that is not quite right leaves looks like one."""
+
 
 def lack_of_standing(
     vector: FloatArray, order: ModeOrder, covariance: FloatArray, sample_period_s: float,
@@ -43,7 +47,8 @@ def lack_of_standing(
                        order.beside, order.beside, order.sensor_lags])
     places = np.split(np.arange(vector.size), edges)
     _, w, zeta, wz, zetaz, side_w, side_zeta, lag, parts = places
-    spread = np.sqrt(np.diag(covariance))
+    # Rounding may leave a variance a little below zero.
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     frequencies, dampings = np.concatenate([w, side_w]), np.concatenate([zeta, side_zeta])
     if np.any(values[frequencies] > HIGHEST * np.pi / sample_period_s):
         return "a mode above the band"
@@ -52,6 +57,10 @@ def lack_of_standing(
     if np.any(values[dampings] < LEAST_DAMPING) or np.any(
             values[side_zeta] < 1.01 * BESIDE_DAMPING[0]):
         return "a mode without damping"
+    rings = values[dampings] < HEAVY_DAMPING
+    slowest = values[frequencies][rings].min(initial=np.inf)
+    if rings.any() and np.any(values[frequencies][~rings] < FAR_BELOW * slowest):
+        return "a mode that creeps far below those that ring"
     if np.any(values[side_zeta] > 0.99 * BESIDE_DAMPING[1]):
         return "an overdamped mode beside others"
     if np.any(np.abs(values[parts]) < SIGNIFICANT * spread[parts]):

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A hysteresis that is not quite right is not taken for vibrations."""
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from independent_stage import IndependentStage
+
+from piezo_identification.estimators.dynamics import slow_misfit
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
+from piezo_identification.estimators.dynamics.fast_signals import joined_signals
+from piezo_identification.estimators.dynamics.physical_standing import lack_of_standing
+from piezo_models.linear.dynamics import CreepDynamics
+
+PERIOD_S = 1e-4
+MODE_RAD_PER_S = 2.0 * np.pi * 740.0
+
+
+def record_behind(half_widths_v):
+    """Sine whose amplitude grows, with noise on top; the hysteresis is taken for a gain."""
+    random = np.random.default_rng(5)
+    time_s = np.arange(15_000) * PERIOD_S
+    voltage_v = 60.0 * time_s / 1.5 * np.sin(2.0 * np.pi * 5.0 * time_s)
+    voltage_v += 4.0 * np.repeat(random.normal(size=3000), 5)
+    stage = IndependentStage(1.6e-4, ((MODE_RAD_PER_S, 0.02, 1.0),),
+                             gains_um_per_v=(0.1, 0.7), half_widths_v=half_widths_v)
+    recording = stage.record(voltage_v, PERIOD_S, 0.002, 5)
+    return joined_signals([recording], [voltage_v], [0], CreepDynamics()).record()
+
+
+@pytest.mark.parametrize("low_hz, damping, needs_waves", [
+    (5.0, 0.5, True), (5.0, 1e-5, True), (20.0, 0.05, False), (400.0, 0.5, False)])
+def test_a_record_may_hold_slow_motion_where_slow_poles_are_no_vibration(
+        monkeypatch, low_hz, damping, needs_waves):
+    record = record_behind((0.0, 0.0))
+    poles = [-5e3]
+    for frequency, its_damping in ((2.0 * np.pi * low_hz, damping), (MODE_RAD_PER_S, 0.02)):
+        pole = frequency * (-its_damping + 1j * np.sqrt(1.0 - its_damping**2))
+        poles += [pole, np.conj(pole)]
+    noise = np.random.default_rng(1).normal(size=record.thinned(3000).kept.size)
+    monkeypatch.setattr(slow_misfit, "best_free_fit", lambda coarse: SimpleNamespace(
+        poles=np.array(poles), residual=noise))
+    beside = slow_misfit.beside_slow_misfit(record)
+    assert (beside.fixed.shape[1] > record.fixed.shape[1]) == needs_waves
+
+
+@pytest.mark.parametrize("low_hz, damping, refusal", [
+    (20.0, 0.5, "a mode that creeps far below those that ring"),
+    (20.0, 0.05, ""),
+    (453.0, 0.685, ""),
+])
+def test_a_mode_without_ringing_stands_only_near_those_that_ring(low_hz, damping, refusal):
+    vector = np.log([1e-4, 2.0 * np.pi * low_hz, MODE_RAD_PER_S, damping, 0.02])
+    assert lack_of_standing(vector, ModeOrder(2), 1e-6 * np.eye(5), PERIOD_S) == refusal
+
+
+def test_slow_waves_hold_any_slow_motion():
+    time_s = np.linspace(2.0, 3.0, 1000)
+    basis = np.column_stack([np.ones_like(time_s), slow_misfit.slow_waves(np.arange(1000), 20)])
+
+    def left(signal):
+        rest = signal - basis @ np.linalg.lstsq(basis, signal, rcond=None)[0]
+        return np.std(rest) / np.std(signal)
+
+    assert left((time_s - 2.0) ** 2 + np.exp(-3.0 * time_s)) < 0.02
+    assert left(np.sin(2.0 * np.pi * 40.0 * time_s)) > 0.95
