@@ -67,7 +67,7 @@ def _of_positive_lag(covariance: FloatArray, lag: int) -> FloatArray:
 
 
 def delay_deviation(fit: FastFit, without: FastFit | None, variance: float) -> float:
-    """Standard deviation of a delay, in sample periods.
+    """Return the standard deviation of a delay, in sample periods.
 
     Where the fit without the delay leaves far more, that tells of the delay whatever else the form
     lacks: the deviation is then no larger than the delay over the root of twice the gain in
