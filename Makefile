@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test style quick long coverage kernels soak bench reproduce high-bandwidth published-reference changes recipe measured diagnose-suite docs api clean
+.PHONY: help setup demo test style quick long coverage kernels soak bench reproduce high-bandwidth published-reference changes recipe measured recording-kinds diagnose-suite docs api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -55,6 +55,9 @@ high-bandwidth: setup ## design feedbacks beyond the first mode; writes docs/hig
 
 recipe: setup ## record the simulated stage in shorter ways; writes the tables of docs/recipe.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.recording_recipe
+
+recording-kinds: setup ## identify from every kind of recording of two foreign stages; prints a table
+	@$(in_environment) .venv/bin/python -m piezo_studies.recording_kinds
 
 published-reference: setup ## follow a published reference by its preview; writes docs/published_reference.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.published_reference

@@ -8,12 +8,10 @@ import numpy as np
 
 from piezo_identification.conditioning.segments import experiment_of
 from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORM
+from piezo_identification.conditioning.waveforms import SLOWEST_FAST_ROWS_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.plausibility import USUAL, implausible
-
-SAMPLES_WHILE_FAST = 10.0
-"""Samples that the fast dynamics need within `WAVEFORM.slow_branch_s`, in which they settle."""
 
 
 def implausible_data(recordings: Mapping[str, Any]) -> list[str]:
@@ -35,13 +33,12 @@ def implausible_data(recordings: Mapping[str, Any]) -> list[str]:
             continue
         found = [f"{data.path}: {text}" for text in implausible(data)]
         told += [text for text in found if text not in data.notes]
-        slowest_s = WAVEFORM.slow_branch_s / SAMPLES_WHILE_FAST
         period_s = float(np.median(data.sample_periods_s[data.playing]))
-        if experiment_of(name) == "dynamics" and period_s > slowest_s:
+        if experiment_of(name) == "dynamics" and period_s > SLOWEST_FAST_ROWS_S:
             told.append(
                 f"{data.path}: a sample every {period_s:.3g} s is too slow to hold dynamics, which "
                 f"settle within {WAVEFORM.slow_branch_s:g} s: give a recording with a sample every "
-                f"{slowest_s:g} s or faster, or leave --dynamics out")
+                f"{SLOWEST_FAST_ROWS_S:g} s or faster, or leave --dynamics out")
     return told
 
 

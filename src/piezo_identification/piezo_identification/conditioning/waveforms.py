@@ -42,6 +42,13 @@ class WaveformSettings:
 
 SETTINGS = WaveformSettings()
 
+SAMPLES_WHILE_FAST = 10.0
+"""Samples that the fast dynamics need within `WaveformSettings.slow_branch_s`, in which they
+settle."""
+
+SLOWEST_FAST_ROWS_S = SETTINGS.slow_branch_s / SAMPLES_WHILE_FAST
+"""Sample period beyond which nothing that is called dynamics shows: what rings is folded then."""
+
 
 def played(recording: Recording) -> Recording:
     """Return the part of a recording in which a waveform or a trajectory plays, without ramps.

@@ -14,13 +14,15 @@ from piezo_identification.diagnosis.residual.sensor_noise import (
     noise_from_repeats_um,
     noise_from_rest_um,
 )
+from piezo_identification.estimators.hysteresis.density_fit import levels_passed
 from piezo_identification.estimators.hysteresis.everett_regression import visited_cells
 from piezo_identification.recording_check.waveform_kind import Waveform, waveform_of
 from piezo_recorder.reading.plausibility import implausible
 from piezo_recorder.reading.recording import Recording
 
-PLANE_CELLS = 40
-"""Cells along a side of the Preisach plane whose visited part is told."""
+PLANE_CELLS, FEWEST_PLANE_CELLS = 40, 10
+"""Cells along a side of the Preisach plane whose visited part is told; the fewest where the voltage
+jumps over all of them."""
 
 FEWEST_ROWS = 20
 """With fewer rows nothing but their number and range is told."""
@@ -123,7 +125,9 @@ class RecordingCheck:
         if self.has_few_rows or self.swing_v == 0.0:
             return np.zeros((PLANE_CELLS, PLANE_CELLS), dtype=bool)
         return visited_cells(self.voltage_v, np.linspace(
-            self.voltage_v.min(), self.voltage_v.max(), PLANE_CELLS + 1))
+            self.voltage_v.min(), self.voltage_v.max(),
+            1 + int(np.clip(levels_passed([self.recording], self.swing_v),
+                            FEWEST_PLANE_CELLS, PLANE_CELLS))))
 
     @cached_property
     def outliers(self) -> int:

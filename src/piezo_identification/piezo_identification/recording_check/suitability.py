@@ -12,6 +12,12 @@ from piezo_identification.conditioning import waveforms
 from piezo_identification.recording_check.check import FEWEST_ROWS, RecordingCheck
 from piezo_identification.recording_check.waveform_kind import BROADBAND, LEVELS
 
+CYCLES = ("triangle", "sine", "cycles")
+"""Kinds that go to and fro."""
+
+ROWS_FOR_HOLDS, HELD = 5000, 0.01
+"""Rows of a recording in which holds are sought, and part of the swing that may change in one."""
+
 EXPERIMENTS = ("hysteresis", "creep", "dynamics", "validation")
 
 
@@ -25,8 +31,15 @@ class Needs:
         The shortest hold of a level that shows creep: the fast creep of stages takes seconds.
     rows_per_hold : int
         Rows in a hold from which creep can be told.
-    slowest_rows_s : float
-        Sample period beyond which nothing that is called dynamics shows.
+    held_share : float
+        Part of a recording in which levels are held, from which on ramps between them are let
+        pass: a slow sine stays at its ends for less.
+    slow_branch_s : float
+        Time between reversals from which on creep opens the loops so far that it can be told.
+    rows_per_branch : int
+        Rows between reversals from which on fast cycles show loops, if the dynamics are known.
+    rows_per_ringing : float
+        Rows in a period of what rings, below which rows may show something faster, folded.
     followed : float
         Part of a jump that the displacement has done in the first row behind it, from which on
         the rows are too slow to show the dynamics.
@@ -47,7 +60,10 @@ class Needs:
 
     hold_s: float = 2.0
     rows_per_hold: int = 20
-    slowest_rows_s: float = 0.02
+    held_share: float = 0.3
+    slow_branch_s: float = 10.0
+    rows_per_branch: int = 20
+    rows_per_ringing: float = 5.0
     followed: float = 0.9
     taps: int = 30
     long_taps: int = 1000
@@ -138,6 +154,11 @@ def _hysteresis(check: RecordingCheck) -> Suitability:
     waveform = check.waveform
     if waveform.kind == "square":
         return Suitability("no", "the voltage takes two levels only: give slow cycles")
+    rows = waveform.branch_s / check.sample_period_s
+    if waveform.branch_s <= waveforms.SETTINGS.slow_branch_s and (
+            waveform.kind in CYCLES and rows >= NEEDS.rows_per_branch):
+        return Suitability("partly", f"{waveform.branch_s:.3g} s between reversals are fast: give "
+                           "--dynamics, too, or vibrations and lags count as hysteresis")
     if waveform.branch_s <= waveforms.SETTINGS.slow_branch_s:
         return Suitability("no", f"{waveform.branch_s:.3g} s between reversals are too fast: "
                            "vibrations and lags would count as hysteresis; take more than "
@@ -153,21 +174,45 @@ def _hysteresis(check: RecordingCheck) -> Suitability:
 
 
 def _creep(check: RecordingCheck) -> Suitability:
-    waveform = check.waveform
-    if waveform.kind not in LEVELS:
+    hold_s = _hold_s(check)
+    if hold_s == 0.0 and NEEDS.slow_branch_s <= check.waveform.branch_s < np.inf:
+        return Suitability("partly", "no level is held, so creep shows only in how far loops open: "
+                           "a square wave or steps of minutes tell more")
+    if hold_s == 0.0:
         return Suitability("no", "no level is held: give a square wave or steps of minutes")
-    if waveform.branch_s < NEEDS.hold_s:
-        return Suitability("no", f"levels are held for {waveform.branch_s:.3g} s only: hold them "
+    if hold_s < NEEDS.hold_s:
+        return Suitability("no", f"levels are held for {hold_s:.3g} s only: hold them "
                            f"for {NEEDS.hold_s:g} s at least, better for minutes")
-    rows = waveform.branch_s / float(np.median(check.recording.sample_periods_s))
+    rows = hold_s / check.sample_period_s
     if rows < NEEDS.rows_per_hold:
         return Suitability("no", f"a hold has {rows:.0f} rows only: record faster")
-    slowest = 1.0 / waveform.branch_s
+    slowest = 1.0 / hold_s
     if not check.starts_settled:
         return Suitability("partly", "it does not begin at rest: what its first level shows is of "
                            "what came before")
-    return Suitability("yes", f"levels held for {waveform.branch_s:.4g} s, for poles from about "
+    return Suitability("yes", f"levels held for {hold_s:.4g} s, for poles from about "
                        f"{slowest:.2g} rad/s up")
+
+
+def _hold_s(check: RecordingCheck) -> float:
+    """Return for how long levels are held, between jumps or ramps; 0 where none are."""
+    waveform = check.waveform
+    if waveform.kind in LEVELS:
+        return waveform.branch_s
+    if not NEEDS.hold_s <= waveform.branch_s < np.inf:
+        return 0.0
+    step = 1 + check.voltage_v.size // ROWS_FOR_HOLDS
+    voltage_v, width_v = check.voltage_v[::step], HELD * check.swing_v
+    holds, begin = [], 0
+    while begin < voltage_v.size:
+        away = np.abs(voltage_v[begin:] - voltage_v[begin]) > width_v
+        rows = int(np.argmax(away)) if away.any() else away.size
+        holds.append(rows * step * check.sample_period_s)
+        begin += max(rows, 1)
+    # Where rows are slow, two of them alike are no hold.
+    least_s = max(NEEDS.hold_s, NEEDS.rows_per_hold * check.sample_period_s)
+    long_s = [hold_s for hold_s in holds if hold_s >= least_s]
+    return float(np.median(long_s)) if sum(long_s) > NEEDS.held_share * check.duration_s else 0.0
 
 
 def _dynamics(check: RecordingCheck) -> Suitability:
@@ -175,7 +220,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
     period_s = float(np.median(check.recording.sample_periods_s))
     rate = f"at {round(1.0 / period_s, 4):g} rows a second"
     voltage_v, displacement_um = check.voltage_v, check.displacement_um
-    if period_s > NEEDS.slowest_rows_s:
+    if period_s > waveforms.SLOWEST_FAST_ROWS_S:
         return Suitability("no", f"too slow to hold dynamics: {rate}, while stages answer within "
                            "milliseconds")
     if waveform.kind in LEVELS:
@@ -188,6 +233,11 @@ def _dynamics(check: RecordingCheck) -> Suitability:
             return Suitability("no", f"too slow to hold dynamics: {rate} the displacement has "
                                f"followed each step by {100.0 * after.min():.0f} % in one row; "
                                "record at least ten times faster than the highest mode")
+        ringing = rows_per_ringing(response)
+        if ringing < NEEDS.rows_per_ringing:
+            return Suitability("partly", f"{rate} what rings behind the steps has {ringing:.1f} "
+                               "rows in a period, and may be something faster, folded: record at "
+                               "least ten times faster than the highest mode")
         return Suitability("yes", f"steps that ring or lag over several rows, {rate}")
     if waveform.kind not in BROADBAND:
         jumps = waveform.jumps.size
@@ -240,6 +290,27 @@ def jump_response(voltage_v: FloatArray, displacement_um: FloatArray,
         weighted += step_v * (displacement_um[jump : jump + length] - before_um)
         weight += step_v * (end_um - before_um)
     return weighted / weight if weight else np.zeros(0)
+
+
+def rows_per_ringing(response: FloatArray) -> float:
+    """Return how many rows a period of what rings most behind a step has; infinite where none does.
+
+    Parameters
+    ----------
+    response : ndarray, shape (M,)
+        Of `jump_response`.
+
+    Returns
+    -------
+    float
+    """
+    changes = np.diff(response[1:])
+    if changes.size < 4:
+        return np.inf
+    strength = np.abs(np.fft.rfft(changes, 8 * changes.size))
+    top = int(np.argmax(strength))
+    # What only lags or creeps goes one way, so that its changes are strongest at rest.
+    return 8.0 * changes.size / top if top > 8 else np.inf
 
 
 def _explained(voltage_v: FloatArray, displacement_um: FloatArray) -> float:

@@ -48,7 +48,8 @@ class KindSettings:
         which on a change between two samples is a jump.
     chirp_order, chirp_ratio : float
         Rank correlation of the times between reversals with their order, and the ratio of the
-        longest to the shortest, from which on a voltage is a chirp.
+        first to the last of these times and of the slopes between them, from which on a voltage
+        is a chirp.
     repeated : float
         Autocorrelation from which on a voltage repeats itself.
     sparse : float
@@ -211,11 +212,12 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
     if middle > 0.0 and high - low < SETTINGS.even_slope * middle:
         return "triangle", (f"ramps of {middle / period_s:.4g} V/s, {branch_s:.4g} s between "
                             f"reversals{again}")
+    mean_slopes = heights / branches_s
     if branches_s.size >= 6 and np.ptp(branches_s) > 0.0:
         order = abs(float(spearmanr(np.arange(branches_s.size), branches_s).statistic))
-        first, last = np.median(branches_s[:3]), np.median(branches_s[-3:])
-        ratio = max(first, last) / min(first, last)
-        if order > SETTINGS.chirp_order and ratio > SETTINGS.chirp_ratio:
+        if order > SETTINGS.chirp_order and min(
+                map(_first_over_last, (branches_s, mean_slopes))) > SETTINGS.chirp_ratio:
+            first, last = branches_s[0], branches_s[-1]
             # Rows make short times between reversals coarse, and the mean of many fine.
             many = max(3, branches_s.size // 50)
             at_first, at_last = (3, many) if first > last else (many, 3)
@@ -223,6 +225,11 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
             return "chirp", f"{0.5 / first:.4g} to {0.5 / last:.4g} Hz"
     if share > SETTINGS.one_tone:
         return "sine", f"{frequency_hz:.4g} Hz"
+    if mean_slopes.size and np.ptp(np.quantile(mean_slopes, [0.1, 0.9])) < (
+            SETTINGS.even_slope * np.median(mean_slopes)):
+        # Ways of ever larger amplitude take longer, too, and sweep no frequency.
+        slope_v = np.median(mean_slopes) * np.ptp(voltage_v)
+        return "cycles", (f"{slope_v:.4g} V/s in steps, {branch_s:.4g} s between reversals{again}")
     spread = np.ptp(np.quantile(branches_s, [0.1, 0.9])) if branches_s.size else 0.0
     full = heights.size > 0 and float(np.median(heights)) > SETTINGS.full_cycle
     if full or spread <= SETTINGS.even_branches * branch_s:
@@ -230,6 +237,12 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
     if period or sparse < SETTINGS.sparse:
         return "multisine", f"up to {band_hz:.4g} Hz{again}"
     return "noise", f"up to {band_hz:.4g} Hz"
+
+
+def _first_over_last(values: FloatArray) -> float:
+    """Return the ratio of the usual first value to the usual last, or its inverse, from 1 up."""
+    first, last = np.median(values[:3]), np.median(values[-3:])
+    return float(max(first, last) / min(first, last))
 
 
 def _spectrum(voltage_v: FloatArray, period_s: float) -> tuple[float, float, float, float]:

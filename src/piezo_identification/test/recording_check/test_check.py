@@ -107,6 +107,39 @@ def test_steps_that_ring_hold_dynamics_and_those_sampled_too_slowly_do_not(read)
     assert "too slow to hold dynamics" in slow["dynamics"].reason
 
 
+def test_rows_too_slow_for_the_modes_of_a_stage_hold_no_dynamics_though_they_ring(read):
+    # A mode of 400 Hz that rings for long looks as if it lagged at 50 rows a second.
+    voltage_v = np.repeat([60.0, 20.0, 100.0, 0.0, 60.0], 60_000)
+    displacement_um = vibrating(voltage_v, 1e-3, 400.0, 0.03)
+    slow = check_recording(read(voltage_v[19::20], displacement_um[19::20], 0.02))
+    assert "too slow" in suitability_for(slow, "dynamics").reason
+    # At 1000 rows a second it shows, folded or with too few rows in a period.
+    some = check_recording(read(voltage_v, displacement_um, 1e-3))
+    fit = suitability_for(some, "dynamics")
+    assert fit.verdict == "partly" and "rows in a period" in fit.reason
+
+
+def test_ramps_between_levels_show_creep_and_a_slow_motion_some_of_it(read):
+    time_s = 0.05 * np.arange(4000)
+    ramped_v = np.interp(time_s % 100.0, [0, 10, 15, 50, 55, 100], [10, 10, 80, 80, 10, 10])
+    held = check_recording(read(ramped_v, 0.2 * ramped_v, 0.05))
+    assert suitability_for(held, "creep").verdict == "yes"
+    sine_v = 50.0 + 40.0 * np.sin(2.0 * np.pi * time_s / 77.0)
+    moving = check_recording(read(sine_v, 0.2 * sine_v, 0.05))
+    assert suitability_for(moving, "creep").verdict == "partly"
+
+
+def test_points_of_a_static_loop_visit_the_plane_and_fast_cycles_ask_for_dynamics(read):
+    turns_v = [0, 100, 0, 90, 10, 80, 20, 70, 30, 60, 40]
+    points_v = np.concatenate([np.arange(low, high, 10 * np.sign(high - low))
+                               for low, high in zip(turns_v, turns_v[1:], strict=False)])
+    points = check_recording(read(points_v, 0.2 * points_v, 1.0))
+    assert points.visited_fraction > 0.3
+    cycles_v = 50.0 - 50.0 * np.cos(2.0 * np.pi * np.arange(4000) / 200)
+    fit = suitability_for(check_recording(read(cycles_v, 0.2 * cycles_v, 2e-4)), "hysteresis")
+    assert fit.verdict == "partly" and "--dynamics" in fit.reason
+
+
 def test_verdict_on_one_experiment_measures_nothing_for_the_others(read, monkeypatch):
     period_s = 1e-4
     voltage_v = np.where((np.arange(20_000) // 1000) % 2 == 0, 20.0, 80.0)

@@ -173,7 +173,9 @@ def _source(table: Table, signal: str, label: str, wish: SignalColumn | None) ->
             f"{table.header_place}: the {signal} '{label}' {what}: say which unit it has, as in "
             f"--columns {signal}={label if len(label) < 20 else 'NAME'}"
             f"[{own_unit or 'um'}]")
-    note = f"{table.path}: '{label}' has no unit; it is taken for the {signal} in {own_unit}"
+    other = {"time": "ms", "voltage": "mV"}[signal]
+    note = (f"{table.path}: '{label}' has no unit; it is taken for the {signal} in {own_unit}: if "
+            f"it is in {other}, say so, as in --columns {signal}={label}[{other}]")
     return SignalSource(label, factor, note)
 
 

@@ -243,3 +243,35 @@ def test_days_without_a_unit_are_implausible(tmp_path):
         "{:.11f};{:.4f};{:.5f}", 46_082.5 + TIME_S / 86_400.0, VOLTAGE_V, DISPLACEMENT_UM)
     recording = read_recording(write(tmp_path, text))
     assert any("is the time in days" in note for note in recording.notes)
+
+
+def test_names_units_and_channels_above_the_rows_are_told_apart(tmp_path):
+    rows = "".join(f"{0.5 * n:.1f},{v:.3f},{-120.0 * v:.2f}\n"
+                   for n, v in enumerate(50.0 - 50.0 * np.cos(0.01 * np.arange(700))))
+    path = tmp_path / "card.csv"
+    path.write_text("time,voltage,displacement\nms,V,nm\nclock,AI0,AI1\n" + rows)
+    recording = read_recording(path)
+    assert recording.sample_periods_s[0] == pytest.approx(5e-4)
+    assert recording.displacement_um.min() == pytest.approx(-12.0, abs=0.01)
+
+
+def test_time_without_a_unit_is_said_with_how_to_give_another(tmp_path):
+    path = tmp_path / "bare.csv"
+    path.write_text("time,voltage [V],displacement [um]\n" + "".join(
+        f"{0.5 * n:.1f},{n % 50},{0.1 * (n % 50):.3f}\n" for n in range(200)))
+    [note] = read_recording(path).notes
+    assert "taken for the time in s" in note and "--columns time=time[ms]" in note
+    in_ms = read_recording(path, columns=parse_columns(["time=time[ms]"]))
+    assert in_ms.sample_periods_s[0] == pytest.approx(5e-4) and not in_ms.notes
+
+
+def test_columns_of_a_german_spreadsheet_keep_their_units(tmp_path):
+    path = tmp_path / "excel.csv"
+    text = "Time [s];Piezo (V);Pos/nm\r\n" + "".join(
+        f"{0.0005 * n:.4f};{n % 50},25;{-100 * (n % 50)},5\r\n".replace(".", ",")
+        for n in range(200))
+    path.write_bytes(("\ufeff" + text).encode())
+    recording = read_recording(path)
+    assert recording.sample_periods_s[0] == pytest.approx(5e-4)
+    assert recording.voltage_v.max() == 49.25
+    assert recording.displacement_um.min() == pytest.approx(-4.9005)

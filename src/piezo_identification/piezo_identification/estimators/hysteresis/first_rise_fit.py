@@ -73,6 +73,8 @@ def estimate_first_rise(
     begin = int(np.argmax(at_low))
     highest_v = max(highest_v, float(voltage_v[: begin + 1].max()))
     rises = _rises(voltage_v[begin:], output_um[begin:], at_low[begin:], highest_v)
+    if len(rises) < 2:
+        return None
     again = [np.column_stack([v, y - bottom])[v <= before]
              for v, y, bottom, before in rises]
     curve = np.concatenate(again)

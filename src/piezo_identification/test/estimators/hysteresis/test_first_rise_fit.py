@@ -133,3 +133,9 @@ def test_what_is_taken_off_is_what_the_component_lacks(virgin, loops):
     assert taken_um[0] == pytest.approx(-first_rise.whole_um)
     assert taken_um[-1] == 0.0
     assert 0.0 < SETTINGS.largest_error_ratio < 1.0
+
+
+def test_loops_that_never_come_back_to_the_lowest_voltage_show_no_first_rise():
+    turns_v = [0.0, 100.0, 10.0, 90.0, 20.0, 80.0]
+    voltage_v = np.interp(np.linspace(0.0, 5.0, 500), np.arange(6), turns_v)
+    assert estimate_first_rise(voltage_v, 0.2 * voltage_v, 60.0) is None

@@ -194,9 +194,20 @@ def _with_header(found: Dialect, lines: Sequence[str]) -> Dialect:
         if not units and _are_units(labels):
             units, units_line = labels, number
             continue
+        if not units and _stands_below_units(lines, number, found):
+            # The channels of a card, say, below names and units.
+            continue
         return replace(found, header=labels, units=units, header_line=number)
     # Nothing stands above the units: they are the only names that there are.
     return replace(found, header=units, header_line=units_line) if units else found
+
+
+def _stands_below_units(lines: Sequence[str], number: int, found: Dialect) -> bool:
+    """Tell whether a line of units stands above a line, and names above that."""
+    if number < 2:
+        return False
+    names, units = (_labels(lines[each], found) for each in (number - 2, number - 1))
+    return bool(names and units) and _are_units(units or ()) and not _are_units(names or ())
 
 
 def _labels(line: str, found: Dialect) -> tuple[str, ...] | None:

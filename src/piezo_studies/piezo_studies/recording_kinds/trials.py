@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Identify from every kind of recording as a user does, and predict what was not fitted."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_studies.recording_kinds.stages import DuhemStage, PlayStage, Stage
+from piezo_studies.recording_kinds.waveforms import KINDS, Played, validation
+
+COMMAND = "piezo_identification.commands.identify_command"
+STAGES: dict[str, Callable[[], Stage]] = {"plays": PlayStage, "Duhem": DuhemStage}
+NOISE = 2e-4
+"""Standard deviation of the sensor's noise, over the range of its recording."""
+
+DRIFT_OF_MINUTE, DRIFT_TIME_S = 0.02, 400.0
+"""Part of the range by which a stage that warms up drifts in the first minute, and its end."""
+
+GAP = (0.55, 0.62)
+"""Part of a recording that is missing where it has a gap."""
+
+VARIANTS = ("plain", "drift", "gap", "two recordings")
+REFUSED = 2
+"""Exit status of a command that cannot use its input."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is given to an identification.
+
+    Attributes
+    ----------
+    stage : str
+        One of `STAGES`.
+    kinds : dict of str to str
+        Kind of the recordings by the experiment that they are given as.
+    varied : str
+        The experiment whose recordings are a variant, or empty.
+    variant : str
+        One of `VARIANTS`.
+    """
+
+    stage: str
+    kinds: dict[str, str]
+    varied: str = ""
+    variant: str = VARIANTS[0]
+
+    def __str__(self) -> str:
+        given = ", ".join(f"{name}: {kind}" for name, kind in self.kinds.items())
+        return f"{self.stage}; {given}" + (f"; {self.varied} with {self.variant}" if self.varied
+                                           else "")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What an identification ended in.
+
+    Attributes
+    ----------
+    error_percent : float
+        Relative error (4.20) on the validation; nan without a model.
+    verdict : str
+        ``adequate``, ``inadequate`` with the components, ``refused`` with the reason, or
+        ``failed`` with the last line of a traceback.
+    cpu_s : float
+        Time of the processor, of reading and starting too.
+    """
+
+    error_percent: float
+    verdict: str
+    cpu_s: float
+
+
+def trials(stages: tuple[str, ...] = tuple(STAGES)) -> Iterator[Trial]:
+    """Vary one thing after the other: the kind of one recording, what it has, what is left out.
+
+    Parameters
+    ----------
+    stages : tuple of str
+        Of `STAGES`.
+
+    Yields
+    ------
+    Trial
+    """
+    usual = {name: next(iter(kinds)) for name, kinds in KINDS.items()}
+    for stage in stages:
+        yield Trial(stage, usual)
+        for experiment, kinds in KINDS.items():
+            for kind in kinds:
+                given = usual | {experiment: kind}
+                if given != usual:
+                    yield Trial(stage, given)
+                for variant in VARIANTS[1:]:
+                    yield Trial(stage, given, experiment, variant)
+                for left_out in KINDS:
+                    if left_out != experiment:
+                        yield Trial(stage, {name: given[name] for name in given
+                                            if name != left_out})
+
+
+def run(trial: Trial, folder: Path) -> Outcome:
+    """Record the stage as a trial says, identify it by the command, and read what came out.
+
+    Parameters
+    ----------
+    trial : Trial
+    folder : Path
+        For recordings and models; recordings that it holds are taken as they are.
+
+    Returns
+    -------
+    Outcome
+    """
+    model = folder / "model.json"
+    model.unlink(missing_ok=True)
+    arguments = ["--output", str(model), "--no-report"]
+    for name, kind in trial.kinds.items():
+        variant = trial.variant if name == trial.varied else VARIANTS[0]
+        files = recordings(trial.stage, name, kind, variant, folder)
+        arguments += [f"--{name}", *map(str, files)]
+    unseen = recorded(trial.stage, "validation", validation(), VARIANTS[0], folder)
+    process = subprocess.Popen(
+        [sys.executable, "-m", COMMAND, *arguments, "--validation", str(unseen)],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    printed = process.stdout.read() if process.stdout else ""
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    (folder / "printed.txt").write_text(printed, encoding="utf-8")
+    cpu_s = usage.ru_utime + usage.ru_stime
+    last = printed.strip().splitlines()[-1] if printed.strip() else ""
+    if process.returncode:
+        is_refused = process.returncode == REFUSED and "Traceback" not in printed
+        return Outcome(np.nan, f"{'refused' if is_refused else 'failed'}: {last}", cpu_s)
+    document = json.loads(model.read_text(encoding="utf-8"))
+    return Outcome(document["errors"]["e_y_percent"], _verdict(document["adequacy"]), cpu_s)
+
+
+def _verdict(adequacy: dict[str, dict[str, object]]) -> str:
+    left = [name for name, each in adequacy.items() if each["verdict"] != "adequate"]
+    return f"inadequate: {', '.join(left)}" if left else "adequate"
+
+
+def recordings(stage: str, experiment: str, kind: str, variant: str, folder: Path) -> list[Path]:
+    """Return the files of one experiment, two where the variant asks for it; see `recorded`."""
+    played = KINDS[experiment][kind]()
+    name = f"{experiment} {kind}"
+    if variant != VARIANTS[-1]:
+        return [recorded(stage, name, played, variant, folder)]
+    mirrored = Played(played.period_s, 100.0 - played.voltage_v, played.lead_rows, played.finer)
+    return [recorded(stage, name, played, VARIANTS[0], folder),
+            recorded(stage, f"{name} mirrored", mirrored, VARIANTS[0], folder)]
+
+
+def recorded(stage: str, name: str, played: Played, variant: str, folder: Path) -> Path:
+    """Record a stage under a voltage into a table, unless the folder has it.
+
+    Parameters
+    ----------
+    stage : str
+        Of `STAGES`.
+    name : str
+        Of the file.
+    played : Played
+    variant : str
+        Of `VARIANTS`, without the last.
+    folder : Path
+
+    Returns
+    -------
+    Path
+    """
+    path = folder / f"{stage} {name} {variant}.csv".replace(" ", "_")
+    if path.exists():
+        return path
+    table = _table(STAGES[stage](), played, seed=sum(map(ord, name)))
+    if variant == "drift":
+        scale_um = DRIFT_OF_MINUTE * np.ptp(table[:, 2]) * DRIFT_TIME_S / 60.0
+        table[:, 2] += scale_um * -np.expm1(-table[:, 0] / DRIFT_TIME_S)
+    if variant == "gap":
+        first, last = (round(part * len(table)) for part in GAP)
+        table = np.delete(table, slice(first, last), axis=0)
+    np.savetxt(path, table, "%.8g", ",", header="time [s],voltage [V],displacement [um]",
+               comments="")
+    return path
+
+
+def _table(stage: Stage, played: Played, seed: int) -> FloatArray:
+    """Return instants, voltages and displacements of the rows that a logger writes."""
+    displacement_um = stage.displacement_um(played.voltage_v, played.period_s / played.finer)
+    rows = slice(played.lead_rows * played.finer, None, played.finer)
+    voltage_v, displacement_um = played.voltage_v[rows], displacement_um[rows]
+    noise = np.random.default_rng(seed).normal(size=voltage_v.size)
+    return np.column_stack([
+        played.period_s * np.arange(voltage_v.size), voltage_v,
+        displacement_um + NOISE * np.ptp(displacement_um) * noise])

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The kinds of recordings are recorded as they are described, and are all tried."""
+
+import numpy as np
+import pytest
+
+from piezo_recorder.reading.reader import read_recording
+from piezo_studies.recording_kinds.stages import DuhemStage, PlayStage
+from piezo_studies.recording_kinds.trials import STAGES, Trial, recordings, run, trials
+from piezo_studies.recording_kinds.waveforms import KINDS
+
+
+def test_every_kind_is_tried_with_each_variant_and_without_each_other_experiment():
+    planned = list(trials())
+    assert len({str(trial) for trial in planned}) >= 2 * 70
+    for experiment, kinds in KINDS.items():
+        for kind in kinds:
+            mine = [trial for trial in planned if trial.kinds.get(experiment) == kind]
+            assert {trial.variant for trial in mine if trial.varied == experiment} == {
+                "drift", "gap", "two recordings"}
+            assert {len(trial.kinds) for trial in mine} == {2, 3}
+            assert {trial.stage for trial in mine} == set(STAGES)
+
+
+@pytest.mark.parametrize("stage", [PlayStage(), DuhemStage()])
+def test_loops_of_the_stages_lag_and_close(stage):
+    phase = np.linspace(0.0, 4.0 * np.pi, 2001)
+    driven_um = stage.hysteresis_um(50.0 - 50.0 * np.cos(phase))
+    assert driven_um[1000] == pytest.approx(driven_um[2000], abs=0.01 * np.ptp(driven_um))
+    assert driven_um[1750] - driven_um[1250] > 0.02 * np.ptp(driven_um)
+
+
+def test_a_gap_and_a_second_recording_are_written(tmp_path):
+    [gap] = recordings("plays", "creep", "steps", "gap", tmp_path)
+    assert len(read_recording(gap).gaps) == 1
+    first, second = recordings("plays", "creep", "steps", "two recordings", tmp_path)
+    np.testing.assert_allclose(
+        read_recording(first).voltage_v, 100.0 - read_recording(second).voltage_v)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("trial", [
+    Trial("plays", {"creep": "trapezoids", "dynamics": "noise", "hysteresis": "nested triangles"}),
+    Trial("Duhem", {"creep": "staircase", "dynamics": "steps", "hysteresis": "static points"})],
+    ids=str)
+def test_a_model_is_identified_or_called_inadequate(trial, tmp_path):
+    outcome = run(trial, tmp_path)
+    assert outcome.verdict.startswith("inadequate") or outcome.error_percent < 1.0, outcome
+    assert not outcome.verdict.startswith("failed")
