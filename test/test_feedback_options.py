@@ -61,9 +61,20 @@ def test_controller_that_does_not_stabilise_the_model_is_refused_and_nothing_mov
     assert parameters["controller"] == str(files / "stable.json")
 
 
+def test_single_rate_of_a_short_tick_tracks(nodes, files, tmp_path):
+    assert single_rate(nodes, files, tmp_path, 10).e_rms_percent < 1.0
+
+
+@pytest.mark.long
 def test_single_rate_of_the_sample_clock_tracks_and_tells_that_it_is_too_slow_for_it(
         nodes, files, tmp_path):
-    result = track(nodes, "/fast", files, tmp_path, {"samples_per_tick": 1, "feedback": "remote"},
-                   "composite_single_rate", 0.025, samples_per_tick=1)
+    result = single_rate(nodes, files, tmp_path, 1)
     assert result.e_rms_percent < 1.0
     assert "the tick of 25 us" in result.message
+
+
+def single_rate(nodes, files, directory, samples):
+    """Track with a feedback that acts each so many samples, answered by messages."""
+    return track(nodes, f"/fast_{samples}", files, directory,
+                 {"samples_per_tick": samples, "feedback": "remote"},
+                 "composite_single_rate", 0.025, samples_per_tick=samples)

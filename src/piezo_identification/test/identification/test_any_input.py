@@ -10,7 +10,7 @@ from piezo_models.linear.dynamics import CreepDynamics
 
 PERIOD_S = 1e-4
 LAG_S, MODE, DAMPING = 4e-4, 3000.0, 0.05
-COUNT = 8000
+COUNT = 12_000
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def voltage_of(kind):
     time_s = np.arange(COUNT) * PERIOD_S
     random = np.random.default_rng(4)
     if kind == "chirp":
-        return 40.0 + 30.0 * chirp(time_s, 5.0, time_s[-1], 900.0)
+        return 40.0 + 30.0 * chirp(time_s, 5.0, 1.2, 900.0)
     if kind == "multisine":
         phases = random.uniform(0.0, 2.0 * np.pi, 40)
         tones = 2.0 * np.pi * 20.0 * np.arange(1, 41)
