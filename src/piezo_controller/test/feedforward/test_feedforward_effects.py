@@ -12,7 +12,9 @@ from piezo_controller.feedforward.periodic import plan_feedforward
 from piezo_controller.references.reference import Reference, sample_reference
 from piezo_models.effects import EFFECTS
 from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
+from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.gain_drift import GainDrift
@@ -36,7 +38,8 @@ SAMPLE_PERIOD_S = 25e-6
 THIRD_MODE = VibrationMode(8796.0, 0.01, 0.05)
 
 # Each with the error in percent that may be left at 40 Hz, 40 um: further creep does not end, and
-# play and a compressive friction ask at reversals for more than the bandwidth of the inverse.
+# play and a compressive friction ask at reversals for more than the bandwidth of the inverse. Of
+# converter steps what they round off is left.
 COMPENSATED = [
     (Creep((0.002, 0.003), (0.01, 0.05)), 5e-3), (THIRD_MODE, 1e-6), (Delay(1.3e-4), 1e-6),
     (SensorLag(1e-4), 1e-6), (SensorNonlinearity(0.1, 0.5, 0.3, 0.1, 50.0, 50.0), 1e-6),
@@ -45,6 +48,8 @@ COMPENSATED = [
     (RateDependentHysteresis(0.02, 1000.0, 0.3, 1e-3), 1e-3),
     (Stiffening(0.3, 0.3, 0.3, 50.0, 50.0, 2846.0, 0.68), 1e-6), (Backlash(0.05), 5e-3),
     (Hysteresis((0.05, 0.1), (0.02, -0.02), (0.0, 0.2), 50.0, 50.0), 1e-6),
+    (AmplitudeDamping(0.02, 0.3, 50.0, 2846.0, 0.68), 1e-2),
+    (VoltageSteps(1.0, 1e-3, 0.0), 2e-3), (SensorSteps(1.0, 1e-3, 0.0), 2e-3),
 ]
 SPRING = HystereticSpring(-0.2, 0.02, 0.3, 0.4, 0.1, 1.0, 50.0, 50.0, 2846.0, 0.68)
 # A gain that ages does so by the clock and not by the voltage, and when it began is not known.

@@ -108,15 +108,20 @@ def without_faults(model: StageModel,
     ValueError
         If the recording has gaps, or is too short to settle.
     """
-    marked = with_outliers_marked(recording)
-    run = ModelRun(model, marked)
-    rows, is_reversed = _late_rows(run)
-    aligned, fault = _aligned(run, marked, rows, is_reversed)
-    if fault is None:
-        is_reversed = run.is_reversed
+    signed = with_outliers_marked(recording)
+    run = ModelRun(model, signed)
+    is_reversed = run.is_reversed
+    if is_reversed:
+        # What is fitted beside the model would be that of the other sign.
+        signed = reversed_displacement(signed)
+        run = ModelRun(model, signed)
+    rows, is_against = _late_rows(run)
+    aligned, fault = _aligned(run, signed, rows, is_against)
+    if fault is not None and is_against:
+        aligned, is_reversed = reversed_displacement(aligned), not is_reversed
     faults = [*([wrong_sign(recording.path)] if is_reversed else []),
               *([] if fault is None else [fault])]
-    return (reversed_displacement(aligned) if is_reversed else aligned), faults
+    return aligned, faults
 
 
 def wrong_sign(path: object) -> RecordingFault:
