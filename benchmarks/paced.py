@@ -10,19 +10,18 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
+from paced_account import PacedAccount
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
 
 from piezo_bringup.processes import Processes
 from piezo_client.client import Client
-from piezo_ros.quality import FEEDBACK, PACED_SAMPLES
+from piezo_ros.quality import FEEDBACK
 
 TICKS_PER_S = 1000
 SAMPLES_PER_TICK = 40
 PERIOD_V = 50.0 - 50.0 * np.cos(2 * np.pi * np.arange(4000) / 4000)
 ANSWER_V = 0.001
-DIAGNOSTICS_S = 3.0
 
 
 def answer_v(tick):
@@ -30,8 +29,8 @@ def answer_v(tick):
     return ANSWER_V * (tick % TICKS_PER_S)
 
 
-class PacedRun:
-    """Answers the blocks of a run and keeps the account.
+class PacedRun(PacedAccount):
+    """Answers the blocks of a run and keeps the account of it; see `PacedAccount`.
 
     Parameters
     ----------
@@ -39,27 +38,23 @@ class PacedRun:
 
     Attributes
     ----------
-    ticks : int
-        Tracked.
-    lost_samples, disturbed_ticks : int
-        Missing in the sample index, because this client was more than 2 s late; with another
-        voltage than feedforward and an answer.
-    held_ticks, missed_feedback : int
-        Flagged as without an answer, and counted by the stage.
-    histogram : dict of str to str
-        Of the stage's diagnostics.
+    disturbed_ticks : int
+        With another voltage than feedforward and an answer.
+    held_ticks : int
+        Flagged as without an answer.
     """
 
     def __init__(self, client):
-        self.ticks = self.lost_samples = self.disturbed_ticks = self.held_ticks = 0
-        self.missed_feedback = 0
-        self.histogram = {}
+        self.disturbed_ticks = self.held_ticks = 0
         self.over = False
-        self._client = client
-        self._next_sample = self._held_v = self._first_sample = self._expected_sample = None
+        self._held_v = self._first_sample = self._expected_sample = None
         self._feedback = client.node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
-        client.node.create_subscription(SampleBlock, "samples", self._take, PACED_SAMPLES)
-        client.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 10)
+        super().__init__(client)
+
+    @property
+    def histogram(self):
+        """Answers by how late they came."""
+        return {name: count for name, count in self.described.items() if "answer" in name}
 
     def run(self, duration_s):
         """Track for a time (s) of the wall clock."""
@@ -73,20 +68,15 @@ class PacedRun:
         if not (loaded.success and started.success):
             raise RuntimeError(loaded.message or started.message)
         client.spin_until(lambda: self.over, 2.0 * duration_s + 30.0)
-        client.spin_until(lambda: False, DIAGNOSTICS_S)
+        self.hear_diagnostics()
 
-    def _take(self, block):
-        if self._next_sample is not None:
-            self.lost_samples += block.first_sample - self._next_sample
-        self._next_sample = block.first_sample + len(block.voltage_v)
-        if block.flags & SampleBlock.FLAG_TRACKING:
-            self._feedback.publish(FeedbackVoltage(
-                tick=block.tick, voltage_v=answer_v(block.tick)))
-            self._account(block)
-        elif self.ticks:
-            self.over = True
+    def rest(self):
+        """Take note that the run is over, if it had begun."""
+        self.over = self.over or self.ticks > 0
 
-    def _account(self, block):
+    def account(self, block):
+        """Answer a block, and compare what it played."""
+        self._feedback.publish(FeedbackVoltage(tick=block.tick, voltage_v=answer_v(block.tick)))
         held = bool(block.flags & SampleBlock.FLAG_FEEDBACK_HELD)
         if self._first_sample is None:
             self._first_sample = block.first_sample
@@ -102,14 +92,7 @@ class PacedRun:
             self.disturbed_ticks += not np.array_equal(np.frombuffer(block.voltage_v), wanted_v)
         self._expected_sample = block.first_sample + SAMPLES_PER_TICK
         self.held_ticks += held
-        self.missed_feedback = block.missed_feedback
         self.ticks += 1
-
-    def _diagnose(self, message):
-        for status in message.status:
-            if status.name.endswith("/stage: stage"):
-                self.histogram = {value.key: value.value for value in status.values
-                                  if "answer" in value.key}
 
 
 def paced_run(directory, duration_s):

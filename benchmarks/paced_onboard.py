@@ -16,23 +16,22 @@ import tempfile
 from pathlib import Path
 
 from bare_timer import PRIORITY, bare_timer
-from diagnostic_msgs.msg import DiagnosticArray
 from loop_speed import REFERENCE, stand_in_for_recorder
-from piezo_interfaces.msg import AppliedFeedback, SampleBlock
+from paced_account import PacedAccount
+from piezo_interfaces.msg import AppliedFeedback
 from stage_model import write_model
 
 from piezo_bringup.processes import Processes
 from piezo_client.client import Client
-from piezo_ros.quality import FEEDBACK, PACED_SAMPLES
+from piezo_ros.quality import FEEDBACK
 
 SAMPLES_PER_TICK = 40
-DIAGNOSTICS_S = 3.0
 BARE_TIMER_S = 60.0
 SPIN = "while True: pass"
 
 
-class OnboardRun:
-    """Keeps the account of a run whose feedback the stage evaluates by itself.
+class OnboardRun(PacedAccount):
+    """Keeps the account of a run whose feedback the stage evaluates; see `PacedAccount`.
 
     Parameters
     ----------
@@ -40,32 +39,23 @@ class OnboardRun:
 
     Attributes
     ----------
-    ticks, fed_back_ticks : int
-        Tracked, and those of them whose feedback was told.
-    lost_samples : int
-        Missing in the sample index, because this client was more than 2 s late.
-    missed_feedback : int
-        Counted by the stage.
-    described : dict of str to str
-        Of the stage's diagnostics: how late its ticks began.
+    fed_back_ticks : int
+        Those of the ticks whose feedback was told.
     bare_timer : dict
         Of a timer that does nothing, see `bare_timer`.
     """
 
     def __init__(self, client):
-        self.ticks = self.fed_back_ticks = self.lost_samples = self.missed_feedback = 0
-        self.described, self.bare_timer = {}, {}
-        self._client, self._next_sample = client, None
-        client.node.create_subscription(SampleBlock, "samples", self._take, PACED_SAMPLES)
+        self.fed_back_ticks, self.bare_timer = 0, {}
+        super().__init__(client)
         client.node.create_subscription(
             AppliedFeedback, "applied_feedback", self._take_feedback, FEEDBACK)
-        client.node.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, 10)
 
     def run(self, directory, duration_s):
         """Track for a time (s) of the wall clock; return the error (percent)."""
         result = self._client.track(
             REFERENCE, directory / "model.json", "composite", duration_s, directory)
-        self._client.spin_until(lambda: False, DIAGNOSTICS_S)
+        self.hear_diagnostics()
         return result.e_rms_percent
 
     @property
@@ -94,21 +84,12 @@ class OnboardRun:
         """Ticks that began too late for the samples that were due."""
         return int(self.described["missed_deadlines"])
 
-    def _take(self, block):
-        if self._next_sample is not None:
-            self.lost_samples += block.first_sample - self._next_sample
-        self._next_sample = block.first_sample + len(block.voltage_v)
-        if block.flags & SampleBlock.FLAG_TRACKING:
-            self.ticks += len(block.voltage_v) // SAMPLES_PER_TICK
-            self.missed_feedback = block.missed_feedback
+    def account(self, block):
+        """Count the ticks of a block."""
+        self.ticks += len(block.voltage_v) // SAMPLES_PER_TICK
 
     def _take_feedback(self, feedback):
         self.fed_back_ticks += len(feedback.voltage_v)
-
-    def _diagnose(self, message):
-        for status in message.status:
-            if status.name.endswith("/stage: stage"):
-                self.described = {value.key: value.value for value in status.values}
 
 
 @contextlib.contextmanager

@@ -90,10 +90,10 @@ class Unwatched:
     """Nobody is told of the steps."""
 
     def begin(self, step: str) -> None:
-        """Hear nothing."""
+        """Ignore that a step begins."""
 
     def watch(self, fraction: float) -> None:
-        """Hear nothing."""
+        """Ignore how much of the present step is done."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -297,6 +297,7 @@ class StageSupervisor:
                 event = EVENTS[command.name]
                 if not self.active or self._leaving:
                     raise StageRefusal(NOT_ACTIVE)
+                self._follow()  # what the command before has left, with no tick between the two
                 if command.run not in (None, self._gate.run):
                     raise StageRefusal(f"run {command.run} does not go on: send the number that "
                                        "start_tracking returned for the present one")

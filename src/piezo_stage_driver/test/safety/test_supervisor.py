@@ -210,3 +210,21 @@ def test_stage_that_is_left_comes_to_rest_and_takes_nothing_more(stage):
     stage.tick_until(State.INACTIVE)
     assert stage.backend.voltage_v == 0.0 and stage.supervisor.at_rest
     assert stage.supervisor.tick() is None
+
+
+@pytest.mark.parametrize("closing_ticks", [0, 3])
+def test_commands_between_two_ticks_each_find_what_the_one_before_left(closing_ticks):
+    # Tracking that ends before its first sample leaves the stage at rest with no tick in between.
+    stage, goal = Stage(closing_ticks), Goal()
+    stage.ask("load_feedforward", np.linspace(0.0, 40.0, 400), [], False)
+    stage.ask("start_tracking", True)
+    stage.ask("stop_tracking")
+    stage.ask("play", np.full(40, 10.0), PERIOD_S, goal=goal)
+    stage.supervisor.tick()
+    assert stage.supervisor.state is State.PLAYING
+    assert not any(isinstance(told, str) for told in stage.told) and len(stage.told) == 4
+    for _ in range(TIME_LIMIT_TICKS):
+        if goal.ends:
+            break
+        stage.supervisor.tick()
+    assert [cause for cause, _ in goal.ends] == [""]
