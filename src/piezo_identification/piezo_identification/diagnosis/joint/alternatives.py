@@ -64,7 +64,7 @@ class AlternativeSettings:
     fitted: int = 4
     starts: int = 5
     second: float = 1.3
-    turns: int = 4
+    turns: int = 5
     hopeful: float = 3.0
     most_effects: int = 2
     many_samples: int = 500_000
