@@ -177,7 +177,8 @@ class JointErrors:
 
     def squares_um2(self, vector: FloatArray) -> FloatArray:
         """Return the mean square that is left of the fitted rows of each recording, (R,)."""
-        return np.array([np.mean(left_um**2) for left_um in self._at(vector).left_um])
+        return np.array([np.mean(left_um[fitted] ** 2) for left_um, fitted in zip(
+            self._at(vector).left_um, self._fitted, strict=True)])
 
     def value(self, vector: FloatArray) -> float:
         """Return the evidence against the unknowns; infinite where nothing can be simulated."""
@@ -207,11 +208,13 @@ class JointErrors:
         point = self._at(vector)
         squares = self.squares_um2(vector) + self.accuracy_um**2
         residuals, jacobians = [], []
-        for index, (left_um, square) in enumerate(zip(point.left_um, squares, strict=True)):
-            weight = np.sqrt(SETTINGS.independent / (left_um.size * square))
-            residuals.append(weight * left_um)
-            jacobians.append(
-                -weight * self._left_beside(index, point.nuisance[index], columns[index])[0])
+        for index, (fitted, square) in enumerate(zip(self._fitted, squares, strict=True)):
+            weight = np.sqrt(SETTINGS.independent / (np.count_nonzero(fitted) * square))
+            left = self._left_beside(index, point.nuisance[index], columns[index])[0]
+            moved = self._moved_with_rates(point, index)
+            left[:, : moved.shape[1]] += moved
+            residuals.append(weight * point.left_um[index][fitted])
+            jacobians.append(-weight * left[fitted])
         prior = np.eye(self.count, vector.size)
         return (np.concatenate([*residuals, vector[: self.count]]), np.vstack([*jacobians, prior]))
 
@@ -266,7 +269,22 @@ class JointErrors:
 
     def _left_beside(self, index: int, nuisance: FloatArray,
                      values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what the nuisance regressors leave of values at fitted rows, and their sizes."""
-        good, fitted = self._good[index], self._fitted[index]
+        """Return what the nuisance regressors leave of values at all rows, and their sizes."""
+        good = self._good[index]
         sizes = np.linalg.lstsq(nuisance[good], values[good], rcond=1e-12)[0]
-        return values[fitted] - nuisance[fitted] @ sizes, sizes
+        return values - nuisance @ sizes, sizes
+
+    def _moved_with_rates(self, point: _Point, index: int) -> FloatArray:
+        """Return the part of the derivatives by which the sizes of decays follow their rates.
+
+        It is no part of what is left beside them (Golub and Pereyra 1973), but counts where sizes
+        are fitted to more rows than the others.
+        """
+        part, rows, good = (point.dataset.simulated[index], point.dataset.rows[index],
+                            self._good[index])
+        nuisance, model = point.nuisance[index], self.dataset.model
+        pairs = len(model.creep.poles_rad_per_s)
+        decays = decay_sensitivities(part, rows, np.ones(nuisance.shape[1]), model)[good, :pairs]
+        inverse = np.linalg.pinv(nuisance[good], rcond=1e-12)
+        by_size = nuisance @ (inverse @ inverse.T)[:, 1 : 1 + pairs]
+        return by_size * (decays.T @ point.left_um[index][good])
