@@ -115,12 +115,13 @@ def settled(problem: JointProblem, progress: Progress) -> JointFit:
     -------
     JointFit
     """
-    fit = None
-    for turn in range(SETTINGS.turns):
-        progress("all recordings together: no effect", 0.2 * turn / SETTINGS.turns)
-        fit = problem.fit(problem.own if fit is None else fit.effects, begun=fit)
+    progress("all recordings together: no effect", 0.0)
+    fit = problem.fit(problem.own)
+    for turn in range(1, SETTINGS.turns):
         if fit.has_converged:
             break
+        progress("all recordings together: no effect", 0.2 * turn / SETTINGS.turns)
+        fit = problem.fit(fit.effects, begun=fit)
     return fit
 
 

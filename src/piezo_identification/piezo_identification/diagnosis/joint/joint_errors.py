@@ -271,7 +271,8 @@ class JointErrors:
                      values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what the nuisance regressors leave of values at all rows, and their sizes."""
         good = self._good[index]
-        sizes = np.linalg.lstsq(nuisance[good], values[good], rcond=1e-12)[0]
+        sizes = np.asarray(
+            np.linalg.lstsq(nuisance[good], values[good], rcond=1e-12)[0], dtype=float)
         return values - nuisance @ sizes, sizes
 
     def _moved_with_rates(self, point: _Point, index: int) -> FloatArray:
