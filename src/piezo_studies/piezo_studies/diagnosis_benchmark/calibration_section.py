@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The section of docs/diagnosis.md that tells how far probabilities and intervals come true."""
 
-import re
+from piezo_common.marked_sections import with_sections
 
-SECTION = re.compile(r"(<!-- calibration -->\n).*?(<!-- end -->)", re.S)
+SECTION = "calibration"
+"""Mark of the section in the page."""
 
 
 def section(document):
@@ -51,7 +52,4 @@ def write_section(page, document):
         If the page has no such section.
     """
     text = page.read_text(encoding="utf-8")
-    made, count = SECTION.subn(lambda match: match[1] + section(document) + match[2], text)
-    if not count:
-        raise ValueError(f"{page} has no section <!-- calibration -->: give docs/diagnosis.md")
-    page.write_text(made, encoding="utf-8")
+    page.write_text(with_sections(text, {SECTION: section(document)}), encoding="utf-8")

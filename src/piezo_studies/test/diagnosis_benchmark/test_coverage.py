@@ -49,5 +49,5 @@ def test_the_section_is_written_anew_and_the_page_stays(tmp_path):
 def test_a_page_without_the_section_is_refused(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("nothing\n")
-    with pytest.raises(ValueError, match="has no section"):
+    with pytest.raises(ValueError, match="has the sections none"):
         write_section(page, document())

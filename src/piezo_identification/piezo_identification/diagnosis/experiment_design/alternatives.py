@@ -32,7 +32,7 @@ LEAST_PROBABLE = 0.01
 WIDEST = 2.3
 """Widest prior of a fitted number, over the number or as a logarithm: a decade."""
 STEPS = 8
-"""Most steps of a fit: with the three by which a diagnosis begins, alternatives that are right lose
+"""Most steps of a fit: with the two by which a diagnosis begins, alternatives that are right lose
 where their model has to move farther."""
 TURNS, WORTHWHILE = 1, 0.98
 """Fits are repeated from the model of the best so often, while they leave less than this part."""

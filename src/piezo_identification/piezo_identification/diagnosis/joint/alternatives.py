@@ -64,7 +64,7 @@ class AlternativeSettings:
     fitted: int = 4
     starts: int = 5
     second: float = 1.3
-    turns: int = 4
+    turns: int = 5
     hopeful: float = 3.0
     most_effects: int = 2
     many_samples: int = 500_000
@@ -115,12 +115,13 @@ def settled(problem: JointProblem, progress: Progress) -> JointFit:
     -------
     JointFit
     """
-    fit = None
-    for turn in range(SETTINGS.turns):
-        progress("all recordings together: no effect", 0.2 * turn / SETTINGS.turns)
-        fit = problem.fit(problem.own if fit is None else fit.effects, begun=fit)
+    progress("all recordings together: no effect", 0.0)
+    fit = problem.fit(problem.own)
+    for turn in range(1, SETTINGS.turns):
         if fit.has_converged:
             break
+        progress("all recordings together: no effect", 0.2 * turn / SETTINGS.turns)
+        fit = problem.fit(fit.effects, begun=fit)
     return fit
 
 

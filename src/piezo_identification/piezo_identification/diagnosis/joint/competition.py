@@ -46,7 +46,7 @@ LIKELY = 0.05
 """Part of the largest probability from which another set cannot be told from the best."""
 
 
-MOST_RIVALS = 3
+MOST_OTHERS = 3
 """Sets that leave little more of the new recordings than the best, and compete with it."""
 
 
@@ -140,11 +140,11 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
 
 
 def _sets(selection: Selection) -> list[tuple[Effect, ...]]:
-    """Return the sets of effects that explain the new recordings alone, and their rivals there.
+    """Return the sets of effects that explain the new recordings alone, the best first.
 
-    A set without rivals would be as probable as its fit is good, whatever else is as good.
+    The best without the others would be as probable as its fit is good, whatever else is as good.
     """
-    return [selection.end.effects, *(fit.effects for fit in selection.alternatives[:MOST_RIVALS])]
+    return [selection.end.effects, *(fit.effects for fit in selection.alternatives[:MOST_OTHERS])]
 
 
 def probabilities_of_named(competition: Competition, regression: Regression, fit: Fit,

@@ -183,7 +183,7 @@ def _physical(model: StageModel) -> FloatArray:
 
 def _logarithms(model: StageModel) -> FloatArray:
     """Return the changes of the logarithms of these that are free, for one width of each change."""
-    widths = np.eye(np.count_nonzero(_physical(model)))
+    widths = np.eye(int(np.count_nonzero(_physical(model))))
     pair = 2 * len(model.creep.poles_rad_per_s)
     widths[:pair, :pair] = creep_error_map(model.creep)
     return WIDTHS.logarithm * widths

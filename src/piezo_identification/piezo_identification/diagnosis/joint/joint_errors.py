@@ -112,8 +112,9 @@ class JointErrors:
     ----------
     dataset : Dataset
         Simulated by the model whose changes are zero, without effects.
-    fitted : (r,) array of bool
-        Rows that are fitted.
+    fitted, good : (r,) array of bool
+        Rows that are fitted, and those that tell of offset and initial creep: the ends of a creep
+        that only held-out rows show would be anything otherwise.
     new_count : int
         See `simulated_by`.
     effects : sequence of piezo_models.effects.effect.Effect
@@ -130,13 +131,14 @@ class JointErrors:
         See `levenberg_marquardt.Objective`.
     """
 
-    def __init__(self, dataset: Dataset, fitted: BoolArray, new_count: int,
+    def __init__(self, dataset: Dataset, fitted: BoolArray, good: BoolArray, new_count: int,
                  effects: Sequence[Effect], later: frozenset[str],
                  held: Sequence[Effect] = (),
                  pieces_um: Sequence[Sequence[FloatArray]] | None = None) -> None:
         self.dataset, self.new_count, self.later = dataset, new_count, later
         self.count = dataset.regressors.shape[1] - dataset.nuisance_count
         self._fitted = [fitted[mask] for mask in dataset.masks()]
+        self._good = [good[mask] for mask in dataset.masks()]
         self._effects, self._held = tuple(effects), tuple(held)
         numbers = [fitted_values(effect, dataset.extent) for effect in effects]
         self._ends = self.count + np.cumsum([0, *(values.size for values, _, _ in numbers)])
@@ -175,7 +177,8 @@ class JointErrors:
 
     def squares_um2(self, vector: FloatArray) -> FloatArray:
         """Return the mean square that is left of the fitted rows of each recording, (R,)."""
-        return np.array([np.mean(left_um**2) for left_um in self._at(vector).left_um])
+        return np.array([np.mean(left_um[fitted] ** 2) for left_um, fitted in zip(
+            self._at(vector).left_um, self._fitted, strict=True)])
 
     def value(self, vector: FloatArray) -> float:
         """Return the evidence against the unknowns; infinite where nothing can be simulated."""
@@ -205,11 +208,13 @@ class JointErrors:
         point = self._at(vector)
         squares = self.squares_um2(vector) + self.accuracy_um**2
         residuals, jacobians = [], []
-        for left_um, nuisance, changes, fitted, square in zip(
-                point.left_um, point.nuisance, columns, self._fitted, squares, strict=True):
-            weight = np.sqrt(SETTINGS.independent / (left_um.size * square))
-            residuals.append(weight * left_um)
-            jacobians.append(-weight * _left_beside(nuisance[fitted], changes[fitted])[0])
+        for index, (fitted, square) in enumerate(zip(self._fitted, squares, strict=True)):
+            weight = np.sqrt(SETTINGS.independent / (np.count_nonzero(fitted) * square))
+            left = self._left_beside(index, point.nuisance[index], columns[index])[0]
+            moved = self._moved_with_rates(point, index)
+            left[:, : moved.shape[1]] += moved
+            residuals.append(weight * point.left_um[index][fitted])
+            jacobians.append(-weight * left[fitted])
         prior = np.eye(self.count, vector.size)
         return (np.concatenate([*residuals, vector[: self.count]]), np.vstack([*jacobians, prior]))
 
@@ -222,11 +227,11 @@ class JointErrors:
                 self.new_count, self.later)
             effects = self.effects_at(vector)
             nuisance, sizes, left = [], [], []
-            for part, rows, fitted in zip(
-                    dataset.simulated, dataset.rows, self._fitted, strict=True):
+            for index, (part, rows) in enumerate(
+                    zip(dataset.simulated, dataset.rows, strict=True)):
                 nuisance.append(nuisance_regressors(part, rows))
-                left_um, size = _left_beside(
-                    nuisance[-1][fitted], (part.measured_um - part.simulate(effects))[rows][fitted])
+                left_um, size = self._left_beside(
+                    index, nuisance[-1], (part.measured_um - part.simulate(effects))[rows])
                 sizes.append(size)
                 left.append(left_um)
             self._points = dict([*self._points.items()][-1:])
@@ -262,8 +267,25 @@ class JointErrors:
             columns.append((moved_um - unmoved_um) / (moved[number] - vector[number]))
         return np.column_stack([changes, *columns])
 
+    def _left_beside(self, index: int, nuisance: FloatArray,
+                     values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what the nuisance regressors leave of values at all rows, and their sizes."""
+        good = self._good[index]
+        sizes = np.asarray(
+            np.linalg.lstsq(nuisance[good], values[good], rcond=1e-12)[0], dtype=float)
+        return values - nuisance @ sizes, sizes
 
-def _left_beside(nuisance: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what the nuisance regressors leave of values, and their sizes."""
-    sizes = np.linalg.lstsq(nuisance, values, rcond=1e-12)[0]
-    return values - nuisance @ sizes, sizes
+    def _moved_with_rates(self, point: _Point, index: int) -> FloatArray:
+        """Return the part of the derivatives by which the sizes of decays follow their rates.
+
+        It is no part of what is left beside them (Golub and Pereyra 1973), but counts where sizes
+        are fitted to more rows than the others.
+        """
+        part, rows, good = (point.dataset.simulated[index], point.dataset.rows[index],
+                            self._good[index])
+        nuisance, model = point.nuisance[index], self.dataset.model
+        pairs = len(model.creep.poles_rad_per_s)
+        decays = decay_sensitivities(part, rows, np.ones(nuisance.shape[1]), model)[good, :pairs]
+        inverse = np.linalg.pinv(nuisance[good], rcond=1e-12)
+        by_size = nuisance @ (inverse @ inverse.T)[:, 1 : 1 + pairs]
+        return by_size * (decays.T @ point.left_um[index][good])

@@ -43,7 +43,7 @@ class JointSettings:
         Of a recording, for their means to tell it.
     """
 
-    steps: int = 3
+    steps: int = 2
     worthwhile: float = 0.5
     kept_samples: int = 500_000
     blocks: tuple[int, ...] = (10, 100, 1000)
@@ -166,8 +166,8 @@ class JointProblem:
         """
         came, effects = frozenset(later), tuple(effects)
         errors = JointErrors(
-            self.dataset, self.start.estimation, self.new_count, effects, came, held,
-            self._pieces_um)
+            self.dataset, self.start.estimation, self.start.estimation | self.start.validation,
+            self.new_count, effects, came, held, self._pieces_um)
         changes = np.zeros(errors.count) if begun is None else begun.changes
         first = errors.vector(changes, effects) if held else self._first(
             errors, changes, effects, begun, came)

@@ -104,7 +104,7 @@ def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: fl
 def _step(objective: Objective, vector: FloatArray, residual: FloatArray, jacobian: FloatArray,
           damping: float) -> tuple[FloatArray, float]:
     """Return the best step of the linearised residuals within the bounds, and what it promises."""
-    triangle = np.linalg.qr(np.column_stack([jacobian, residual]), mode="r")
+    triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residual]), mode="r"))
     columns, target = triangle[:, :-1], triangle[:, -1]
     # Marquardt's scaling: each unknown is damped by what it changes.
     damped = np.sqrt(damping) * np.diag(np.linalg.norm(jacobian, axis=0))

@@ -92,7 +92,24 @@ def respond_each(
     system: control.StateSpace, inputs_um: Sequence[FloatArray], sample_period_s: float,
     samples: int, delay_s: float = 0.0,
 ) -> list[FloatArray]:
-    """Responses to several inputs, each by itself; see `respond`."""
+    """Responses to several inputs, each by itself.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous.
+    inputs_um : sequence of (N,) array
+        Each held for a sample period.
+    sample_period_s : float
+    samples : int
+        As in `leading_lags`.
+    delay_s : float
+        As in `respond`.
+
+    Returns
+    -------
+    list of (N,) array
+    """
     late = 0
     if delay_s != 0.0:
         discrete, late = delayed_zoh(system, sample_period_s, delay_s)

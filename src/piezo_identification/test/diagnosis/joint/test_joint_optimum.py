@@ -64,11 +64,16 @@ EFFECTS = {
 }
 
 
+def errors_of(problem, effects):
+    fitted = problem.start.estimation
+    return JointErrors(
+        problem.dataset, fitted, fitted | problem.start.validation, 1, effects, frozenset())
+
+
 @pytest.mark.parametrize("effects", EFFECTS.values(), ids=EFFECTS)
 def test_derivatives_are_those_of_the_evidence(effects):
     problem = JointProblem(stage(), [recording(1)], [recording(2)])
-    errors = JointErrors(
-        problem.dataset, problem.start.estimation, 1, effects, frozenset())
+    errors = errors_of(problem, effects)
     generator = np.random.default_rng(3)
     vector = errors.vector(0.3 * generator.normal(size=errors.count), effects)
     residual, jacobian = errors.linearised(vector)
@@ -88,7 +93,7 @@ def test_no_gradient_is_left_and_a_search_without_derivatives_finds_nothing_bett
         -100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])))
     problem = JointProblem(bent, [recording(1, played)], [recording(2, played)])
     effects = (Backlash(0.3),)
-    errors = JointErrors(problem.dataset, problem.start.estimation, 1, effects, frozenset())
+    errors = errors_of(problem, effects)
     found = descend(errors, errors.vector(np.zeros(errors.count), effects), 30, 1e-6)
     assert found.has_converged
     residual, jacobian = errors.linearised(found.vector)
@@ -107,7 +112,7 @@ def test_no_gradient_is_left_and_a_search_without_derivatives_finds_nothing_bett
 def test_a_pair_of_the_creep_keeps_its_sign_where_its_rate_moves_far():
     far, near = stage(creep=(1.0, 1.01)), stage()
     problem = JointProblem(far, [recording(1)], [recording(2)])
-    errors = JointErrors(problem.dataset, problem.start.estimation, 1, (), frozenset())
+    errors = errors_of(problem, ())
     changes = np.zeros(errors.count)
     changes[0] = 5.0
     creep = errors.dataset_at(changes).model.creep
