@@ -11,34 +11,61 @@ from piezo_studies.demo.summary import table_rows
 TITLE = "A piezo stage, identified and controlled"
 
 
-def render_report(plant, summary, runs, model, recordings, extended, command, directory):
+def render_report(plant, command, sections):
     """Return the report as one HTML page.
 
     Parameters
     ----------
     plant : DemoPlant
-    summary : dict
-        Of `summary.summarise`.
+    command : str
+        That made it all.
+    sections : sequence of Section
+    """
+    return render_page(TITLE, _introduction(plant, command), sections)
+
+
+def run_sections(errors, runs, model, recordings, directory):
+    """Return the sections on the identification and on the runs with its model.
+
+    Parameters
+    ----------
+    errors : dict of str to float
+        Of the model on unseen data, by name.
     runs : list of TrackedRun
     model : piezo_models.cascade.StageModel
     recordings : dict of str to Recording
         Of the experiments ``creep``, ``dynamics`` and ``validation``.
-    extended : ExtendedModel
-        What came of the diagnosis.
-    command : str
-        That made it all.
     directory : path-like
         Where the model and the recordings are.
     """
-    return render_page(TITLE, _introduction(plant, command), [
-        _errors_section(summary),
-        _identification_section(summary["identification"], model, recordings, directory),
+    return [
+        _identification_section(errors, model, recordings, directory),
         *(_frequency_section(frequency_hz, [run for run in runs
                                             if run.frequency_hz == frequency_hz])
           for frequency_hz in sorted({run.frequency_hz for run in runs})),
-        *extended_model_sections(summary, runs, model, recordings["validation"], extended),
+    ]
+
+
+def report_sections(summary, of_runs, runs, model, validation, extended):
+    """Return the sections of the report on the first part of the demo.
+
+    Parameters
+    ----------
+    summary : dict
+        Of `summary.summarise`.
+    of_runs : list of Section
+        Of `run_sections`.
+    runs : list of TrackedRun
+    model : piezo_models.cascade.StageModel
+    validation : Recording
+    extended : ExtendedModel
+        What came of the diagnosis.
+    """
+    return [
+        _errors_section(summary), *of_runs,
+        *extended_model_sections(summary, runs, model, validation, extended),
         _measures_section(summary),
-    ])
+    ]
 
 
 def _introduction(plant, command):
