@@ -52,6 +52,7 @@ NODES = {
     "identification": {},
     "controller": {},
 }
+NODES_OF_EXPERIMENTS = ("stage", "recorder", "identification")
 # Frequency in Hz and amplitude in um peak to peak of the thesis' trajectories.
 TRAJECTORIES = ((40.0, 40.0), (100.0, 40.0), (500.0, 21.0), (1000.0, 10.25))
 CENTRE_UM = 50.0
@@ -84,10 +85,11 @@ class WatchfulClient(Client):
 
     def __init__(self, processes):
         super().__init__()
-        self._processes = processes
+        self._processes, self._names = processes, ()
 
-    def wait_for_nodes(self):
-        """Spin until every node is there."""
+    def wait_for_nodes(self, names):
+        """Spin until these nodes are there, and watch them from then on."""
+        self._names = tuple(names)
         deadline = time.monotonic() + START_TIMEOUT_S
         while not self.spin_until(lambda: not self._absent(), ALIVE_PERIOD_S):
             self.check()
@@ -98,7 +100,7 @@ class WatchfulClient(Client):
 
     def check(self):
         """Raise DemoFailed if a node has ended."""
-        for name in NODES:
+        for name in self._names:
             status = self._processes.process(name).poll()
             if status is not None:
                 raise DemoFailed(f"{name} ended by itself with status {status}",
@@ -111,7 +113,7 @@ class WatchfulClient(Client):
 
     def _absent(self):
         there = self.node.get_node_names()
-        return [name for name in NODES if name not in there]
+        return [name for name in self._names if name not in there]
 
 
 def run_demo(plant, directory, command, progress, tell, has_second_part=True):
@@ -143,12 +145,14 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
     os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().choice(DOMAIN_IDS))
     with Processes(directory / "logs", data_root=directory) as processes:
         progress.show("start the nodes", 0.0)
-        for name, parameters in NODES.items():
+        for name in NODES_OF_EXPERIMENTS:
             told = {"plant": plant.plant} if name == "stage" else {}
-            processes.start(name, {**parameters, **told})
+            processes.start(name, {**NODES[name], **told})
         with WatchfulClient(processes) as client:
-            client.wait_for_nodes()
+            client.wait_for_nodes(NODES_OF_EXPERIMENTS)
+            processes.start("controller", NODES["controller"])  # it imports during the experiments
             identified = _identify(client, processes, plant, directory, progress)
+            client.wait_for_nodes(NODES)
             recording = _record_diagnostic(client, processes, directory, progress)
             identified_s = time.monotonic()
             # The diagnosis computes while the stage tracks, and the report is drawn beside both.
