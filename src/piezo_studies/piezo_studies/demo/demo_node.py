@@ -14,7 +14,6 @@ import time
 import traceback
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from lifecycle_msgs.msg import State
@@ -26,11 +25,15 @@ from piezo_common.picture_style import to_png
 from piezo_common.progress_line import ProgressLine
 from piezo_controller.tracking.tracking_run import NOT_FOLLOWED
 from piezo_models.model_file import load_model
-from piezo_recorder.reading.reader import read_recording
 from piezo_sim.plant.plant_effect import PlantConfigError
 from piezo_studies.demo.demo_command import USUAL
 from piezo_studies.demo.demo_plant import demo_plant
-from piezo_studies.demo.demo_report import render_report, report_sections, run_sections
+from piezo_studies.demo.demo_report import (
+    SHOWN_EXPERIMENTS,
+    draw_runs,
+    render_report,
+    report_sections,
+)
 from piezo_studies.demo.extended_model_section import ExtendedModel
 from piezo_studies.demo.operation import MONITOR, second_part
 from piezo_studies.demo.operation_section import format_operation, operation_sections
@@ -294,25 +297,10 @@ def _comparing(mode, tracks):
         tracks.append(result.recording)
 
 
-@dataclass(frozen=True, eq=False)
-class _DrawnRuns:
-    """The runs with the identified model, and the sections of the report on them."""
-
-    errors: dict
-    runs: list
-    model: object
-    validation: object
-    sections: list
-
-
 def _draw_runs(identified, tracks, directory):
     errors = dict(zip(identified.error_names, identified.error_values, strict=True))
-    runs = [read_tracked_run(track) for track in tracks]
-    recordings = {name: read_recording(_recording_of(name, identified))
-                  for name in ("creep", "dynamics", "validation")}
-    model = load_model(identified.model).model
-    return _DrawnRuns(errors, runs, model, recordings["validation"],
-                      run_sections(errors, runs, model, recordings, directory))
+    return draw_runs(errors, identified.model, [
+        _recording_of(name, identified) for name in SHOWN_EXPERIMENTS], tracks, directory)
 
 
 def _report(plant, directory, drawn, diagnosis, tracks_after, command):
@@ -329,8 +317,7 @@ def _report(plant, directory, drawn, diagnosis, tracks_after, command):
         diagnosis.sentence, verdict, load_model(diagnosis.extended_model).model, runs_after)
     (directory / "tracking.png").write_bytes(to_png(
         draw_errors(summary["tracking"], summary["tracking_after"])))
-    sections = report_sections(
-        summary, drawn.sections, drawn.runs, drawn.model, drawn.validation, extended)
+    sections = report_sections(summary, drawn, extended)
     _write_page(directory, plant, command, sections)
     return summary, sections
 

@@ -18,7 +18,7 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 from piezo_studies.demo.demo_plant import demo_plant
-from piezo_studies.demo.demo_report import render_report, report_sections, run_sections
+from piezo_studies.demo.demo_report import drawn_runs, render_report, report_sections
 from piezo_studies.demo.extended_model_section import ExtendedModel
 from piezo_studies.demo.operation_section import format_operation, operation_sections
 from piezo_studies.demo.square_wave_response import CLEARANCE, square_wave_response
@@ -101,9 +101,8 @@ def drawn(model, recordings, tracking_recordings, tmp_path_factory, picture_faul
     pages = []
     faults = picture_faults(lambda: pages.append(render_report(
         demo_plant("beam"), "demo --output <here>", [
-            *report_sections(summary, run_sections(
-                summary["identification"], runs, model, recordings, directory),
-                runs, model, recordings["validation"], extended),
+            *report_sections(summary, drawn_runs(
+                summary["identification"], model, recordings, runs, directory), extended),
             *operation_sections(OPERATION)])))
     return pages[0], faults
 
