@@ -33,8 +33,9 @@ def format_operation(operation):
             f"monitor: a mode became faster at {monitor['change_s']:.1f} s, suspected since "
             f"{monitor['since_s']:.1f} s; with the model offered e_rms "
             f"{monitor['e_rms_before_percent']:.3f} -> {monitor['e_rms_after_percent']:.3f} %")
-    lines.append(f"decision on {decision['hidden']}: {_listed(decision['before'])}; after one "
-                 f"recording {_listed(decision['after'])}")
+    after = (f"after one recording {_listed(decision['after'])}" if decision["experiment"]
+             else "sure without a recording")
+    lines.append(f"decision on {decision['hidden']}: {_listed(decision['before'])}; {after}")
     return "\n".join(lines)
 
 
