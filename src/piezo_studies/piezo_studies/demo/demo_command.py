@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`demo`: identify a simulated stage, track, diagnose, track again, and report."""
+"""`demo`: identify a simulated stage, track, diagnose, track again, watch, decide, and report."""
 
 import argparse
 import sys
@@ -24,11 +24,14 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", type=Path, metavar="DIRECTORY",
                         help="gets all results (default: runs/demo, and runs/demo-PLANT for any "
                              "other stage than the usual one); an earlier run there is moved aside")
+    parser.add_argument("--first-part", action="store_true",
+                        help="leave out the stage that changes while it tracks, and the recording "
+                             "that decides")
 
 
 COMMAND = Command(
     "demo", "Identify a simulated stage, track with the model, find what the model lacks, track "
-    "again with the extended model, and report.", _add_options,
+    "again with the extended model, watch a change, decide a cause, and report.", _add_options,
     "piezo_studies.demo.demo_node:run_given")
 
 if __name__ == "__main__":

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The demo: identify a simulated stage, track, find what the model lacks, track again, report."""
+"""The demo: identify a simulated stage, track, find what the model lacks, track again, report.
+
+A second part watches a change and decides a cause; see `piezo_studies.demo.operation`.
+"""
 
 import json
 import os
@@ -9,8 +12,12 @@ import signal
 import sys
 import time
 import traceback
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
 
 from piezo_bringup.processes import Processes
 from piezo_client.client import Client, GoalFailed
@@ -18,13 +25,20 @@ from piezo_common.picture_style import to_png
 from piezo_common.progress_line import ProgressLine
 from piezo_controller.tracking.tracking_run import NOT_FOLLOWED
 from piezo_models.model_file import load_model
-from piezo_recorder.reading.reader import read_recording
 from piezo_sim.plant.plant_effect import PlantConfigError
 from piezo_studies.demo.demo_command import USUAL
 from piezo_studies.demo.demo_plant import demo_plant
-from piezo_studies.demo.demo_report import render_report
+from piezo_studies.demo.demo_report import (
+    SHOWN_EXPERIMENTS,
+    draw_runs,
+    render_report,
+    report_sections,
+)
 from piezo_studies.demo.extended_model_section import ExtendedModel
+from piezo_studies.demo.operation import MONITOR, second_part
+from piezo_studies.demo.operation_section import format_operation, operation_sections
 from piezo_studies.demo.run_directory import claim_directory
+from piezo_studies.demo.session import Session
 from piezo_studies.demo.summary import (
     format_model_errors,
     format_table,
@@ -41,6 +55,7 @@ NODES = {
     "identification": {},
     "controller": {},
 }
+NODES_OF_EXPERIMENTS = ("stage", "recorder", "identification")
 # Frequency in Hz and amplitude in um peak to peak of the thesis' trajectories.
 TRAJECTORIES = ((40.0, 40.0), (100.0, 40.0), (500.0, 21.0), (1000.0, 10.25))
 CENTRE_UM = 50.0
@@ -73,10 +88,11 @@ class WatchfulClient(Client):
 
     def __init__(self, processes):
         super().__init__()
-        self._processes = processes
+        self._processes, self._names = processes, ()
 
-    def wait_for_nodes(self):
-        """Spin until every node is there."""
+    def wait_for_nodes(self, names):
+        """Spin until these nodes are there, and watch them from then on."""
+        self._names = tuple(names)
         deadline = time.monotonic() + START_TIMEOUT_S
         while not self.spin_until(lambda: not self._absent(), ALIVE_PERIOD_S):
             self.check()
@@ -87,18 +103,23 @@ class WatchfulClient(Client):
 
     def check(self):
         """Raise DemoFailed if a node has ended."""
-        for name in NODES:
+        for name in self._names:
             status = self._processes.process(name).poll()
             if status is not None:
                 raise DemoFailed(f"{name} ended by itself with status {status}",
                                  self._processes.log(name))
 
+    def stage_is_active(self):
+        """Tell whether the stage is active."""
+        state = self.call(GetState, "stage/get_state").current_state
+        return state.id == State.PRIMARY_STATE_ACTIVE
+
     def _absent(self):
         there = self.node.get_node_names()
-        return [name for name in NODES if name not in there]
+        return [name for name in self._names if name not in there]
 
 
-def run_demo(plant, directory, command, progress):
+def run_demo(plant, directory, command, progress, tell, has_second_part=True):
     """Run the demo.
 
     Parameters
@@ -110,6 +131,10 @@ def run_demo(plant, directory, command, progress):
     command : str
         What the user typed.
     progress : ProgressLine
+    tell : callable
+        Called with the summary of the first part, once its report is written.
+    has_second_part : bool
+        Whether the stage changes while it tracks, and a recording decides; see `operation`.
 
     Returns
     -------
@@ -123,32 +148,65 @@ def run_demo(plant, directory, command, progress):
     os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().choice(DOMAIN_IDS))
     with Processes(directory / "logs", data_root=directory) as processes:
         progress.show("start the nodes", 0.0)
-        for name, parameters in NODES.items():
+        for name in NODES_OF_EXPERIMENTS:
             told = {"plant": plant.plant} if name == "stage" else {}
-            processes.start(name, {**parameters, **told})
+            processes.start(name, {**NODES[name], **told})
         with WatchfulClient(processes) as client:
-            client.wait_for_nodes()
+            client.wait_for_nodes(NODES_OF_EXPERIMENTS)
+            processes.start("controller", NODES["controller"])  # it imports during the experiments
             identified = _identify(client, processes, plant, directory, progress)
+            client.wait_for_nodes(NODES)
+            recording = _record_diagnostic(client, processes, directory, progress)
             identified_s = time.monotonic()
-            tracks = _track_all(client, processes, identified.model, directory, progress)
-            tracked_s = time.monotonic()
-            diagnosis = _diagnose(client, processes, identified, directory, progress)
-            diagnosed_s = time.monotonic()
-            tracks_after = _track_all(client, processes, diagnosis.extended_model,
-                                      directory / "after", progress)
+            # The diagnosis computes while the stage tracks, and the report is drawn beside both.
+            with (ThreadPoolExecutor(1) as beside,
+                  _diagnosing(client, processes, identified, recording, directory,
+                              progress) as diagnosed):
+                tracks = _track_all(client, processes, identified.model, directory, progress)
+                tracked_s = time.monotonic()
+                drawn = beside.submit(_draw_runs, identified, tracks, directory)
+                diagnosis = diagnosed()
+                diagnosed_s = time.monotonic()
+                tracks_after = _track_all(client, processes, diagnosis.extended_model,
+                                          directory / "after", progress)
             tracked_again_s = time.monotonic()
+            if has_second_part:
+                processes.start("monitor", MONITOR)  # it imports while the report is drawn
+            progress.show("draw the report", 1.0)
+            summary, sections = _report(
+                plant, directory, drawn.result(), diagnosis, tracks_after, command)
+            summary["wall_s"] = {
+                "identification": identified_s - begin_s,  # and the recording to be diagnosed
+                "tracking": tracked_s - identified_s,
+                "diagnosis": diagnosed_s - tracked_s,
+                "tracking_after": tracked_again_s - diagnosed_s,
+                "all": time.monotonic() - begin_s,
+            }
+            _write_summary(summary, directory)
+            progress.clear()
+            tell(summary)
+            if has_second_part:
+                begin_s = time.monotonic()
+                session = Session(client, processes, NODES["stage"], REST_VOLTAGE_V,
+                                  client.stage_is_active, lambda step: progress.show(step, 1.0))
+                with _blaming(processes, "identification"):
+                    summary["operation"] = second_part(
+                        session, plant.plant, diagnosis.extended_model, directory)
+                summary["wall_s"]["second_part"] = time.monotonic() - begin_s
+                _write_summary(summary, directory)
+                _write_page(directory, plant, command,
+                            [*sections, *operation_sections(summary["operation"])])
         progress.show("end the nodes", 1.0)
-    progress.show("draw the report", 1.0)
-    summary = _report(plant, directory, identified, tracks, diagnosis, tracks_after, command)
-    summary["wall_s"] = {
-        "identification": identified_s - begin_s,
-        "tracking": tracked_s - identified_s,
-        "diagnosis": diagnosed_s - tracked_s,
-        "tracking_after": tracked_again_s - diagnosed_s,
-        "all": time.monotonic() - begin_s,
-    }
-    (directory / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
     return summary
+
+
+def _write_summary(summary, directory):
+    (directory / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_page(directory, plant, command, sections):
+    (directory / "report.html").write_text(
+        render_report(plant, command, sections), encoding="utf-8")
 
 
 def _identify(client, processes, plant, directory, progress):
@@ -159,17 +217,40 @@ def _identify(client, processes, plant, directory, progress):
         return client.identify(directory, on_feedback=show, **plant.declared)
 
 
-def _diagnose(client, processes, identified, directory, progress):
-    """Record the diagnostic experiment and find what the model lacks; validate."""
+def _record_diagnostic(client, processes, directory, progress):
+    """Rest, run the diagnostic experiment, and return the path of its recording."""
     def show(feedback):
         progress.show(f"diagnose, {feedback.stage}", feedback.fraction, feedback.seconds_left)
 
     _rest(client, processes)
     with _blaming(processes, "identification"):
-        recording = client.run_experiment("diagnostic", directory, on_feedback=show).recording
-        return client.diagnose(
-            identified.model, [recording], directory / "diagnosis",
-            holdout=_recording_of("validation", identified), on_feedback=show)
+        return client.run_experiment("diagnostic", directory, on_feedback=show).recording
+
+
+@contextmanager
+def _diagnosing(client, processes, identified, recording, directory, progress):
+    """Let the diagnosis begin; give what waits for its end and returns its result."""
+    waits = False
+
+    def show(feedback):
+        if waits:
+            progress.show(f"diagnose, {feedback.stage}", feedback.fraction, feedback.seconds_left)
+
+    with _blaming(processes, "identification"):
+        goal = client.send(
+            "diagnose", show, model=identified.model, recordings=[recording],
+            directory=directory / "diagnosis", holdout=_recording_of("validation", identified))
+        ended = goal.get_result_async()
+
+        def result():
+            nonlocal waits
+            waits = True
+            message = client.wait(ended).result
+            if not message.success:
+                raise GoalFailed("diagnose", message)
+            return message
+
+        yield result
 
 
 def _rest(client, processes):
@@ -216,29 +297,29 @@ def _comparing(mode, tracks):
         tracks.append(result.recording)
 
 
-def _report(plant, directory, identified, tracks, diagnosis, tracks_after, command):
-    """Write the report; return the summary."""
-    runs = [read_tracked_run(track) for track in tracks]
+def _draw_runs(identified, tracks, directory):
     errors = dict(zip(identified.error_names, identified.error_values, strict=True))
+    return draw_runs(errors, identified.model, [
+        _recording_of(name, identified) for name in SHOWN_EXPERIMENTS], tracks, directory)
+
+
+def _report(plant, directory, drawn, diagnosis, tracks_after, command):
+    """Write the report; return the summary, and the sections of the report."""
     runs_after = [read_tracked_run(track) for track in tracks_after]
     verdict = json.loads(diagnosis.verdict_json)
     summary = {
         "plant": plant.name,
-        **summarise(runs, errors, directory),
+        **summarise(drawn.runs, drawn.errors, directory),
         "diagnosis": {key: verdict[key] for key in ("verdict", "effects", "before", "after")},
         "tracking_after": [summarise_run(run, directory) for run in runs_after],
     }
-    shown = {name: read_recording(_recording_of(name, identified))
-             for name in ("creep", "dynamics", "validation")}
-    model = load_model(identified.model).model
     extended = ExtendedModel(
         diagnosis.sentence, verdict, load_model(diagnosis.extended_model).model, runs_after)
     (directory / "tracking.png").write_bytes(to_png(
         draw_errors(summary["tracking"], summary["tracking_after"])))
-    (directory / "report.html").write_text(
-        render_report(plant, summary, runs, model, shown, extended, command, directory),
-        encoding="utf-8")
-    return summary
+    sections = report_sections(summary, drawn, extended)
+    _write_page(directory, plant, command, sections)
+    return summary, sections
 
 
 @contextmanager
@@ -254,7 +335,8 @@ def run_given(options):
     """Run the demo of the options, and print its results."""
     command = shlex.join(["./run", "piezo_studies", "demo",
                           *(["--plant", options.plant] if options.plant != USUAL else []),
-                          *(["--output", str(options.output)] if options.output else [])])
+                          *(["--output", str(options.output)] if options.output else []),
+                          *(["--first-part"] if options.first_part else [])])
     try:
         plant = demo_plant(options.plant)
     except PlantConfigError as error:
@@ -270,7 +352,8 @@ def run_given(options):
     if earlier:
         print(f"the earlier run is now in {earlier}")
     try:
-        summary = run_demo(plant, directory.absolute(), command, progress)
+        summary = run_demo(plant, directory.absolute(), command, progress, _print_results,
+                           not options.first_part)
     except KeyboardInterrupt:
         progress.clear()
         _fail(INTERRUPTED, f"interrupted; all nodes have ended, the recordings are in {directory}")
@@ -284,10 +367,13 @@ def run_given(options):
         log.write_text(traceback.format_exc(), encoding="utf-8")
         _fail(FAILED, f"{error or type(error).__name__}; see {log}")
     progress.clear()
-    _print_results(summary, directory)
+    if "operation" in summary:
+        print(f"\n{format_operation(summary['operation'])}")
+        print(f"the second part took {summary['wall_s']['second_part']:.0f} s")
+    print(f"report: {directory / 'report.html'}")
 
 
-def _print_results(summary, directory):
+def _print_results(summary):
     print(format_table(summary))
     errors = ", ".join(f"{name.removesuffix('_percent').replace('_', ' ')} {value:.3f} %"
                        for name, value in summary["identification"].items())
@@ -297,8 +383,7 @@ def _print_results(summary, directory):
           f"{', the model lacks ' + effects if effects else ''}\n")
     print(f"{format_model_errors(summary)}\n\n{format_tracking_errors(summary)}\n")
     print(f"closed loop: {summary['lockstep_ratio']:.1f} simulated seconds a second; "
-          f"the demo took {summary['wall_s']['all']:.0f} s")
-    print(f"report: {directory / 'report.html'}")
+          f"the demo took {summary['wall_s']['all']:.0f} s", flush=True)
 
 
 def _interrupt(*_):

@@ -1,44 +1,105 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The report of the demo: what was measured, in sentences, tables and pictures."""
 
+from dataclasses import dataclass
+
 from piezo_common.report_page import Section, pictured, render_page
 from piezo_identification.prediction import predict
+from piezo_models.model_file import load_model
+from piezo_recorder.reading.reader import read_recording
 from piezo_studies.demo import identification_pictures, tracking_pictures
 from piezo_studies.demo.extended_model_section import extended_model_sections
 from piezo_studies.demo.square_wave_response import square_wave_response
 from piezo_studies.demo.summary import table_rows
+from piezo_studies.demo.tracked_run import read_tracked_run
 
 TITLE = "A piezo stage, identified and controlled"
+SHOWN_EXPERIMENTS = "creep", "dynamics", "validation"
 
 
-def render_report(plant, summary, runs, model, recordings, extended, command, directory):
+def render_report(plant, command, sections):
     """Return the report as one HTML page.
 
     Parameters
     ----------
     plant : DemoPlant
-    summary : dict
-        Of `summary.summarise`.
-    runs : list of TrackedRun
-    model : piezo_models.cascade.StageModel
-    recordings : dict of str to Recording
-        Of the experiments ``creep``, ``dynamics`` and ``validation``.
-    extended : ExtendedModel
-        What came of the diagnosis.
     command : str
         That made it all.
+    sections : sequence of Section
+    """
+    return render_page(TITLE, _introduction(plant, command), sections)
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnRuns:
+    """The runs with the identified model, and the sections of the report on them.
+
+    Attributes
+    ----------
+    errors : dict of str to float
+        Of the model on unseen data, by name.
+    runs : list of TrackedRun
+    model : piezo_models.cascade.StageModel
+    validation : Recording
+    sections : list of Section
+    """
+
+    errors: dict
+    runs: list
+    model: object
+    validation: object
+    sections: list
+
+
+def draw_runs(errors, model, recordings, tracks, directory):
+    """Read the identified model, its recordings and the runs with it, and draw them.
+
+    Parameters
+    ----------
+    errors : dict of str to float
+        Of the model on unseen data, by name.
+    model : path-like
+    recordings : sequence of path-like
+        Of `SHOWN_EXPERIMENTS`, in this order.
+    tracks : sequence of path-like
     directory : path-like
         Where the model and the recordings are.
+
+    Returns
+    -------
+    DrawnRuns
     """
-    return render_page(TITLE, _introduction(plant, command), [
-        _errors_section(summary),
-        _identification_section(summary["identification"], model, recordings, directory),
+    runs = [read_tracked_run(track) for track in tracks]
+    read = dict(zip(SHOWN_EXPERIMENTS, map(read_recording, recordings), strict=True))
+    return drawn_runs(errors, load_model(model).model, read, runs, directory)
+
+
+def drawn_runs(errors, model, recordings, runs, directory):
+    """Draw runs and recordings that have been read; see `draw_runs`."""
+    return DrawnRuns(errors, runs, model, recordings["validation"], [
+        _identification_section(errors, model, recordings, directory),
         *(_frequency_section(frequency_hz, [run for run in runs
                                             if run.frequency_hz == frequency_hz])
           for frequency_hz in sorted({run.frequency_hz for run in runs})),
-        *extended_model_sections(summary, runs, model, recordings["validation"], extended),
-        _measures_section(summary),
     ])
+
+
+def report_sections(summary, drawn, extended):
+    """Return the sections of the report on the first part of the demo.
+
+    Parameters
+    ----------
+    summary : dict
+        Of `summary.summarise`.
+    drawn : DrawnRuns
+    extended : ExtendedModel
+        What came of the diagnosis.
+    """
+    return [
+        _errors_section(summary), *drawn.sections,
+        *extended_model_sections(summary, drawn.runs, drawn.model, drawn.validation, extended),
+        _measures_section(summary),
+    ]
 
 
 def _introduction(plant, command):

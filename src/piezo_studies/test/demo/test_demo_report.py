@@ -18,8 +18,9 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 from piezo_studies.demo.demo_plant import demo_plant
-from piezo_studies.demo.demo_report import render_report
+from piezo_studies.demo.demo_report import drawn_runs, render_report, report_sections
 from piezo_studies.demo.extended_model_section import ExtendedModel
+from piezo_studies.demo.operation_section import format_operation, operation_sections
 from piezo_studies.demo.square_wave_response import CLEARANCE, square_wave_response
 from piezo_studies.demo.summary import summarise, summarise_run
 from piezo_studies.demo.tracked_run import read_tracked_run
@@ -29,6 +30,17 @@ RATE_HZ = 40_000.0
 MODES = ("open_loop", "feedforward", "composite")
 MODE = VibrationMode(8796.0, 0.01, 0.004)
 FREQUENCIES_HZ = (100.0, 500.0)
+OPERATION = {
+    "monitor": {
+        "change_s": 65.0, "since_s": 65.1, "sentence": "mode_2_frequency_rad_per_s 4909 -> 5056",
+        "before_rms_um": 0.41, "after_rms_um": 0.0123, "e_rms_before_percent": 1.234,
+        "e_rms_after_percent": 0.567, "extended_model": "extended_model.json"},
+    "decision": {
+        "hidden": "a lag of the sensor of 0.1 ms", "experiment": "a sweep",
+        "before": {"delay": 0.6, "sensor_lag": 0.39, "creep": 1e-5},
+        "after": {"sensor_lag": 0.95, "delay": 2e-4, "something_else": 0.0498},
+        "decision": "decided after 1 experiment: sensor_lag has probability 0.950",
+        "sentence": "The model lacks sensor_lag.", "report": "report.html"}}
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +100,10 @@ def drawn(model, recordings, tracking_recordings, tmp_path_factory, picture_faul
                              replace(model, effects=(MODE,)), runs_after)
     pages = []
     faults = picture_faults(lambda: pages.append(render_report(
-        demo_plant("beam"), summary, runs, model, recordings, extended, "demo --output <here>",
-        directory)))
+        demo_plant("beam"), "demo --output <here>", [
+            *report_sections(summary, drawn_runs(
+                summary["identification"], model, recordings, runs, directory), extended),
+            *operation_sections(OPERATION)])))
     return pages[0], faults
 
 
@@ -129,6 +143,24 @@ def test_curves_of_the_report_can_be_looked_at_more_closely(report):
         r'<script type="application/json">(.*?)</script>', report, re.S)]
     assert len(items) == len(shown) - 1  # of all but the density
     assert report.count("<summary>look closer") == len(items)
+
+
+def test_the_second_part_tells_both_before_and_after(report):
+    rows = re.findall(r"<tr>(.*?)</tr>", report, re.S)
+    cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in rows]
+    assert ["residual of the model, RMS nm", "410.0", "12.3"] in cells
+    assert ["tracking error e_rms by the sensor, %", "1.234", "0.567"] in cells
+    assert ["delay", "0.600", "0.000"] in cells
+    assert ["sensor_lag", "0.390", "0.950"] in cells
+    assert ["something_else", "-", "0.050"] in cells
+    assert not any(row[:1] == ["creep"] for row in cells)
+
+
+def test_the_terminal_has_a_line_for_each_of_the_second_part():
+    monitor, decision = format_operation(OPERATION).split("\n")
+    assert "65.0 s, suspected since 65.1 s" in monitor and "1.234 -> 0.567 %" in monitor
+    assert "delay 0.60, sensor_lag 0.39" in decision and "sensor_lag 0.95" in decision
+    assert format_operation({**OPERATION, "monitor": None}) == decision
 
 
 def test_paper_takes_no_picture_and_no_row_apart(report):

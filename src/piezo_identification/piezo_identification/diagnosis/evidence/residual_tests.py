@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import irfft, next_fast_len, prev_fast_len, rfft
 from scipy.signal import csd, welch
 
 from piezo_common.arrays import FloatArray
@@ -150,7 +150,9 @@ def spectrum(signal_um: FloatArray, sample_period_s: float) -> tuple[FloatArray,
 
 def _segment(samples: int) -> int:
     """Return the samples of each of the segments whose spectra are averaged."""
-    return int(min(samples, max(SETTINGS.shortest_segment, samples // SETTINGS.segments)))
+    # A length with large prime factors takes several times as long.
+    longest = prev_fast_len(max(1, samples // SETTINGS.segments), real=True)
+    return int(min(samples, max(SETTINGS.shortest_segment, longest)))
 
 
 @dataclass(frozen=True)

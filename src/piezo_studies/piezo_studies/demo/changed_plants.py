@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Plant files of the demo's stage after something has changed that no model is told of."""
+
+from importlib import resources
+from pathlib import Path
+
+import yaml
+
+from piezo_sim.plant.named_plants import PLANTS
+
+SOURCE = "the demo: a change that the model is not told of"
+
+
+def with_faster_mode(plant, factor, begin_s):
+    """Return a plant whose last vibration mode becomes faster while it runs.
+
+    Parameters
+    ----------
+    plant : str
+        Name of a plant that comes with the simulator, or path of a plant file.
+    factor : float
+        Frequency behind over before.
+    begin_s : float
+        Stage time of the change.
+
+    Returns
+    -------
+    dict or None
+        Content of a plant file; None for a plant without such a mode.
+    """
+    content = _content(plant)
+    modes = [number for number, entry in enumerate(content["stage"])
+             if entry["effect"] == "vibration_mode"]
+    if not modes:
+        return None
+    # Less mass: with the stiffness, the compliance would change as well.
+    content["stage"][modes[-1]] |= {
+        "effect": "loaded_mode", "added_mass": _told(factor**-2 - 1.0, "1"),
+        "added_stiffness": _told(0.0, "1"), "begin_s": _told(begin_s, "s")}
+    return content
+
+
+def with_sensor_lag(plant, lag_s):
+    """Return a plant whose displacement passes a low-pass of first order before it is measured.
+
+    Parameters
+    ----------
+    plant : str
+        Name of a plant that comes with the simulator, or path of a plant file.
+    lag_s : float
+
+    Returns
+    -------
+    dict
+        Content of a plant file.
+    """
+    content = _content(plant)
+    content["sensor"].insert(0, {
+        "effect": "distributed_lag", "lag_s": _told(lag_s, "s"), "sections": _told(1, "1")})
+    return content
+
+
+def write_plant(content, path):
+    """Write the content of a plant file; return its path.
+
+    Parameters
+    ----------
+    content : dict
+    path : Path
+        Its folder is made if it is missing.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def _content(plant):
+    file = resources.files("piezo_sim") / PLANTS[plant] if plant in PLANTS else Path(plant)
+    return yaml.safe_load(file.read_text(encoding="utf-8"))
+
+
+def _told(value, unit):
+    return {"value": value, "unit": unit, "source": SOURCE}

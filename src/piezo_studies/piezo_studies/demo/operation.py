@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The demo's second part: a stage that changes while it tracks, and a cause that needs a decision.
+
+Both begin with the extended model of the first part, on the same stage with one change more.
+"""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from piezo_client.model_offers import accept_extended_model, offered_model
+from piezo_studies.demo.changed_plants import with_faster_mode, with_sensor_lag, write_plant
+
+# Moves the modes: 20 um at 50 Hz and some more near each of the first two.
+REFERENCE = {"kind": "multi_frequency", "frequency_hz": [50.0, 400.0, 750.0],
+             "amplitude_um": [20.0, 8.0, 4.0], "centre_um": 57.0}
+MONITOR = {"block_s": 0.1, "learning_blocks": 20, "diagnosed_s": 0.5,
+           "directory": "monitor/changes"}
+FASTER = 1.03
+# Behind the rest before the run: longer than the monitor learns.
+CHANGE_AFTER_S, CHANGING_S, COMPARED_S = 4.0, 6.0, 0.5
+OFFER_TIMEOUT_S = 120.0
+
+# A scan line, on which a lag and a delay look alike: they differ by (w T)^2 / 2, that is 3 nm.
+SCAN = {"kind": "harmonic", "frequency_hz": [40.0], "amplitude_um": [20.0], "centre_um": 50.0}
+SCAN_S = 0.2
+LAG_S = 1e-4
+LONGEST_S = 0.2
+
+
+@dataclass(frozen=True)
+class Monitored:
+    """What came of a mode that became faster while the stage tracked.
+
+    Attributes
+    ----------
+    change_s, since_s : float
+        Stage time of the change, and when the monitor estimates it to have begun.
+    sentence : str
+        What the monitor found.
+    before_rms_um, after_rms_um : float
+        Of the residual of the model as it was, and of the one offered.
+    e_rms_before_percent, e_rms_after_percent : float
+        Tracking errors by the sensor, with the model as it was and with the one accepted.
+    extended_model : str
+        Path.
+    """
+
+    change_s: float
+    since_s: float
+    sentence: str
+    before_rms_um: float
+    after_rms_um: float
+    e_rms_before_percent: float
+    e_rms_after_percent: float
+    extended_model: str
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What one proposed recording decided.
+
+    Attributes
+    ----------
+    hidden : str
+        What the stage has, which only the simulator knows.
+    experiment : str
+        What was played, in words.
+    before, after : dict of str to float
+        Probability of each explanation.
+    decision, sentence : str
+        What was decided, and the verdict.
+    report : str
+        Path of the page.
+    """
+
+    hidden: str
+    experiment: str
+    before: dict[str, float]
+    after: dict[str, float]
+    decision: str
+    sentence: str
+    report: str
+
+
+def monitor_a_change(session, plant, model, directory):
+    """Track while a mode becomes faster, and accept the model that the monitor then offers.
+
+    Parameters
+    ----------
+    session : Session
+    plant : str
+    model : path-like
+        That is watched.
+    directory : Path
+        Gets plant file and recordings.
+
+    Returns
+    -------
+    Monitored or None
+        None for a plant without a mode that could change.
+
+    Raises
+    ------
+    RuntimeError
+        If the monitor offers nothing.
+    """
+    change_s = len(session.rest_v) + CHANGE_AFTER_S
+    content = with_faster_mode(plant, FASTER, change_s)
+    if content is None:
+        return None
+    directory.mkdir(parents=True, exist_ok=True)
+    session.restart_stage(write_plant(content, directory / "plant.yaml"))
+    session.track(REFERENCE, model, CHANGING_S, directory / "changing")
+    offer = offered_model(session.client, OFFER_TIMEOUT_S)
+    if offer is None:
+        raise RuntimeError(f"the monitor offered no model within {OFFER_TIMEOUT_S:g} s")
+    worse = session.track(REFERENCE, model, COMPARED_S, directory / "before")
+    accept_extended_model(session.client, model, offer.path)
+    better = session.track(REFERENCE, model, COMPARED_S, directory / "after")
+    accept_extended_model(session.client, model, "")
+    return Monitored(change_s, offer.since_s, offer.sentence, offer.before_rms_um,
+                     offer.after_rms_um, worse.e_rms_percent, better.e_rms_percent,
+                     str(offer.path))
+
+
+def decide_a_cause(session, plant, model, directory):
+    """Scan a stage with a lag of its sensor, and let one recording decide what the model lacks.
+
+    Parameters
+    ----------
+    session : Session
+    plant : str
+    model : path-like
+    directory : Path
+        Gets plant file, recordings and the diagnosis.
+
+    Returns
+    -------
+    Decided
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    session.restart_stage(write_plant(with_sensor_lag(plant, LAG_S), directory / "plant.yaml"))
+    scanned = session.track(SCAN, model, SCAN_S, directory / "scan")
+    result = session.decide(model, scanned.recording, directory / "diagnosis", LONGEST_S)
+    verdict = json.loads(result.verdict_json)
+    proposal = _proposal(directory / "diagnosis" / "experiment_1" / "next_experiment.json")
+    before = {each["effects"]: each["probability"] for each in proposal.get("alternatives", [])}
+    return Decided(
+        f"a lag of the sensor of {1e3 * LAG_S:g} ms", proposal.get("description", ""),
+        before or verdict["probabilities"], verdict["probabilities"], result.decision,
+        result.sentence, result.report)
+
+
+def _proposal(path):
+    """Return what was proposed; empty where the first diagnosis was sure."""
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+
+
+def second_part(session, plant, model, directory):
+    """Run both; return what came of them, as the part of the summary that tells it.
+
+    Parameters
+    ----------
+    session : Session
+    plant : str
+    model : path-like
+        Extended by the first part.
+    directory : Path
+
+    Returns
+    -------
+    dict
+        ``monitor`` (or None) and ``decision``.
+    """
+    watched = monitor_a_change(session, plant, model, Path(directory, "monitor"))
+    decided = decide_a_cause(session, plant, model, Path(directory, "decision"))
+    return {"monitor": None if watched is None else asdict(watched), "decision": asdict(decided)}

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the demo's second part asks of the running nodes."""
+
+START_TIMEOUT_S = 60.0
+
+
+class Session:
+    """Running nodes, of which the stage can be started anew on another plant.
+
+    Parameters
+    ----------
+    client : piezo_client.client.Client
+    processes : piezo_bringup.processes.Processes
+        With a running ``stage``.
+    stage_parameters : dict
+        Of the stage node, but for its plant.
+    rest_v : sequence of float
+        Voltages of a second each, before each run.
+    is_active : callable
+        Tells whether the stage is active.
+    show : callable
+        Called with what is done.
+    """
+
+    def __init__(self, client, processes, stage_parameters, rest_v, is_active, show):
+        self.client, self.rest_v = client, rest_v
+        self._processes, self._stage_parameters = processes, stage_parameters
+        self._is_active, self._show = is_active, show
+
+    def restart_stage(self, plant):
+        """End the stage, and start it on a plant file; return once it is active.
+
+        Raises
+        ------
+        RuntimeError
+            If it is not active in time.
+        """
+        self._show("start the stage on another plant")
+        self._processes.stop(["stage"])
+        self._processes.start("stage", {**self._stage_parameters, "plant": plant})
+        if not self.client.spin_until(self._is_active, START_TIMEOUT_S):
+            raise RuntimeError(f"the stage on {plant} was not active within "
+                               f"{START_TIMEOUT_S:g} s; see {self._processes.log('stage')}")
+
+    def track(self, reference, model, duration_s, directory):
+        """Rest, track a reference by the composite control, and return the result of the action."""
+        self._show(f"track beside the monitor, {directory.name}")
+        self.client.goal("play_waveform", voltage_v=self.rest_v, sample_period_s=1.0, repeats=1)
+        return self.client.track(reference, model, "composite", duration_s, directory)
+
+    def decide(self, model, recording, directory, longest_s):
+        """Diagnose a recording, and let one proposed recording decide; return the result."""
+        return self.client.diagnose(
+            model, [recording], directory, experiments=1, longest_s=longest_s,
+            on_feedback=lambda feedback: self._show(f"decide, {feedback.stage}"))
