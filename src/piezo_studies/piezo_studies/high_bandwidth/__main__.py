@@ -24,7 +24,7 @@ def main(arguments: list[str] | None = None) -> None:
                         help="directory of the controller files, from which a run goes on")
     parser.add_argument("--page", type=Path, default=Path("docs/high_bandwidth.md"),
                         help="page; its picture goes to pictures beside it")
-    parser.add_argument("--effort", type=float, default=0.3,
+    parser.add_argument("--effort", type=float, default=1.0,
                         help="multiplies the number of controllers that are tried")
     options = parser.parse_args(arguments)
     pictures = options.page.parent / "pictures"

@@ -45,13 +45,14 @@ mean square.
 
 **The methods.** A controller of *fixed order* is an integration with seven pairs of poles and six
 pairs of zeros, and some real ones. It is tuned over all stages at once by sequential linear
-programming, with the derivatives of every loop at every frequency, and begins anew many times. One
+programming, with the derivatives of every loop at every frequency, and begins anew many times. It
+ends at a margin of 3 dB, which is how far the closed loop falls at the edge of its band. One
 that has *resonances* attenuates the disturbances in a narrow band, and spends no gain beside it:
 between the lines it attenuates as little as a slow loop does. The other methods have few numbers,
 and are searched by trial. H-infinity has the weights of a four-block problem and constant scalings
 D of two uncertainties, the gain and the square of the light mode's frequency, which it takes for
-complex. Its rows are what the search found, not the best that the method can give. A row in brackets
-exceeds a bound, because the search found nothing within them.
+complex. Its rows are what the search found, not the best that the method can give. A row in
+brackets exceeds a bound, because the search found nothing within them.
 
 ![Margin to the demands against the error of the light mode](pictures/high_bandwidth.png)
 
@@ -67,17 +68,15 @@ loop is unknown by 180 degrees, and its gain by the {peak_db:.0f} dB of the reso
 def draw(compared):
     """Return the figure of the margins over the light mode's error."""
     figure = new_figure()
-    for axes, (every_stage, title) in zip(
-            figure.subplots(1, len(TABLES), sharey=True, squeeze=False)[0], TABLES, strict=True):
-        for (method, name), style in zip(TITLES.items(), cycle(CURVES), strict=False):
-            margins = [next((row.controller.report["margin_db"] for row in compared
-                             if (row.method, row.light_mode_error, row.of_every_stage)
-                             == (method, error, every_stage) and row.keeps_bounds), np.nan)
-                       for error in LIGHT_MODE_ERRORS]
-            axes.plot(100 * np.array(LIGHT_MODE_ERRORS), margins, marker="o", label=name, **style)
-        axes.axhline(0.0, **LIMIT)
-        label(axes, "error of the light mode (%)",
-              None if every_stage else "margin to the demands (dB)", title)
+    axes = figure.subplots()
+    for (method, name), style in zip(TITLES.items(), cycle(CURVES), strict=False):
+        margins = [next((row.controller.report["margin_db"] for row in compared
+                         if (row.method, row.light_mode_error, row.of_every_stage)
+                         == (method, error, False) and row.keeps_bounds), np.nan)
+                   for error in LIGHT_MODE_ERRORS]
+        axes.plot(100 * np.array(LIGHT_MODE_ERRORS), margins, marker="o", label=name, **style)
+    axes.axhline(0.0, **LIMIT)
+    label(axes, "error of the light mode (%)", "margin to the demands (dB)")
     axes.legend(fontsize="x-small")
     return figure
 

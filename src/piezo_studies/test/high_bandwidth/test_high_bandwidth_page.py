@@ -45,7 +45,7 @@ def test_what_exceeds_a_bound_stands_in_brackets(compared):
 
 
 def test_the_picture_leaves_out_what_exceeds_a_bound(compared):
-    axes, _ = draw(compared).axes
+    axes, = draw(compared).axes
     drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
     np.testing.assert_array_equal(drawn["H-infinity"], [1.25] * len(LIGHT_MODE_ERRORS))
     assert np.isnan(drawn["notch + PI"]).all()

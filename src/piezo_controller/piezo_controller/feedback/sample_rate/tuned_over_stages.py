@@ -244,7 +244,7 @@ STARTS_OF = {
 """What such a tuning found for the stage of the thesis with its light mode off by 20 %."""
 
 RESONANT = "fixed_order_resonant"
-RESONANCES = (((1.16050, 0.098294), (1.0003, 0.0066513)), ((0.97958, 0.130556), (1.0009, 0.0062915)))
+RESONANCES = (((1.1605, 0.098294), (1.0003, 0.0066513)), ((0.97958, 0.13056), (1.0009, 0.0062915)))
 """Zeros and poles of the resonances at the disturbances, as ratios to the frequency of each."""
 
 
