@@ -141,7 +141,7 @@ def load_controller(path: str | PathLike[str]) -> FeedbackController:
 
 def load_stabilising_controller(path: str | Path, model: StageModel, tick_s: float,
                                 clock_period_s: float) -> FeedbackController:
-    """Read a controller file for use with a model.
+    """Read a controller file for use with a model, at the tick's rate or at that of the samples.
 
     Parameters
     ----------
@@ -157,14 +157,16 @@ def load_stabilising_controller(path: str | Path, model: StageModel, tick_s: flo
     Raises
     ------
     ControllerFileError
-        See `load_controller`; or the controller is for another tick, or does not stabilise the
+        See `load_controller`; or the controller is for another rate, or does not stabilise the
         model.
     """
     controller = load_controller(path)
-    if not math.isclose(controller.sample_period_s, tick_s, rel_tol=1e-6):
+    if not any(math.isclose(controller.sample_period_s, period_s, rel_tol=1e-6)
+               for period_s in (tick_s, clock_period_s)):
         raise ControllerFileError(
             f"{path}: sample_period_s is {controller.sample_period_s:g}, but the stage's tick is "
-            f"{tick_s:g} s; design the controller with as many samples per tick as the stage has")
+            f"{tick_s:g} s and its samples are {clock_period_s:g} s apart; design the controller "
+            "with as many samples per tick as the stage has")
     try:
         check_stabilises(controller, model, clock_period_s)
     except UnstableLoop as reason:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The feedback of a run as a law that the stage evaluates by itself."""
 
+import math
+
 import numpy as np
 
 from piezo_controller.feedback.feedback_design import FeedbackController
@@ -27,6 +29,7 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
     Parameters
     ----------
     controller : FeedbackController
+        Of the tick's period, or of the sample clock's.
     model : piezo_models.cascade.StageModel
         That it was designed for.
     plan : FeedforwardPlan
@@ -57,11 +60,31 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
             model.hysteresis, controller.hysteresis_gain_um_per_v, hold_inverse)
     plant = clock_plant(model, clock_period_s)
     lowest, highest = hysteresis_gain_range(model)
+    block = LinearBlock.of(controller.A, controller.B, controller.C, controller.D)
+    if answers_samples(controller, clock_period_s):
+        for _ in range(controller.delay_ticks):
+            block = _one_later(block)
+        tick, observer, sample = LinearBlock(), np.zeros(0), block
+    else:
+        tick, observer, sample = block, observer_gain(controller), LinearBlock()
     return FeedbackLaw(
-        tick=LinearBlock.of(controller.A, controller.B, controller.C, controller.D),
-        observer=observer_gain(controller), max_feedback_v=max_feedback_v,
+        tick=tick, observer=observer, sample=sample, max_feedback_v=max_feedback_v,
         once_um=plan.reference_once_um, period_um=plan.reference_period_um,
         plant=DeclaredPlant(LinearBlock.of(plant.A, plant.B, plant.C, plant.D),
                             np.array([lowest, (lowest + highest) / 2, highest])),
-        start_sample=plan.feedback_start_sample, delay_ticks=controller.delay_ticks,
+        start_sample=plan.feedback_start_sample,
+        delay_ticks=controller.delay_ticks if sample.empty else 0,
         inverse=inverse, max_error_um=max_error_um)
+
+
+def answers_samples(controller: FeedbackController, clock_period_s: float) -> bool:
+    """Tell whether a feedback has the period of the sample clock."""
+    return math.isclose(controller.sample_period_s, clock_period_s, rel_tol=1e-6)
+
+
+def _one_later(block: LinearBlock) -> LinearBlock:
+    """Return a block whose output comes one sample later."""
+    order = block.order
+    a = np.zeros((order + 1, order + 1))
+    a[:order, :order], a[order, :order] = block.a, block.c
+    return LinearBlock(a, np.append(block.b, block.d), np.eye(order + 1)[order])

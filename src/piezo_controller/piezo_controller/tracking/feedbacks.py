@@ -21,7 +21,7 @@ from piezo_controller.feedback.feedback_design import (
     design_feedback,
 )
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
-from piezo_controller.feedback.onboard_law import onboard_law
+from piezo_controller.feedback.onboard_law import answers_samples, onboard_law
 from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedforward.periodic import FeedforwardPlan
@@ -202,6 +202,12 @@ class Feedbacks:
             return self._design(method, model, model_sha256, delay_ticks)
         controller = load_stabilising_controller(
             self._settings.controller_file, model, stage.tick_s, stage.sample_period_s)
+        if answered and stage.samples_per_tick > 1 and answers_samples(
+                controller, stage.sample_period_s):
+            raise ControllerFileError(
+                f"{self._settings.controller_file}: answers every sample, which the stage has to "
+                "do by itself; set feedback to onboard, and track a reference that is neither "
+                "streamed nor published")
         if answered and controller.delay_ticks != 1:
             raise ControllerFileError(
                 f"{self._settings.controller_file}: is designed for {controller.delay_ticks} ticks "

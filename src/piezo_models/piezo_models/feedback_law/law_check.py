@@ -49,7 +49,8 @@ def check_law(law: FeedbackLaw, samples_per_tick: int, lead_ticks: int = 0) -> N
         if not largest <= LARGEST_EIGENVALUE:
             raise FeedbackLawError(f"the feedback law is not stable {where} (an eigenvalue has the "
                                    f"size {largest:.4g}): design it for this stage")
-        sensitivity = _peak_sensitivity(LinearBlock.of(a, b, c, [0.0]), law.tick)
+        sensitivity = max(_peak_sensitivity(LinearBlock.of(a, b, c, [0.0]), law.tick),
+                          _sampled_peak(law, float(gain_um_per_v)))
         if not sensitivity <= LARGEST_SENSITIVITY:
             raise FeedbackLawError(
                 f"the feedback law makes errors up to {sensitivity:.3g} times as large {where}, "
@@ -89,6 +90,15 @@ def _closed(a: FloatArray, b: FloatArray, c: FloatArray, block: LinearBlock) -> 
     """Return the system matrix of the loop with negative feedback."""
     return np.block([[a - block.d * b @ c, b @ block.c[None, :]],
                      [-block.b[:, None] @ c, block.a]])
+
+
+def _sampled_peak(law: FeedbackLaw, gain_um_per_v: float) -> float:
+    """Return the peak of the loop of the block at the sample rate, which acts one sample late."""
+    if law.sample.empty:
+        return 1.0
+    points = np.exp(2j * np.pi * np.geomspace(LOWEST_FREQUENCY, 0.5, FREQUENCIES))
+    loop = gain_um_per_v * law.plant.linear.response(points) * law.sample.response(points) / points
+    return float(np.abs(1.0 / (1.0 + loop)).max())
 
 
 def _peak_sensitivity(plant: LinearBlock, block: LinearBlock) -> float:

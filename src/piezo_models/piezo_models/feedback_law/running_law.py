@@ -4,6 +4,7 @@
 from collections import deque
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from piezo_common.arrays import FloatArray
 from piezo_models.feedback_law.feedback_law import (
@@ -60,6 +61,8 @@ class RunningLaw:
         self._state, self._work = np.zeros(tick.order), np.empty(tick.order)
         self._sample = (sample.a, sample.b, sample.c, sample.d,
                         np.zeros(sample.order), np.empty(sample.order))
+        self._sample_state = self._sample[4]
+        self._sample_observer = _observer(sample)
         self._none = np.zeros((0, 0)), *(np.zeros(0),) * 2, 0.0, *(np.zeros(0),) * 2
         self._once_um = np.ascontiguousarray(law.once_um)
         self._period_um = np.ascontiguousarray(law.period_um)
@@ -98,7 +101,11 @@ class RunningLaw:
                 self._inverse.follow(planned_v)
             return self._feedback_v
         limit_v = self.law.max_feedback_v
-        wanted_v = min(max(self._acting_v + self._added_v, -limit_v), limit_v)
+        asked_v = self._acting_v + self._added_v
+        wanted_v = min(max(asked_v, -limit_v), limit_v)
+        if wanted_v != asked_v:
+            # Keeps the block at the sample rate in agreement with what is given (anti-windup).
+            self._sample_state += self._sample_observer * (wanted_v - asked_v)
         if self._inverse is None:
             self._feedback_v.fill(wanted_v)
             self.voltage_v = wanted_v
@@ -180,6 +187,17 @@ class RunningLaw:
         """Return the next decision, if the error stays."""
         tick = self.law.tick
         return float(tick.c @ self._state + tick.d * self.error_um)
+
+
+def _observer(block: LinearBlock) -> FloatArray:
+    """Return the gain of the Kalman predictor for an error of 1 um and a voltage known to 1 V."""
+    if not block.order:
+        return np.zeros(0)
+    b, c = block.b[:, None], block.c[None, :]
+    known_v = block.d**2 + 1.0
+    covariance = solve_discrete_are(block.a.T, c.T, b @ b.T, known_v, s=b * block.d)
+    return np.asarray((block.a @ covariance @ c.T + b * block.d)[:, 0]
+                      / (c @ covariance @ c.T + known_v).item())
 
 
 def compile_law() -> None:

@@ -5,7 +5,6 @@ import argparse
 import sys
 from pathlib import Path
 
-from piezo_controller.feedback.controller_file import save_controller
 from piezo_studies.high_bandwidth.page import draw, page
 from piezo_studies.high_bandwidth.trade_off import TITLES, Compared, compare
 from piezo_studies.thesis.identified_stage import identified_stage
@@ -22,10 +21,10 @@ def main(arguments: list[str] | None = None) -> None:
     """
     parser = argparse.ArgumentParser(prog="high_bandwidth", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/high_bandwidth"),
-                        help="directory of the controller files")
+                        help="directory of the controller files, from which a run goes on")
     parser.add_argument("--page", type=Path, default=Path("docs/high_bandwidth.md"),
                         help="page; its picture goes to pictures beside it")
-    parser.add_argument("--effort", type=float, default=0.7,
+    parser.add_argument("--effort", type=float, default=1.0,
                         help="multiplies the number of controllers that are tried")
     options = parser.parse_args(arguments)
     pictures = options.page.parent / "pictures"
@@ -40,16 +39,14 @@ def main(arguments: list[str] | None = None) -> None:
         margin = ("not stable" if row.controller is None
                   else f"margin {row.controller.report['margin_db']:+.1f} dB"
                        f"{'' if row.keeps_bounds else ', beyond a bound'}")
-        print(f"{TITLES[row.method]}, light mode {100 * row.light_mode_error:.0f} %, worst peak "
-              f"{row.worst_peak:g}: {margin}", file=sys.stderr, flush=True)
-        if row.controller is not None:
-            save_controller(options.output / (f"{row.method}_{100 * row.light_mode_error:.0f}_"
-                                              f"{row.worst_peak:g}.json"), row.controller)
+        print(f"{TITLES[row.method]}, light mode {100 * row.light_mode_error:.0f} %, "
+              f"{'every stage' if row.of_every_stage else 'model'}: {margin}", file=sys.stderr,
+              flush=True)
         # Each design leaves its row at once, so that an interrupted run is not lost.
         (pictures / "high_bandwidth.png").write_bytes(small_png(draw(compared)))
         options.page.write_text(page(model, compared), encoding="utf-8")
 
-    compare(model, take, options.effort)
+    compare(model, take, options.output, options.effort)
     print(f"{len(compared)} designs: {options.page}")
 
 

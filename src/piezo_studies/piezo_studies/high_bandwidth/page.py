@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The page and the picture of the study."""
 
+from itertools import cycle
+
 import numpy as np
 
 from piezo_common.picture_style import CURVES, LIMIT, label, new_figure
-from piezo_controller.feedback.sample_rate.fast_design import Demands
-from piezo_studies.high_bandwidth.trade_off import LIGHT_MODE_ERRORS, PEAKS, TITLES
+from piezo_controller.feedback.sample_rate.demands import Demands
+from piezo_controller.feedback.sample_rate.perturbed_loops import light_mode
+from piezo_studies.high_bandwidth.trade_off import LIGHT_MODE_ERRORS, TITLES
+
+TABLES = ((False, "The model itself"), (True, "Every stage"))
 
 HEADER = ("method", "light mode off by", "worst peak", "margin", "bandwidth", "lowest bandwidth",
-          "at 50 Hz", "at 100 Hz", "added noise", "noise of the voltage", "order")
+          "at 50 Hz", "least", "at 100 Hz", "least", "added noise", "noise of the voltage", "order")
 
 INTRODUCTION = """\
 # Feedback beyond the first mode
@@ -21,53 +26,57 @@ an identified model and returns a controller at the clock's period. `save_contro
 a [controller file](files.md#controller). This page compares its methods on the identified model of
 the simulated stage, whose dynamics are those that the thesis identified.
 
-**The loop.** The displacement of a sample is answered two samples later, which is the convention
-of the suite with one sample a tick. The modes lie at {modes_hz}.
+**The loop.** The stage evaluates the law by itself: the displacement of a sample is answered by
+the next one, and `track` uploads such a controller file as it does one of the tick's rate. The
+modes lie at {modes_hz}.
 
 **The demands.** The closed loop falls to -3 dB at no less than {ratio:g} times the first mode
-({bandwidth_hz:.0f} Hz). A disturbance of the displacement is attenuated by {attenuation}. Of what
-is reached above these, the least is the *margin*.
+({bandwidth_hz:.0f} Hz). A disturbance of the displacement is attenuated by {attenuation}, wherever
+its frequency lies within {tolerance:g} % of that. Of what is reached above these, the least is the
+*margin*: in the first table that of the model itself, in the second the least of all stages.
 
-**The bounds, equal for all methods.** The loop is stable, and its sensitivity stays below the peak
-of the row, for every stage of a set: both ends of the gain of the hysteresis, every parameter off
+**The bounds, equal for all methods.** The loop is stable, and its sensitivity stays below {peak:g},
+for every stage of a set: both ends of the gain of the hysteresis, every parameter off
 by {parameter:.0f} %, and the light mode off by the error of the row. The noise of the sensor is
 {noise_nm:.0f} nm. The thesis calls it white and samples at 40 kHz (section 1.2), and the simulator
 draws it for every sample of the 40 kHz clock: it is white up to 20 kHz, {density:.3f} nm per root
 Hz. It may add {added_nm:.0f} nm to the displacement and {voltage:g} V to the voltage, both root
 mean square.
 
-**The search.** Every method is a family of few numbers, and each family is searched in the same
-way: for the largest margin within the bounds. The H-infinity family has the weights of a
-four-block problem and constant scalings D of two uncertainties, the gain and the square of the
-light mode's frequency. A row in brackets exceeds a bound, because the search found nothing within
-them.
-
-The H-infinity family is tried least often, because each try is a synthesis, and its search has not
-converged: at 10 % it ends beyond a bound that it keeps at 20 %. Its rows are what the search found,
-not the best that the method can give.
+**The methods.** A controller of *fixed order* is an integration with seven pairs of poles and six
+pairs of zeros, and some real ones. It is tuned over all stages at once by sequential linear
+programming, with the derivatives of every loop at every frequency, and begins anew many times. It
+ends at a margin of 3 dB, which is how far the closed loop falls at the edge of its band. One
+that has *resonances* attenuates the disturbances in a narrow band, and spends no gain beside it:
+between the lines it attenuates as little as a slow loop does. The other methods have few numbers,
+and are searched by trial. H-infinity has the weights of a four-block problem and constant scalings
+D of two uncertainties, the gain and the square of the light mode's frequency, which it takes for
+complex. Its rows are what the search found, not the best that the method can give. A row in
+brackets exceeds a bound, because the search found nothing within them.
 
 ![Margin to the demands against the error of the light mode](pictures/high_bandwidth.png)
 
 Where a line lies above zero, all demands are met. A point is left out where the search found
 nothing within the bounds.
+
+**Why the light mode limits the loop.** Below and above its resonance a mode differs by 180 degrees.
+Off by 20 % it lies anywhere from {low_hz:.0f} Hz to {high_hz:.0f} Hz. In this band the phase of the
+loop is unknown by 180 degrees, and its gain by the {peak_db:.0f} dB of the resonance.
 """
 
 
 def draw(compared):
     """Return the figure of the margins over the light mode's error."""
     figure = new_figure()
-    for axes, peak in zip(figure.subplots(1, len(PEAKS), sharey=True, squeeze=False)[0],
-                          PEAKS, strict=True):
-        for (method, title), style in zip(TITLES.items(), CURVES, strict=False):
-            margins = [next((row.controller.report["margin_db"] for row in compared
-                             if (row.method, row.light_mode_error, row.worst_peak)
-                             == (method, error, peak) and row.keeps_bounds), np.nan)
-                       for error in LIGHT_MODE_ERRORS]
-            axes.plot(100 * np.array(LIGHT_MODE_ERRORS), margins, marker="o", label=title, **style)
-        axes.axhline(0.0, **LIMIT)
-        label(axes, "error of the light mode (%)",
-              "margin to the demands (dB)" if peak == PEAKS[0] else None,
-              f"worst peak sensitivity {peak:g}")
+    axes = figure.subplots()
+    for (method, name), style in zip(TITLES.items(), cycle(CURVES), strict=False):
+        margins = [next((row.controller.report["margin_db"] for row in compared
+                         if (row.method, row.light_mode_error, row.of_every_stage)
+                         == (method, error, False) and row.keeps_bounds), np.nan)
+                   for error in LIGHT_MODE_ERRORS]
+        axes.plot(100 * np.array(LIGHT_MODE_ERRORS), margins, marker="o", label=name, **style)
+    axes.axhline(0.0, **LIMIT)
+    label(axes, "error of the light mode (%)", "margin to the demands (dB)")
     axes.legend(fontsize="x-small")
     return figure
 
@@ -77,10 +86,11 @@ def _row(row):
     if row.controller is None:
         return [*cells, "not stable", *[""] * (len(HEADER) - 3)]
     report, figures = row.controller.report, row.controller.report["figures"]
-    at_50, at_100 = figures["attenuation_db"]
+    attenuation = [f"{db:.1f} dB" for both in zip(
+        figures["attenuation_db"], figures["worst_attenuation_db"], strict=True) for db in both]
     cells += [f"{figures['worst_peak_sensitivity']:.2f}", f"{report['margin_db']:+.1f} dB",
               f"{figures['bandwidth_hz']:.0f} Hz", f"{figures['worst_bandwidth_hz']:.0f} Hz",
-              f"{at_50:.1f} dB", f"{at_100:.1f} dB", f"{1e3 * report['added_noise_um']:.1f} nm",
+              *attenuation, f"{1e3 * report['added_noise_um']:.1f} nm",
               f"{report['noise_voltage_v']:.2f} V", str(report["order"])]
     return cells if row.keeps_bounds else [cells[0], *(f"({cell})" for cell in cells[1:])]
 
@@ -89,6 +99,7 @@ def page(model, compared):
     """Return the page as Markdown."""
     demands = Demands()
     modes_hz = np.array(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
+    light_hz = modes_hz[light_mode(model)]
     parts = [INTRODUCTION.format(
         modes_hz=" and ".join(f"{mode_hz:.0f} Hz (damping ratio {damping:.2f})" for mode_hz, damping
                               in zip(modes_hz, model.dynamics.damping_ratios, strict=True)),
@@ -97,10 +108,13 @@ def page(model, compared):
             demands.disturbance_hz, demands.attenuation_db, strict=True)),
         parameter=100 * demands.errors.parameter, noise_nm=1e3 * demands.sensor_noise_um,
         density=1e3 * demands.sensor_noise_um / np.sqrt(20e3),
+        tolerance=100 * demands.disturbance_tolerance, peak=demands.worst_peak_sensitivity,
+        low_hz=0.8 * light_hz, high_hz=1.2 * light_hz,
+        peak_db=-20 * np.log10(2 * min(model.dynamics.damping_ratios)),
         added_nm=1e3 * demands.added_noise_um, voltage=demands.noise_voltage_v)]
-    for peak in PEAKS:
+    for every_stage, title in TABLES:
         rows = [HEADER, ["---"] * len(HEADER),
-                *(_row(row) for row in compared if row.worst_peak == peak)]
-        parts.append(f"## Worst peak sensitivity {peak:g}\n\n"
+                *(_row(row) for row in compared if row.of_every_stage == every_stage)]
+        parts.append(f"## {title}\n\n"
                      + "\n".join("| " + " | ".join(cells) + " |" for cells in rows) + "\n")
     return "\n".join(parts)

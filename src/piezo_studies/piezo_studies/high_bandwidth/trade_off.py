@@ -1,24 +1,35 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What each method reaches at equal robustness, over the error of the light mode."""
 
+import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from pathlib import Path
 
+import numpy as np
+
+from piezo_controller.feedback.controller_file import load_controller, save_controller
 from piezo_controller.feedback.feedback_design import FeedbackController, UnstableLoop
 from piezo_controller.feedback.sample_rate.classical_candidates import CANDIDATES
+from piezo_controller.feedback.sample_rate.demands import Demands
 from piezo_controller.feedback.sample_rate.fast_design import (
     H_INFINITY,
     METHODS,
-    Demands,
     design_at_sample_rate,
 )
+from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
 from piezo_models.cascade import StageModel
 
-LIGHT_MODE_ERRORS = (0.05, 0.10, 0.20)
-PEAKS = (4.0,)
-"""Worst peak sensitivities, at each of which designs are compared."""
+LIGHT_MODE_ERRORS = (0.05, 0.10, 0.15, 0.20)
 
-TITLES = {H_INFINITY: "H-infinity", **{name: candidate.title
+OF_EVERY_STAGE = ((True, 0.20, "fixed_order_resonant"),)
+"""Designed to reach the demands with every stage, too, at the largest error."""
+
+TITLES = {"fixed_order": "fixed order, tuned over all stages",
+          "fixed_order_resonant": "the same with resonances at 50 Hz and 100 Hz",
+          H_INFINITY: "H-infinity", **{name: candidate.title
                                        for name, candidate in CANDIDATES.items()}}
 
 
@@ -28,7 +39,7 @@ class Compared:
 
     method: str
     light_mode_error: float
-    worst_peak: float
+    of_every_stage: bool
     controller: FeedbackController | None
 
     @property
@@ -38,12 +49,14 @@ class Compared:
             return False
         report = self.controller.report
         demands = report["demands"]
-        return (report["figures"]["worst_peak_sensitivity"] <= 1.01 * self.worst_peak
+        return (report["figures"]["worst_peak_sensitivity"]
+                <= 1.01 * demands["worst_peak_sensitivity"]
                 and report["added_noise_um"] <= demands["added_noise_um"]
                 and report["noise_voltage_v"] <= 1.01 * demands["noise_voltage_v"])
 
 
-def compare(model: StageModel, take: Callable[[Compared], None], effort: float = 1.0) -> None:
+def compare(model: StageModel, take: Callable[[Compared], None], kept: Path,
+            effort: float = 1.0) -> None:
     """Design with every method, at every robustness.
 
     Parameters
@@ -51,16 +64,31 @@ def compare(model: StageModel, take: Callable[[Compared], None], effort: float =
     model : piezo_models.cascade.StageModel
     take : callable
         Is given every design.
+    kept : pathlib.Path
+        Directory of controller files, from which a design of the same demands is taken again.
     effort : float
         See `design_at_sample_rate`.
     """
-    for worst_peak in PEAKS:
-        for error in LIGHT_MODE_ERRORS:
-            demands = Demands(worst_peak_sensitivity=worst_peak)
-            demands = replace(demands, errors=replace(demands.errors, light_mode=error))
-            for method in METHODS:
-                try:
-                    controller = design_at_sample_rate(model, demands, method, effort=effort)
-                except UnstableLoop:
-                    controller = None
-                take(Compared(method, error, worst_peak, controller))
+    for of_every_stage, error, method in (*product((False,), LIGHT_MODE_ERRORS, METHODS),
+                                          *OF_EVERY_STAGE):
+        demands = Demands(of_every_stage=of_every_stage)
+        demands = replace(demands, errors=replace(demands.errors, light_mode=error))
+        path = kept / (f"{method}_{100 * error:.0f}_"
+                       f"{'every_stage' if of_every_stage else 'model'}.json")
+        controller = _same_design(path, model, demands)
+        if controller is None:
+            with suppress(UnstableLoop):
+                controller = design_at_sample_rate(model, demands, method, effort=effort)
+                save_controller(path, controller)
+        take(Compared(method, error, of_every_stage, controller))
+
+
+def _same_design(path: Path, model: StageModel, demands: Demands) -> FeedbackController | None:
+    """Return the controller of a file if it was designed for the same; None otherwise."""
+    if not path.exists():
+        return None
+    controller = load_controller(path)
+    gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
+    same = (controller.report.get("demands") == json.loads(json.dumps(asdict(demands)))
+            and controller.hysteresis_gain_um_per_v == gain_um_per_v)
+    return controller if same else None

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Design of a feedback at the sample clock's rate, with a bandwidth beyond the first mode.
 
-Every method is a family of controllers of few numbers, and every family is searched in the same
-way: for the largest margin to the demands among the controllers that are equally robust. The
-families are the H-infinity synthesis over its weights and constant scalings (D and K at once, as
-`dk_iteration` has it), and the classical forms of `classical_candidates`.
+Every method is a family of controllers, searched for the largest margin to the demands among the
+controllers that are equally robust. The H-infinity synthesis over its weights and constant scalings
+(D and K at once, as `dk_iteration` has it) and the classical forms of `classical_candidates` have
+few numbers and are searched by trial; `tuned_over_stages` has many and follows their derivatives.
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import control
@@ -22,16 +22,20 @@ from piezo_controller.feedback.feedback_design import (
     feedback_from_control,
 )
 from piezo_controller.feedback.sample_rate.classical_candidates import CANDIDATES
+from piezo_controller.feedback.sample_rate.demands import Demands
 from piezo_controller.feedback.sample_rate.light_mode_problem import (
     UNCERTAINTIES,
     SampleRateWeights,
     light_mode_problem,
 )
 from piezo_controller.feedback.sample_rate.perturbed_loops import (
-    LoopFigures,
-    ModelErrors,
     PerturbedLoops,
     light_mode,
+)
+from piezo_controller.feedback.sample_rate.tuned_over_stages import (
+    STARTS_OF,
+    TunedFamily,
+    tuned_family,
 )
 from piezo_controller.feedback.synthesis.dk_iteration import scale, tick_frequencies
 from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
@@ -43,7 +47,7 @@ from piezo_controller.feedback.synthesis.structured_singular_value import (
 from piezo_models.cascade import StageModel
 
 H_INFINITY = "h_infinity"
-METHODS = (H_INFINITY, *CANDIDATES)
+METHODS = (*STARTS_OF, H_INFINITY, *CANDIDATES)
 
 COARSE = 0.03
 """Relative width to which a norm is bisected; the search needs no more."""
@@ -58,57 +62,11 @@ STEPS = (0.05, 0.15, 0.4)
 """Sizes of the steps nearby, as parts of a number."""
 
 
-@dataclass(frozen=True)
-class Demands:
-    """What a loop is to reach, and what bounds it.
-
-    Attributes
-    ----------
-    bandwidth_ratio : float
-        Of the closed loop at -3 dB to the frequency of the first mode.
-    disturbance_hz, attenuation_db : tuple of float
-    sensor_noise_um : float
-        White at the sample clock's rate, root mean square.
-    added_noise_um : float
-        Largest displacement that it may cause.
-    noise_voltage_v : float
-        Largest voltage that it may cause: six of them are within the feedback's usual room of 20 V.
-    worst_peak_sensitivity : float
-        Largest peak over all stages: the robustness at which designs are compared.
-    errors : ModelErrors
-    """
-
-    bandwidth_ratio: float = 1.2
-    disturbance_hz: tuple[float, ...] = (50.0, 100.0)
-    attenuation_db: tuple[float, ...] = (30.0, 20.0)
-    sensor_noise_um: float = 0.009
-    added_noise_um: float = 0.009
-    noise_voltage_v: float = 3.3
-    worst_peak_sensitivity: float = 4.0
-    errors: ModelErrors = ModelErrors()
-
-    def margin_db(self, figures: LoopFigures, first_mode_hz: float) -> float:
-        """Return by how much the least margin exceeds what is asked; negative if it does not."""
-        bandwidth_db = _decibels(figures.bandwidth_hz / (self.bandwidth_ratio * first_mode_hz))
-        return min(bandwidth_db, *(reached - asked for reached, asked in zip(
-            figures.attenuation_db, self.attenuation_db, strict=True)))
-
-    def violation_db(self, figures: LoopFigures) -> float:
-        """Return by how much the bounds are exceeded; 0 if they are kept."""
-        if figures.unstable:
-            return 40.0 + figures.unstable + 1e3 * (figures.largest_pole - 1.0)
-        noise_um = self.sensor_noise_um
-        return sum(max(0.0, _decibels(value)) for value in (
-            figures.worst_peak_sensitivity / self.worst_peak_sensitivity,
-            noise_um * figures.noise_gain / self.added_noise_um,
-            noise_um * figures.noise_gain_v_per_um / self.noise_voltage_v))
-
-
 def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
-                          method: str = "inverse_pi", clock_period_s: float = 25e-6,
+                          method: str = "fixed_order", clock_period_s: float = 25e-6,
                           model_sha256: str = "", effort: float = 1.0,
-                          seed: int = 0) -> FeedbackController:
-    """Design a feedback that answers every sample, two samples after it was taken.
+                          seed: int = 0, delay_ticks: int = 0) -> FeedbackController:
+    """Design a feedback that answers every sample.
 
     Parameters
     ----------
@@ -124,6 +82,9 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
         Multiplies the number of controllers that are tried.
     seed : int
         Of the search.
+    delay_ticks : int
+        Samples of computing time: 0 where the stage evaluates the feedback by itself, so that a
+        sample is answered by the next one; 1 where it is answered by the one after that.
 
     Returns
     -------
@@ -146,20 +107,17 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
         raise ValueError("the model has no mode, or has antiresonances: a feedback at the sample "
                          "rate is designed for modes without them")
     demands = demands or Demands()
-    loops = PerturbedLoops(model, demands.errors, clock_period_s, demands.disturbance_hz)
+    loops = PerturbedLoops(model, demands.errors, clock_period_s, demands.disturbance_hz,
+                           demands.disturbance_tolerance, delay_ticks)
     first_mode_hz = min(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
-    family = (_HInfinityFamily(model, clock_period_s) if method == H_INFINITY
-              else _ClassicalFamily(model, method, clock_period_s))
-
-    def cost(logarithms: FloatArray) -> float:
-        try:
-            figures = loops.measure(family.controller(np.exp(logarithms)))
-        except NoController:
-            return NO_CONTROLLER
-        margin_db = demands.margin_db(figures, first_mode_hz)
-        return VIOLATION * demands.violation_db(figures) - margin_db
-
-    numbers = np.exp(_search(cost, family, effort, seed))
+    family: _Family
+    if method in STARTS_OF:
+        family = tuned_family(model, demands, method, clock_period_s)
+        numbers = family.search(loops, demands, effort, seed)
+    else:
+        family = (_HInfinityFamily(model, clock_period_s, delay_ticks) if method == H_INFINITY
+                  else _ClassicalFamily(model, method, clock_period_s))
+        numbers = _search_by_trial(family, loops, demands, first_mode_hz, effort, seed)
     controller = family.controller(numbers)
     figures = loops.measure(controller)
     if figures.unstable:
@@ -167,7 +125,8 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
             f"no controller of the method {method} was found that is stable with all "
             f"{len(loops.plants)} stages: lower the errors or the demands, or raise the effort")
     noise_um = demands.sensor_noise_um
-    designed = feedback_from_control(controller, model, clock_period_s, model_sha256, method)
+    designed = feedback_from_control(controller, model, clock_period_s, model_sha256, method,
+                                     delay_ticks)
     report = {**designed.report, "demands": asdict(demands), "figures": asdict(figures),
               "margin_db": demands.margin_db(figures, first_mode_hz),
               "added_noise_um": noise_um * figures.noise_gain,
@@ -176,8 +135,18 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
     return replace(designed, report=report)
 
 
-def _decibels(ratio: float) -> float:
-    return float(20 * np.log10(max(ratio, 1e-9)))
+def _search_by_trial(family: "_SearchedFamily", loops: PerturbedLoops, demands: Demands,
+                     first_mode_hz: float, effort: float, seed: int) -> FloatArray:
+    """Return the numbers of the largest margin that was found."""
+    def cost(logarithms: FloatArray) -> float:
+        try:
+            figures = loops.measure(family.controller(np.exp(logarithms)))
+        except NoController:
+            return NO_CONTROLLER
+        margin_db = demands.margin_db(figures, first_mode_hz)
+        return VIOLATION * demands.violation_db(figures) - margin_db
+
+    return np.asarray(np.exp(_search(cost, family, effort, seed)))
 
 
 class _ClassicalFamily:
@@ -211,8 +180,9 @@ class _HInfinityFamily:
     bounds = ((0.3, 10.0), (0.02, 0.6), (1.2, 8.0), (0.5, 8.0), (1.0, 15.0), (1e-4, 0.3),
               (0.05, 0.6), (0.01, 0.5), (0.05, 50.0), (0.05, 50.0))
 
-    def __init__(self, model: StageModel, clock_period_s: float) -> None:
+    def __init__(self, model: StageModel, clock_period_s: float, delay_ticks: int) -> None:
         self._model, self._clock_period_s = model, clock_period_s
+        self._delay_ticks = delay_ticks
         self._mode_hz = (model.dynamics.mode_frequencies_rad_per_s[light_mode(model)]
                          / (2 * np.pi))
         self._gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
@@ -224,7 +194,8 @@ class _HInfinityFamily:
         weights = SampleRateWeights(
             crossover * self._mode_hz, corner * self._mode_hz, peak, control_gain,
             roll_off * self._mode_hz, noise, of_gain, of_mode)
-        problem = light_mode_problem(self._model, weights, self._clock_period_s)
+        problem = light_mode_problem(
+            self._model, weights, self._clock_period_s, self._delay_ticks)
         controller, gamma = synthesise(scale(problem, scalings), SLACK, tolerance=COARSE)
         return weights, problem, controller, gamma
 
@@ -244,8 +215,12 @@ class _HInfinityFamily:
                 "mu": float(mu.max())}
 
 
-def _search(cost: Callable[[FloatArray], float], family: "_ClassicalFamily | _HInfinityFamily",
-            effort: float, seed: int) -> FloatArray:
+_SearchedFamily = _ClassicalFamily | _HInfinityFamily
+_Family = _SearchedFamily | TunedFamily
+
+
+def _search(cost: Callable[[FloatArray], float], family: _SearchedFamily, effort: float,
+            seed: int) -> FloatArray:
     """Return the logarithms of the best numbers: from anywhere, then nearby, then by a simplex."""
     rng = np.random.default_rng(seed)
     low, high = np.log(family.bounds).T

@@ -59,7 +59,7 @@ class SampleRateWeights:
 
 
 def light_mode_problem(model: StageModel, weights: SampleRateWeights,
-                       clock_period_s: float) -> control.StateSpace:
+                       clock_period_s: float, delay_ticks: int = 1) -> control.StateSpace:
     """Pose the design problem for a plant of gain 1.
 
     Creep is left out: it is slower than all that the feedback is designed for, and its poles beside
@@ -71,6 +71,9 @@ def light_mode_problem(model: StageModel, weights: SampleRateWeights,
         With a light mode that has no antiresonance.
     weights : SampleRateWeights
     clock_period_s : float
+    delay_ticks : int
+        See `design_plant`.
+    clock_period_s : float
 
     Returns
     -------
@@ -79,9 +82,11 @@ def light_mode_problem(model: StageModel, weights: SampleRateWeights,
         the two uncertainties, weighted error, weighted control, measured error.
     """
     dt = clock_period_s
-    two_delays = control.ss([[0.0, 0.0], [1.0, 0.0]], [[1.0], [0.0]], [[0.0, 1.0]], [[0.0]], dt)
+    samples = 1 + delay_ticks
+    delay = control.ss(np.eye(samples, k=-1), np.eye(samples, 1), np.eye(1, samples, k=delay_ticks),
+                       [[0.0]], dt)
     plant = _with_uncertain_mode(model, weights.mode_uncertainty, dt) * control.append(
-        two_delays, control.ss([], [], [], [[1.0]], dt))
+        delay, control.ss([], [], [], [[1.0]], dt))
 
     def named(system: control.StateSpace, name: str, sources: list[str],
               sinks: list[str]) -> control.StateSpace:

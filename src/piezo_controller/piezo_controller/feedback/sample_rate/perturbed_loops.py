@@ -19,8 +19,14 @@ from piezo_controller.feedback.synthesis.generalised_plant import (
 from piezo_models.cascade import StageModel
 
 LOWEST_HZ = 1.0
-COARSE, FINE = 120, 240
-"""Frequencies over the whole band, and about the modes, where the loops differ."""
+HIGHEST = 0.4995
+"""Of the rate: a little below the half, which Tustin's rule takes for infinity."""
+
+COARSE, FINE, NEAR = 120, 240, 24
+"""Frequencies over the whole band, about the modes, where the loops differ, and near a disturbance,
+where a controller may have a resonance."""
+
+ABOUT = np.linspace(-1.0, 1.0, 5)
 
 
 @dataclass(frozen=True)
@@ -88,30 +94,48 @@ class PerturbedLoops:
     clock_period_s : float
     disturbance_hz : sequence of float
         At which the attenuation is asked for.
+    disturbance_tolerance : float
+        Relative error of these frequencies; the least attenuation within it counts.
+    delay_ticks : int
+        See `design_plant`: 0 where the stage evaluates the feedback by itself.
+
+    Attributes
+    ----------
+    plants : list of control.StateSpace
+        That of the model itself is the first.
+    frequency_hz : ndarray, shape (F,)
+    responses : ndarray of complex, shape (P, F)
+        Of the plants (um/V).
+    disturbances : list of ndarray
+        Numbers of the frequencies about each disturbance.
     """
 
     def __init__(self, model: StageModel, errors: ModelErrors, clock_period_s: float = 25e-6,
-                 disturbance_hz: tuple[float, ...] = (50.0, 100.0)) -> None:
-        self.plants = list(_perturbed(model, errors, clock_period_s))
-        highest_hz = 0.5 / clock_period_s
+                 disturbance_hz: tuple[float, ...] = (50.0, 100.0),
+                 disturbance_tolerance: float = 0.0, delay_ticks: int = 1) -> None:
+        self.plants = list(_perturbed(model, errors, clock_period_s, delay_ticks))
+        highest_hz = HIGHEST / clock_period_s
         mode_hz = model.dynamics.mode_frequencies_rad_per_s[light_mode(model)] / (2 * np.pi)
-        self._frequency_hz = np.unique(np.concatenate([
+        about = np.outer(disturbance_hz, 1 + disturbance_tolerance * ABOUT)
+        self.frequency_hz = np.unique(np.concatenate([
             np.geomspace(LOWEST_HZ, highest_hz, COARSE),
-            np.geomspace(mode_hz / 3, mode_hz * 3, FINE), disturbance_hz]))
-        self._points = np.exp(2j * np.pi * self._frequency_hz * clock_period_s)
-        self._asked = np.searchsorted(self._frequency_hz, disturbance_hz)
-        self._responses = np.array([_response(plant, self._points) for plant in self.plants])
+            np.geomspace(mode_hz / 3, mode_hz * 3, FINE), *(_near(hz) for hz in disturbance_hz),
+            about.ravel()]))
+        self.points = np.exp(2j * np.pi * self.frequency_hz * clock_period_s)
+        self.responses = np.array([_response(plant, self.points) for plant in self.plants])
+        self.disturbances = [np.unique(np.searchsorted(self.frequency_hz, band)) for band in about]
 
     def measure(self, controller: control.StateSpace) -> LoopFigures:
         """Close every loop with a controller from error (um) to voltage (V)."""
         poles = np.array([np.abs(np.linalg.eigvals(closed_loop_matrix(plant, controller))).max()
                           for plant in self.plants])
-        sensitivity = 1 / (1 + self._responses * _response(controller, self._points))
+        sensitivity = 1 / (1 + self.responses * _response(controller, self.points))
         below = np.abs(1 - sensitivity) < BAND_EDGE
-        bandwidth_hz = np.where(below.any(axis=1), self._frequency_hz[below.argmax(axis=1)],
-                                self._frequency_hz[-1])
+        bandwidth_hz = np.where(below.any(axis=1), self.frequency_hz[below.argmax(axis=1)],
+                                self.frequency_hz[-1])
         size = np.abs(sensitivity)
-        attenuation_db = -20 * np.log10(size[:, self._asked])
+        attenuation_db = -20 * np.log10(np.column_stack(
+            [size[:, band].max(axis=1) for band in self.disturbances]))
         unstable = int(np.sum(poles >= 1.0))
         noise = _noise_gains(self.plants[0], controller) if poles[0] < 1.0 else (np.inf, np.inf)
         return LoopFigures(
@@ -131,11 +155,18 @@ def closed_loop_matrix(plant: control.StateSpace, controller: control.StateSpace
                      [-controller.B @ plant.C, controller.A]])
 
 
-def _perturbed(model: StageModel, errors: ModelErrors,
-               clock_period_s: float) -> Iterator[control.StateSpace]:
+def _near(frequency_hz: float) -> FloatArray:
+    return np.asarray(frequency_hz * np.geomspace(0.8, 1.25, NEAR))
+
+
+def _perturbed(model: StageModel, errors: ModelErrors, clock_period_s: float,
+               delay_ticks: int) -> Iterator[control.StateSpace]:
     """Yield the model's plant with its nominal gain, then the others."""
-    nominal_plant, nominal_gain = design_plant(model, clock_period_s, clock_period_s)
-    yield nominal_gain * nominal_plant
+    def sampled(found: StageModel) -> control.StateSpace:
+        return design_plant(found, clock_period_s, clock_period_s, delay_ticks=delay_ticks)[0]
+
+    nominal_gain = float(np.mean(hysteresis_gain_range(model)))
+    yield nominal_gain * sampled(model)
     pairs, modes = len(model.creep.poles_rad_per_s), len(model.dynamics.damping_ratios)
     light = light_mode(model)
     signs = [-1.0, 1.0]
@@ -144,7 +175,7 @@ def _perturbed(model: StageModel, errors: ModelErrors,
             np.full(2 * pairs, slow), [slow], np.full(modes, -slow), np.full(modes, damped)])
         relative[2 * pairs + 1 + light] = part * errors.light_mode
         relative[2 * pairs + 1 + modes + light] = -errors.parameter
-        plant, _ = design_plant(with_errors(model, relative), clock_period_s, clock_period_s)
+        plant = sampled(with_errors(model, relative))
         for gain_um_per_v in hysteresis_gain_range(model):
             yield gain_um_per_v * plant
 

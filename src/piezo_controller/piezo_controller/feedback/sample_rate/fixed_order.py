@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A feedback of fixed order: an integration, zeros and poles, and their derivatives."""
+
+from dataclasses import dataclass
+
+import control
+import numpy as np
+
+from piezo_common.arrays import ComplexArray, FloatArray
+
+FASTEST, SLOWEST = 16.0, 1e-3
+"""Poles and zeros, as ratios to the unit of frequency."""
+
+ZERO_DAMPING, POLE_DAMPING = (-3.0, 6.0), (0.004, 5.0)
+"""Zeros may lie on either side; poles are stable."""
+
+
+@dataclass(frozen=True)
+class FixedOrder:
+    """Controllers of given numbers of zeros and poles.
+
+    Their numbers are the logarithm of the integral gain, those of the real zeros and poles, and of
+    each pair its frequency's logarithm and its damping ratio: as it is for zeros, its logarithm for
+    poles. Each factor is 1 at rest.
+
+    Attributes
+    ----------
+    real_zeros, real_poles, zero_pairs, pole_pairs : int
+        The poles beside the integration.
+    unit_rad_per_s : float
+        Of the frequencies.
+    """
+
+    real_zeros: int
+    real_poles: int
+    zero_pairs: int
+    pole_pairs: int
+    unit_rad_per_s: float
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Return between which numbers to search."""
+        frequency = [(np.log(SLOWEST), np.log(FASTEST))]
+        low, high = np.array(
+            [(-12.0, 6.0), *(self.real_zeros + self.real_poles) * frequency,
+             *self.zero_pairs * [*frequency, ZERO_DAMPING],
+             *self.pole_pairs * [*frequency, tuple(np.log(POLE_DAMPING))]]).T
+        return low, high
+
+    def response(self, numbers: FloatArray,
+                 points: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the response and its relative derivatives by the numbers.
+
+        Parameters
+        ----------
+        numbers : ndarray, shape (n,)
+        points : ndarray of complex, shape (F,)
+            Of the Laplace variable (rad/s).
+
+        Returns
+        -------
+        response : ndarray, shape (F,)
+        derivatives : ndarray, shape (n, F)
+            Of its logarithm.
+        """
+        s = points / self.unit_rad_per_s
+        gain, zeros, poles, zero_pairs, pole_pairs = self._parts(numbers)
+        response = np.exp(gain) / s
+        rows = [np.ones_like(s)]
+        for reals, power in ((zeros, 1), (poles, -1)):
+            for frequency in reals:
+                factor = 1 + s / frequency
+                response = response * factor**power
+                rows.append(-power * s / frequency / factor)
+        for pairs, power in ((zero_pairs, 1), (pole_pairs, -1)):
+            for frequency, damping in pairs:
+                u = s / frequency
+                factor = u * u + 2 * damping * u + 1
+                response = response * factor**power
+                by_damping = 2 * u / factor * (1.0 if power == 1 else damping)
+                rows += [-power * 2 * u * (u + damping) / factor, power * by_damping]
+        return response, np.array(rows)
+
+    def controller(self, numbers: FloatArray, period_s: float) -> control.StateSpace:
+        """Return the discrete controller by Tustin's rule, as a chain of sections."""
+        gain, zeros, poles, zero_pairs, pole_pairs = self._parts(numbers)
+        numerators = [*map(_pair, zero_pairs), *([1 / zero, 1.0] for zero in zeros)]
+        denominators = [*map(_pair, pole_pairs), *([1 / pole, 1.0] for pole in poles), [1.0, 0.0]]
+        # The zeros come no earlier than their poles, so that no section has more of them.
+        numerators += [[1.0]] * (len(denominators) - len(numerators))
+        system = control.ss([], [], [], [[np.exp(gain)]])
+        for numerator, denominator in zip(numerators, denominators, strict=True):
+            system = system * control.ss(control.tf(numerator, denominator))
+        # In units of the frequency, so that no element is many orders larger than another.
+        sampled = system.sample(period_s * self.unit_rad_per_s, method="bilinear")
+        return control.ss(sampled.A, sampled.B, sampled.C, sampled.D, period_s)
+
+    def _parts(self, numbers: FloatArray) -> tuple[
+            float, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return gain's logarithm, real zeros, real poles, pairs of zeros, pairs of poles."""
+        first, *ends = np.cumsum([1, self.real_zeros, self.real_poles, 2 * self.zero_pairs])
+        gain, zeros, poles, zero_pairs, pole_pairs = np.split(
+            np.asarray(numbers, dtype=float), [first, *ends])
+        zero_pairs, pole_pairs = zero_pairs.reshape(-1, 2), pole_pairs.reshape(-1, 2)
+        return (float(gain[0]), np.exp(zeros), np.exp(poles),
+                np.column_stack([np.exp(zero_pairs[:, 0]), zero_pairs[:, 1]]),
+                np.exp(pole_pairs))
+
+
+def _pair(pair: FloatArray) -> list[float]:
+    frequency, damping = pair
+    return [1 / frequency**2, 2 * damping / frequency, 1.0]

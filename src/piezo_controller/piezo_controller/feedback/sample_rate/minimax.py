@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Lower the largest of many smooth functions within bounds: sequential linear programming."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linprog
+
+from piezo_common.arrays import FloatArray
+
+BOUND_COST = 5.0
+"""What one beyond a bound costs; more than the multipliers of such problems, so it is exact."""
+
+FIRST_STEP, LARGEST_STEP, LEAST_STEP = 0.1, 0.5, 1e-4
+LEAST_GAIN = 1e-4
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Functions and their derivatives at some numbers.
+
+    Attributes
+    ----------
+    values, slopes : ndarray, shape (m,), (m, n)
+        Of which the largest is to be lowered.
+    bounds, bound_slopes : ndarray, shape (k,), (k, n)
+        Which may not exceed 0.
+    allowed : bool
+        Whether the numbers may be taken at all.
+    """
+
+    values: FloatArray
+    slopes: FloatArray
+    bounds: FloatArray
+    bound_slopes: FloatArray
+    allowed: bool
+
+    @property
+    def cost(self) -> float:
+        """Return the largest value, and what the bounds that are exceeded cost."""
+        return float(self.values.max() + BOUND_COST * max(0.0, self.bounds.max()))
+
+
+def lower_largest(linearise: Callable[[FloatArray], Linearised], numbers: FloatArray,
+                  low: FloatArray, high: FloatArray, steps: int) -> tuple[FloatArray, Linearised]:
+    """Lower the largest value from step to step.
+
+    Each step is the solution of a linear program within a box, whose size follows how well the
+    linear functions foresaw the last one (a trust region).
+
+    Parameters
+    ----------
+    linearise : callable
+    numbers : ndarray, shape (n,)
+        Where to begin; allowed.
+    low, high : ndarray, shape (n,)
+    steps : int
+        At most.
+
+    Returns
+    -------
+    numbers : ndarray, shape (n,)
+    there : Linearised
+    """
+    numbers = np.clip(numbers, low, high)
+    there, size = linearise(numbers), FIRST_STEP
+    for _ in range(steps):
+        step, foreseen = _step(there, np.maximum(low - numbers, -size),
+                               np.minimum(high - numbers, size))
+        if not there.cost - foreseen > LEAST_GAIN:
+            break
+        found = linearise(numbers + step)
+        agreement = (there.cost - found.cost) / (there.cost - foreseen)
+        if not found.allowed or not agreement > 0.0:
+            size /= 2.5
+            if size < LEAST_STEP:
+                break
+            continue
+        numbers, there = numbers + step, found
+        if agreement > 0.6:
+            size = min(1.8 * size, LARGEST_STEP)
+        elif agreement < 0.2:
+            size /= 2.0
+    return numbers, there
+
+
+def _step(there: Linearised, low: FloatArray, high: FloatArray) -> tuple[FloatArray, float]:
+    """Return the best step within a box, and the cost that is foreseen for it."""
+    count, bounds = len(there.values), len(there.bounds)
+    # Beside the step: the largest value, and by how much the bounds are exceeded.
+    columns = np.zeros((count + bounds, 2))
+    columns[:count, 0] = columns[count:, 1] = -1.0
+    found = linprog(
+        np.r_[np.zeros(low.size), 1.0, BOUND_COST],
+        A_ub=np.column_stack([np.vstack([there.slopes, there.bound_slopes]), columns]),
+        b_ub=-np.r_[there.values, there.bounds],
+        bounds=[*zip(low, high, strict=True), (None, None), (0.0, None)], method="highs")
+    if found.x is None:
+        return np.zeros(low.size), there.cost
+    return found.x[:-2], float(found.fun)
