@@ -180,7 +180,7 @@ def order_trial(
     parameters : int
     refusal : str
     signal : ndarray, optional
-        What was fitted, in the unit of the residual: an exact one leaves rounding alone, which
+        What was fitted, in the unit of the residual: an exact one leaves only rounding, which
         is no reason for more parameters.
 
     Returns

@@ -13,7 +13,7 @@ from piezo_identification.recording_check.check import FEWEST_ROWS, RecordingChe
 from piezo_identification.recording_check.waveform_kind import BROADBAND, LEVELS
 
 CYCLES = ("triangle", "sine", "cycles")
-"""Kinds that go to and fro."""
+"""Kinds that go up and down."""
 
 ROWS_FOR_HOLDS, HELD = 5000, 0.01
 """Rows of a recording in which holds are sought, and part of the swing that may change in one."""

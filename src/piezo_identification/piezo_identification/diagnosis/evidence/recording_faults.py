@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from piezo_common.arrays import FloatArray
@@ -233,7 +234,7 @@ def _read_later(recording: Recording, rows: int) -> Recording:
                    columns=kept.columns | of_sensor)
 
 
-def _of_sensor(recording: Recording, source: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+def _of_sensor(recording: Recording, source: NDArray[np.intp]) -> Iterator[tuple[str, FloatArray]]:
     """Yield the columns that tell of the displacement, and move with it."""
     for name, values in recording.columns.items():
         if name.endswith("_um"):
