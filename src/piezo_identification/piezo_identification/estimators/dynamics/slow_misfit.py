@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.estimators.dynamics.fast_creep import best_free_fit
-from piezo_identification.estimators.dynamics.fast_record import FastRecord, independent
+from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH
 from piezo_identification.estimators.dynamics.physical_standing import (
     FAR_BELOW,
@@ -22,16 +22,15 @@ from piezo_identification.estimators.dynamics.physical_standing import (
 MOST_WAVES = 300
 """Half periods of the fastest wave: a longer record tells slow motions from vibrations itself."""
 
-MOST_OF_IT = 0.5
-"""Part of the power of what free poles leave from which it is called slow."""
+MOST_OF_THE_MOTION = 0.95
+"""Part of the input's power that tells how fast its loops are."""
 
 
 def beside_slow_misfit(record: FastRecord) -> FastRecord:
     """Let a record hold any slow motion beside the response, where it needs to.
 
-    It needs to where free poles, as pairs, which neither a lag nor creep has, lie far below those
-    that ring, and are no vibration by their damping, or where most of what they leave is as slow.
-    Cosines up to there then take what is slow.
+    It needs to where its loops are far slower than what rings, and free poles take pairs, which
+    neither a lag nor creep has, to follow them. Cosines up to there then take what is slow.
 
     Parameters
     ----------
@@ -42,26 +41,25 @@ def beside_slow_misfit(record: FastRecord) -> FastRecord:
     FastRecord
         The same one where there is no need.
     """
-    coarse = record.thinned(ROWS_OF_SEARCH)
-    best = best_free_fit(coarse)
-    frequencies, dampings = np.abs(best.poles), -best.poles.real / np.abs(best.poles)
-    rings = (dampings >= LEAST_DAMPING) & (dampings < HEAVY_DAMPING)
+    poles = best_free_fit(record.thinned(ROWS_OF_SEARCH)).poles
+    frequencies, dampings = np.abs(poles), -poles.real / np.abs(poles)
+    period_s = record.input.sample_period_s
+    far_above = loop_rad_per_s(record.input.samples, period_s) / FAR_BELOW
+    rings = (dampings >= LEAST_DAMPING) & (dampings < HEAVY_DAMPING) & (frequencies > far_above)
     if not rings.any():
         return record
     fastest = FAR_BELOW * frequencies[rings].min()
-    period_s = record.input.sample_period_s
     waves = min(int(fastest * np.ptp(record.kept) * period_s / np.pi), MOST_WAVES)
-    is_slow_pair = (best.poles.imag != 0.0) & ~rings & (frequencies < fastest)
-    if not waves or not is_slow_pair.any() and _share(
-            best.residual, slow_waves(coarse.kept, waves)) < MOST_OF_IT:
+    if not waves or not np.any((poles.imag != 0.0) & (frequencies < fastest)):
         return record
     return replace(record, fixed=np.column_stack([record.fixed, slow_waves(record.kept, waves)]))
 
 
-def _share(signal: FloatArray, columns: FloatArray) -> float:
-    """Part of a signal's power that columns can make up for."""
-    span = independent(columns)
-    return float(np.sum((span.T @ signal) ** 2) / np.sum(signal**2))
+def loop_rad_per_s(input_um: FloatArray, sample_period_s: float) -> float:
+    """Return the frequency up to which nearly all power of an input lies, shape (N,)."""
+    power = np.abs(np.fft.rfft((input_um - input_um.mean()) * np.hanning(input_um.size))) ** 2
+    line = int(np.searchsorted(np.cumsum(power), MOST_OF_THE_MOTION * power.sum()))
+    return 2.0 * np.pi * line / (input_um.size * sample_period_s)
 
 
 def slow_waves(rows: NDArray[np.intp], count: int) -> FloatArray:

@@ -105,8 +105,8 @@ def estimate_density(
         raise ValueError(
             f"the voltage of {parts[0].path} is {lowest_v:g} V throughout: give a recording in "
             "which it moves")
+    _check_sign(parts)
     segments = [_segment(part, creep, dynamics, delay_s) for part in parts]
-    _check_sign(segments, parts[0].path)
     passed = levels_passed(parts, highest_v - lowest_v)
     is_line = passed < FEWEST_LEVELS
     if level_count is None:
@@ -182,12 +182,9 @@ def hysteresis_output_um(
     return remove_creep(displacement_um + lead_s * slope_um_per_s, creep, recording.sample_period_s)
 
 
-def _check_sign(segments: Sequence[HysteresisSegment], path: str) -> None:
-    """Refuse a displacement that falls where the voltage rises."""
-    products = []
-    for segment in segments:
-        voltage_v = segment.voltage_v[segment.samples]
-        products.append((voltage_v - voltage_v.mean()) @ segment.output_um[segment.samples])
+def _check_sign(parts: Sequence[Recording]) -> None:
+    """Refuse a displacement that, as measured, falls where the voltage rises."""
+    products = [(part.voltage_v - part.voltage_v.mean()) @ part.displacement_um for part in parts]
     if sum(products) <= 0.0:
-        raise ValueError(
-            f"{path}: the displacement falls where the voltage rises: reverse the sign of one")
+        raise ValueError(f"{parts[0].path}: the displacement falls where the voltage rises: "
+                         "reverse the sign of one")
