@@ -208,12 +208,12 @@ def test_amplitude_that_no_mode_reaches_is_refused_before_anything_moves(
     assert suite.play([0.0]).first_sample == before + 1
 
 
-def test_run_that_did_not_follow_is_recorded_and_does_not_succeed(suite, model, tmp_path):
+def test_run_that_did_not_follow_is_recorded_and_says_so(suite, model, tmp_path):
     goal = suite.send_goal("track", **goal_fields(
         model, tmp_path, harmonic(1000.0, 10.0), mode="pid", duration_s=0.1))
     status, result = suite.result(goal)
-    assert (status, result.success) == (GoalStatus.STATUS_ABORTED, False)
-    assert result.message.startswith(NOT_FOLLOWED)
+    assert (status, result.success) == (GoalStatus.STATUS_SUCCEEDED, True)
+    assert NOT_FOLLOWED in result.message
     assert result.e_rms_percent > 30.0
     recording = read_recording(result.recording)
     assert recording.complete and recording.voltage_v[-1] == 0.0

@@ -105,7 +105,9 @@ def test_feedforward_and_law_go_over_in_one_tick_without_a_step(stage, files, ru
     assert difference_v > 0.1
     # What is added to the feedforward goes on: a bump would be as large as the difference.
     added_v = tracked.voltage_v - old_v
-    assert abs(added_v[swap] - added_v[swap - 1]) < 0.05 * difference_v
+    # The feedback itself makes a step a tick.
+    usual_v = np.abs(np.diff(added_v[swap - 21 * TICK : swap : TICK])).max()
+    assert abs(added_v[swap] - added_v[swap - 1]) < max(0.05 * difference_v, 2.0 * usual_v)
     whole = -(-(swap + FADED) // PERIOD) * PERIOD
     before, after = slice(swap - PERIOD, swap), slice(whole, whole + PERIOD)
     apart_v = abs(fastest_v(new_v[after]) - fastest_v(old_v[after]))

@@ -54,7 +54,7 @@ def test_every_parameter_has_a_description_a_range_and_a_unit(serving, node):
      "the backend nidaqmx needs the Python package nidaqmx"),
     ("hardware", ["-p", "autostart:=true"], "set the parameter backend_file"),
     ("hardware", ["-p", "backend:=mine"], "there is no backend 'mine': set the parameter backend"),
-    ("recorder", ["-p", "topics:=[samples]"], "names 1 topics, types 5"),
+    ("recorder", ["-p", "topics:=[samples]"], "names 1 topics, types 6"),
     ("recorder", ["--params-file", "/no/parameters.yaml"],
      "Couldn't parse params file: '--params-file /no/parameters.yaml'"),
 ])

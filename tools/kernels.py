@@ -29,7 +29,8 @@ matrix = np.random.default_rng(0).normal(size=(64, 64))
 np.linalg.eig(matrix @ matrix.T)
 scipy.linalg.schur(matrix)
 with open("/proc/self/maps") as maps:
-    libraries = sorted(set(re.findall(r"/\\S*openblas\\S*", maps.read())))
+    # The path is the rest of a line, and may hold spaces.
+    libraries = sorted(set(re.findall(r"/.*openblas.*", maps.read())))
 for path in libraries:
     library = ctypes.CDLL(path)
     for name in ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename",

@@ -138,15 +138,14 @@ class ControllerNode(LifecycleNode):
                 raise CallFailed(
                     f"the stage stopped before the end: {self._tracker.why_ended()}")
         progress.check()
-        failures = list(filter(None, (account.failure, run.not_followed)))
-        learned = "" if failures else _keep_learned(prepared.learning, result)
+        learned = "" if account.failure else _keep_learned(prepared.learning, result)
         uncompensated = (
             f'the feedforward does not compensate: {", ".join(plan.uncompensated)}'
             if plan.uncompensated else "")
-        notes = (replaced, present.note, learned, uncompensated, run.lateness, plan.note,
-                 recording.note)
-        if failures:
-            raise CallFailed("; ".join(filter(None, (*failures, *notes))))
+        notes = (replaced, present.note, learned, uncompensated, run.not_followed, run.lateness,
+                 plan.note, recording.note)
+        if account.failure:
+            raise CallFailed("; ".join(filter(None, (account.failure, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))
 
     def _feedbacks(self, clock: StageClock) -> Feedbacks:

@@ -17,7 +17,7 @@ ON_TARGET_SAMPLES = 400
 USUAL_PERCENT = 99
 TOLERANCE_OF_TRAVEL, LEAST_TOLERANCE_UM = 0.01, 0.03
 NOT_FOLLOWED = "the stage did not follow the reference"
-"""How the account of a run begins that must not count as done."""
+"""How the note begins of a run whose error is that of a stage at rest."""
 
 
 class TrackingRun:
@@ -140,7 +140,7 @@ class TrackingRun:
 
     @property
     def not_followed(self) -> str:
-        """Return why a run does not count whose error was about that at rest; empty otherwise."""
+        """Return what to tell of a run whose error was about that at rest; empty otherwise."""
         if not self._counted:
             return ""
         mean_um = self._expected_sum / self._counted

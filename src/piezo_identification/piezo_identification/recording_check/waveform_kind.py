@@ -169,8 +169,9 @@ def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform 
     if sum(part.size for part in np.split(voltage_v, jumps)
            if part.size > 4) < 0.5 * voltage_v.size:
         return None
-    holds_s = np.diff(np.concatenate([[0], jumps, [voltage_v.size]])) * period_s
-    branch_s = float(np.median(holds_s))
+    rows = np.diff(np.concatenate([[0], jumps, [voltage_v.size]]))
+    # The rows of a short way between two levels are no holds.
+    branch_s = float(np.median(rows[rows > 4])) * period_s
     if groups == 2:
         count = "one step" if jumps.size == 1 else f"{jumps.size} steps"
         return Waveform("square", f"{count} between {voltage_v.min():.5g} and "

@@ -79,7 +79,8 @@ class VoltageSteps(Effect):
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
         """Ask for a voltage with many levels."""
-        levels = np.unique(evidence.voltage_v[: BINS]).size
+        voltage_v = evidence.voltage_v
+        levels = np.unique(voltage_v[:: max(1, voltage_v.size // BINS)]).size
         if levels < FEWEST_LEVELS:
             return "the voltage has too few levels to show steps between them"
         return None

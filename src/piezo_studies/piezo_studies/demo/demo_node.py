@@ -23,7 +23,6 @@ from piezo_bringup.processes import Processes
 from piezo_client.client import Client, GoalFailed
 from piezo_common.picture_style import to_png
 from piezo_common.progress_line import ProgressLine
-from piezo_controller.tracking.tracking_run import NOT_FOLLOWED
 from piezo_models.model_file import load_model
 from piezo_sim.plant.plant_effect import PlantConfigError
 from piezo_studies.demo.demo_command import USUAL
@@ -278,23 +277,11 @@ def _track_all(client, processes, model, directory, progress):
         reference = {"kind": "harmonic", "frequency_hz": [frequency_hz],
                      "amplitude_um": [amplitude_um], "centre_um": CENTRE_UM}
         _rest(client, processes)
-        with _blaming(processes, "controller"), _comparing(mode, tracks):
+        with _blaming(processes, "controller"):
             tracks.append(client.track(
                 reference, model, mode, DURATION_S, directory / f"{frequency_hz:g}_hz",
                 on_feedback=lambda feedback, show=show: show(feedback.fraction)).recording)
     return tracks
-
-
-@contextmanager
-def _comparing(mode, tracks):
-    """Keep a run in open loop that did not follow: how far it is off is what the table shows."""
-    try:
-        yield
-    except GoalFailed as failed:
-        result = failed.result
-        if mode != "open_loop" or not (result and result.message.startswith(NOT_FOLLOWED)):
-            raise
-        tracks.append(result.recording)
 
 
 def _draw_runs(identified, tracks, directory):

@@ -9,8 +9,8 @@ from scipy.signal import lfilter
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
-from piezo_identification.estimators.dynamics.subspace import identify_subspace
 from piezo_identification.estimators.estimate import parameter_covariance
+from piezo_identification.estimators.poles.subspace import identify_subspace
 
 MOST_ITERATIONS = 100
 MOST_IDLE = 5

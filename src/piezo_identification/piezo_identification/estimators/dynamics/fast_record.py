@@ -16,7 +16,7 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
     differentiated,
     poles_and_residues,
 )
-from piezo_identification.estimators.dynamics.pole_responses import HeldInput
+from piezo_identification.estimators.poles.pole_responses import HeldInput
 
 EARLIEST, LATEST = -1.5, 100.0
 """Delays in sample periods between which one is sought: the earliest is that of a logger that reads

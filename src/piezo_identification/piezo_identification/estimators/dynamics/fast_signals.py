@@ -12,8 +12,8 @@ from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.waveforms import played, samples_per_mean
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
-from piezo_identification.estimators.dynamics.pole_responses import HeldInput
 from piezo_identification.estimators.estimate import Estimate
+from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording

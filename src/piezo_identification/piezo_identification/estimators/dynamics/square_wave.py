@@ -11,8 +11,8 @@ from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.fast_signals import drift_basis, played_at_the_clock
-from piezo_identification.estimators.dynamics.pole_responses import HeldInput
 from piezo_identification.estimators.estimate import Estimate
+from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 

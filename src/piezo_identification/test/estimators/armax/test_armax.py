@@ -7,8 +7,8 @@ from piezo_identification.estimators.armax.armax_dynamics import (
     dynamics_of_armax,
     estimate_dynamics_armax,
 )
-from piezo_identification.estimators.dynamics.subspace import identify_subspace
 from piezo_identification.estimators.estimate import dynamics_vector
+from piezo_identification.estimators.poles.subspace import identify_subspace
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.linear.dynamics import (
     ElectricVibrationDynamics,

@@ -5,7 +5,7 @@ import numpy as np
 
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
-from piezo_identification.estimators.dynamics.pole_responses import HeldInput
+from piezo_identification.estimators.poles.pole_responses import HeldInput
 
 PERIOD_S, STEPS = 1.6384e-3, 6
 FREQUENCY_RAD_PER_S, DAMPING, CUBIC = 430.0, 0.05, 4.0

@@ -11,7 +11,7 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
     fast_dynamics_of,
     poles_and_residues,
 )
-from piezo_identification.estimators.dynamics.pole_responses import HeldInput
+from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
