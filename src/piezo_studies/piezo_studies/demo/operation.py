@@ -21,10 +21,10 @@ FASTER = 1.03
 CHANGE_AFTER_S, CHANGING_S, COMPARED_S = 4.0, 6.0, 0.5
 OFFER_TIMEOUT_S = 120.0
 
-# A scan line, on which a lag and a delay look alike: they differ by (w T)^2 / 2, that is 3 nm.
-SCAN = {"kind": "harmonic", "frequency_hz": [40.0], "amplitude_um": [20.0], "centre_um": 50.0}
+# A scan line, on which a lag and a delay look alike: they differ by (w T)^2 / 2, that is 0.1 nm.
+SCAN = {"kind": "harmonic", "frequency_hz": [20.0], "amplitude_um": [10.0], "centre_um": 50.0}
 SCAN_S = 0.2
-LAG_S = 1e-4
+LAG_S = 5e-5
 LONGEST_S = 0.2
 
 
