@@ -281,11 +281,11 @@ def decide(selection: Selection, validation: Validation,
     if best is not None and not best.since:
         beside = beside_alternative(selection, competition, best)
         validation_beside = validation.beside(beside.regression)
-        # The parameters of the new recordings alone may be the better ones, for the same effects or
-        # where the model that is believed explains nothing.
+        # Where the model that is believed explains nothing, its names are no better than those of
+        # the new recordings alone; for the same effects the parameters of these may be better.
         explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
-        is_better = explains and _names(beside.end) != _names(fit) or (
-            left_rms_um(beside) < left_rms_um(selection))
+        is_better = explains and (_names(beside.end) != _names(fit) or (
+            left_rms_um(beside) < left_rms_um(selection)))
         if is_better and validation_beside.improves(beside.end):
             found, believed, fit, refused = beside, validation_beside, beside.end, {}
     outliers = found_outliers(found.regression, fit.effects)
