@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Steps of the converters: of the voltage that is applied, and of the displacement that is read."""
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -41,14 +42,36 @@ def rounded_off(signal: FloatArray, step: float, offset: float) -> FloatArray:
     return np.asarray(step * np.round((signal - offset) / step) + offset - signal)
 
 
-def _not_ideal(share: float) -> str | None:
-    if IDEAL[0] <= share <= IDEAL[1]:
-        return None
-    return f"a converter rounds by its whole step, and this would be {share:.2g} of it"
+@dataclass(frozen=True)
+class ConverterSteps(Effect):
+    """A converter rounds a signal to its levels; the share is 1 for one that does so wholly."""
+
+    remembers: ClassVar[bool] = False
+
+    share: float = parameter("1", "linear", 0.0, 2.0)
+
+    @abstractmethod
+    def step_and_offset(self) -> tuple[float, float]:
+        """Return the distance between levels, and one of them."""
+
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal at the converter's levels."""
+        return signal + self.share * rounded_off(signal, *self.step_and_offset())
+
+    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return what is wanted: no other signal comes nearer to it through the steps."""
+        return wanted
+
+    def impossible(self, extent: Extent) -> str | None:
+        """Refuse what does not round by its whole step."""
+        if IDEAL[0] <= self.share <= IDEAL[1]:
+            return None
+        return f"a converter rounds by its whole step, and this would be {self.share:.2g} of it"
 
 
 @dataclass(frozen=True)
-class VoltageSteps(Effect):
+class VoltageSteps(ConverterSteps):
     """The amplifier's converter applies the voltage in steps, which the recording does not show.
 
     The share is that of an ideal converter: 1 for one that rounds to its nearest level.
@@ -56,25 +79,14 @@ class VoltageSteps(Effect):
 
     name: ClassVar[str] = "voltage_steps"
     place: ClassVar[str] = "voltage"
-    remembers: ClassVar[bool] = False
     experiment: ClassVar[str] = "a slow ramp over a small part of the range"
 
-    share: float = parameter("1", "linear", 0.0, 2.0)
     step_v: float = parameter("V", "fixed", 1e-12, 1e6)
     offset_v: float = parameter("V", "fixed")
 
-    def apply(self, signal: FloatArray, sample_period_s: float,
-              rest: float | None = None) -> FloatArray:
-        """Return the voltage at the converter's levels."""
-        return signal + self.share * rounded_off(signal, self.step_v, self.offset_v)
-
-    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return the wanted voltage: between the levels there is no better one."""
-        return wanted
-
-    def impossible(self, extent: Extent) -> str | None:
-        """Refuse what does not round by its whole step."""
-        return _not_ideal(self.share)
+    def step_and_offset(self) -> tuple[float, float]:
+        """Return both in the unit of the voltage."""
+        return self.step_v, self.offset_v
 
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
@@ -121,30 +133,19 @@ class VoltageSteps(Effect):
 
 
 @dataclass(frozen=True)
-class SensorSteps(Effect):
+class SensorSteps(ConverterSteps):
     """The sensor's converter reads the displacement in steps."""
 
     name: ClassVar[str] = "sensor_steps"
     place: ClassVar[str] = "sensor"
-    remembers: ClassVar[bool] = False
     experiment: ClassVar[str] = "slow motion over a small part of the range"
 
-    share: float = parameter("1", "linear", 0.0, 2.0)
     step_um: float = parameter("um", "fixed", 1e-12, 1e9)
     offset_um: float = parameter("um", "fixed")
 
-    def apply(self, signal: FloatArray, sample_period_s: float,
-              rest: float | None = None) -> FloatArray:
-        """Return the displacement at the converter's levels."""
-        return signal + self.share * rounded_off(signal, self.step_um, self.offset_um)
-
-    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return the wanted displacement: what the sensor does not read is not wrong."""
-        return wanted
-
-    def impossible(self, extent: Extent) -> str | None:
-        """Refuse what does not round by its whole step."""
-        return _not_ideal(self.share)
+    def step_and_offset(self) -> tuple[float, float]:
+        """Return both in the unit of the displacement."""
+        return self.step_um, self.offset_um
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:

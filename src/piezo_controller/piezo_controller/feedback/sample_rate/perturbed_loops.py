@@ -20,7 +20,7 @@ from piezo_models.cascade import StageModel
 
 LOWEST_HZ = 1.0
 HIGHEST = 0.4995
-"""Of the rate: a little below the half, which Tustin's rule takes for infinity."""
+"""Highest frequency over the rate: below the half, which Tustin's rule takes for infinity."""
 
 COARSE, FINE, NEAR = 120, 240, 24
 """Frequencies over the whole band, about the modes, where the loops differ, and near a disturbance,

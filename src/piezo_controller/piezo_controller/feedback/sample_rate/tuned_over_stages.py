@@ -28,7 +28,7 @@ OUT_OF_REACH_DB = 8.0
 """So far below the largest value a demand does not count."""
 
 NOISE_SHARE = 0.995
-"""Of the allowed noise: its sum over the frequencies is less exact than `LoopFigures` is."""
+"""Part of the allowed noise that the tuning uses: its sum is less exact than `LoopFigures` is."""
 
 STEPS, FEW_STEPS = 150, 40
 STARTS = 30

@@ -16,9 +16,9 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.conditioning.row_alignment import remaining_delay
 from piezo_identification.conditioning.sensor_sign import reversed_displacement, sign_text
+from piezo_identification.conditioning.settling import low_frequency_delay_s
 from piezo_identification.prediction.model_run import ModelRun
 from piezo_models.cascade import StageModel
-from piezo_models.linear.dynamics import ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
 WRONG_SIGN, MISALIGNED_ROWS = "wrong_sign", "misaligned_rows"
@@ -137,7 +137,7 @@ def _aligned(run: ModelRun, recording: Recording, rows: int,
              is_reversed: bool) -> tuple[Recording, RecordingFault | None]:
     """Return the recording with aligned rows, where that explains it, and else as it is."""
     period_s = run.part.sample_period_s
-    is_slow = period_s > SETTINGS.slow_row * group_delay_s(run.model.dynamics)
+    is_slow = period_s > SETTINGS.slow_row * low_frequency_delay_s(run.model.dynamics)
     if rows == 0 or rows > 0 and not is_slow:
         return recording, None
     aligned = _read_later(recording, rows)
@@ -156,16 +156,6 @@ def _aligned(run: ModelRun, recording: Recording, rows: int,
         "write voltage and displacement of one instant into one row",
         {"rows": rows, "before_rms_um": before_um, "after_rms_um": after_um})
     return aligned, fault
-
-
-def group_delay_s(dynamics: ElectricVibrationDynamics) -> float:
-    """Return by how much dynamics delay slow motion."""
-    pairs = ((dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, 1.0),
-             (dynamics.antiresonance_frequencies_rad_per_s,
-              dynamics.antiresonance_damping_ratios, -1.0))
-    return dynamics.time_constant_s + sum(
-        side * 2.0 * ratio / frequency for frequencies, ratios, side in pairs
-        for frequency, ratio in zip(frequencies, ratios, strict=True))
 
 
 def _late_rows(run: ModelRun) -> tuple[int, bool]:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
+from piezo_identification.conditioning.settling import low_frequency_delay_s
 from piezo_identification.diagnosis.diagnose import condition, diagnose
 from piezo_identification.diagnosis.evidence.recording_faults import (
-    group_delay_s,
     without_faults,
 )
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
@@ -138,4 +138,4 @@ def test_the_group_delay_is_the_slope_of_the_phase():
     dynamics = ElectricVibrationDynamics(3e-4, (900.0, 2500.0), (0.2, 0.05), (1700.0,), (0.1,))
     slow_rad_per_s = 1e-3
     phase = np.angle(dynamics.state_space()(1j * slow_rad_per_s))
-    assert group_delay_s(dynamics) == pytest.approx(-phase / slow_rad_per_s, rel=1e-6)
+    assert low_frequency_delay_s(dynamics) == pytest.approx(-phase / slow_rad_per_s, rel=1e-6)
