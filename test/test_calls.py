@@ -7,12 +7,13 @@ import pytest
 import rclpy
 from piezo_interfaces.action import PlayWaveform
 from piezo_interfaces.srv import LoadFeedforward, StartRecording
+from rclpy.action import ActionServer
 from rclpy.experimental import EventsExecutor
 
 from piezo_client import client as client_module
 from piezo_client.client import Client, ServiceFailed
-from piezo_ros import calls
-from piezo_ros.calls import ActionCaller, CallFailed, call_service, number_request
+from piezo_ros.requests import calls
+from piezo_ros.requests.calls import ActionCaller, CallFailed, call_service, number_request
 
 NAMESPACE = "/calls"
 TIMEOUT_S = 60.0
@@ -118,6 +119,44 @@ def test_request_without_a_number_is_never_sent_twice(forgetful, soon):
         with pytest.raises(ServiceFailed, match="did not answer within 3 s"):
             client.call(StartRecording, "recorder/start_recording")
     assert len(forgetful) == 1
+
+
+@pytest.fixture
+def forgetful_action(spinning):
+    """A server of an action that loses its first answer to a goal; the goals it worked on."""
+    server, goals = spinning("server"), []
+
+    def work(handle):
+        goals.append(handle.request)
+        handle.succeed()
+        return PlayWaveform.Result(success=True, last_sample=7)
+
+    action = ActionServer(server.node, PlayWaveform, "play_waveform", work)
+    handle = action._handle
+    lost = []
+
+    class Forgetful:
+        def send_goal_response(self, header, response):
+            lost.append(header) if not lost else handle.send_goal_response(header, response)
+
+        def __getattr__(self, name):
+            return getattr(handle, name)
+
+    action._handle = Forgetful()
+    yield goals
+    action._handle = handle
+
+
+def test_client_learns_from_the_status_that_its_goal_was_taken(forgetful_action, soon):
+    with Client(NAMESPACE, "asking") as client:
+        assert client.goal("play_waveform").last_sample == 7
+    assert len(forgetful_action) == 1
+
+
+def test_node_learns_from_the_status_that_its_goal_was_taken(spinning, forgetful_action, soon):
+    caller = ActionCaller(spinning("asking").node, PlayWaveform, "play_waveform")
+    assert caller.run(PlayWaveform.Goal()).last_sample == 7
+    assert len(forgetful_action) == 1
 
 
 def test_each_request_has_a_number_of_its_own():

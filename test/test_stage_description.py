@@ -17,8 +17,8 @@ from piezo_identification import StageLimits
 from piezo_identification.experiments.catalogue import named_experiment
 from piezo_models.model_file import IdentifiedModel, save_model
 from piezo_recorder.reading.reader import read_recording
-from piezo_ros.calls import CallFailed
 from piezo_ros.quality import DESCRIPTION
+from piezo_ros.requests.calls import CallFailed
 from piezo_ros.stage_runs.described_stage import DescribedStage
 
 LIMITS = {"sample_rate_hz": 20_000.0, "samples_per_tick": 20, "minimum_voltage_v": -5.0,

@@ -9,7 +9,6 @@ from typing import Any, Self
 import rclpy
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment, Track
 from piezo_interfaces.msg import Reference, StageDescription
-from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
@@ -19,10 +18,11 @@ from unique_identifier_msgs.msg import UUID
 from piezo_client.interrupts import HeldSignals
 from piezo_client.paths import AnyPath, with_absolute_paths
 from piezo_client.rejections import why_rejected
-from piezo_ros.calls import number_request
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.messages import Message, MessageType
+from piezo_ros.requests.calls import number_request
+from piezo_ros.requests.lost_answers import PatientActionClient
 from piezo_ros.stage_runs.described_stage import DescribedStage
 
 SERVER_TIMEOUT_S = 30.0
@@ -111,7 +111,7 @@ class Client:
         self._executor.add_node(self.node)
         self._heartbeat = Heartbeat()
         self._actions = {
-            name: ActionClient(self.node, action_type, topic)
+            name: PatientActionClient(self.node, action_type, topic)
             for name, (action_type, topic) in ACTIONS.items()}
         self._running: str | None = None
 
@@ -265,7 +265,7 @@ class Client:
                 f"{why_rejected(self.node, self.spin_until, topic)}")))
         return handle
 
-    def _accepted(self, client: ActionClient, sent: list[Future],
+    def _accepted(self, client: PatientActionClient, sent: list[Future],
                   ask: Callable[[], Future]) -> ClientGoalHandle | None:
         """Ask, several times if need be; return the handle that tells, or None."""
         def settled() -> bool:
@@ -274,14 +274,17 @@ class Client:
 
         for _ in range(MOST_ASKS):
             sent.append(ask())
-            if self.spin_until(settled, LOST_RESPONSE_S):
+            if not self.spin_until(settled, LOST_RESPONSE_S):
+                client.settle()
+            if settled():
                 handles = [answer.result() for answer in sent if answer.done()]
                 return max(handles, key=lambda handle: handle.accepted)
             if not client.server_is_ready():
                 break
         return None
 
-    def _withdraw(self, client: ActionClient, number: UUID, action_type: MessageType) -> None:
+    def _withdraw(self, client: PatientActionClient, number: UUID,
+                  action_type: MessageType) -> None:
         """Cancel a goal of which nobody knows whether it runs; wait for its end if it does."""
         handle = ClientGoalHandle(
             client, number, action_type.Impl.SendGoalService.Response(accepted=True))

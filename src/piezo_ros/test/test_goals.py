@@ -10,7 +10,7 @@ from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode
 
-from piezo_ros.goals import GoalServers
+from piezo_ros.requests.goals import GoalServers
 
 TIMEOUT_S = 60.0
 

@@ -31,9 +31,9 @@ from piezo_controller.tracking.track import (
 )
 from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_models.cascade import StageModel
-from piezo_ros.calls import CallFailed
-from piezo_ros.goals import GoalServers, Progress
 from piezo_ros.parameters import declare, declare_data_root
+from piezo_ros.requests.calls import CallFailed
+from piezo_ros.requests.goals import GoalServers, Progress
 from piezo_ros.spinning import autostart, run_node
 from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderCaller, RunRecording

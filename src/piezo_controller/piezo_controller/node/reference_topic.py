@@ -13,7 +13,7 @@ from piezo_ros.quality import FEEDBACK
 
 APPEARANCE_S = 10.0
 POLL_S = 0.02
-LOCKSTEP_PATIENCE_S = 1.0
+LOCKSTEP_PATIENCE_S = 5.0
 """A stage in lockstep waits so long for who publishes (s); a paced one cannot wait."""
 
 WARNING_PERIOD_S = 1.0

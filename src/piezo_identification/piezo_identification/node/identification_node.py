@@ -35,9 +35,9 @@ from piezo_identification.experiments.relay_feedback import (
 from piezo_identification.identification.identify import IdentificationCancelled, identify
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
-from piezo_ros.calls import ActionCaller, CallFailed, Cancelled, GoalAborted
-from piezo_ros.goals import GoalServers, Progress
 from piezo_ros.parameters import declare, declare_data_root
+from piezo_ros.requests.calls import ActionCaller, CallFailed, Cancelled, GoalAborted
+from piezo_ros.requests.goals import GoalServers, Progress
 from piezo_ros.spinning import autostart, run_node
 from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderCaller, RunRecording

@@ -10,8 +10,8 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.task import Future
 
-from piezo_ros.calls import CALL_TIMEOUT_S, CallFailed
 from piezo_ros.quality import DESCRIPTION
+from piezo_ros.requests.calls import CALL_TIMEOUT_S, CallFailed
 
 # Parameters that other nodes had, too, before the stage described itself. Files may still set
 # them for all nodes; they must then say the same.

@@ -12,8 +12,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from piezo_interfaces.srv import StartRecording, StopRecording
 from rclpy.node import Node
 
-from piezo_ros.calls import CallFailed, call_service
 from piezo_ros.presence import Presence
+from piezo_ros.requests.calls import CallFailed, call_service
 
 # The recorder itself waits some seconds for samples that are on their way.
 STOP_TIMEOUT_S = 20.0

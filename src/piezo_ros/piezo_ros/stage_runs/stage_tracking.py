@@ -19,8 +19,8 @@ from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
 from piezo_common.arrays import FloatArray
-from piezo_ros.calls import CallFailed, call_service
 from piezo_ros.quality import FEEDBACK, SAMPLES
+from piezo_ros.requests.calls import CallFailed, call_service
 from piezo_ros.stage_runs.stage_watch import StageWatch
 from piezo_ros.stage_runs.streaming import More, Stream
 

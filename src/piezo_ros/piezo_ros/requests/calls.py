@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.client import Client
 from rclpy.context import Context
@@ -16,6 +15,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from piezo_ros.messages import Message, MessageType
+from piezo_ros.requests.lost_answers import PatientActionClient
 
 InvalidHandle = rclpy_implementation.InvalidHandle
 
@@ -117,7 +117,7 @@ class ActionCaller:
     def __init__(self, node: Node, action_type: MessageType, name: str) -> None:
         self._node = node
         self._name = name
-        self._client = ActionClient(node, action_type, name)
+        self._client = PatientActionClient(node, action_type, name)
 
     def run(self, goal: Message, on_feedback: Callable[[Message], object] | None = None,
             cancelled: Callable[[], bool] = lambda: False) -> Message:
@@ -148,7 +148,7 @@ class ActionCaller:
             raise CallFailed(f"nobody serves {self._name}: start its node")
         handle = self._await(lambda: self._client.send_goal_async(
             goal, feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None),
-            CALL_TIMEOUT_S)
+            CALL_TIMEOUT_S, self._settle_late())
         if not handle.accepted:
             raise CallFailed(f"{self._name} rejected the goal: its node is busy or not active, "
                              "its log tells which")
@@ -156,6 +156,18 @@ class ActionCaller:
         if not result.success and not cancelled():
             raise GoalAborted(result)
         return result
+
+    def _settle_late(self) -> Callable[[], None]:
+        """Return what, once an answer is late, does without it where the goal's status tells."""
+        begin_s = time.monotonic()
+
+        def look() -> None:
+            nonlocal begin_s
+            if time.monotonic() - begin_s > RESEND_S:
+                begin_s = time.monotonic()
+                self._in_executor(self._client.settle)
+
+        return look
 
     def _end(self, handle: ClientGoalHandle, cancelled: Callable[[], bool]) -> Message:
         asked = False

@@ -14,11 +14,11 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, ManagedEntity, TransitionCallbackReturn
 
-from piezo_ros.calls import Cancelled, InvalidHandle
 from piezo_ros.clock_guard import keep_clock
 from piezo_ros.diagnostics import diagnostic
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.presence import Presence
+from piezo_ros.requests.calls import Cancelled, InvalidHandle
 
 DIAGNOSTICS_PERIOD_S = 1.0
 NO_GOAL = "works on no goal"

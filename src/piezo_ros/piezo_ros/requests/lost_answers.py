@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Learn from an action's status that a goal was taken, where the answer itself was lost.
+
+A server that has not met its new client yet answers nobody, but the status that it publishes is
+kept for those who come later.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from rclpy.task import Future
+from unique_identifier_msgs.msg import UUID
+
+from piezo_ros.messages import Message
+
+
+class PatientActionClient(ActionClient):
+    """An action client that can do without the answer to a goal."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self._taken: set[bytes] = set()
+        self._unanswered: list[tuple[UUID, Future]] = []
+        super().__init__(*arguments, **options)
+
+    def send_goal_async(self, goal: Message,
+                        feedback_callback: Callable[[Message], object] | None = None,
+                        goal_uuid: UUID | None = None) -> Future:
+        """Send a goal; return what will hold its handle."""
+        number = goal_uuid or self._generate_random_uuid()
+        answer = super().send_goal_async(goal, feedback_callback, number)
+        self._unanswered = [(of, future) for of, future in self._unanswered if not future.done()]
+        self._unanswered.append((number, answer))
+        return answer
+
+    async def execute(self, taken_data: dict[str, Any]) -> None:
+        """Note the goals of a status, then do what every action client does."""
+        if status := taken_data.get("status"):
+            self._taken |= {bytes(one.goal_info.goal_id.uuid) for one in status.status_list}
+        await super().execute(taken_data)
+
+    def settle(self) -> None:
+        """Take the goals that a status told of for accepted; call it once an answer is late."""
+        accepted = self._action_type.Impl.SendGoalService.Response(accepted=True)
+        for number, answer in self._unanswered:
+            if bytes(number.uuid) in self._taken and not answer.done():
+                answer.set_result(ClientGoalHandle(self, number, accepted))
