@@ -75,9 +75,14 @@ def numbered(name: str, data: Iterable[Recording]) -> dict[str, Data]:
             for index, each in enumerate(data)}
 
 
+def keys_of_kind(recordings: Mapping[str, Data], name: str) -> list[str]:
+    """Return the keys of the recordings of one kind, or of the response in its place."""
+    return [key for key in recordings if experiment_of(key) == name]
+
+
 def of_kind(recordings: Mapping[str, Data], name: str) -> list[Any]:
     """Return the recordings of one kind, or the response in its place, in a list."""
-    return [data for key, data in recordings.items() if experiment_of(key) == name]
+    return [recordings[key] for key in keys_of_kind(recordings, name)]
 
 
 def conditioned_data(given: Mapping[str, Data], tell: Callable[[str], object],

@@ -6,11 +6,8 @@ recordings -> conditioned -> linear dynamics -> hysteresis -> model -> refined -
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from piezo_common.cancellation import checking
 from piezo_identification.adequacy.component_adequacy import adequacy_document, adequacy_of
@@ -27,14 +24,9 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.estimators.hysteresis.density_fit import hysteresis_output_um
-from piezo_identification.estimators.hysteresis.first_rise_fit import SETTINGS as FIRST_RISE
-from piezo_identification.estimators.hysteresis.first_rise_fit import (
-    estimate_first_rise,
-    highest_before,
-    without_first_rise,
-)
 from piezo_identification.estimators.refinement.joint_fit import refine as fit_jointly
+from piezo_identification.identification.estimated_loops import estimate_loops
+from piezo_identification.identification.fitted_model import FittedModel, fitted_model
 from piezo_identification.identification.given_data import (
     Data,
     aligned,
@@ -45,7 +37,6 @@ from piezo_identification.identification.given_data import (
 from piezo_identification.identification.given_hysteresis import (
     CHOSEN_BY_DATA,
     DensityOptions,
-    estimate_hysteresis_of,
 )
 from piezo_identification.identification.linear_dynamics import (
     METHODS,
@@ -64,7 +55,6 @@ from piezo_identification.identification.row_delays import (
     tell_row_delays,
 )
 from piezo_identification.identification.told_by_data import failures_explained
-from piezo_identification.prediction.model_run import ModelRun
 from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
 from piezo_models.effects.amplifier_lag import AmplifierLag
@@ -74,27 +64,6 @@ from piezo_recorder.reading.reader import origin_of
 from piezo_recorder.reading.recording import Recording
 
 __all__ = ["IdentificationCancelled", "identify"]
-
-
-@dataclass(frozen=True)
-class FittedModel:
-    """A model with the standard deviations of its parameters, before its errors are measured.
-
-    Parameters
-    ----------
-    model : StageModel
-    uncertainties : dict of str to dict
-        Standard deviations of creep and dynamics, as far as they were estimated.
-    visited : ndarray of bool, shape (n, n)
-        Cells of the Preisach plane that the data determine.
-    errors : dict
-        Errors before and after the refinement; empty without it.
-    """
-
-    model: StageModel
-    uncertainties: dict[str, Any]
-    visited: NDArray[np.bool_]
-    errors: dict[str, Any] = field(default_factory=dict)
 
 
 def identify(
@@ -187,7 +156,7 @@ def identify(
                 dynamics, FrequencyResponse):
             linear = with_lag_in_front(linear, fast, estimate.model(), order)
         tell_estimates(linear, estimate, tell)
-        tell_starts(recordings, linear, first_rise, tell)
+        tell_starts(recordings, cycled, linear, first_rise, tell)
         fitted = fitted_model(linear, estimate, first_rise)
         rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)
         tell_row_delays(rows, tell)
@@ -204,50 +173,6 @@ def identify(
     return identified
 
 
-def estimate_loops(
-    recordings: Mapping[str, Data], linear: LinearDynamics, options: DensityOptions,
-) -> tuple[DensityEstimate, FirstRise | None, Mapping[str, Data]]:
-    """Estimate the density, and the first-cycle remanence where the one recording shows it.
-
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-    linear : LinearDynamics
-    options : DensityOptions
-
-    Returns
-    -------
-    DensityEstimate
-    FirstRise or None
-        None unless the loops are fitted far better beside it.
-    dict of str to Recording or FrequencyResponse
-        As of a stage that was cycled before.
-    """
-    density = estimate_hysteresis_of(recordings, linear, options)
-    loops = of_kind(recordings, "hysteresis")
-    if len(loops) != 1:
-        return density, None, recordings
-    recording = loops[0]
-
-    def fitted_error_um(density: DensityEstimate, first_rise: FirstRise | None) -> float:
-        return ModelRun(fitted_model(linear, density, first_rise).model, recording).error_um(())
-
-    part = played(recording)
-    first_rise = estimate_first_rise(
-        np.asarray(part.voltage_v, dtype=float),
-        hysteresis_output_um(part, linear.creep, linear.slow_dynamics, linear.slow_delay_s),
-        highest_before(recording))
-    if first_rise is None:
-        return density, None, recordings
-    cycled = {**recordings, "hysteresis": without_first_rise(
-        recording, first_rise, linear.creep, linear.slow_dynamics)}
-    beside = estimate_hysteresis_of(cycled, linear, options)
-    most_um = FIRST_RISE.largest_error_ratio * fitted_error_um(density, None)
-    if fitted_error_um(beside, first_rise) > most_um:
-        return density, None, recordings
-    return beside, first_rise, cycled
-
-
 def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
                    tell: Callable[[str], object]) -> None:
     """Tell why the orders were chosen, and which part of the Preisach plane the data determine."""
@@ -262,16 +187,19 @@ def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
                  f"{1e6 * spread['time_constant_s']:.2g} us")
 
 
-def tell_starts(recordings: Mapping[str, Data], linear: LinearDynamics,
-                first_rise: FirstRise | None, tell: Callable[[str], object]) -> None:
+def tell_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
+                linear: LinearDynamics, first_rise: FirstRise | None,
+                tell: Callable[[str], object]) -> None:
     """Tell in which state each recording begins, and what is made of it.
 
     Parameters
     ----------
     recordings : dict of str to Recording or FrequencyResponse
+    cycled : dict of str to Recording or FrequencyResponse
+        As of a stage that was cycled before; those that began so are the ones given.
     linear : LinearDynamics
     first_rise : FirstRise or None
-        That the recording of the hysteresis showed.
+        That the recordings of the hysteresis showed.
     tell : callable
         Called with a sentence for each recording.
     """
@@ -285,24 +213,11 @@ def tell_starts(recordings: Mapping[str, Data], linear: LinearDynamics,
             words.append(f"in motion, {velocity:+.3g} um/s: its initial state is fitted")
         if name in linear.estimates and linear.estimates[name].start:
             words.append(linear.estimates[name].start)
-        if name == "hysteresis" and first_rise is not None:
+        if first_rise is not None and cycled[name] is not data:
             words.append(
                 f"on a stage that was never cycled: its first rise leaves {first_rise.whole_um:.3g}"
                 " um for good, which the model keeps apart")
         tell(f"start of the {name}: {'; '.join(words)}")
-
-
-def fitted_model(linear: LinearDynamics, density: DensityEstimate,
-                 first_rise: FirstRise | None = None) -> FittedModel:
-    """Put the estimated components together; what the dynamics lack becomes effects."""
-    model = StageModel(
-        density.model(), linear.creep, linear.dynamics, effects=linear.all_effects,
-        first_rise=first_rise,
-    )
-    uncertainties: dict[str, Any] = dict(linear.uncertainties)
-    if linear.all_effects:
-        uncertainties["effects"] = list(linear.effect_deviations)
-    return FittedModel(model, uncertainties, density.visited)
 
 
 def refined(fitted: FittedModel, recordings: Mapping[str, Any], stages: Stages) -> FittedModel:

@@ -40,3 +40,16 @@ def stage(foreign_stage):
 def test_creep_is_found_from_any_slow_voltage(waveform, stage, record):
     estimate = estimate_slow_creep(record(stage, WAVEFORMS[waveform], PERIOD_S))
     assert error_of(estimate.model, stage) < 3e-3
+
+
+def test_what_a_first_rise_leaves_is_not_taken_for_creep(independent_stage, recorded):
+    """Steps of a stage never cycled, whose plays do not come back to where they began."""
+    stage = independent_stage(creep_rates=(0.05, 0.8), creep_gains=(0.04, 0.03))
+    voltage_v = np.repeat([0.0, 60.0, 20.0, 80.0, 0.0], 1200)
+    estimate = estimate_slow_creep(recorded(
+        "never cycled", voltage_v, stage.displacement_um(voltage_v, PERIOD_S), PERIOD_S, 0.002))
+    zeros, gains = (0.05, 0.8), (0.04, 0.03)
+    response = 1.0 + sum(gain / (1.0 + 2j * np.pi * FREQUENCY_HZ / rate)
+                         for rate, gain in zip(zeros, gains, strict=True))
+    ratio = estimate.model.response(FREQUENCY_HZ) / response
+    assert np.abs(ratio / ratio[-1] - 1.0).max() < 3e-3

@@ -73,8 +73,11 @@ FIRST_GAINS = (0.01, 0.05)
 STARTS = 2
 """Further rates from which a fit may begin, until one is found that can be creep."""
 
-DRIFT_GAIN = 10.0
-"""A drift of the sensor is taken if the information criterion falls by more than this."""
+NUISANCES = (("drift",), ("first rise",), ("drift", "first rise"))
+"""What may be fitted beside: a drift of the sensor, and what a first rise leaves for good."""
+
+NUISANCE_GAIN = 10.0
+"""They are taken if the information criterion falls by more than this."""
 
 
 def estimate_slow_creep(
@@ -83,8 +86,9 @@ def estimate_slow_creep(
 ) -> Estimate:
     """Estimate the creep dynamics (4.4) from recordings of any slow voltage.
 
-    Hysteresis, offset, initial creep and, where the data show it, a drift in proportion to time
-    are fitted beside. Each recording, and each stretch after a gap, begins with an unknown past.
+    Hysteresis, offset and initial creep are fitted beside; so are, where the data show them, a
+    drift in proportion to time and what the first rise of a stage that was never cycled leaves.
+    Each recording, and each stretch after a gap, begins with an unknown past.
 
     Parameters
     ----------
@@ -108,11 +112,16 @@ def estimate_slow_creep(
     """
     parts = played_segments(recordings)
     settling_s = left_out_s(dynamics)
-    problem = _Problem(parts, settling_s, drifts=False)
+    problem = _Problem(parts, settling_s)
     point, trials = _search(problem, pair_count)
-    drifting = _Problem(parts, settling_s, drifts=True)
-    if problem.gain_of(problem.residual(point), drifting.residual(point), 1) > DRIFT_GAIN:
-        problem = drifting
+    residual = problem.residual(point)
+
+    def gain(beside: _Problem) -> float:
+        return problem.gain_of(residual, beside.residual(point), beside.width - problem.width)
+
+    beside = max((_Problem(parts, settling_s, each) for each in NUISANCES), key=gain)
+    if gain(beside) > NUISANCE_GAIN:
+        problem = beside
         point, trials = _search(problem, pair_count)
     if pair_count is not None and trials[-1].refusal:
         raise CreepNotShown(
@@ -147,7 +156,8 @@ def _search(
 class _Problem:
     """Rows of all recordings; a point is the logarithms of rates, then those of gains."""
 
-    def __init__(self, parts: Sequence[Recording], settling_s: float, drifts: bool) -> None:
+    def __init__(self, parts: Sequence[Recording], settling_s: float,
+                 nuisances: Sequence[str] = ()) -> None:
         lowest_v = min(part.voltage_v.min() for part in parts)
         highest_v = max(part.voltage_v.max() for part in parts)
         if lowest_v == highest_v:
@@ -156,7 +166,8 @@ class _Problem:
                 "in which it moves")
         levels_v = np.linspace(lowest_v, highest_v, CELLS + 1)
         self._parts = [
-            _Part(part, levels_v, settling_s, MOST_BINS // len(parts), drifts) for part in parts]
+            _Part(part, levels_v, settling_s, MOST_BINS // len(parts), nuisances)
+            for part in parts]
         self._span = self._explained_by_hysteresis()
         longest_s = max(part.time_s[-1] for part in parts)
         shortest_s = max(ROWS_OF_DECAY * min(part.sample_period_s for part in parts),
@@ -191,6 +202,7 @@ class _Problem:
         sizes = np.abs(np.diag(triangle))
         kept: FloatArray = orthogonal[:, sizes > INDEPENDENT * sizes[0]]
         self._penalties, self.count = rough.shape[0], columns.shape[0]
+        self.width = kept.shape[1]
         # Rows less what the hysteresis takes of them, which the penalties make a fraction.
         self.rows = columns.shape[0] - round(float(np.sum(kept[: columns.shape[0]] ** 2)))
         return kept
@@ -289,7 +301,7 @@ class _Part:
     """A stretch without gaps, in bins of the samples that are alike."""
 
     def __init__(self, part: Recording, levels_v: FloatArray, settling_s: float, most_bins: int,
-                 drifts: bool) -> None:
+                 nuisances: Sequence[str]) -> None:
         self._period_s = part.sample_period_s
         self._mean_samples = samples_per_mean(part)
         # A displacement at an instant is that before the voltage of its row acts.
@@ -313,8 +325,10 @@ class _Part:
         self.everett = np.asarray((self._gather @ regression.matrix).toarray())
         histories = np.unique(regression.history[used])
         offsets = [(regression.history == each).astype(float) for each in histories]
-        if drifts and offsets:
+        if "drift" in nuisances and offsets:
             offsets.append(self._time_s / self._time_s[-1])
+        if "first rise" in nuisances:
+            offsets += _passed(voltage_v, levels_v)
         self.offsets = self.means(np.column_stack(offsets)) if offsets else np.empty((0, 0))
 
     def means(self, signals: FloatArray) -> FloatArray:
@@ -346,6 +360,13 @@ class _Part:
     def decays(self, zeros: FloatArray) -> FloatArray:
         """Bins of what is left of the creep from before, shape (bins, zeros)."""
         return self.means(np.exp(-np.outer(self._time_s, zeros)))
+
+
+def _passed(voltage_v: FloatArray, levels_v: FloatArray) -> list[FloatArray]:
+    """Tell for each level that is passed while recorded, sample by sample, whether it has been."""
+    highest_v = np.maximum.accumulate(voltage_v)
+    return [(highest_v >= level_v).astype(float) for level_v in levels_v[1:]
+            if highest_v[0] < level_v <= highest_v[-1]]
 
 
 def _exponential(rate: float, period_s: float, mean_samples: int) -> tuple[float, float]:

@@ -141,7 +141,7 @@ def highest_before(recording: Recording) -> float:
 
 def without_first_rise(
     recording: Recording, first_rise: FirstRise, creep: CreepDynamics,
-    dynamics: ElectricVibrationDynamics,
+    dynamics: ElectricVibrationDynamics, highest_v: float | None = None,
 ) -> Recording:
     """Return what is played in a recording as if the stage had been cycled before.
 
@@ -153,13 +153,17 @@ def without_first_rise(
     creep : CreepDynamics
     dynamics : ElectricVibrationDynamics
         What follows the hysteresis.
+    highest_v : float, optional
+        Voltage up to which the stage had risen before; by default as far as the recording shows.
 
     Returns
     -------
     Recording
     """
     part = played(recording)
-    lacking_um = first_rise.simulate(part.voltage_v, highest_before(recording))
+    shown_v = highest_before(recording)
+    lacking_um = first_rise.simulate(
+        part.voltage_v, shown_v if highest_v is None else max(highest_v, shown_v))
     lacking_um = respond(creep.state_space() * dynamics.state_space(), lacking_um,
                          part.sample_period_s, samples_per_mean(part))
     return replace(part, displacement_um=part.displacement_um - lacking_um)

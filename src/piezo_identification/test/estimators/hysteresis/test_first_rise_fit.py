@@ -14,8 +14,8 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
     estimate_first_rise,
     without_first_rise,
 )
+from piezo_identification.identification.estimated_loops import estimate_loops
 from piezo_identification.identification.given_hysteresis import DensityOptions
-from piezo_identification.identification.identify import estimate_loops
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
@@ -102,6 +102,24 @@ def test_the_loops_beside_it_are_those_of_the_cycled_stage(stage, recorded, virg
         predict(model, virgin).simulated_um, abs=0.05)
     assert adequacy_of(model, {"hysteresis": virgin})["hysteresis"].error_percent < (
         0.3 * adequacy_of(plain, {"hysteresis": virgin})["hysteresis"].error_percent)
+
+
+def test_each_of_several_recordings_begins_as_its_stage_was(stage, recorded, virgin, loops):
+    """Inner loops recorded on a stage never cycled, and on one that was: each as it began."""
+    inner_v = ways([0.0, 45.0, 15.0, 40.0, 0.0, 50.0, 20.0, 0.0])
+
+    def inner(name, past_v):
+        return recorded(name, inner_v, stage.displacement_um(inner_v, PERIOD_S, past_v), PERIOD_S,
+                        NOISE_UM)
+
+    given = {"hysteresis": inner("never", ()), "hysteresis 2": virgin,
+             "hysteresis 3": inner("before", CYCLE_V)}
+    _, first_rise, cycled = estimate_loops(given, LinearDynamics(), GRID)
+    assert first_rise.whole_um == pytest.approx(true_remanence_um(stage, 60.0), rel=0.03)
+    assert cycled["hysteresis 3"] is given["hysteresis 3"]
+    difference_um = (cycled["hysteresis"].displacement_um
+                     - stage.displacement_um(inner_v, PERIOD_S, CYCLE_V))
+    assert np.std(difference_um) < 0.01 * np.ptp(inner_v)
 
 
 def test_a_model_that_begins_with_the_first_rise_gives_it(stage, loops):

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The hysteresis from all of its recordings, each begun on a stage that was cycled or not."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from piezo_identification.conditioning.waveforms import played
+from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
+from piezo_identification.estimators.hysteresis.density_fit import hysteresis_output_um
+from piezo_identification.estimators.hysteresis.first_rise_fit import (
+    SETTINGS,
+    estimate_first_rise,
+    highest_before,
+    without_first_rise,
+)
+from piezo_identification.identification.fitted_model import fitted_model
+from piezo_identification.identification.given_data import Data, keys_of_kind
+from piezo_identification.identification.given_hysteresis import (
+    DensityOptions,
+    estimate_hysteresis_of,
+)
+from piezo_identification.identification.linear_dynamics import LinearDynamics
+from piezo_identification.prediction.model_run import ModelRun
+from piezo_models.hysteresis.first_rise import FirstRise
+
+
+def estimate_loops(
+    recordings: Mapping[str, Any], linear: LinearDynamics, options: DensityOptions,
+) -> tuple[DensityEstimate, FirstRise | None, Mapping[str, Data]]:
+    """Estimate the density, and the first-cycle remanence where a recording shows it.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+    linear : LinearDynamics
+    options : DensityOptions
+
+    Returns
+    -------
+    DensityEstimate
+    FirstRise or None
+        None unless the recording that shows it is fitted far better beside it, and all together
+        are fitted no worse.
+    dict of str to Recording or FrequencyResponse
+        As of a stage that was cycled before; those that began so are the ones given.
+    """
+    density = estimate_hysteresis_of(recordings, linear, options)
+    shown = _shown_first_rises(recordings, linear)
+    if not shown:
+        return density, None, recordings
+    key = max(shown, key=lambda name: shown[name].whole_um)
+    first_rise = shown[key]
+    cycled = _as_cycled(recordings, key, shown, linear, options)
+    beside = estimate_hysteresis_of(cycled, linear, options)
+    keys = keys_of_kind(recordings, "hysteresis")
+    without_um, with_um = (
+        {name: ModelRun(fitted_model(linear, estimate, rise).model, recordings[name]).error_um(())
+         for name in keys}
+        for estimate, rise in ((density, None), (beside, first_rise)))
+    if with_um[key] > SETTINGS.largest_error_ratio * without_um[key] or (
+            np.linalg.norm(list(with_um.values())) > np.linalg.norm(list(without_um.values()))):
+        return density, None, recordings
+    return beside, first_rise, cycled
+
+
+def _shown_first_rises(
+    recordings: Mapping[str, Any], linear: LinearDynamics,
+) -> dict[str, FirstRise]:
+    """Return the first rise of each recording that shows one, by the recording's key."""
+    shown = {}
+    for name in keys_of_kind(recordings, "hysteresis"):
+        part = played(recordings[name])
+        found = estimate_first_rise(
+            np.asarray(part.voltage_v, dtype=float),
+            hysteresis_output_um(part, linear.creep, linear.slow_dynamics, linear.slow_delay_s),
+            highest_before(recordings[name]))
+        if found is not None:
+            shown[name] = found
+    return shown
+
+
+def _as_cycled(
+    recordings: Mapping[str, Any], key: str, shown: Mapping[str, FirstRise],
+    linear: LinearDynamics, options: DensityOptions,
+) -> dict[str, Data]:
+    """Return the recordings as of a cycled stage, all with the first rise of one of them.
+
+    How far the stage had risen before a recording that shows no first rise of its own is what the
+    loops of that one explain best.
+    """
+    cycled = dict(recordings)
+
+    def correct(name: str, highest_v: float | None = None) -> None:
+        cycled[name] = without_first_rise(
+            recordings[name], shown[key], linear.creep, linear.slow_dynamics, highest_v)
+
+    for name in shown:
+        correct(name)
+    others = [name for name in keys_of_kind(recordings, "hysteresis") if name not in shown]
+    if others:
+        loops = {name: cycled[name] for name in shown}
+        model = fitted_model(
+            linear, estimate_hysteresis_of(loops, linear, options), shown[key]).model
+        for name in others:
+            highest_v = ModelRun(model, recordings[name]).highest_v
+            if highest_v < shown[key].voltages_v[-1]:
+                correct(name, highest_v)
+    return cycled

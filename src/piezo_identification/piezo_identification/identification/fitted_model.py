@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The estimated components put together to a model."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
+from piezo_identification.identification.linear_dynamics import LinearDynamics
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.first_rise import FirstRise
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model with the standard deviations of its parameters, before its errors are measured.
+
+    Parameters
+    ----------
+    model : StageModel
+    uncertainties : dict of str to dict
+        Standard deviations of creep and dynamics, as far as they were estimated.
+    visited : ndarray of bool, shape (n, n)
+        Cells of the Preisach plane that the data determine.
+    errors : dict
+        Errors before and after the refinement; empty without it.
+    """
+
+    model: StageModel
+    uncertainties: dict[str, Any]
+    visited: NDArray[np.bool_]
+    errors: dict[str, Any] = field(default_factory=dict)
+
+
+def fitted_model(linear: LinearDynamics, density: DensityEstimate,
+                 first_rise: FirstRise | None = None) -> FittedModel:
+    """Put the estimated components together; what the dynamics lack becomes effects."""
+    model = StageModel(
+        density.model(), linear.creep, linear.dynamics, effects=linear.all_effects,
+        first_rise=first_rise,
+    )
+    uncertainties: dict[str, Any] = dict(linear.uncertainties)
+    if linear.all_effects:
+        uncertainties["effects"] = list(linear.effect_deviations)
+    return FittedModel(model, uncertainties, density.visited)
