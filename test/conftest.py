@@ -29,6 +29,8 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_ros.quality import FEEDBACK, SAMPLES
 
 TIMEOUT_S = 180.0
+PATIENT = {"lockstep_timeout_s": 60.0, "exchange_timeout_s": 60.0}
+"""Parameters of a stage that does not take a busy computer for a client or backend that hangs."""
 NEAR_CELLS = 50
 DOMAINS = range(1, 100)
 CLAIMS = f"{tempfile.gettempdir()}/piezo_test_domain_{{number}}"
@@ -274,7 +276,7 @@ class Nodes:
         self._ends.callback(self._assert_no_traceback, directory)
         processes = self._ends.enter_context(self._kind(directory, data_root="/"))
         for name in ("stage", *names):
-            parameters = {"timing": "lockstep", "autostart": True, **stage_parameters}
+            parameters = {"timing": "lockstep", "autostart": True, **PATIENT, **stage_parameters}
             processes.start(name, parameters if name == "stage"
                             else (node_parameters or {}).get(name), namespace or None)
         client = self._ends.enter_context(StageClient(namespace, processes))
