@@ -44,12 +44,12 @@ def make_executor(context: Context | None = None) -> Executor:
     -------
     rclpy.executors.Executor
     """
-    usual = rclpy.task.Task
-    rclpy.task.Task = _Task  # looked up by the executor as it is made
+    names = vars(rclpy.task)
+    usual, names["Task"] = names["Task"], _Task  # looked up by the executor as it is made
     try:
         return EventsExecutor(context=context)
     finally:
-        rclpy.task.Task = usual
+        names["Task"] = usual
 
 
 def spin_once(executor: Executor, timeout_s: float) -> None:
