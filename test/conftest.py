@@ -19,6 +19,7 @@ from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartRecording, StartTracking, StopRecording
 from std_srvs.srv import Trigger
 
+from piezo_bringup.forked_processes import ForkedProcesses
 from piezo_bringup.processes import USUAL_NODES, Processes, clean_shared_memory
 from piezo_client.client import Client, GoalFailed
 from piezo_client.stage import Stage
@@ -28,6 +29,8 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_ros.quality import FEEDBACK, SAMPLES
 
 TIMEOUT_S = 180.0
+PATIENT = {"lockstep_timeout_s": 60.0, "exchange_timeout_s": 60.0}
+"""Parameters of a stage that does not take a busy computer for a client or backend that hangs."""
 NEAR_CELLS = 50
 DOMAINS = range(1, 100)
 CLAIMS = f"{tempfile.gettempdir()}/piezo_test_domain_{{number}}"
@@ -254,10 +257,14 @@ def stage_client(domain):
 
 
 class Nodes:
-    """Starts nodes; ends them together, and looks whether one of them broke."""
+    """Starts nodes; ends them together, and looks whether one of them broke.
 
-    def __init__(self, directory):
+    They are forks of one process: what is about their end takes their executables instead.
+    """
+
+    def __init__(self, directory, kind=ForkedProcesses):
         self._directory = directory
+        self._kind = kind
         self._ends = ExitStack()
         self._groups = 0
 
@@ -267,9 +274,9 @@ class Nodes:
         self._groups += 1
         directory = self._directory / str(self._groups)
         self._ends.callback(self._assert_no_traceback, directory)
-        processes = self._ends.enter_context(Processes(directory, data_root="/"))
+        processes = self._ends.enter_context(self._kind(directory, data_root="/"))
         for name in ("stage", *names):
-            parameters = {"timing": "lockstep", "autostart": True, **stage_parameters}
+            parameters = {"timing": "lockstep", "autostart": True, **PATIENT, **stage_parameters}
             processes.start(name, parameters if name == "stage"
                             else (node_parameters or {}).get(name), namespace or None)
         client = self._ends.enter_context(StageClient(namespace, processes))
@@ -363,6 +370,16 @@ def nodes(tmp_path_factory):
         nodes.stop()
 
 
+@pytest.fixture(scope="module")
+def executables(tmp_path_factory):
+    """As ``nodes``, of their executables."""
+    nodes = Nodes(tmp_path_factory.mktemp("executables"), Processes)
+    try:
+        yield nodes
+    finally:
+        nodes.stop()
+
+
 @pytest.fixture(scope="session")
 def watched(tmp_path_factory, domain):
     """A stage with the monitor, which the suite does not start."""
@@ -381,7 +398,7 @@ def serving(request):
 
 @pytest.fixture(scope="session")
 def whole_suite(tmp_path_factory, domain):
-    nodes = Nodes(tmp_path_factory.mktemp("suite"))
+    nodes = Nodes(tmp_path_factory.mktemp("suite"), Processes)
     try:
         yield nodes.start("recorder", "identification", "controller", namespace="/left")
     finally:

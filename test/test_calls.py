@@ -7,7 +7,7 @@ import pytest
 import rclpy
 from piezo_interfaces.action import PlayWaveform
 from piezo_interfaces.srv import LoadFeedforward, StartRecording
-from rclpy.action import ActionServer
+from rclpy.action import ActionServer, CancelResponse
 from rclpy.experimental import EventsExecutor
 
 from piezo_client import client as client_module
@@ -157,6 +157,52 @@ def test_node_learns_from_the_status_that_its_goal_was_taken(spinning, forgetful
     caller = ActionCaller(spinning("asking").node, PlayWaveform, "play_waveform")
     assert caller.run(PlayWaveform.Goal()).last_sample == 7
     assert len(forgetful_action) == 1
+
+
+@pytest.fixture
+def talkative_action(spinning):
+    """A server whose goals tell how they get on until they are cancelled; those that were."""
+    server, cancelled = spinning("server"), []
+
+    def end(handle):
+        cancelled.append(handle.request)
+        handle.canceled()
+        return PlayWaveform.Result(message="cancelled", last_sample=7)
+
+    def work(handle):
+        while not handle.is_cancel_requested:
+            handle.publish_feedback(PlayWaveform.Feedback(fraction=0.5))
+            pause.wait(0.01)
+        handle.execute(end)
+
+    pause = threading.Event()
+    ActionServer(server.node, PlayWaveform, "play_waveform", end,
+                 handle_accepted_callback=lambda handle: threading.Thread(
+                     target=work, args=(handle,)).start(),
+                 cancel_callback=lambda handle: CancelResponse.ACCEPT)
+    return cancelled
+
+
+def refuse(feedback):
+    raise ValueError(f"no more than {feedback.fraction}")
+
+
+def test_what_a_node_raises_at_feedback_cancels_the_goal_and_reaches_who_waits(
+        spinning, talkative_action):
+    caller = ActionCaller(spinning("asking").node, PlayWaveform, "play_waveform")
+    with pytest.raises(ValueError, match="no more than 0.5"):
+        caller.run(PlayWaveform.Goal(), refuse)
+    assert len(talkative_action) == 1
+    # Work that is cancelled says so at feedback, too, and gets the result all the same.
+    assert caller.run(PlayWaveform.Goal(), refuse, lambda: True).last_sample == 7
+
+
+def test_what_a_client_raises_at_feedback_cancels_the_goal_and_reaches_its_caller(
+        talkative_action):
+    with Client(NAMESPACE, "asking") as client:
+        with pytest.raises(ValueError, match="no more than 0.5"):
+            client.goal("play_waveform", on_feedback=refuse)
+        assert len(talkative_action) == 1
 
 
 def test_each_request_has_a_number_of_its_own():

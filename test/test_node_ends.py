@@ -13,8 +13,9 @@ from piezo_recorder.reading.reader import read_recording
 
 @pytest.mark.parametrize(("number", "timing"), [
     (signal.SIGINT, "lockstep"), (signal.SIGTERM, "paced")])
-def test_stage_that_is_ended_in_a_waveform_ends_in_order(nodes, tmp_path, number, timing):
-    stage = nodes.start("recorder", namespace=f"/{number.name}_{timing}".lower(), timing=timing)
+def test_stage_that_is_ended_in_a_waveform_ends_in_order(executables, tmp_path, number, timing):
+    stage = executables.start(
+        "recorder", namespace=f"/{number.name}_{timing}".lower(), timing=timing)
     started = stage.call(StartRecording, "recorder/start_recording",
                          directory=str(tmp_path), name="run")
     assert started.success, started.message

@@ -11,12 +11,13 @@ from piezo_client.client import GoalFailed
 FLAG_TRACKING, FLAG_STOPPED = SampleBlock.FLAG_TRACKING, SampleBlock.FLAG_STOPPED
 FLAG_FEEDBACK_HELD = SampleBlock.FLAG_FEEDBACK_HELD
 FLAG_FEEDFORWARD_HELD = SampleBlock.FLAG_FEEDFORWARD_HELD
-MAX_MISSED_FEEDBACK = 5
+MAX_MISSED_FEEDBACK = 2
 
 
 @pytest.fixture(scope="module")
 def impatient_stage(nodes):
-    return nodes.start(namespace="/impatient", lockstep_timeout_s=0.3,
+    # Each answer that is left out takes that long, and no other may: not on a busy computer either.
+    return nodes.start(namespace="/impatient", lockstep_timeout_s=2.0,
                        max_missed_feedback=MAX_MISSED_FEEDBACK)
 
 
@@ -117,13 +118,13 @@ def test_answer_to_the_block_of_a_tick_acts_in_the_next_tick(stage):
 def test_missing_answer_is_counted_and_the_last_one_is_held(stage):
     assert stage.load([0.0]).success
     samples, first_tick = track(
-        stage, 20, lambda block: 0.01 * block.tick if block.tick % 4 else None)
+        stage, 20, lambda block: 0.01 * block.tick if block.tick % 8 else None)
     answered = first_tick + np.arange(1, 19)
-    answered = np.where(answered % 4 == 0, answered - 1, answered)
+    answered = np.where(answered % 8 == 0, answered - 1, answered)
     answered = np.where(answered > first_tick, answered, 0)
     voltage_v = samples.since(40 * first_tick, 20 * 40).reshape(20, 40)
     assert np.array_equal(voltage_v[2:, 0], 0.01 * answered)
-    missed = sum((first_tick + np.arange(1, 19)) % 4 == 0)
+    missed = sum((first_tick + np.arange(1, 19)) % 8 == 0)
     assert len(samples.flagged(FLAG_FEEDBACK_HELD)) == 40 * missed
     tracked = [block for block in samples.blocks if block.flags & FLAG_TRACKING]
     assert tracked[-1].missed_feedback == missed
@@ -158,7 +159,7 @@ def test_client_that_stops_answering_trips_the_watchdog(stage):
     assert samples.voltage_v[-1] == 0.0
     assert samples.blocks[-1].flags == FLAG_STOPPED
 
-    cause = "the stage is stopped (6 feedback answers in a row were missed): reset it first"
+    cause = "the stage is stopped (3 feedback answers in a row were missed): reset it first"
     with pytest.raises(GoalFailed) as failure:
         stage.play([1.0])
     assert failure.value.result.message == f"waveform refused: {cause}"

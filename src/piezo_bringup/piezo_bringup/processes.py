@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Iterable, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Self
+from typing import Protocol, Self
 
 from ament_index_python.packages import get_package_prefix
 
@@ -24,6 +24,30 @@ EXECUTABLES = {
 
 USUAL_NODES = ("stage", "recorder", "identification", "controller")
 """These of `EXECUTABLES` are started unless others are named."""
+
+
+class NodeProcess(Protocol):
+    """What may be asked of a node's process, as of a ``subprocess.Popen``."""
+
+    @property
+    def pid(self) -> int:
+        """Return the number of the process."""
+
+    @property
+    def returncode(self) -> int | None:
+        """Return the exit status as it was last seen; negative after a signal."""
+
+    def poll(self) -> int | None:
+        """Return the exit status, None while the process runs."""
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for the end; raise ``subprocess.TimeoutExpired`` if it does not come (s)."""
+
+    def send_signal(self, number: int, /) -> None:
+        """Send a signal, unless the process has ended."""
+
+    def kill(self) -> None:
+        """End the process at once."""
 
 
 class Processes:
@@ -49,7 +73,7 @@ class Processes:
         self._environment = {**os.environ, **(environment or {})}
         # The wheels' guard is of this process: what we start must find its libraries itself.
         self._environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
-        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._running: dict[str, NodeProcess] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -81,9 +105,12 @@ class Processes:
             command += ["-r", f"__ns:={namespace}"]
         if parameter_file:
             command += ["--params-file", str(parameter_file)]
+        self._running[name] = self._launch(name, command)
+
+    def _launch(self, name: str, command: list[str]) -> NodeProcess:
         with open(self.log(name), "a", encoding="utf-8") as log:
             # A group of its own: Ctrl-C then reaches this process alone, which ends them in order.
-            self._running[name] = subprocess.Popen(
+            return subprocess.Popen(
                 command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
                 env=self._environment, start_new_session=True)
 
@@ -91,8 +118,8 @@ class Processes:
         """Return the path of the log file of a process."""
         return self._log_directory / f"{name}.log"
 
-    def process(self, name: str) -> subprocess.Popen[bytes]:
-        """Return the ``subprocess.Popen`` of a process."""
+    def process(self, name: str) -> NodeProcess:
+        """Return the process of a node."""
         return self._running[name]
 
     def stop(self, names: Iterable[str] | None = None) -> None:

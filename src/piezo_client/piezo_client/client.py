@@ -10,7 +10,6 @@ import rclpy
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment, Track
 from piezo_interfaces.msg import Reference, StageDescription
 from rclpy.action.client import ClientGoalHandle
-from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 from unique_identifier_msgs.msg import UUID
@@ -19,6 +18,7 @@ from piezo_client.interrupts import HeldSignals
 from piezo_client.paths import AnyPath, with_absolute_paths
 from piezo_client.rejections import why_rejected
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
+from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.requests.calls import number_request
@@ -107,7 +107,7 @@ class Client:
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self.node = rclpy.create_node(name, namespace=namespace, context=self._context)
-        self._executor = EventsExecutor(context=self._context)
+        self._executor = make_executor(self._context)
         self._executor.add_node(self.node)
         self._heartbeat = Heartbeat()
         self._actions = {
@@ -168,7 +168,7 @@ class Client:
         name : str
             One of `ACTIONS`.
         on_feedback : callable, optional
-            Called with each feedback message.
+            Called with each feedback message; what it raises cancels the goal.
         cancel_after_s : float, optional
             Cancel the goal after this time.
         why_stop : callable, optional
@@ -206,7 +206,9 @@ class Client:
             message = self.wait(result).result
             if cause:
                 message.success, message.message = False, cause
-        except KeyboardInterrupt:
+        except GoalFailed:
+            raise
+        except BaseException:  # Ctrl-C, or what on_feedback raised
             self._cancel(handle, result)
             raise
         finally:
@@ -243,14 +245,22 @@ class Client:
 
         def ask() -> Future:
             # Under the same number: where only the answer was lost it does not act twice.
-            return client.send_goal_async(
-                goal, lambda m: on_feedback(m.feedback) if on_feedback else None, number)
+            return client.send_goal_async(goal, tell, number)
+
+        def tell(message: Message) -> None:
+            nonlocal on_feedback
+            told, on_feedback = on_feedback, None
+            if told is not None:
+                told(message.feedback)
+                on_feedback = told  # which is not called again where it raised
 
         sent: list[Future] = []
         with self._signals.hold():
             try:
                 handle = self._accepted(client, sent, ask)
-            except KeyboardInterrupt:
+            except GoalFailed:
+                raise
+            except BaseException:
                 # The goal is on its way, and must not run on alone.
                 self._withdraw(client, number, action_type)
                 raise
@@ -387,7 +397,7 @@ class Client:
             while not condition():
                 if time.monotonic() > deadline:
                     return False
-                self._executor.spin_once(timeout_sec=0.05)
+                spin_once(self._executor, 0.05)
                 self._signals.act()
                 standstill_s = self._heartbeat.standstill_s()
                 if standstill_s > LONGEST_STANDSTILL_S:

@@ -11,13 +11,13 @@ from typing import NoReturn
 
 import rclpy
 from rclpy.executors import Executor
-from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
+from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.parameters import declare
 from piezo_ros.responses import answer_patiently
@@ -110,7 +110,7 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None) -> 
     """
     ending = Ending()
     node = _start(create_node, args)
-    executor = EventsExecutor()
+    executor = make_executor()
     executor.add_node(node)
     try:
         try:
@@ -167,7 +167,7 @@ def _refuse(reason: str) -> NoReturn:
 
 def _spin(executor: Executor, step: Callable[[], float], ending: Ending) -> None:
     while not ending and rclpy.ok():
-        executor.spin_once(timeout_sec=step())
+        spin_once(executor, step())
 
 
 def _wind_down(executor: Executor, wind_down: Callable[[], bool]) -> None:
@@ -179,4 +179,4 @@ def _wind_down(executor: Executor, wind_down: Callable[[], bool]) -> None:
 def _spin_until(executor: Executor, condition: Callable[[], bool], timeout_s: float) -> None:
     deadline = time.monotonic() + timeout_s
     while not condition() and time.monotonic() < deadline:
-        executor.spin_once(timeout_sec=0.05)
+        spin_once(executor, 0.05)

@@ -21,6 +21,7 @@ from rclpy.timer import Timer
 
 from piezo_common.data_root import DataRootError, check_file_name
 from piezo_recorder import sample_block
+from piezo_recorder.node.patience import Patience
 from piezo_recorder.node.waiting_services import create_waiting_service
 from piezo_recorder.reading import tracked_reference
 from piezo_recorder.writing.message_definition import MessageDefinition, installed_definition
@@ -35,7 +36,7 @@ from piezo_ros.quality import SAMPLES
 from piezo_ros.spinning import autostart, run_node
 from piezo_ros.stage_runs.described_stage import DescribedStage
 
-DISCOVERY_TIMEOUT_S = 5.0
+DISCOVERY_TIMEOUT_S = 10.0
 ARRIVAL_TIMEOUT_S = 5.0
 QUIET_TIMEOUT_S = 0.5
 POLL_PERIOD_S = 0.01
@@ -235,7 +236,7 @@ class Recorder(LifecycleNode):
         if request.last_sample:
             await self._until(
                 lambda: session.closed or not session.missing_until(request.last_sample),
-                ARRIVAL_TIMEOUT_S)
+                ARRIVAL_TIMEOUT_S, lambda: session.missing_until(request.last_sample))
             late = session.missing_until(request.last_sample)
             await self._until(lambda: session.closed or session.quiet, QUIET_TIMEOUT_S)
         if not session.closed:
@@ -245,21 +246,23 @@ class Recorder(LifecycleNode):
         if session.ended_early:
             response.message = f"The recording was closed early: {session.ended_early}."
         elif late:
-            response.message = (f"{late} samples up to {request.last_sample} had not arrived "
-                                f"after {ARRIVAL_TIMEOUT_S:g} s; the recording ends before them.")
+            response.message = (f"{late} samples up to {request.last_sample} had not arrived, "
+                                f"and none came for {ARRIVAL_TIMEOUT_S:g} s; the recording ends "
+                                "before them.")
         response.success = not response.message
         response.path = session.path
         response.samples = session.samples
         response.missing_samples = session.missing + late
         return response
 
-    async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until a condition holds; return whether it does."""
+    async def _until(self, condition: Callable[[], bool], timeout_s: float,
+                     progress: Callable[[], object] = lambda: None) -> bool:
+        """Wait until a condition holds, or nothing gets on; return whether the condition holds."""
         future = Future()
-        deadline = time.monotonic() + timeout_s
+        patience = Patience(timeout_s)
 
         def check() -> None:
-            if condition() or time.monotonic() > deadline:
+            if condition() or patience.ended(progress()):
                 future.set_result(None)
 
         if not condition():

@@ -127,7 +127,8 @@ class ActionCaller:
         ----------
         goal : message
         on_feedback : callable, optional
-            Called with each feedback message.
+            Called with each feedback message, in the executor's thread; what it raises cancels
+            the goal, and is raised here unless the work is cancelled anyway.
         cancelled : callable
             Asked now and then; true cancels the goal, whose end is still waited for.
 
@@ -143,17 +144,32 @@ class ActionCaller:
             one ends meanwhile.
         GoalAborted
             If the goal ended without success.
+        Exception
+            What ``on_feedback`` raised.
         """
         if not self._client.wait_for_server(CALL_TIMEOUT_S):
             raise CallFailed(f"nobody serves {self._name}: start its node")
-        handle = self._await(lambda: self._client.send_goal_async(
-            goal, feedback_callback=lambda m: on_feedback(m.feedback) if on_feedback else None),
-            CALL_TIMEOUT_S, self._settle_late())
+        failures: list[Exception] = []
+
+        def tell(message: Message) -> None:
+            if on_feedback is None or failures:
+                return
+            try:
+                on_feedback(message.feedback)
+            except Exception as error:  # in the executor it would end the node
+                failures.append(error)
+
+        handle = self._await(lambda: self._client.send_goal_async(goal, tell),
+                             CALL_TIMEOUT_S, self._settle_late())
         if not handle.accepted:
             raise CallFailed(f"{self._name} rejected the goal: its node is busy or not active, "
                              "its log tells which")
-        result = self._end(handle, cancelled).result
-        if not result.success and not cancelled():
+        result = self._end(handle, lambda: bool(failures) or cancelled()).result
+        if cancelled():
+            return result
+        if failures:
+            raise failures[0]
+        if not result.success:
             raise GoalAborted(result)
         return result
 

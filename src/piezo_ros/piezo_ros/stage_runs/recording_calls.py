@@ -15,8 +15,8 @@ from rclpy.node import Node
 from piezo_ros.presence import Presence
 from piezo_ros.requests.calls import CallFailed, call_service
 
-# The recorder itself waits some seconds for samples that are on their way.
-STOP_TIMEOUT_S = 20.0
+# The recorder itself waits for samples that are on their way, as long as they come.
+STOP_TIMEOUT_S = 120.0
 STOP_APPEARANCE_S = 1.0
 
 

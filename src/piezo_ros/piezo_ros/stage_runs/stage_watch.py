@@ -9,8 +9,8 @@ from rclpy.node import Node
 
 from piezo_ros.presence import Presence
 
-# The stage tells how it is every second.
-NEWS_TIMEOUT_S = 3.0
+# The stage tells how it is every second, and later on a busy computer.
+NEWS_TIMEOUT_S = 10.0
 POLL_S = 0.05
 
 

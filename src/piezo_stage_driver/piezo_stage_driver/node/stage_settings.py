@@ -113,7 +113,7 @@ class StageSettings:
         take("timing", "paced",
              "paced (the clock of the backend) or lockstep (as fast as the loop answers).",
              choices=("paced", "lockstep"))
-        take("lockstep_timeout_s", 2.0,
+        take("lockstep_timeout_s", 10.0,
              "Wall time after which an answer counts as missed in lockstep (s).", 0.01, 600.0)
         take("real_time_priority", 40,
              "Priority of the loop of a paced stage, from 1 to 99, with memory that stays; 0 asks "
