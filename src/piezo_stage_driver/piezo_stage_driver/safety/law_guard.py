@@ -6,10 +6,8 @@ from collections import deque
 import numpy as np
 
 from piezo_models.feedback_law.feedback_law import FeedbackLaw
+from piezo_models.feedback_law.law_check import OTHER_GAIN
 
-# A gain beyond the declared ones by this factor is another stage's: the loops of this suite have
-# gain margins of 1.4 to 2, and the secant of an approach lies within 1.5 of the declared gains.
-OTHER_GAIN = 3.0
 # Less travel of the voltage tells no gain, beside the sensor's noise.
 LEAST_TRAVEL_V = 5.0
 # Before anything is fed back; earlier the past of the hysteresis may not be known yet.

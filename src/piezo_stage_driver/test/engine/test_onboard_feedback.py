@@ -17,7 +17,12 @@ from linear_stage_loop import (
     planned_v,
 )
 
-from piezo_models.feedback_law.feedback_law import FeedbackLawError, LinearBlock
+from piezo_models.feedback_law.feedback_law import (
+    FeedbackLawError,
+    InverseHysteresis,
+    LinearBlock,
+)
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_stage_driver.engine.blocks import FLAG_STOPPED, FLAG_TRACKING
 from piezo_stage_driver.engine.feedback_hold import FeedbackError
 from piezo_stage_driver.engine.program import StageRefusal
@@ -213,6 +218,25 @@ def test_law_that_leaves_a_large_error_stops_the_stage():
         engine.advance()
     assert engine.tick - begun <= 2
     assert "leaves an error of" in engine.stop_cause
+
+
+@pytest.mark.parametrize("sample", [LinearBlock(), LinearBlock.of([0.9], [0.1], [0.3], [0.2])])
+@pytest.mark.parametrize("through_inverse", [False, True])
+def test_a_reading_that_is_no_number_stops_the_stage_and_reaches_no_amplifier(
+        sample, through_inverse):
+    stage = LinearStage(offset_um=1.0)
+    engine = engine_of(stage)
+    hysteresis = PreisachModel(-20.0, 120.0, np.tril(np.full((20, 20), 1e-3)), 0.0,
+                               np.full(20, 0.9))
+    inverse = InverseHysteresis(hysteresis, 1.0) if through_inverse else None
+    begin(engine, integral_law(stage, 0.05, sample=sample, inverse=inverse), ticks=0)
+    for _ in range(40):
+        engine.advance()
+    stage._offset_um = np.nan
+    finish(engine)
+    assert "error of nan um" in engine.stop_cause
+    assert np.isfinite(np.concatenate(stage.played_v)).all()
+    assert engine.voltage_v == 0.0
 
 
 def drawn_stage(rng):
