@@ -159,8 +159,8 @@ class RunningLaw:
         Raises
         ------
         FeedbackLawError
-            This law passes the inverse of a hysteresis whose past the other does not tell, gives
-            less than what acts, or begins later than now.
+            This law passes the inverse of a hysteresis whose past the other does not tell, expects
+            another run, gives less than what acts, or begins later than now.
         """
         scale = self._volts_per_volt(other)
         self._check_follows(other, scale)
@@ -197,6 +197,11 @@ class RunningLaw:
             raise FeedbackLawError(
                 f"what is fed back is {acting_v:.3g} V for this law, more than its max_feedback_v "
                 f"of {self.law.max_feedback_v:.3g} V: load it once the error is smaller")
+        lengths = [(len(law.once_um), len(law.period_um)) for law in (self.law, other.law)]
+        if lengths[0] != lengths[1]:
+            raise FeedbackLawError(
+                "the law expects {} and {} displacements where {} and {} are followed: design it "
+                "for the same run, or load it between two runs".format(*lengths[0], *lengths[1]))
         if other.begun and other._measured <= self._start_sample:
             raise FeedbackLawError(
                 f"start_sample of the law is {self.law.start_sample}, but sample "

@@ -35,8 +35,9 @@ class LawGuard:
         self._bound_um: float | None = None
 
     def of_next(self, law: FeedbackLaw) -> "LawGuard":
-        """Return the guard of a law that goes on in this one's place."""
+        """Return the guard of a law that goes on in this one's place, and is watched as closely."""
         guard = LawGuard(law)
+        guard._max_error_um = min(guard._max_error_um, self._max_error_um)
         guard._errors_um, guard._lowest, guard._highest = (
             self._errors_um, self._lowest, self._highest)
         return guard

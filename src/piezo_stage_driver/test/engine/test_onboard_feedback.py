@@ -151,6 +151,39 @@ def test_law_that_replaces_another_goes_on_from_it():
     assert block.displacement_um.mean() == pytest.approx(30.0, abs=0.02)
 
 
+def test_law_of_another_run_is_refused_within_a_run_which_goes_on():
+    stage = LinearStage(offset_um=2.0)
+    engine = engine_of(stage)
+    begin(engine, integral_law(stage), ticks=0)
+    for _ in range(50):
+        engine.advance()
+    foreign = integral_law(stage, once_um=np.full(7, 60.0))
+    with pytest.raises(FeedbackLawError, match="expects 7 and 0 displacements where 4000 and 0"):
+        engine.commands.load_feedback(engine.commands.checked(foreign))
+    for _ in range(40):
+        block = engine.advance()
+    assert block.displacement_um.mean() == pytest.approx(30.0, abs=0.02)
+
+
+def test_law_of_another_reference_that_bounds_no_error_is_stopped_as_the_one_before():
+    """Whoever uploads it within a run: it would lead the stage by 30 um to where nobody asked."""
+    stage = LinearStage(offset_um=2.0)
+    engine = engine_of(stage)
+    law = integral_law(stage, max_error_um=4.0)
+    begin(engine, law, ticks=0)
+    for _ in range(50):
+        engine.advance()
+    foreign = integral_law(stage, once_um=law.once_um + 30.0)
+    assert foreign.max_error_um == np.inf
+    begun = engine.tick
+    engine.commands.load_feedback(engine.commands.checked(foreign))
+    while not engine.stop_cause:
+        engine.advance()
+    assert engine.tick - begun <= 2
+    assert "leaves an error of 30 um" in engine.stop_cause
+    assert np.abs(np.concatenate(stage.displacement_um[begun:])).max() < 35.0
+
+
 def test_law_at_the_sample_rate_acts_within_the_tick():
     stage = LinearStage(noise_um=0.0, offset_um=1.0)
     engine = engine_of(stage)
