@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test style quick long coverage kernels soak bench reproduce high-bandwidth published-reference changes recipe measured recording-kinds diagnose-suite docs api clean
+.PHONY: help setup demo test style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds diagnose-suite docs api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -42,6 +42,10 @@ soak: setup ## run random goals and faults for SECONDS_OF_SOAK, drawn from SEED;
 bench: setup ## measure speed and accuracy beside peers
 	-@tools/apart peers  # what could not be installed is named in the table
 	@$(in_environment) .venv/bin/python benchmarks/run.py
+
+SECONDS_OF_PACE ?= 600
+paced: setup ## pace the loop on board for SECONDS_OF_PACE idle and busy, in pieces; writes docs
+	@$(in_environment) .venv/bin/python benchmarks/paced_table.py $(SECONDS_OF_PACE)
 
 DATA ?= ../shared/data
 measured: ## identify from measured data in DATA, compare with its published figures; in runs/measured

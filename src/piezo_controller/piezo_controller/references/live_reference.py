@@ -46,10 +46,18 @@ class LiveReference:
     patience_s : float
     latest_um : float
         The last value; NaN before the first.
+
+    Raises
+    ------
+    InvalidReference
+        `offset_um` is not finite.
     """
 
     def __init__(self, sample_period_s: float, patience_s: float = 0.0, offset_um: float = 0.0,
                  clock: Callable[[], float] = time.monotonic) -> None:
+        if not np.isfinite(offset_um):
+            raise InvalidReference("centre_um of the reference is not a finite number: "
+                                   "give what is added to each value, or 0")
         self._sample_period_s, self._offset_um = sample_period_s, offset_um
         self.patience_s, self._clock = patience_s, clock
         self._most_samples = round(LONGEST_WAIT_S / sample_period_s)

@@ -54,6 +54,12 @@ def test_newest_are_kept_and_the_memory_is_bounded():
     np.testing.assert_array_equal(live.give(10), [119_997.0, 119_998.0, 119_999.0])
 
 
+@pytest.mark.parametrize("centre_um", [np.nan, np.inf])
+def test_a_centre_that_is_no_number_is_refused_before_anybody_is_waited_for(centre_um):
+    with pytest.raises(InvalidReference, match="centre_um of the reference is not a finite"):
+        LiveReference(25e-6, offset_um=centre_um)
+
+
 def test_silence_begins_when_patience_ends():
     clock = Clock()
     live = LiveReference(PERIOD_S, patience_s=1.0, clock=clock)

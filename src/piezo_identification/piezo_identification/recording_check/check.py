@@ -81,6 +81,11 @@ class RecordingCheck:
         return np.asarray(self.recording.displacement_um, dtype=float)
 
     @property
+    def reference_um(self) -> FloatArray:
+        """What a tracking run was to follow, shape (N,), nan where unknown; (0,) without a run."""
+        return np.asarray(self.recording.reference_um, dtype=float)
+
+    @property
     def sample_period_s(self) -> float:
         """The usual distance of samples."""
         return float(np.median(self.recording.sample_periods_s))

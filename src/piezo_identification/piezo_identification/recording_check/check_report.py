@@ -6,6 +6,7 @@ import numpy as np
 from piezo_identification.analysis.nonlinear_distortion import distortion_of
 from piezo_identification.recording_check.check import RecordingCheck
 from piezo_identification.recording_check.suitability import Suitability
+from piezo_recorder.reading.recording_view import error_um
 
 WIDTH = 22
 
@@ -54,6 +55,7 @@ def measured_rows(check: RecordingCheck) -> list[tuple[str, str]]:
          "of the period)"),
         ("voltage", _range(recording.voltage_v, "V")),
         ("displacement", _range(recording.displacement_um, "um")),
+        *_tracking(check),
         ("gain", f"{check.range_um / check.swing_v:.4g} um/V, range over swing"
          if check.swing_v else "none: the voltage never changes"),
         ("noise", f"{check.noise_um:.3g} um RMS" if np.isfinite(check.noise_um) else "unknown"),
@@ -66,6 +68,17 @@ def measured_rows(check: RecordingCheck) -> list[tuple[str, str]]:
          "this range"),
     ]
     return rows + _distortion(check)
+
+
+def _tracking(check: RecordingCheck) -> list[tuple[str, str]]:
+    """Rows of what a run was to follow and what it left of it; none of another recording."""
+    left_um = error_um(check.recording)
+    if not left_um.size:
+        return []
+    followed = check.reference_um[np.isfinite(check.reference_um)]
+    return [("reference", _range(followed, "um")),
+            ("error", f"{np.sqrt(np.mean(left_um**2)):.4g} um RMS, largest "
+             f"{np.abs(left_um).max():.4g} um, with the way to its beginning")]
 
 
 def _distortion(check: RecordingCheck) -> list[tuple[str, str]]:

@@ -46,6 +46,7 @@ def check_figure(check: RecordingCheck) -> Figure:
     Steps show their mean response and where the levels end. Slow cycles show the loop and the
     visited part of the Preisach plane. Broadband voltages show the gain over frequency and which
     part of the displacement goes with the voltage, a constant voltage the spectrum of the noise.
+    Of a tracking run the reference is drawn over the displacement, and the error below.
 
     Parameters
     ----------
@@ -55,15 +56,19 @@ def check_figure(check: RecordingCheck) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    figure = new_figure(height_in=6.4, width_in=WIDE_IN)
-    grid = figure.add_gridspec(3, 2, height_ratios=(2, 1, 3))
+    tracked = bool(np.isfinite(check.reference_um).any())
+    heights = (2, 1, 1, 3) if tracked else (2, 1, 3)
+    figure = new_figure(height_in=7.6 if tracked else 6.4, width_in=WIDE_IN)
+    grid = figure.add_gridspec(len(heights), 2, height_ratios=heights)
     time = figure.add_subplot(grid[0, :])
-    below = figure.add_subplot(grid[1, :], sharex=time)
-    left, right = figure.add_subplot(grid[2, 0]), figure.add_subplot(grid[2, 1])
+    below = figure.add_subplot(grid[-2, :], sharex=time)
+    left, right = figure.add_subplot(grid[-1, 0]), figure.add_subplot(grid[-1, 1])
     voltage_v, displacement_um = check.voltage_v, check.displacement_um
     period_s = check.sample_period_s
     view = view_of(voltage_v, period_s, check.waveform)
     _draw_time(time, below, view, voltage_v, displacement_um)
+    if tracked:
+        _draw_tracking(time, figure.add_subplot(grid[1, :], sharex=time), view, check)
     if check.waveform.kind in LEVELS:
         signals.draw_step_response(
             left, jump_response(voltage_v, displacement_um, check.waveform.jumps), period_s)
@@ -90,6 +95,20 @@ def _draw_time(above: Axes, below: Axes, view: WaveformView, voltage_v: FloatArr
     below.plot(*outline(view.time, view.mean(voltage_v)), color=ORANGE, linewidth=1.0,
                label="voltage")
     label(below, view.time_label, "voltage (V)")
+
+
+def _draw_tracking(above: Axes, between: Axes, view: WaveformView, check: RecordingCheck) -> None:
+    """Draw what was to be followed over the displacement, and the difference of both."""
+    reference_um = view.mean(check.reference_um)
+    known = np.isfinite(reference_um)
+    left_um = reference_um - view.mean(check.displacement_um)
+    above.plot(*outline(view.time[known], reference_um[known]), color=ORANGE, linestyle="--",
+               linewidth=0.9, label="reference")
+    above.legend(loc="best")
+    between.plot(*outline(view.time[known], 1e3 * left_um[known]), color=BLUE, linewidth=0.9,
+                 label="error")
+    between.tick_params(labelbottom=False)
+    label(between, y="error (nm)")
 
 
 def _draw_levels(axes: Axes, check: RecordingCheck) -> None:

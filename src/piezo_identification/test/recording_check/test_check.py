@@ -2,6 +2,7 @@
 """A recording's noise, drift, start and use are those with which it was made."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from scipy.signal import cont2discrete, dlsim
 from piezo_identification.commands.check_command import main
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.recording_check.check import check_recording
+from piezo_identification.recording_check.check_report import measured_rows
 from piezo_identification.recording_check.suitability import suitability, suitability_for
+from piezo_identification.report.check_picture import check_figure
 from piezo_recorder.reading.reader import read_recording
 
 
@@ -29,6 +32,27 @@ def vibrating(voltage_v, period_s, frequency_hz=300.0, damping=0.05):
     b, c = np.array([[0.0], [0.2 * w]]), np.array([[1.0, 0.0]])
     system = cont2discrete((a, b, c, np.zeros((1, 1))), period_s)
     return dlsim(system, voltage_v)[1].ravel()
+
+
+def test_a_tracking_run_shows_reference_displacement_and_error(read):
+    """A run that lags by 40 nm while it rises and falls, and whose first rows follow nothing."""
+    time_s = 1e-3 * np.arange(4000)
+    reference_um = 20.0 + 5.0 * np.sin(2.0 * np.pi * 5.0 * time_s)
+    displacement_um = reference_um + 0.04 * np.sign(np.sin(2.0 * np.pi * 5.0 * time_s + 0.01))
+    plain = read(3.0 * reference_um, displacement_um, 1e-3)
+    reference_um[:150] = np.nan
+    check = check_recording(replace(plain, reference_um=reference_um))
+    rows = dict(measured_rows(check))
+    assert rows["reference"] == "15 to 25 um"
+    assert rows["error"].startswith("0.04 um RMS, largest 0.04 um")
+    figure = check_figure(check)
+    axes = {one.get_ylabel(): one for one in figure.axes}
+    left_nm = axes["error (nm)"].lines[0].get_ydata()
+    np.testing.assert_allclose(np.abs(left_nm), 40.0, atol=0.01)
+    assert {line.get_label() for line in figure.axes[0].lines} == {"displacement", "reference"}
+    without = check_recording(plain)
+    assert "error" not in dict(measured_rows(without))
+    assert "error (nm)" not in {one.get_ylabel() for one in check_figure(without).axes}
 
 
 @pytest.mark.parametrize("name, maker, clock_hz", [

@@ -2,6 +2,7 @@
 """A feedback law in the hands of whoever plays the voltages and has the samples."""
 
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -10,6 +11,7 @@ from piezo_common.arrays import FloatArray
 from piezo_models.feedback_law.feedback_law import (
     DeclaredPlant,
     FeedbackLaw,
+    FeedbackLawError,
     InverseHysteresis,
     LinearBlock,
 )
@@ -20,6 +22,8 @@ from piezo_models.hysteresis.preisach import PreisachModel
 # From which a law that takes over learns its state: longer than any law of this suite remembers
 # what its observer does not correct.
 REMEMBERED_TICKS = 64
+# A state that changes by less a sample, as a part of itself, counts as one that stays.
+LEAST_CHANGE = 1e-6
 
 
 class RunningLaw:
@@ -146,17 +150,22 @@ class RunningLaw:
     def take_over(self, other: "RunningLaw") -> None:
         """Go on in place of another law, between two ticks and without a bump.
 
-        The observer that prevents windup finds the state with which this law would have given what
-        the other gave of late; what it leaves of a step is taken out of the state.
+        The observer that prevents windup finds the state with which the block at the tick's rate
+        would have given what the other gave of late. The block at the sample rate goes on from the
+        other's state if that has the same; otherwise it begins at rest. What either leaves of a
+        step is taken out of its state. Where a block has no state that gives a voltage, the other
+        block gives its share too.
 
         Raises
         ------
         FeedbackLawError
-            This law passes the inverse of a hysteresis whose past the other does not tell.
+            This law passes the inverse of a hysteresis whose past the other does not tell, expects
+            another run, gives less than what acts, or begins later than now.
         """
+        scale = self._volts_per_volt(other)
+        self._check_follows(other, scale)
         if self._inverse is not None:
             self._inverse.take_over(other._inverse)
-        tick, scale = self.law.tick, self._volts_per_volt(other)
         past = [(error_um, scale * voltage_v) for error_um, voltage_v in other._past]
         for error_um, voltage_v in past:
             decide(error_um, *self._tick, self._state, self._work, voltage_v, np.inf, 0.0)
@@ -164,17 +173,39 @@ class RunningLaw:
         self._measured, self._played = other._measured, other._played
         self._decided_ticks, self._acts = other._decided_ticks, other._acts
         self.error_um, self.voltage_v = other.error_um, other.voltage_v
-        self._decided_v, self._added_v = scale * other._decided_v, scale * other._added_v
         self._sums[:] = other._sums
-        kept = [scale * voltage_v for voltage_v in other._decisions]
-        kept = kept[-self.law.delay_ticks:] if self.law.delay_ticks else []
+        present = _Shares(scale * other._acting_v, scale * other._added_v)
+        ahead = _Shares(scale * other._foreseen_v(), scale * other._foreseen_sample_v())
+        self._acting_v, self._added_v = present.between(self.law)
+        decided_v = [present._replace(tick_v=scale * voltage_v).between(self.law)[0]
+                     for voltage_v in (*other._decisions, other._decided_v)]
+        self._decided_v = decided_v.pop()
+        kept = decided_v[-self.law.delay_ticks:] if self.law.delay_ticks else []
         self._decisions = deque(
             [self._decided_v] * (self.law.delay_ticks - len(kept)) + kept)
-        self._acting_v = scale * other._acting_v
-        weight = float(tick.c @ tick.c)
-        if weight > 0.0:
-            rest_v = scale * other._foreseen_v() - self._foreseen_v()
-            self._state += tick.c * (rest_v / weight)
+        self._sample_state[:] = scale * other._sample_state if _same(
+            self.law.sample, other.law.sample) else 0.0
+        tick_v, sample_v = ahead.between(self.law)
+        self._state += _at_rest(self.law.tick) * (tick_v - self._foreseen_v())
+        self._sample_state += _at_rest(self.law.sample) * (sample_v - self._foreseen_sample_v())
+
+    def _check_follows(self, other: "RunningLaw", scale: float) -> None:
+        """Refuse to take over where the voltage would jump, or nothing be fed back for a while."""
+        acting_v = abs(scale * min(max(other._acting_v + other._added_v, -other.law.max_feedback_v),
+                                   other.law.max_feedback_v))
+        if acting_v > self.law.max_feedback_v * (1.0 + 1e-9):
+            raise FeedbackLawError(
+                f"what is fed back is {acting_v:.3g} V for this law, more than its max_feedback_v "
+                f"of {self.law.max_feedback_v:.3g} V: load it once the error is smaller")
+        lengths = [(len(law.once_um), len(law.period_um)) for law in (self.law, other.law)]
+        if lengths[0] != lengths[1]:
+            raise FeedbackLawError(
+                "the law expects {} and {} displacements where {} and {} are followed: design it "
+                "for the same run, or load it between two runs".format(*lengths[0], *lengths[1]))
+        if other.begun and other._measured <= self._start_sample:
+            raise FeedbackLawError(
+                f"start_sample of the law is {self.law.start_sample}, but sample "
+                f"{other._measured} of the run is fed back already: load it between two runs")
 
     def _volts_per_volt(self, other: "RunningLaw") -> float:
         """Return what a volt of another law is here: as much output of the hysteresis."""
@@ -187,6 +218,39 @@ class RunningLaw:
         """Return the next decision, if the error stays."""
         tick = self.law.tick
         return float(tick.c @ self._state + tick.d * self.error_um)
+
+    def _foreseen_sample_v(self) -> float:
+        """Return what the block at the sample rate gives next, if the error stays."""
+        sample = self.law.sample
+        return float(sample.c @ self._sample_state + sample.d * self.error_um)
+
+
+class _Shares(NamedTuple):
+    """Voltages of the blocks at the tick's and at the sample rate (V)."""
+
+    tick_v: float
+    sample_v: float
+
+    def between(self, law: FeedbackLaw) -> tuple[float, float]:
+        """Return the same voltage as the blocks of a law give it that have states to hold it."""
+        if not law.sample.c.any():
+            return self.tick_v + self.sample_v, 0.0
+        return (self.tick_v, self.sample_v) if law.tick.c.any() else (
+            0.0, self.tick_v + self.sample_v)
+
+
+def _same(block: LinearBlock, other: LinearBlock) -> bool:
+    return all(np.array_equal(getattr(block, part), getattr(other, part)) for part in "abcd")
+
+
+def _at_rest(block: LinearBlock) -> FloatArray:
+    """Return the state that gives 1 V and changes least without an error; 0 if none gives any."""
+    if not block.c.any():
+        return np.zeros(block.order)
+    change = block.a - np.eye(block.order)
+    cost = change.T @ change + LEAST_CHANGE**2 * np.eye(block.order)
+    state = np.linalg.solve(cost, block.c)
+    return np.asarray(state / (block.c @ state))
 
 
 def _observer(block: LinearBlock) -> FloatArray:

@@ -218,6 +218,18 @@ def test_law_that_does_not_fit_is_refused(changes, text):
         replace(integral_law(0.1), **changes)
 
 
+@pytest.mark.parametrize("factor", [0.01, 0.1, 10.0])
+def test_an_inverse_of_another_hysteresis_is_refused(factor):
+    """Its voltages would be so many times too high or too low."""
+    ones = np.tril(np.ones((10, 10)))
+    law = integral_law(0.05, inverse=InverseHysteresis(
+        PreisachModel(0.0, 100.0, 0.02 * ones), 1.0))
+    check_law(law, SAMPLES)
+    other = InverseHysteresis(PreisachModel(0.0, 100.0, 0.02 * factor * ones), 1.0)
+    with pytest.raises(FeedbackLawError, match="take both from one model"):
+        check_law(replace(law, inverse=other), SAMPLES)
+
+
 def test_matrices_that_do_not_fit_are_refused():
     with pytest.raises(FeedbackLawError, match="3, 2, 2 and 1 elements"):
         LinearBlock.of([1, 2, 3], [1, 2], [1, 2], [0])

@@ -87,6 +87,8 @@ def _reference_rows(recording: "Recording") -> list[tuple[str | float | None, ..
 def draw_recording(recording: "Recording") -> "Figure":
     """Draw voltage and displacement over time, and the one over the other.
 
+    Of a tracking run the reference is drawn over the displacement, and the error below.
+
     Where the voltage goes up and down so often that the whole is a solid block, a few periods
     from the middle are drawn beside it, and the loop is that of these periods.
 
@@ -101,8 +103,9 @@ def draw_recording(recording: "Recording") -> "Figure":
     from piezo_common.picture_style import WIDE_IN, label, new_figure
 
     close = close_look(np.asarray(recording.voltage_v, dtype=float))
-    figure = new_figure(4.6, WIDE_IN)
-    grid = figure.add_gridspec(2, 2 if close is None else 3)
+    rows = 3 if recording.reference_um.size else 2
+    figure = new_figure(2.3 * rows, WIDE_IN)
+    grid = figure.add_gridspec(rows, 2 if close is None else 3)
     loop = figure.add_subplot(grid[:, -1])
     parts = [slice(None)] if close is None else [slice(None), close]
     for column, part in enumerate(parts):
@@ -110,12 +113,14 @@ def draw_recording(recording: "Recording") -> "Figure":
         below = figure.add_subplot(grid[1, column], sharex=above)
         _draw_over_time(above, recording.time_s[part], recording.voltage_v[part])
         _draw_over_time(below, recording.time_s[part], recording.displacement_um[part])
-        if recording.reference_um.size:
-            _draw_reference(below, recording.time_s[part], recording.reference_um[part])
         first = column == 0
         label(above, None, "voltage (V)" if first else None, "whole" if first else "close")
-        label(below, "time (s)", "displacement (um)" if first else None)
-        below.locator_params(axis="x", nbins=4)
+        label(below, "time (s)" if rows == 2 else None, "displacement (um)" if first else None)
+        if rows == 3:
+            error = figure.add_subplot(grid[2, column], sharex=above)
+            _draw_tracking(below, error, recording, part)
+            label(error, "time (s)", "error (nm)" if first else None)
+        above.locator_params(axis="x", nbins=4)
     _draw_loop(loop, recording.voltage_v[parts[-1]], recording.displacement_um[parts[-1]])
     label(loop, "voltage (V)", "displacement (um)", "loop")
     return figure
@@ -151,14 +156,19 @@ def _draw_over_time(axes: "Axes", time_s: FloatArray, values: FloatArray) -> Non
     axes.plot(*outline(time_s, values), color=BLUE, linewidth=0.9)
 
 
-def _draw_reference(axes: "Axes", time_s: FloatArray, reference_um: FloatArray) -> None:
+def _draw_tracking(displacement: "Axes", error: "Axes", recording: "Recording",
+                   part: slice) -> None:
     from piezo_common.picture_style import ORANGE, outline
 
+    reference_um = recording.reference_um[part]
     followed = np.isfinite(reference_um)
     if followed.any():
-        axes.plot(*outline(time_s[followed], reference_um[followed]), color=ORANGE,
-                  linestyle="--", linewidth=0.9, label="reference")
-        axes.legend(loc="best")
+        time_s, reference_um = recording.time_s[part][followed], reference_um[followed]
+        displacement.plot(*outline(time_s, reference_um), color=ORANGE, linestyle="--",
+                          linewidth=0.9, label="reference")
+        displacement.legend(loc="best")
+        left_um = reference_um - recording.displacement_um[part][followed]
+        _draw_over_time(error, time_s, 1e3 * left_um)
 
 
 def _draw_loop(axes: "Axes", voltage_v: FloatArray, displacement_um: FloatArray) -> None:

@@ -62,3 +62,11 @@ def test_account_and_summary_tell_the_error_and_the_picture_shows_it(recording):
     assert "reference" in drawn
     without = replace(recording, reference_um=np.empty(0))
     assert not any(line.startswith("reference") for line in report(without))
+
+
+def test_picture_of_a_run_has_reference_and_error(recording):
+    axes = {one.get_ylabel(): one for one in recording.plot().axes if one.get_ylabel()}
+    left_um = (recording.reference_um - recording.displacement_um)[50:150]
+    np.testing.assert_allclose(axes["error (nm)"].lines[0].get_ydata(), 1e3 * left_um)
+    without = replace(recording, reference_um=np.empty(0))
+    assert "error (nm)" not in {one.get_ylabel() for one in without.plot().axes}

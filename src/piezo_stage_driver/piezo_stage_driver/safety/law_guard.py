@@ -6,10 +6,8 @@ from collections import deque
 import numpy as np
 
 from piezo_models.feedback_law.feedback_law import FeedbackLaw
+from piezo_models.feedback_law.law_check import OTHER_GAIN
 
-# A gain beyond the declared ones by this factor is another stage's: the loops of this suite have
-# gain margins of 1.4 to 2, and the secant of an approach lies within 1.5 of the declared gains.
-OTHER_GAIN = 3.0
 # Less travel of the voltage tells no gain, beside the sensor's noise.
 LEAST_TRAVEL_V = 5.0
 # Before anything is fed back; earlier the past of the hysteresis may not be known yet.
@@ -37,8 +35,9 @@ class LawGuard:
         self._bound_um: float | None = None
 
     def of_next(self, law: FeedbackLaw) -> "LawGuard":
-        """Return the guard of a law that goes on in this one's place."""
+        """Return the guard of a law that goes on in this one's place, and is watched as closely."""
         guard = LawGuard(law)
+        guard._max_error_um = min(guard._max_error_um, self._max_error_um)
         guard._errors_um, guard._lowest, guard._highest = (
             self._errors_um, self._lowest, self._highest)
         return guard

@@ -17,7 +17,12 @@ from linear_stage_loop import (
     planned_v,
 )
 
-from piezo_models.feedback_law.feedback_law import FeedbackLawError, LinearBlock
+from piezo_models.feedback_law.feedback_law import (
+    FeedbackLawError,
+    InverseHysteresis,
+    LinearBlock,
+)
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_stage_driver.engine.blocks import FLAG_STOPPED, FLAG_TRACKING
 from piezo_stage_driver.engine.feedback_hold import FeedbackError
 from piezo_stage_driver.engine.program import StageRefusal
@@ -146,6 +151,39 @@ def test_law_that_replaces_another_goes_on_from_it():
     assert block.displacement_um.mean() == pytest.approx(30.0, abs=0.02)
 
 
+def test_law_of_another_run_is_refused_within_a_run_which_goes_on():
+    stage = LinearStage(offset_um=2.0)
+    engine = engine_of(stage)
+    begin(engine, integral_law(stage), ticks=0)
+    for _ in range(50):
+        engine.advance()
+    foreign = integral_law(stage, once_um=np.full(7, 60.0))
+    with pytest.raises(FeedbackLawError, match="expects 7 and 0 displacements where 4000 and 0"):
+        engine.commands.load_feedback(engine.commands.checked(foreign))
+    for _ in range(40):
+        block = engine.advance()
+    assert block.displacement_um.mean() == pytest.approx(30.0, abs=0.02)
+
+
+def test_law_of_another_reference_that_bounds_no_error_is_stopped_as_the_one_before():
+    """Whoever uploads it within a run: it would lead the stage by 30 um to where nobody asked."""
+    stage = LinearStage(offset_um=2.0)
+    engine = engine_of(stage)
+    law = integral_law(stage, max_error_um=4.0)
+    begin(engine, law, ticks=0)
+    for _ in range(50):
+        engine.advance()
+    foreign = integral_law(stage, once_um=law.once_um + 30.0)
+    assert foreign.max_error_um == np.inf
+    begun = engine.tick
+    engine.commands.load_feedback(engine.commands.checked(foreign))
+    while not engine.stop_cause:
+        engine.advance()
+    assert engine.tick - begun <= 2
+    assert "leaves an error of 30 um" in engine.stop_cause
+    assert np.abs(np.concatenate(stage.displacement_um[begun:])).max() < 35.0
+
+
 def test_law_at_the_sample_rate_acts_within_the_tick():
     stage = LinearStage(noise_um=0.0, offset_um=1.0)
     engine = engine_of(stage)
@@ -213,6 +251,25 @@ def test_law_that_leaves_a_large_error_stops_the_stage():
         engine.advance()
     assert engine.tick - begun <= 2
     assert "leaves an error of" in engine.stop_cause
+
+
+@pytest.mark.parametrize("sample", [LinearBlock(), LinearBlock.of([0.9], [0.1], [0.3], [0.2])])
+@pytest.mark.parametrize("through_inverse", [False, True])
+def test_a_reading_that_is_no_number_stops_the_stage_and_reaches_no_amplifier(
+        sample, through_inverse):
+    stage = LinearStage(offset_um=1.0)
+    engine = engine_of(stage)
+    hysteresis = PreisachModel(-20.0, 120.0, np.tril(np.full((20, 20), 1e-3)), 0.0,
+                               np.full(20, 0.9))
+    inverse = InverseHysteresis(hysteresis, 1.0) if through_inverse else None
+    begin(engine, integral_law(stage, 0.05, sample=sample, inverse=inverse), ticks=0)
+    for _ in range(40):
+        engine.advance()
+    stage._offset_um = np.nan
+    finish(engine)
+    assert "error of nan um" in engine.stop_cause
+    assert np.isfinite(np.concatenate(stage.played_v)).all()
+    assert engine.voltage_v == 0.0
 
 
 def drawn_stage(rng):

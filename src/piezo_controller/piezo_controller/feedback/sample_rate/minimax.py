@@ -15,6 +15,11 @@ BOUND_COST = 5.0
 FIRST_STEP, LARGEST_STEP, LEAST_STEP = 0.1, 0.5, 1e-4
 LEAST_GAIN = 1e-4
 
+FIRST_USED = 0.5
+"""Values that are so far below the largest are left out of a linear program at first."""
+
+EXCEEDED = 1e-6
+
 
 @dataclass(frozen=True)
 class Linearised:
@@ -86,16 +91,26 @@ def lower_largest(linearise: Callable[[FloatArray], Linearised], numbers: FloatA
 
 
 def _step(there: Linearised, low: FloatArray, high: FloatArray) -> tuple[FloatArray, float]:
-    """Return the best step within a box, and the cost that is foreseen for it."""
-    count, bounds = len(there.values), len(there.bounds)
+    """Return the best step within a box, and the cost that is foreseen for it.
+
+    Few of the functions matter to a step, so the program begins with the largest, and takes up
+    those that its solution exceeds until there are none.
+    """
+    count = len(there.values)
+    slopes = np.vstack([there.slopes, there.bound_slopes])
+    limits = np.r_[there.values, there.bounds]
     # Beside the step: the largest value, and by how much the bounds are exceeded.
-    columns = np.zeros((count + bounds, 2))
+    columns = np.zeros((len(limits), 2))
     columns[:count, 0] = columns[count:, 1] = -1.0
-    found = linprog(
-        np.r_[np.zeros(low.size), 1.0, BOUND_COST],
-        A_ub=np.column_stack([np.vstack([there.slopes, there.bound_slopes]), columns]),
-        b_ub=-np.r_[there.values, there.bounds],
-        bounds=[*zip(low, high, strict=True), (None, None), (0.0, None)], method="highs")
-    if found.x is None:
-        return np.zeros(low.size), there.cost
-    return found.x[:-2], float(found.fun)
+    used = np.r_[there.values > there.values.max() - FIRST_USED, np.ones(len(there.bounds), bool)]
+    while True:
+        found = linprog(
+            np.r_[np.zeros(low.size), 1.0, BOUND_COST],
+            A_ub=np.column_stack([slopes, columns])[used], b_ub=-limits[used],
+            bounds=[*zip(low, high, strict=True), (None, None), (0.0, None)], method="highs")
+        if found.x is None:
+            return np.zeros(low.size), there.cost
+        exceeded = limits + slopes @ found.x[:-2] + columns @ found.x[-2:] > EXCEEDED
+        if not (exceeded & ~used).any():
+            return found.x[:-2], float(found.fun)
+        used |= exceeded
