@@ -161,6 +161,9 @@ class Effect(ABC):
         False for what comes from outside, at times of its own.
     of_the_stage : bool
         False for what depends on when a recording begins: its parameters hold for one recording.
+    recurs : bool
+        Of what is not of the stage: where it goes on, every recording has one of its own, a sum of
+        what `recurrence` returns.
     remembers : bool
         False where every sample depends on itself alone.
     experiment : str
@@ -178,6 +181,7 @@ class Effect(ABC):
     several: ClassVar[bool] = False
     follows_voltage: ClassVar[bool] = True
     of_the_stage: ClassVar[bool] = True
+    recurs: ClassVar[bool] = False
     remembers: ClassVar[bool] = True
     experiment: ClassVar[str]
     distortion: ClassVar[frozenset[str] | None] = None
@@ -359,6 +363,23 @@ class Effect(ABC):
             its declaration does.
         """
         return {}
+
+    def recurrence(self, time_s: FloatArray, duration_s: float) -> FloatArray:
+        """Return the signals that sum up to what the effect adds to any other recording.
+
+        Parameters
+        ----------
+        time_s : (n,) array
+            Of some samples of that recording, from its first one on.
+        duration_s : float
+            Of that recording.
+
+        Returns
+        -------
+        (n, k) array
+            None of them for an effect that does not recur.
+        """
+        return np.zeros((time_s.size, 0))
 
     def impossible(self, extent: Extent) -> str | None:
         """Tell why no stage can have the effect with these parameters; None if one can.

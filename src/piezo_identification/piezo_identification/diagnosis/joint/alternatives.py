@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from piezo_common.arrays import FloatArray
 from piezo_common.progress_part import Progress, part_of
@@ -220,7 +221,7 @@ def asked_when(problem: JointProblem, alternatives: Sequence[Alternative]) -> li
     best = most_probable(problem, alternatives)
     is_known = any(each.names == best.names and not each.since for each in alternatives)
     if not best.since or is_known or not all(
-            effect.of_the_stage for effect in best.fit.effects):
+            effect.of_the_stage or effect.recurs for effect in best.fit.effects):
         return list(alternatives)
     along = _alternative(best.names, problem.fit(best.fit.effects, begun=best.fit))
     return converged(problem, [*alternatives, along])
@@ -356,14 +357,15 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
     present = {effect.name for effect in own}
 
     def tried(kind: type[Effect]) -> list[tuple[float, list[Effect]]]:
-        if not kind.of_the_stage or (kind.name in present and not kind.several):
+        if not (kind.of_the_stage or kind.recurs) or (
+                kind.name in present and not kind.several):
             return []
         if all(kind.lacks_excitation(shown) for shown in evidence):
             return []
+        asked_for = telling if kind.of_the_stage else evidence[: problem.new_count]
         guesses = [with_fitted_values(guess, fitted_values(guess, problem.dataset.extent)[0])
-                   for shown in telling for guess in kind.starts(shown)]
-        costs = [_cost(regression.remainder(regression.difference((*own, guess), (guess,))))
-                 for guess in guesses]
+                   for shown in asked_for for guess in kind.starts(shown)]
+        costs = [_cost(problem, regression, own, guess) for guess in guesses]
         if not guesses:
             return []
         ordered = [guesses[number] for number in np.argsort(costs)]
@@ -376,5 +378,17 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
     return [of_kind for _, of_kind in found]
 
 
-def _cost(left: FloatArray) -> float:
+def _cost(problem: JointProblem, regression: Regression, own: Sequence[Effect],
+          guess: Effect) -> float:
+    """Return the sum of squares that a guess leaves beside the model's own effects."""
+    left = regression.remainder(regression.difference((*own, guess), (guess,)))
+    if guess.recurs:
+        dataset = regression.dataset
+        blocks = [guess.recurrence(part.time_s[rows], part.time_s[-1])
+                  for part, rows in zip(dataset.simulated, dataset.rows, strict=True)]
+        of_its_own = block_diag(*(
+            np.zeros((len(block), 0)) if index < problem.new_count else block
+            for index, block in enumerate(blocks))) / regression.tolerance_um[:, None]
+        signals = np.column_stack([regression.remainder(signal) for signal in of_its_own.T])
+        left = left - signals @ np.linalg.lstsq(signals, left, rcond=1e-9)[0]
     return float(left @ left)

@@ -75,6 +75,8 @@ class JointFit:
         Evidence that the last step gained.
     against : float
         Evidence against it; see `joint_errors.JointErrors.value`.
+    recurrence_count : int
+        Numbers of the effects that recordings of the identification have of their own.
     """
 
     regression: Regression
@@ -85,6 +87,7 @@ class JointFit:
     changes: FloatArray = field(default_factory=lambda: np.zeros(0))
     gain: float = 0.0
     against: float = np.inf
+    recurrence_count: int = 0
 
     @property
     def model(self) -> StageModel:
@@ -95,7 +98,8 @@ class JointFit:
     @property
     def count(self) -> int:
         """Return how many numbers of effects were fitted."""
-        return sum(fitted_values(effect)[0].size for effect in self.effects)
+        return self.recurrence_count + sum(
+            fitted_values(effect)[0].size for effect in self.effects)
 
     def left_um(self) -> list[tuple[FloatArray, BoolArray]]:
         """Return what is left at the rows of each recording, and which of them are held out."""
@@ -177,7 +181,8 @@ class JointProblem:
         return JointFit(
             _reweighed(replace(self.start, dataset=dataset), found), found, came,
             errors.covariance(descent.vector), descent.has_converged,
-            descent.vector[: errors.count], descent.gain, descent.value)
+            descent.vector[: errors.count], descent.gain, descent.value,
+            errors.recurrence_count(descent.vector))
 
     def _first(self, errors: JointErrors, changes: FloatArray, effects: tuple[Effect, ...],
                begun: JointFit | None, came: frozenset[str]) -> FloatArray:
@@ -190,7 +195,7 @@ class JointProblem:
             regression.dataset, regression.dataset.model, self.new_count, came))
         fit = fit_effects(regression, effects, quick=True)
         most = errors.longest[: errors.count]
-        moved = np.clip(fit.coefficients[self.dataset.nuisance_count :], -most, most)
+        moved = np.clip(fit.coefficients[regression.dataset.nuisance_count :], -most, most)
         return min((guessed, errors.vector(changes, fit.effects),
                     errors.vector(changes + moved, fit.effects)), key=errors.value)
 
