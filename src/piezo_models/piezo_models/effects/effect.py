@@ -11,6 +11,7 @@ import control
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 PLACES = ("voltage", "modes", "linear", "displacement", "sensor")
@@ -380,6 +381,22 @@ class Effect(ABC):
             None of them for an effect that does not recur.
         """
         return np.zeros((time_s.size, 0))
+
+    def hysteresis_ahead(self, hysteresis: PreisachModel) -> PreisachModel | None:
+        """Return the hysteresis that, with the effect behind it, does what the given one does.
+
+        A model that was identified with the effect in the stage has the given one.
+
+        Parameters
+        ----------
+        hysteresis : PreisachModel
+
+        Returns
+        -------
+        PreisachModel or None
+            None where no hysteresis does what the effect does, which holds by default.
+        """
+        return None
 
     def impossible(self, extent: Extent) -> str | None:
         """Tell why no stage can have the effect with these parameters; None if one can.
