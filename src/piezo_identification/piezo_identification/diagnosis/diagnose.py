@@ -281,11 +281,12 @@ def decide(selection: Selection, validation: Validation,
     if best is not None and not best.since:
         beside = beside_alternative(selection, competition, best)
         validation_beside = validation.beside(beside.regression)
-        # Where the model that is believed explains nothing, its names are no better than those of
-        # the new recordings alone; for the same effects the parameters of these may be better.
+        # Where the model that is believed explains nothing, its names are better than those of
+        # the new recordings alone only if it leaves less of them; for the same effects the
+        # parameters of these may be better.
         explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
-        is_better = explains and (_names(beside.end) != _names(fit) or (
-            left_rms_um(beside) < left_rms_um(selection)))
+        is_better = left_rms_um(beside) < left_rms_um(selection) or (
+            explains and _names(beside.end) != _names(fit))
         if is_better and validation_beside.improves(beside.end):
             found, believed, fit, refused = beside, validation_beside, beside.end, {}
     outliers = found_outliers(found.regression, fit.effects)

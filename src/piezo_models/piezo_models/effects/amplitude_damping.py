@@ -22,6 +22,9 @@ fitted."""
 STRONGEST = 5.0
 """Largest damping by speed, over half the range, with which no step of the solution grows."""
 
+LEAST_VISCOUS = -1.0
+"""Linear damping that the mode has less than in the model, at most: half of a critical one."""
+
 
 @njit(cache=True, nogil=True)
 def _damped(loads: FloatArray, state: FloatArray, viscous: float, quadratic: float,
@@ -74,7 +77,7 @@ class AmplitudeDamping(Effect):
     experiment: ClassVar[str] = "a multisine around the mode, at a small and at a large amplitude"
     distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
 
-    viscous: float = parameter("1", "linear", -1.0, STRONGEST)
+    viscous: float = parameter("1", "linear", LEAST_VISCOUS, STRONGEST)
     quadratic: float = parameter("1", "linear", 0.0, STRONGEST)
     half_range_um: float = parameter("um", "fixed", 1e-12, 1e9)
     frequency_rad_per_s: float = parameter("rad/s", "fixed", 1e-9, 1e9)
@@ -144,7 +147,7 @@ class AmplitudeDamping(Effect):
             (viscous, quadratic), share = evidence.reduction(-removed)
             if quadratic > 0.0 and share - linear_share > LEAST_SHARE * (1.0 - linear_share):
                 found.append((share, cls(
-                    float(np.clip(viscous, -2.0 * ratio, STRONGEST)),
+                    float(np.clip(viscous, max(-2.0 * ratio, LEAST_VISCOUS), STRONGEST)),
                     min(float(quadratic), STRONGEST), 0.5 * travel_um, w, ratio)))
         found.sort(key=lambda entry: -entry[0])
         return [start for _, start in found]

@@ -9,6 +9,8 @@ from numba import njit
 
 from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.hysteresis.without_play import without_play
 
 
 @njit(cache=True, nogil=True)
@@ -51,6 +53,10 @@ class Backlash(Effect):
             if ahead[n] == 0.0:
                 ahead[n] = ahead[n - 1]
         return wanted + 0.5 * self.width_um * ahead[wanted.size :]
+
+    def hysteresis_ahead(self, hysteresis: PreisachModel) -> PreisachModel:
+        """Return the hysteresis without the play, as `Effect.hysteresis_ahead` describes."""
+        return without_play(hysteresis, self.width_um)
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:

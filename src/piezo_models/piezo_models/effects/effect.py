@@ -11,6 +11,7 @@ import control
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 PLACES = ("voltage", "modes", "linear", "displacement", "sensor")
@@ -161,6 +162,9 @@ class Effect(ABC):
         False for what comes from outside, at times of its own.
     of_the_stage : bool
         False for what depends on when a recording begins: its parameters hold for one recording.
+    recurs : bool
+        Of what is not of the stage: where it goes on, every recording has one of its own, a sum of
+        what `recurrence` returns.
     remembers : bool
         False where every sample depends on itself alone.
     experiment : str
@@ -178,6 +182,7 @@ class Effect(ABC):
     several: ClassVar[bool] = False
     follows_voltage: ClassVar[bool] = True
     of_the_stage: ClassVar[bool] = True
+    recurs: ClassVar[bool] = False
     remembers: ClassVar[bool] = True
     experiment: ClassVar[str]
     distortion: ClassVar[frozenset[str] | None] = None
@@ -359,6 +364,39 @@ class Effect(ABC):
             its declaration does.
         """
         return {}
+
+    def recurrence(self, time_s: FloatArray, duration_s: float) -> FloatArray:
+        """Return the signals that sum up to what the effect adds to any other recording.
+
+        Parameters
+        ----------
+        time_s : (n,) array
+            Of some samples of that recording, from its first one on.
+        duration_s : float
+            Of that recording.
+
+        Returns
+        -------
+        (n, k) array
+            None of them for an effect that does not recur.
+        """
+        return np.zeros((time_s.size, 0))
+
+    def hysteresis_ahead(self, hysteresis: PreisachModel) -> PreisachModel | None:
+        """Return the hysteresis that, with the effect behind it, does what the given one does.
+
+        A model that was identified with the effect in the stage has the given one.
+
+        Parameters
+        ----------
+        hysteresis : PreisachModel
+
+        Returns
+        -------
+        PreisachModel or None
+            None where no hysteresis does what the effect does, which holds by default.
+        """
+        return None
 
     def impossible(self, extent: Extent) -> str | None:
         """Tell why no stage can have the effect with these parameters; None if one can.

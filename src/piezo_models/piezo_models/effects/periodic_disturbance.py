@@ -19,6 +19,9 @@ DRIVEN = 0.05
 """Part of the displacement's energy from which a line is the waveform's own."""
 LINE_BINS = 2
 
+WANDERING = 3
+"""Waves over a recording by which sizes of the tones, and so their phases, may change."""
+
 TURNED_ON = 64
 """Samples after which the angle is computed anew, before rounding adds up."""
 
@@ -49,6 +52,7 @@ class PeriodicDisturbance(EffectOfTime):
 
     name: ClassVar[str] = "periodic_disturbance"
     several: ClassVar[bool] = True
+    recurs: ClassVar[bool] = True
     experiment: ClassVar[str] = "rest, at the full sample clock"
     distortion: ClassVar[frozenset[str] | None] = frozenset()
 
@@ -73,6 +77,17 @@ class PeriodicDisturbance(EffectOfTime):
             [self.sine_um, *self.harmonic_sines_um])
         turn = 2.0 * np.pi * self.frequency_hz * sample_period_s
         return signal + _sum_of_tones(sizes, turn, first, signal.size)
+
+    def recurrence(self, time_s: FloatArray, duration_s: float) -> FloatArray:
+        """Return tones of the same frequencies, whose phases wander slowly.
+
+        As in `Effect.recurrence`; those above half of the sample clock show as their aliases.
+        """
+        multiples = np.arange(1, 2 + len(self.harmonic_cosines_um))
+        phases = 2.0 * np.pi * self.frequency_hz * np.outer(time_s, multiples)
+        tones = np.hstack([np.cos(phases), np.sin(phases)])
+        waves = np.cos(np.pi * np.outer(time_s / duration_s, np.arange(WANDERING)))
+        return np.einsum("nt,nw->ntw", tones, waves).reshape(time_s.size, -1)
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:

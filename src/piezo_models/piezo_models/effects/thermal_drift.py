@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
+from numpy.polynomial.legendre import legvander
 
 from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Evidence, Extent, parameter
@@ -30,6 +31,7 @@ class ThermalDrift(EffectOfTime):
     """
 
     name: ClassVar[str] = "thermal_drift"
+    recurs: ClassVar[bool] = True
     experiment: ClassVar[str] = "rest for minutes, and the same waveform repeated at later times"
     distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("creep",)
@@ -60,6 +62,10 @@ class ThermalDrift(EffectOfTime):
             time_s, -np.expm1(-time_s / self.time_constant_s),
             *(np.cos((wave + 2) * phase) - 1.0 for wave in range(len(self.waves_um))),
         ])
+
+    def recurrence(self, time_s: FloatArray, duration_s: float) -> FloatArray:
+        """Return polynomials, as `Effect.recurrence` describes."""
+        return legvander(2.0 * time_s / duration_s - 1.0, WAVES)[:, 1:]
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:

@@ -230,7 +230,8 @@ def _errors(problem: JointProblem, left: Sequence[HeldOut]) -> tuple[float, floa
 
 def _fitted(problem: JointProblem, effects: Effects, was_there: bool) -> JointFit:
     """Fit effects as come since the identification, or as there all along."""
-    later = [effect.name for effect in effects if not (was_there and effect.of_the_stage)]
+    later = [effect.name for effect in effects if not (
+        was_there and (effect.of_the_stage or effect.recurs))]
     return problem.fit((*problem.own, *effects), later)
 
 

@@ -9,11 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from piezo_common.arrays import FloatArray
 from piezo_common.progress_part import Progress, part_of
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
+from piezo_identification.diagnosis.joint.far_starts import SETTINGS as FITS
+from piezo_identification.diagnosis.joint.far_starts import from_afar
 from piezo_identification.diagnosis.joint.joint_fit import (
     JointFit,
     JointProblem,
@@ -46,11 +49,6 @@ class AlternativeSettings:
     second : float
         Multiple of the noise's power that the best alternative must leave for a second effect to be
         tried beside it.
-    turns : int
-        In which fits go on at most, each of several steps.
-    hopeful : float
-        An alternative is fitted on while it is behind the best by less than so many times the
-        evidence that its last step gained.
     most_effects : int
         Of an alternative that were there all along.
     many_samples : int
@@ -64,8 +62,6 @@ class AlternativeSettings:
     fitted: int = 4
     starts: int = 5
     second: float = 1.3
-    turns: int = 5
-    hopeful: float = 3.0
     most_effects: int = 2
     many_samples: int = 500_000
     told_apart: float = float(np.log(19.0))
@@ -117,10 +113,10 @@ def settled(problem: JointProblem, progress: Progress) -> JointFit:
     """
     progress("all recordings together: no effect", 0.0)
     fit = problem.fit(problem.own)
-    for turn in range(1, SETTINGS.turns):
+    for turn in range(1, FITS.turns):
         if fit.has_converged:
             break
-        progress("all recordings together: no effect", 0.2 * turn / SETTINGS.turns)
+        progress("all recordings together: no effect", 0.2 * turn / FITS.turns)
         fit = problem.fit(fit.effects, begun=fit)
     return fit
 
@@ -185,13 +181,13 @@ def converged(problem: JointProblem, alternatives: Sequence[Alternative]) -> lis
         Possible ones, in the same order.
     """
     alternatives = list(alternatives)
-    for _ in range(SETTINGS.turns):
+    for _ in range(FITS.turns):
         logarithms = _logarithms(problem, alternatives)
         behind = np.max(logarithms) - logarithms
         numbers = [number for number, each in enumerate(alternatives)
                    if not each.fit.has_converged and not _leaves_noise(
                        problem, each, len(each.mean_square_um2))
-                   and behind[number] < SETTINGS.hopeful * each.fit.gain]
+                   and behind[number] < FITS.hopeful * each.fit.gain]
         if not numbers:
             break
         further = side_by_side(
@@ -220,7 +216,7 @@ def asked_when(problem: JointProblem, alternatives: Sequence[Alternative]) -> li
     best = most_probable(problem, alternatives)
     is_known = any(each.names == best.names and not each.since for each in alternatives)
     if not best.since or is_known or not all(
-            effect.of_the_stage for effect in best.fit.effects):
+            effect.of_the_stage or effect.recurs for effect in best.fit.effects):
         return list(alternatives)
     along = _alternative(best.names, problem.fit(best.fit.effects, begun=best.fit))
     return converged(problem, [*alternatives, along])
@@ -239,22 +235,11 @@ def _each_beside(problem: JointProblem, best: Alternative, guesses: Sequence[Seq
 
 def _from_afar(problem: JointProblem, best: Alternative, guesses: Sequence[Sequence[Effect]],
                fitted: Sequence[Alternative]) -> list[Alternative]:
-    """Return the better of two fits of each effect: as it is, and where the model makes way first.
-
-    The model's parameters have made up for most of an effect that was there all along: beside them
-    it looks smaller than it is, and a fit from there ends with too little of it. So the model is
-    fitted first, beside each guess of the effect held; then both, from the best of these.
-    """
+    """Return the better of fits of each effect: as it is, and from where the model makes way."""
     def better(entry: tuple[Sequence[Effect], Alternative]) -> Alternative:
-        others, nearby = entry[0][1:], entry[1]
-        held = [problem.fit(best.fit.effects, begun=best.fit, held=(guess,)) for guess in others]
-        if not held:
-            return nearby
-        begun = min(held, key=lambda fit: fit.against)
-        if begun.against - SETTINGS.hopeful * begun.gain > nearby.fit.against:
-            return nearby
-        fit = problem.fit(begun.effects, begun=begun)
-        return _alternative(nearby.names, fit) if fit.against < nearby.fit.against else nearby
+        of_kind, nearby = entry
+        fit = from_afar(problem, best.fit, of_kind, nearby.fit)
+        return nearby if fit is nearby.fit else _alternative(nearby.names, fit)
 
     return side_by_side(better, list(zip(guesses, fitted, strict=True)))
 
@@ -356,14 +341,15 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
     present = {effect.name for effect in own}
 
     def tried(kind: type[Effect]) -> list[tuple[float, list[Effect]]]:
-        if not kind.of_the_stage or (kind.name in present and not kind.several):
+        if not (kind.of_the_stage or kind.recurs) or (
+                kind.name in present and not kind.several):
             return []
         if all(kind.lacks_excitation(shown) for shown in evidence):
             return []
+        asked_for = telling if kind.of_the_stage else evidence[: problem.new_count]
         guesses = [with_fitted_values(guess, fitted_values(guess, problem.dataset.extent)[0])
-                   for shown in telling for guess in kind.starts(shown)]
-        costs = [_cost(regression.remainder(regression.difference((*own, guess), (guess,))))
-                 for guess in guesses]
+                   for shown in asked_for for guess in kind.starts(shown)]
+        costs = [_cost(problem, regression, own, guess) for guess in guesses]
         if not guesses:
             return []
         ordered = [guesses[number] for number in np.argsort(costs)]
@@ -376,5 +362,17 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
     return [of_kind for _, of_kind in found]
 
 
-def _cost(left: FloatArray) -> float:
+def _cost(problem: JointProblem, regression: Regression, own: Sequence[Effect],
+          guess: Effect) -> float:
+    """Return the sum of squares that a guess leaves beside the model's own effects."""
+    left = regression.remainder(regression.difference((*own, guess), (guess,)))
+    if guess.recurs:
+        dataset = regression.dataset
+        blocks = [guess.recurrence(part.time_s[rows], part.time_s[-1])
+                  for part, rows in zip(dataset.simulated, dataset.rows, strict=True)]
+        of_its_own = block_diag(*(
+            np.zeros((len(block), 0)) if index < problem.new_count else block
+            for index, block in enumerate(blocks))) / regression.tolerance_um[:, None]
+        signals = np.column_stack([regression.remainder(signal) for signal in of_its_own.T])
+        left = left - signals @ np.linalg.lstsq(signals, left, rcond=1e-9)[0]
     return float(left @ left)

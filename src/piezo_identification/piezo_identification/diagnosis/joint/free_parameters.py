@@ -146,12 +146,14 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
     ----------
     model : StageModel
     changes : (n,) array
-        In widths, in the order of `free_sensitivities`.
+        In widths, in the order of `free_sensitivities`; none of them for no change.
 
     Returns
     -------
     StageModel
     """
+    if not changes.size:
+        return model
     dynamics, hysteresis = model.dynamics, model.hysteresis
     pairs = len(model.creep.poles_rad_per_s)
     physical = _physical(model)

@@ -7,14 +7,18 @@ With Gaussian errors of unknown variance in each recording r, and a prior of the
 
 is to be made least. Here m_r is the mean square that a simulation leaves on the rows to fit, l_r
 the accuracy that a good model has, and n the number of independent errors of a recording. Offset
-and initial creep of each recording are projected out. The logarithm is concave: at some m_r, a sum
-of squares with the weights n / (m_r + l_r^2) has the same gradient, and falls by no more than it.
+and initial creep of each recording are projected out, and of each recording of the identification
+what it has of its own of effects that recur, such as the phase of a disturbance. The logarithm is
+concave: at some m_r, a sum of squares with the weights n / (m_r + l_r^2) has the same gradient, and
+falls by no more than it.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.diagnosis.joint.free_parameters import (
@@ -54,15 +58,24 @@ SETTINGS = ErrorSettings()
 
 
 class RecordingBefore(SimulatedRecording):
-    """A recording that was made before some effects came."""
+    """A recording that was made before some effects came, and at another time than the others."""
 
     later: frozenset[str] = frozenset()
 
     def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = ()) -> FloatArray:
-        """Return the displacement with those effects that did not come later."""
-        return super().simulate(*(
-            tuple(effect for effect in some if effect.name not in self.later)
-            for some in (effects, quick)))
+        """Return the displacement with those effects of the stage that did not come later."""
+        return super().simulate(*(self.there(some) for some in (effects, quick)))
+
+    def there(self, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+        """Return those effects whose parameters hold for the recording."""
+        return tuple(effect for effect in effects
+                     if effect.of_the_stage and effect.name not in self.later)
+
+    def recurrences(self, effects: Sequence[Effect], rows: NDArray[np.intp]) -> list[FloatArray]:
+        """Return what the recording has of its own of each effect that recurs, (n, k)."""
+        time_s = self.time_s
+        return [effect.recurrence(time_s[rows], time_s[-1]) for effect in effects
+                if effect.recurs and effect.name not in self.later]
 
 
 def simulated_by(dataset: Dataset, model: StageModel, new_count: int,
@@ -92,6 +105,13 @@ def simulated_by(dataset: Dataset, model: StageModel, new_count: int,
             before.later = later
             simulated.append(before)
     return replace(dataset, model=model, simulated=tuple(simulated))
+
+
+def _projected_out(part: SimulatedRecording, rows: NDArray[np.intp],
+                   effects: Sequence[Effect]) -> FloatArray:
+    """Return what a recording does not tell, and what it has of its own of effects, (n, k)."""
+    own = part.recurrences(effects, rows) if isinstance(part, RecordingBefore) else []
+    return np.column_stack([nuisance_regressors(part, rows), *own])
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +169,8 @@ class JointErrors:
         self.longest[: self.count] = SETTINGS.longest
         self.accuracy_um = np.array([
             TOLERANCE.model_tolerance * np.ptp(part.measured_um) for part in dataset.simulated])
+        self._own_count = [nuisance_regressors(part, rows[:1]).shape[1] for part, rows in zip(
+            dataset.simulated, dataset.rows, strict=True)]
         self._pieces_um = pieces_um
         self._points: dict[bytes, _Point] = {}
         self._columns: tuple[bytes, list[FloatArray]] = b"", []
@@ -166,14 +188,21 @@ class JointErrors:
     def dataset_at(self, vector: FloatArray) -> Dataset:
         """Return the data set simulated by the changed model, with its nuisance regressors."""
         point = self._at(vector)
-        regressors, row, column = self.dataset.regressors.copy(), 0, 0
-        for block in point.nuisance:
-            regressors[row : row + len(block), column : column + block.shape[1]] = block
-            row, column = row + len(block), column + block.shape[1]
+        nuisance = block_diag(*point.nuisance)
+        changes = self.dataset.regressors[:, self.dataset.nuisance_count :]
         if self._columns[1]:
             # Those of the last step, close to where it led.
-            regressors[:, column:] = np.vstack(self._columns[1])[:, : self.count]
-        return replace(point.dataset, regressors=regressors)
+            changes = np.vstack(self._columns[1])[:, : self.count]
+        return replace(point.dataset, regressors=np.hstack([nuisance, changes]),
+                       nuisance_count=nuisance.shape[1])
+
+    def recurrence_count(self, vector: FloatArray) -> int:
+        """Return how many numbers are projected out for effects that recur."""
+        return sum(
+            signals.shape[1] for part, rows in zip(
+                self._at(vector).dataset.simulated, self.dataset.rows, strict=True)
+            if isinstance(part, RecordingBefore)
+            for signals in part.recurrences(self.effects_at(vector), rows[:1]))
 
     def squares_um2(self, vector: FloatArray) -> FloatArray:
         """Return the mean square that is left of the fitted rows of each recording, (R,)."""
@@ -229,7 +258,7 @@ class JointErrors:
             nuisance, sizes, left = [], [], []
             for index, (part, rows) in enumerate(
                     zip(dataset.simulated, dataset.rows, strict=True)):
-                nuisance.append(nuisance_regressors(part, rows))
+                nuisance.append(_projected_out(part, rows, effects))
                 left_um, size = self._left_beside(
                     index, nuisance[-1], (part.measured_um - part.simulate(effects))[rows])
                 sizes.append(size)
@@ -250,8 +279,7 @@ class JointErrors:
     def _of_recording(self, point: _Point, index: int, vector: FloatArray) -> FloatArray:
         dataset, rows = point.dataset, point.dataset.rows[index]
         given, part = self.dataset.model, dataset.simulated[index]
-        there = tuple(effect for effect in point.effects
-                      if index < self.new_count or effect.name not in self.later)
+        there = part.there(point.effects) if isinstance(part, RecordingBefore) else point.effects
         behind = SimulatedRecording(
             replace(dataset.model, effects=there), dataset.recordings[index], part.past_v)
         pieces_um = None if self._pieces_um is None else self._pieces_um[index]
@@ -263,8 +291,12 @@ class JointErrors:
             step = SETTINGS.derivative_step * max(1.0, abs(vector[number]))
             moved = vector.copy()
             moved[number] += step if moved[number] + step <= self.high[number] else -step
-            moved_um = part.simulate(self.effects_at(moved))[rows]
-            columns.append((moved_um - unmoved_um) / (moved[number] - vector[number]))
+            effects = self.effects_at(moved)
+            moved_um = part.simulate(effects)[rows] - unmoved_um
+            if point.nuisance[index].shape[1] > self._own_count[index]:
+                moved_um += (_projected_out(part, rows, effects)
+                             - point.nuisance[index]) @ point.sizes[index]
+            columns.append(moved_um / (moved[number] - vector[number]))
         return np.column_stack([changes, *columns])
 
     def _left_beside(self, index: int, nuisance: FloatArray,

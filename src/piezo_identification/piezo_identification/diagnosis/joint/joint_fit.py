@@ -2,6 +2,7 @@
 """Model and effects estimated together on several recordings, by Levenberg-Marquardt steps."""
 
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -75,6 +76,10 @@ class JointFit:
         Evidence that the last step gained.
     against : float
         Evidence against it; see `joint_errors.JointErrors.value`.
+    recurrence_count : int
+        Numbers of the effects that recordings of the identification have of their own.
+    problem : JointProblem or None
+        In which a fit goes on.
     """
 
     regression: Regression
@@ -85,6 +90,8 @@ class JointFit:
     changes: FloatArray = field(default_factory=lambda: np.zeros(0))
     gain: float = 0.0
     against: float = np.inf
+    recurrence_count: int = 0
+    problem: "JointProblem | None" = field(default=None, repr=False)
 
     @property
     def model(self) -> StageModel:
@@ -95,7 +102,8 @@ class JointFit:
     @property
     def count(self) -> int:
         """Return how many numbers of effects were fitted."""
-        return sum(fitted_values(effect)[0].size for effect in self.effects)
+        return self.recurrence_count + sum(
+            fitted_values(effect)[0].size for effect in self.effects)
 
     def left_um(self) -> list[tuple[FloatArray, BoolArray]]:
         """Return what is left at the rows of each recording, and which of them are held out."""
@@ -132,10 +140,32 @@ class JointProblem:
             replace(model, effects=()), [*new, *old], sensitivities=free_sensitivities,
             undivided=undivided)
         self.noise = estimate_noise(self.dataset, self.own)
+        self.start = self._started()
+
+    def about(self, model: StageModel) -> "JointProblem":
+        """Return the same problem with another model, without effects, to begin from."""
+        problem = copy(self)
+        vars(problem).pop("_pieces_um", None)
+        problem.dataset = simulate_recordings(
+            model, self.dataset.recordings, sensitivities=free_sensitivities,
+            undivided=self.undivided)
+        problem.start = problem._started()
+        return problem
+
+    def against(self, model: StageModel, effects: Sequence[Effect]) -> float:
+        """Return the evidence against a model and effects as they are."""
+        dataset = simulated_by(self.dataset, model, self.new_count, frozenset())
+        nuisance = dataset.regressors[:, : dataset.nuisance_count]
+        errors = JointErrors(
+            replace(dataset, regressors=nuisance), self.start.estimation,
+            self.start.estimation | self.start.validation, self.new_count, effects, frozenset())
+        return errors.value(errors.vector(np.zeros(0), effects))
+
+    def _started(self) -> Regression:
+        """Weigh the rows by what the model leaves."""
         first = _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise))
         left_um = first.fit(self.own).residual * first.tolerance_um
-        self.start = _weighed(
-            self.dataset, self.noise, _scale_um(self.dataset, self.noise, left_um))
+        return _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise, left_um))
 
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:
@@ -156,7 +186,7 @@ class JointProblem:
         later : iterable of str
             Names of the effects that came after the identification.
         begun : JointFit, optional
-            From whose model the fit begins; by default from that of the problem.
+            From whose model the fit begins, and in whose problem it goes on; by default this one.
         held : sequence of piezo_models.effects.effect.Effect
             Others that stay as they are, behind those.
 
@@ -164,6 +194,8 @@ class JointProblem:
         -------
         JointFit
         """
+        if begun is not None and begun.problem not in (None, self):
+            return begun.problem.fit(effects, later, begun, held)
         came, effects = frozenset(later), tuple(effects)
         errors = JointErrors(
             self.dataset, self.start.estimation, self.start.estimation | self.start.validation,
@@ -177,7 +209,8 @@ class JointProblem:
         return JointFit(
             _reweighed(replace(self.start, dataset=dataset), found), found, came,
             errors.covariance(descent.vector), descent.has_converged,
-            descent.vector[: errors.count], descent.gain, descent.value)
+            descent.vector[: errors.count], descent.gain, descent.value,
+            errors.recurrence_count(descent.vector), self)
 
     def _first(self, errors: JointErrors, changes: FloatArray, effects: tuple[Effect, ...],
                begun: JointFit | None, came: frozenset[str]) -> FloatArray:
@@ -190,7 +223,7 @@ class JointProblem:
             regression.dataset, regression.dataset.model, self.new_count, came))
         fit = fit_effects(regression, effects, quick=True)
         most = errors.longest[: errors.count]
-        moved = np.clip(fit.coefficients[self.dataset.nuisance_count :], -most, most)
+        moved = np.clip(fit.coefficients[regression.dataset.nuisance_count :], -most, most)
         return min((guessed, errors.vector(changes, fit.effects),
                     errors.vector(changes + moved, fit.effects)), key=errors.value)
 

@@ -33,6 +33,11 @@ def stage(mode_rad_per_s=MODE_RAD_PER_S, damping_ratio=DAMPING_RATIO, reversible
         ElectricVibrationDynamics(0.0, (mode_rad_per_s,), (damping_ratio,)))
 
 
+def behind_mode(drive_um, w, z):
+    numerator, denominator, _ = cont2discrete(([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
+    return lfilter(numerator[0], denominator, drive_um)
+
+
 def recording(name, seed, measure=lambda displacement_um: displacement_um, other_mode=False):
     """Record a line with a mode or two beside each other, and what the sensor makes of it."""
     generator = np.random.default_rng(seed)
@@ -40,11 +45,7 @@ def recording(name, seed, measure=lambda displacement_um: displacement_um, other
     voltage_v *= 50.0 / np.abs(voltage_v).max()
     modes = [OTHER_MODE] if other_mode else []
     modes.append((MODE_RAD_PER_S, DAMPING_RATIO, 1.0 - sum(part for *_, part in modes)))
-    displacement_um = np.zeros(SAMPLES)
-    for w, z, part in modes:
-        numerator, denominator, _ = cont2discrete(
-            ([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
-        displacement_um += part * lfilter(numerator[0], denominator, 0.1 * voltage_v)
+    displacement_um = sum(part * behind_mode(0.1 * voltage_v, w, z) for w, z, part in modes)
     return Recording(
         path=name, sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
         sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
@@ -128,8 +129,9 @@ def slow(recorded):
     generator = np.random.default_rng(9)
     voltage_v = 50.0 * np.sin(2.0 * np.pi * np.arange(SAMPLES) / SAMPLES)
     noise_um = NOISE_UM * generator.normal(size=SAMPLES)
+    displacement_um = behind_mode(0.1 * voltage_v, MODE_RAD_PER_S, DAMPING_RATIO)
     return replace(recorded, path="slow", voltage_v=voltage_v,
-                   displacement_um=0.1 * voltage_v + noise_um)
+                   displacement_um=displacement_um + noise_um)
 
 
 @pytest.mark.parametrize(("was_there", "came"), [

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Effects that every recording has of its own: hum and drift that were there all along."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+)
+from piezo_identification.diagnosis.joint.joint_errors import JointErrors
+from piezo_identification.diagnosis.joint.joint_fit import JointProblem
+from piezo_models.cascade import StageModel
+from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
+from piezo_models.effects.thermal_drift import ThermalDrift
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 3000, 2e-3
+MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.1
+HUM_HZ, HUM_UM = 50.03, 0.05
+
+LINE = StageModel(
+    PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])), CreepDynamics(),
+    ElectricVibrationDynamics(0.0, (MODE_RAD_PER_S,), (DAMPING_RATIO,)))
+
+
+def recording(seed, outside=lambda time_s, generator: 0.0):
+    """Record a line with a mode, and what comes from outside at times of its own."""
+    generator = np.random.default_rng(seed)
+    voltage_v = np.convolve(generator.normal(size=SAMPLES), np.hanning(20), mode="same")
+    voltage_v *= 50.0 / np.abs(voltage_v).max()
+    w, z = MODE_RAD_PER_S, DAMPING_RATIO
+    numerator, denominator, _ = cont2discrete(([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
+    displacement_um = lfilter(numerator[0], denominator, 0.1 * voltage_v)
+    displacement_um += outside(PERIOD_S * np.arange(SAMPLES), np.random.default_rng(100 + seed))
+    return Recording(
+        path=f"{seed}", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
+        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
+        displacement_um=displacement_um + NOISE_UM * generator.normal(size=SAMPLES),
+        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+
+
+def hum(time_s, generator):
+    phase = 2.0 * np.pi * (HUM_HZ * time_s + generator.random())
+    return HUM_UM * (np.sin(phase) + 0.3 * np.sin(2.0 * phase))
+
+
+def drift(time_s, generator):
+    return HUM_UM * generator.normal() * time_s * (1.0 + generator.normal() * time_s)
+
+
+def test_hum_that_was_there_all_along_has_a_phase_of_its_own_in_every_recording():
+    bent = replace(LINE, dynamics=ElectricVibrationDynamics(0.0, (390.0,), (0.12,)))
+    new, *old = (recording(seed, hum) for seed in (1, 2))
+    diagnosis = diagnose(bent, [new], identified_from=IdentificationRecordings(tuple(old), ()))
+    assert diagnosis.verdict == "explained"
+    found, = diagnosis.effects
+    assert (found["name"], found["came"]) == ("periodic_disturbance", "before the identification")
+    assert found["parameters"]["frequency_hz"] == pytest.approx(HUM_HZ, abs=0.01)
+    assert diagnosis.after["rms_um"] < 1.05 * NOISE_UM
+    assert diagnosis.model.dynamics.mode_frequencies_rad_per_s[0] == pytest.approx(
+        MODE_RAD_PER_S, rel=1e-3)
+
+
+def test_hum_that_came_later_is_not_in_the_identification():
+    new, *old = recording(1, hum), recording(2)
+    diagnosis = diagnose(LINE, [new], identified_from=IdentificationRecordings(tuple(old), ()))
+    found, = diagnosis.effects
+    assert (found["name"], found["came"]) == ("periodic_disturbance", "after the identification")
+
+
+@pytest.mark.parametrize(("outside", "effect"), [
+    (hum, PeriodicDisturbance(HUM_HZ + 0.1, 0.0, HUM_UM, (0.0,), (0.01,))),
+    (drift, ThermalDrift(0.1, 0.0, 1.0, (0.0,) * 7, 3.0)),
+], ids=["hum", "drift"])
+def test_recordings_of_the_identification_have_none_left_and_the_derivatives_are_right(
+        outside, effect):
+    problem = JointProblem(LINE, [recording(1, outside)], [recording(2, outside)], steps=10)
+    fitted = problem.start.estimation
+    errors = JointErrors(problem.dataset, fitted, fitted | problem.start.validation, 1, (effect,),
+                         frozenset())
+    vector = errors.vector(np.zeros(errors.count), (effect,))
+    residual, jacobian = errors.linearised(vector)
+    gradient = jacobian.T @ residual
+    for number in range(errors.count, vector.size):
+        step = np.zeros(vector.size)
+        step[number] = 1e-6
+        difference = (errors.value(vector + step) - errors.value(vector - step)) / 2e-6
+        assert difference == pytest.approx(
+            gradient[number], rel=5e-3, abs=5e-3 * np.linalg.norm(jacobian[:, number]))
+    found = problem.fit((effect,))
+    clean = JointProblem(LINE, [recording(1)], [recording(2)]).fit(())
+    assert _left_um(found) == pytest.approx(_left_um(clean), rel=0.03)
+    assert found.count > problem.fit((effect,), (effect.name,)).count
+
+
+def _left_um(fit):
+    return [np.sqrt(np.mean(left_um[held_out] ** 2)) for left_um, held_out in fit.left_um()]
