@@ -65,7 +65,8 @@ class ThermalDrift(EffectOfTime):
 
     def recurrence(self, time_s: FloatArray, duration_s: float) -> FloatArray:
         """Return polynomials, as `Effect.recurrence` describes."""
-        return legvander(2.0 * time_s / duration_s - 1.0, WAVES)[:, 1:]
+        polynomials: FloatArray = legvander(2.0 * time_s / duration_s - 1.0, WAVES).astype(float)
+        return polynomials[:, 1:]
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:

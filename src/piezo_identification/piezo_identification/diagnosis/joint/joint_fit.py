@@ -194,8 +194,9 @@ class JointProblem:
         -------
         JointFit
         """
-        if begun is not None and begun.problem not in (None, self):
-            return begun.problem.fit(effects, later, begun, held)
+        goes_on_in = None if begun is None else begun.problem
+        if goes_on_in is not None and goes_on_in is not self:
+            return goes_on_in.fit(effects, later, begun, held)
         came, effects = frozenset(later), tuple(effects)
         errors = JointErrors(
             self.dataset, self.start.estimation, self.start.estimation | self.start.validation,
