@@ -7,6 +7,7 @@ from functools import cached_property
 
 import control
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import OUTLIER, good_samples
@@ -146,11 +147,11 @@ class SimulatedRecording:
         """Return the output of another hysteresis at the same voltages, (N,)."""
         return self._hysteresis(hysteresis, self._amplified_v)[0]
 
-    def respond(self, system: control.StateSpace, input_um: FloatArray,
-                delay_s: float = 0.0) -> FloatArray:
-        """Return the output of a continuous system, sampled as the recording is, (N,)."""
+    def respond(self, system: control.StateSpace, input_um: FloatArray, delay_s: float = 0.0,
+                at: NDArray[np.intp] | None = None) -> FloatArray:
+        """Return the output of a continuous system, sampled as the recording is; see `respond`."""
         return respond(
-            system, input_um, self.sample_period_s, self.samples_per_mean, delay_s)
+            system, input_um, self.sample_period_s, self.samples_per_mean, delay_s, at)
 
     @cached_property
     def repeated_period(self) -> int | None:
