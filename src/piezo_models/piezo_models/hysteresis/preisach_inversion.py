@@ -36,7 +36,7 @@ def _fall_to(row: FloatArray, x: float, j: int) -> float:
 @njit(cache=True)
 def _further_cells(rest: float, way: float, most: int) -> int:
     """Return how many whole cells lie in a rest, if each rises by `way` as the last one does."""
-    return int(rest / way) if 0.0 < way < np.inf and rest < most * way else 0
+    return int(rest / way) if rest < most * way else 0
 
 
 @njit(cache=True)

@@ -5,19 +5,28 @@ A recursion from sample to sample waits for each of them. Within a block the out
 the block's input and in the state at its start (Burrus 1972), and so is the state behind it.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
 
 from piezo_common.arrays import FloatArray
 
 LENGTH = 32
-"""Samples of a block: a longer one takes more products, a shorter one more states."""
+"""Samples of a block, a power of two: a longer one takes more products, a shorter one more
+states."""
 
 FEWEST = 64 * LENGTH
 """Samples of an input from which the matrices of a block are worth their computation."""
 
 BATCH = 512
 """Blocks at a time: as many as the cache holds."""
+
+
+LONG = 256
+"""Samples of a block of which few outputs are asked for, so that a state costs what counts."""
 
 
 def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, samples: FloatArray,
@@ -41,31 +50,72 @@ def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, sampl
     int
         A multiple of `LENGTH`.
     """
-    gains, outputs, answers, transposed = _block(a, b, c, direct)
+    gains, outputs, answers, transposed = _block(a, b, c, direct, LENGTH)
     done = samples.size // LENGTH * LENGTH
-    blocks, behind = samples[:done].reshape(-1, LENGTH), output[:done].reshape(-1, LENGTH)
-    for begin in range(0, len(blocks), BATCH):
-        batch = blocks[begin : begin + BATCH]
-        states = _states(transposed, batch @ gains, state)
+    behind = output[:done].reshape(-1, LENGTH)
+    for begin, batch, states in _batches(samples[:done].reshape(-1, LENGTH), gains, transposed,
+                                         state):
         np.matmul(batch, answers, out=behind[begin : begin + BATCH])
         behind[begin : begin + BATCH] += states @ outputs
     return done
 
 
-def _block(a: FloatArray, b: FloatArray, c: FloatArray, direct: float,
+def blocks_at(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, samples: FloatArray,
+              state: FloatArray, at: NDArray[np.intp]) -> FloatArray:
+    """Simulate whole blocks, and return the output at a few of their samples.
+
+    The states alone are known of the other blocks, which saves most of the work and the memory.
+
+    Parameters
+    ----------
+    a, b, c, direct, state
+        Of `run_blocks`.
+    samples : (N,) array
+        N is a multiple of `LONG`.
+    at : (n,) array of int
+        Samples, sorted.
+
+    Returns
+    -------
+    (n,) array
+    """
+    gains, outputs, answers, transposed = _block(a, b, c, direct, LONG)
+    numbers, places = np.divmod(at, LONG)
+    output = np.empty(at.size)
+    for begin, batch, states in _batches(samples.reshape(-1, LONG), gains, transposed, state):
+        asked = slice(*np.searchsorted(numbers, [begin, begin + BATCH]))
+        blocks, which = np.unique(numbers[asked] - begin, return_inverse=True)
+        if blocks.size:
+            behind = batch[blocks] @ answers + states[blocks] @ outputs
+            output[asked] = behind[which, places[asked]]
+    return output
+
+
+def _batches(blocks: FloatArray, gains: FloatArray, transposed: FloatArray, state: FloatArray,
+             ) -> Iterator[tuple[int, FloatArray, FloatArray]]:
+    """Yield the number of the first block, the blocks and the states at their starts."""
+    for begin in range(0, len(blocks), BATCH):
+        batch = blocks[begin : begin + BATCH]
+        yield begin, batch, _states(transposed, batch @ gains, state)
+
+
+def _block(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, length: int,
            ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what turns input and state into next state and output, and a^LENGTH, transposed."""
-    gains, outputs = np.empty((LENGTH, b.size)), np.empty((b.size, LENGTH))
-    impulse, driven, seen = np.empty(LENGTH), b, c
-    for k in range(LENGTH):
-        gains[LENGTH - 1 - k], outputs[:, k] = driven, seen
-        impulse[k] = seen @ b
-        driven, seen = a @ driven, seen @ a
-    answers = np.diag(np.full(LENGTH, direct))
-    for k in range(1, LENGTH):
-        answers += np.diag(np.full(LENGTH - k, impulse[k - 1]), k)
-    power = np.linalg.matrix_power(a, LENGTH)
-    return gains, outputs, answers, np.ascontiguousarray(power.T)
+    """Return what turns input and state into next state and output, and a^length, transposed."""
+    driven, power = _sequence(a, b, length)
+    outputs, _ = _sequence(np.ascontiguousarray(a.T), c, length)
+    impulse = np.concatenate([[direct], b @ outputs[:, :-1]])
+    answers = toeplitz(np.where(np.arange(length) == 0, direct, 0.0), impulse)
+    return (np.ascontiguousarray(driven[:, ::-1].T), outputs, answers,
+            np.ascontiguousarray(power.T))
+
+
+def _sequence(a: FloatArray, vector: FloatArray, length: int) -> tuple[FloatArray, FloatArray]:
+    """Return the columns a^k vector for each k below length, a power of two, and a^length."""
+    columns, power = vector[:, None], a
+    while columns.shape[1] < length:
+        columns, power = np.hstack([columns, power @ columns]), power @ power
+    return columns, power
 
 
 @njit(cache=True, nogil=True)

@@ -71,6 +71,9 @@ def _follow(samples: FloatArray, extremes_v: FloatArray, outputs_um: FloatArray,
     for n in range(samples.size):
         # Below the saturation voltage every relay is off already.
         voltage = max(samples[n], extremes_v[0])
+        if voltage == last_v:
+            samples[n] = last_um + offset_um
+            continue
         rising = depth % 2 == 0
         turned = voltage < last_v if rising else voltage > last_v
         if turned:

@@ -120,22 +120,31 @@ def zero_order_hold(system: StateSpace, sample_period_s: float) -> tuple[FloatAr
 
 
 @njit(cache=True)
-def _advance(samples: FloatArray, state: FloatArray, following: FloatArray, a_columns: FloatArray,
-             b: FloatArray, c: FloatArray) -> None:
-    order = state.size
+def _advance(samples: FloatArray, state: FloatArray, following: FloatArray, own: FloatArray,
+             a_columns: FloatArray, b: FloatArray, c: FloatArray) -> None:
+    order, alone = state.size, own.size
     for n in range(samples.size):
         level = samples[n]
         output = 0.0
         for i in range(order):
             output += c[i] * state[i]
             following[i] = b[i] * level
+        for i in range(alone):
+            following[i] += own[i] * state[i]
+        behind = following[alone:]
         for j in range(order):
             value = state[j]
-            for i in range(order):
-                following[i] += a_columns[j, i] * value
+            for i in range(behind.size):
+                behind[i] += a_columns[j, i] * value
         for i in range(order):
             state[i] = following[i]
         samples[n] = output
+
+
+def _alone(a: FloatArray) -> int:
+    """Return how many of the first states follow from themselves only, as parallel relaxations."""
+    others = np.flatnonzero((a - np.diag(np.diagonal(a))).any(axis=1))
+    return int(others[0]) if others.size else len(a)
 
 
 class LinearRunner:
@@ -169,7 +178,9 @@ class LinearRunner:
             )
         self._system = system
         a, self._b = zero_order_hold(system, self._period_s)
-        self._a_columns = np.ascontiguousarray(a.T)
+        alone = _alone(a)
+        self._own = np.diagonal(a)[:alone].copy()
+        self._columns_behind = np.ascontiguousarray(a[alone:].T)
 
     def rest(self, level: float) -> float:
         """Settle at the constant input `level`."""
@@ -188,7 +199,8 @@ class LinearRunner:
         self._advance(samples)
 
     def _advance(self, samples: FloatArray) -> None:
-        _advance(samples, self._state, self._following, self._a_columns, self._b, self._system.c)
+        _advance(samples, self._state, self._following, self._own, self._columns_behind, self._b,
+                 self._system.c)
         self._at += samples.size
 
 

@@ -157,15 +157,16 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
             client.wait_for_nodes(NODES)
             recording = _record_diagnostic(client, processes, directory, progress)
             identified_s = time.monotonic()
-            # The diagnosis computes while the stage tracks, and the report is drawn beside both.
+            # The diagnosis computes while the stage tracks. It uses all cores then, so the report
+            # is drawn beside the second tracking, which leaves one.
             with (ThreadPoolExecutor(1) as beside,
                   _diagnosing(client, processes, identified, recording, directory,
                               progress) as diagnosed):
                 tracks = _track_all(client, processes, identified.model, directory, progress)
                 tracked_s = time.monotonic()
-                drawn = beside.submit(_draw_runs, identified, tracks, directory)
                 diagnosis = diagnosed()
                 diagnosed_s = time.monotonic()
+                drawn = beside.submit(_draw_runs, identified, tracks, directory)
                 tracks_after = _track_all(client, processes, diagnosis.extended_model,
                                           directory / "after", progress)
             tracked_again_s = time.monotonic()

@@ -7,9 +7,13 @@ displacement is linear in the last two. Pole and zero of a creep pair lie so clo
 together: see `piezo_models.linear.creep_errors`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import chain
+from operator import add
 
+import control
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,7 +66,7 @@ SMALL = 1e-6
 
 def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
                        about: StageModel | None = None,
-                       pieces_um: Sequence[FloatArray] | None = None) -> FloatArray:
+                       pieces_um: Iterable[FloatArray] | None = None) -> FloatArray:
     """Return the change of the displacement with each free parameter, for one of its widths.
 
     Parameters
@@ -73,7 +77,7 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
         Samples.
     about : StageModel, optional
         From which `changed_model` led to the model of the part; by default it is that model.
-    pieces_um : sequence of (N,) array, optional
+    pieces_um : iterable of (N,) array, optional
         Of `piece_outputs_um`, where no effect acts on the voltage.
 
     Returns
@@ -85,6 +89,27 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
     given = model if about is None else about
     lags, others = leading_lags(_behind(model), part.samples_per_mean)
     linear, delay_s = behind_lags(model.linear(), lags)
+
+    def responses(system: control.StateSpace,
+                  inputs_um: Iterable[FloatArray]) -> Iterator[FloatArray]:
+        return respond_each(system, inputs_um, part.sample_period_s, part.samples_per_mean,
+                            delay_s, None if others else rows)
+
+    if pieces_um is None or model.effects_at("voltage"):
+        pieces_um = piece_outputs_um(part, given)
+    changes_um: Iterable[FloatArray] = chain(
+        *(responses(system, [part.input_um]) for system in _moved_systems(model, given, lags)),
+        responses(linear, pieces_um))
+    if others:
+        displacement_um = part.respond(linear, part.input_um, delay_s)
+        changes_um = _through(others, part, displacement_um, changes_um, rows)
+    return np.column_stack(list(changes_um))
+
+
+def _moved_systems(model: StageModel, about: StageModel,
+                   lags: Sequence[Effect]) -> list[control.StateSpace]:
+    """Return what the linear part changes by, for one width of each parameter of its own."""
+    linear, _ = behind_lags(model.linear(), lags)
     beside = model.effects_at("modes")
     # The model's own modes move but a part of the displacement where others are beside them.
     own_modes = replace(model, effects=tuple(
@@ -92,25 +117,19 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
     share = 1.0 - sum(mode.participation for mode in beside)
     of_modes = share * behind_lags(own_modes.linear(), lags)[0] if beside else linear
     ahead_of_modes = 2 * len(model.creep.poles_rad_per_s) + (model.dynamics.time_constant_s > 0.0)
-    by_logarithm = np.column_stack([
-        part.respond(sensitivity * (linear if number < ahead_of_modes else of_modes),
-                     part.input_um, delay_s)
-        for number, sensitivity in enumerate(sensitivity_systems(model.creep, model.dynamics))])
-    if pieces_um is None or model.effects_at("voltage"):
-        pieces_um = piece_outputs_um(part, given)
-    by_piece = respond_each(
-        linear, pieces_um, part.sample_period_s, part.samples_per_mean, delay_s)
-    if not others:
-        return np.column_stack([
-            by_logarithm[rows] @ _logarithms(given), *(column[rows] for column in by_piece)])
-    columns = np.column_stack([by_logarithm @ _logarithms(given), *by_piece])
-    displacement_um = part.respond(linear, part.input_um, delay_s)
-    return _through(others, part, displacement_um, columns, rows)
+    sensitivities = sensitivity_systems(model.creep, model.dynamics)
+    systems = []
+    for number, weights in enumerate(_logarithms(about).T):
+        together = [weight * sensitivities[index]
+                    for index, weight in enumerate(weights) if weight != 0.0]
+        systems.append(
+            reduce(add, together) * (linear if number < ahead_of_modes else of_modes))
+    return systems
 
 
-def piece_outputs_um(part: SimulatedRecording, about: StageModel) -> list[FloatArray]:
-    """Return what one width of each change adds to the output of the hysteresis, each (N,)."""
-    return [part.hysteresis_output_um(piece) for piece in _pieces(about.hysteresis)]
+def piece_outputs_um(part: SimulatedRecording, about: StageModel) -> Iterator[FloatArray]:
+    """Yield what one width of each change adds to the output of the hysteresis, each (N,)."""
+    return map(part.hysteresis_output_um, _pieces(about.hysteresis))
 
 
 def decay_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp], sizes: FloatArray,
@@ -196,20 +215,19 @@ def _behind(model: StageModel) -> tuple[Effect, ...]:
 
 
 def _through(effects: Sequence[Effect], part: SimulatedRecording, displacement_um: FloatArray,
-             columns: FloatArray, rows: NDArray[np.intp]) -> FloatArray:
-    """Return what small changes of the displacement become behind effects, (n, parameters)."""
+             changes_um: Iterable[FloatArray], rows: NDArray[np.intp]) -> Iterator[FloatArray]:
+    """Yield what small changes of the displacement become behind effects, each (n,)."""
     def behind(signal_um: FloatArray, rest_um: float) -> FloatArray:
         for effect in effects:
             signal_um = effect.apply(signal_um, part.sample_period_s, rest_um)
         return signal_um[rows]
 
     unchanged_um = behind(displacement_um, part.rest_um)
-    travel_um, changes = np.ptp(displacement_um), []
-    for column in columns.T:
-        step = SMALL * travel_um / max(np.abs(column).max(), SMALL)
-        moved_um = behind(displacement_um + step * column, part.rest_um + step * column[0])
-        changes.append((moved_um - unchanged_um) / step)
-    return np.column_stack(changes)
+    travel_um = np.ptp(displacement_um)
+    for change_um in changes_um:
+        step = SMALL * travel_um / max(np.abs(change_um).max(), SMALL)
+        moved_um = behind(displacement_um + step * change_um, part.rest_um + step * change_um[0])
+        yield (moved_um - unchanged_um) / step
 
 
 def _pieces(hysteresis: PreisachModel) -> list[PreisachModel]:

@@ -62,9 +62,10 @@ class RecordingBefore(SimulatedRecording):
 
     later: frozenset[str] = frozenset()
 
-    def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = ()) -> FloatArray:
+    def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
+                 rows: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the displacement with those effects of the stage that did not come later."""
-        return super().simulate(*(self.there(some) for some in (effects, quick)))
+        return super().simulate(self.there(effects), self.there(quick), rows)
 
     def there(self, effects: Sequence[Effect]) -> tuple[Effect, ...]:
         """Return those effects whose parameters hold for the recording."""
@@ -260,7 +261,7 @@ class JointErrors:
                     zip(dataset.simulated, dataset.rows, strict=True)):
                 nuisance.append(_projected_out(part, rows, effects))
                 left_um, size = self._left_beside(
-                    index, nuisance[-1], (part.measured_um - part.simulate(effects))[rows])
+                    index, nuisance[-1], part.measured_um[rows] - part.simulate(effects, rows=rows))
                 sizes.append(size)
                 left.append(left_um)
             self._points = dict([*self._points.items()][-1:])
@@ -286,13 +287,13 @@ class JointErrors:
         changes = free_sensitivities(behind, rows, given, pieces_um)
         decays = decay_sensitivities(part, rows, point.sizes[index], given)
         changes[:, : decays.shape[1]] += decays
-        unmoved_um, columns = part.simulate(point.effects)[rows], []
+        unmoved_um, columns = part.simulate(point.effects, rows=rows), []
         for number in range(self.count, vector.size):
             step = SETTINGS.derivative_step * max(1.0, abs(vector[number]))
             moved = vector.copy()
             moved[number] += step if moved[number] + step <= self.high[number] else -step
             effects = self.effects_at(moved)
-            moved_um = part.simulate(effects)[rows] - unmoved_um
+            moved_um = part.simulate(effects, rows=rows) - unmoved_um
             if point.nuisance[index].shape[1] > self._own_count[index]:
                 moved_um += (_projected_out(part, rows, effects)
                              - point.nuisance[index]) @ point.sizes[index]

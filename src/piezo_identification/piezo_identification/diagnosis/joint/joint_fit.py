@@ -37,7 +37,8 @@ class JointSettings:
         Evidence, as a natural logarithm, that a step has to promise: half of it is a factor of 1.3
         in a probability.
     kept_samples : int
-        Of all recordings, up to which the outputs of some 40 pieces of the hysteresis are kept.
+        Of all recordings, up to which the outputs of some 40 pieces of the hysteresis are kept:
+        0.6 GB.
     blocks : tuple of int
         Neighbouring rows whose means tell how far errors are alike.
     fewest_blocks : int
@@ -46,7 +47,7 @@ class JointSettings:
 
     steps: int = 2
     worthwhile: float = 0.5
-    kept_samples: int = 500_000
+    kept_samples: int = 2_000_000
     blocks: tuple[int, ...] = (10, 100, 1000)
     fewest_blocks: int = 10
 
@@ -173,7 +174,7 @@ class JointProblem:
         parts = self.dataset.simulated
         if sum(part.time_s.size for part in parts) > SETTINGS.kept_samples:
             return None
-        return [piece_outputs_um(part, self.dataset.model) for part in parts]
+        return [list(piece_outputs_um(part, self.dataset.model)) for part in parts]
 
     def fit(self, effects: Sequence[Effect], later: Iterable[str] = (),
             begun: JointFit | None = None, held: Sequence[Effect] = ()) -> JointFit:

@@ -101,7 +101,7 @@ class Dataset:
                       quick: Sequence[Effect] = ()) -> FloatArray:
         """Return measured minus simulated at the rows; see `SimulatedRecording.simulate`."""
         return np.concatenate([
-            part.measured_um[rows] - part.simulate(effects, quick)[rows]
+            part.measured_um[rows] - part.simulate(effects, quick, rows)
             for part, rows in zip(self.simulated, self.rows, strict=True)])
 
 

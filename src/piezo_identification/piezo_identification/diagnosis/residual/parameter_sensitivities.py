@@ -100,14 +100,14 @@ def parameter_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) ->
     model = part.model
     linear = model.linear()
     columns = [
-        part.respond(sensitivity * linear, part.input_um)[rows]
+        part.respond(sensitivity * linear, part.input_um, at=rows)
         for sensitivity in sensitivity_systems(model.creep, model.dynamics)
     ]
     for surface in _surfaces(model):
         multiplied = _times(replace(model.hysteresis, offset_um=0.0), surface)
-        columns.append(part.respond(linear, part.hysteresis_output_um(multiplied))[rows])
+        columns.append(part.respond(linear, part.hysteresis_output_um(multiplied), at=rows))
     more_reversible_um = part.hysteresis_output_um(_traded(model.hysteresis, 1.0))
-    columns.append(part.respond(linear, more_reversible_um - part.hysteresis_um)[rows])
+    columns.append(part.respond(linear, more_reversible_um - part.hysteresis_um, at=rows))
     return np.column_stack(columns) @ _width_map(model)
 
 

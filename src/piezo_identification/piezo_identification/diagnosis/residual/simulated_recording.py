@@ -7,6 +7,7 @@ from functools import cached_property
 
 import control
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import OUTLIER, good_samples
@@ -114,8 +115,8 @@ class SimulatedRecording:
         self.input_um = self._with_creep(self.hysteresis_um, self._amplified_v)
         self.rest_um = self._output((), (), ())[0] - (self.hysteresis_um[0] - rest_um)
 
-    def simulate(self, effects: Sequence[Effect] = (),
-                 quick: Sequence[Effect] = ()) -> FloatArray:
+    def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
+                 rows: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the displacement that the model with these effects besides its own would measure.
 
         Parameters
@@ -124,10 +125,12 @@ class SimulatedRecording:
         quick : sequence of piezo_models.effects.effect.Effect
             Those among them that may act on the sampled displacement where they are linear. That
             is a little less exact than a system in series with the others, and much faster.
+        rows : (n,) array of int, optional
+            Samples that are asked for, sorted; by default all. A few of many cost less.
 
         Returns
         -------
-        (N,) array
+        (N,) or (n,) array
         """
         on_voltage = tuple(effect for effect in effects if effect.place == "voltage")
         in_series = tuple(
@@ -140,17 +143,23 @@ class SimulatedRecording:
         )
         lags, others = leading_lags(behind, self.samples_per_mean)
         quick = tuple(effect for effect in quick if effect.place == "linear")
-        return self._behind((on_voltage, in_series, lags), (*quick, *others))
+        linear_part, in_turn = (on_voltage, in_series, lags), (*quick, *others)
+        if rows is None:
+            return self._behind(linear_part, in_turn)
+        # Where a fit differentiates, never one sum by all samples and the other by some.
+        if in_turn or not any(linear_part):
+            return self._behind(linear_part, in_turn)[rows]
+        return self._response(*linear_part, rows)
 
     def hysteresis_output_um(self, hysteresis: PreisachModel) -> FloatArray:
         """Return the output of another hysteresis at the same voltages, (N,)."""
         return self._hysteresis(hysteresis, self._amplified_v)[0]
 
-    def respond(self, system: control.StateSpace, input_um: FloatArray,
-                delay_s: float = 0.0) -> FloatArray:
-        """Return the output of a continuous system, sampled as the recording is, (N,)."""
+    def respond(self, system: control.StateSpace, input_um: FloatArray, delay_s: float = 0.0,
+                at: NDArray[np.intp] | None = None) -> FloatArray:
+        """Return the output of a continuous system, sampled as the recording is; see `respond`."""
         return respond(
-            system, input_um, self.sample_period_s, self.samples_per_mean, delay_s)
+            system, input_um, self.sample_period_s, self.samples_per_mean, delay_s, at)
 
     @cached_property
     def repeated_period(self) -> int | None:
@@ -216,20 +225,25 @@ class SimulatedRecording:
         key = on_voltage, in_series, lags
         output = self._outputs.get(key)
         if output is None:
-            input_um = self.input_um
-            if on_voltage:
-                voltage_v = self._joined_v
-                for effect in on_voltage:
-                    voltage_v = effect.apply(voltage_v, self.sample_period_s)
-                amplified_v = self.model.amplified(voltage_v, self.sample_period_s)
-                hysteresis_um, _ = self._hysteresis(self.model.hysteresis, amplified_v)
-                input_um = self._with_creep(hysteresis_um, amplified_v)
-            linear = self._linear if not in_series else replace(
-                self.model, effects=(*self.model.effects, *in_series)).linear()
-            system, delay_s = behind_lags(linear, lags)
-            output = self.respond(system, input_um, delay_s)
+            output = self._response(on_voltage, in_series, lags)
             # A fit tries many; the first and the last few are worth the memory.
             for old in list(self._outputs)[1 : -SETTINGS.kept_outputs]:
                 self._outputs.pop(old, None)  # another fit beside this one may have been first
             self._outputs[key] = output
         return output
+
+    def _response(self, on_voltage: tuple[Effect, ...], in_series: tuple[Effect, ...],
+                  lags: tuple[Effect, ...], at: NDArray[np.intp] | None = None) -> FloatArray:
+        """Return the output of the linear part and the lags behind it, at all samples or some."""
+        input_um = self.input_um
+        if on_voltage:
+            voltage_v = self._joined_v
+            for effect in on_voltage:
+                voltage_v = effect.apply(voltage_v, self.sample_period_s)
+            amplified_v = self.model.amplified(voltage_v, self.sample_period_s)
+            hysteresis_um, _ = self._hysteresis(self.model.hysteresis, amplified_v)
+            input_um = self._with_creep(hysteresis_um, amplified_v)
+        linear = self._linear if not in_series else replace(
+            self.model, effects=(*self.model.effects, *in_series)).linear()
+        system, delay_s = behind_lags(linear, lags)
+        return self.respond(system, input_um, delay_s, at)

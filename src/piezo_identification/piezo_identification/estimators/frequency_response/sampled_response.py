@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Response of the linear part at the samples of a recording, with lags shorter than a sample."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import takewhile
 
 import control
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh
+from piezo_models.linear.outputs_at import simulate_linear_at
 
 
 def leading_lags(
@@ -64,7 +66,7 @@ def behind_lags(
 
 def respond(
     system: control.StateSpace, input_um: FloatArray, sample_period_s: float, samples: int,
-    delay_s: float = 0.0,
+    delay_s: float = 0.0, at: NDArray[np.intp] | None = None,
 ) -> FloatArray:
     """Response from the equilibrium under the first input.
 
@@ -80,35 +82,39 @@ def respond(
     delay_s : float
         Behind the system; exact, whatever part of a sample period it is. Where it is negative, the
         response is read later than the input changes; the last input is held. Not with means.
+    at : (n,) array of int, optional
+        Samples that are asked for, sorted; by default all. A few of many cost less.
 
     Returns
     -------
-    (N,) array
+    (N,) or (n,) array
     """
-    return respond_each(system, [input_um], sample_period_s, samples, delay_s)[0]
+    return next(respond_each(system, [input_um], sample_period_s, samples, delay_s, at))
 
 
 def respond_each(
-    system: control.StateSpace, inputs_um: Sequence[FloatArray], sample_period_s: float,
-    samples: int, delay_s: float = 0.0,
-) -> list[FloatArray]:
-    """Responses to several inputs, each by itself.
+    system: control.StateSpace, inputs_um: Iterable[FloatArray], sample_period_s: float,
+    samples: int, delay_s: float = 0.0, at: NDArray[np.intp] | None = None,
+) -> Iterator[FloatArray]:
+    """Yield the responses to several inputs, each by itself.
 
     Parameters
     ----------
     system : control.StateSpace
         Continuous.
-    inputs_um : sequence of (N,) array
+    inputs_um : iterable of (N,) array
         Each held for a sample period.
     sample_period_s : float
     samples : int
         As in `leading_lags`.
     delay_s : float
         As in `respond`.
+    at : (n,) array of int, optional
+        As in `respond`.
 
-    Returns
-    -------
-    list of (N,) array
+    Yields
+    ------
+    (N,) or (n,) array
     """
     late = 0
     if delay_s != 0.0:
@@ -116,7 +122,6 @@ def respond_each(
     else:
         discrete = mean_zoh(system, sample_period_s, samples)
     held = equilibrium_state(system)
-    responses = []
     for input_um in inputs_um:
         delayed, early = min(max(late, 0), input_um.size), max(-late, 0)
         played_um = input_um
@@ -124,8 +129,10 @@ def respond_each(
             played_um = np.concatenate([
                 np.full(delayed, input_um[0]), input_um[: input_um.size - delayed],
                 np.full(early, input_um[-1])])
-        responses.append(simulate_linear(discrete, played_um, input_um[0] * held)[early:])
-    return responses
+        if at is None:
+            yield simulate_linear(discrete, played_um, input_um[0] * held)[early:]
+        else:
+            yield simulate_linear_at(discrete, played_um, input_um[0] * held, at + early)
 
 
 def delayed_zoh(

@@ -14,7 +14,10 @@ from piezo_identification.diagnosis.residual.simulated_recording import (
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.effect import parameter
+from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
+from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.effects.voltage_clipping import VoltageClipping
 
 
 @dataclass(frozen=True)
@@ -58,3 +61,15 @@ def test_what_is_used_is_kept_and_what_is_not_goes(recording):
     assert CountedBacklash.applied.count(0.0) == 1
     recording.simulate((CountedBacklash(0.05, 1), sensor(0.1)))
     assert CountedBacklash.applied.count(1.0) == 2
+
+
+MODE, LAG = VibrationMode(9000.0, 0.01, 0.01), SensorLag(1e-4)
+
+
+@pytest.mark.parametrize("effects", [
+    (), (MODE,), (LAG,), (VoltageClipping(-10.0, 40.0), MODE), (MODE, Backlash(0.05)),
+], ids=lambda effects: "_and_".join(effect.name for effect in effects) or "none")
+def test_rows_are_those_of_the_whole_simulation(recording, effects):
+    rows = np.concatenate([np.arange(20), recording.time_s.size - np.arange(9, 0, -1)])
+    some_um = recording.simulate(effects, rows=rows)
+    np.testing.assert_allclose(some_um, recording.simulate(effects)[rows], rtol=0.0, atol=1e-8)

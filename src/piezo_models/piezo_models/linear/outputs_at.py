@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Output of a discrete system at a few samples of a long input."""
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import FloatArray
+from piezo_models.linear.blocks import LONG, blocks_at
+from piezo_models.linear.dynamics import simulate_linear
+
+FEW = 8
+"""At most one sample in so many is asked for; of more, all are simulated."""
+
+
+def simulate_linear_at(discrete_system: control.StateSpace, input: FloatArray,
+                       initial_state: FloatArray, at: NDArray[np.intp]) -> FloatArray:
+    """Simulate as `piezo_models.linear.dynamics.simulate_linear` does, but for most of the outputs.
+
+    Parameters
+    ----------
+    discrete_system : control.StateSpace
+        Discrete, one input and one output.
+    input : (N,) array
+    initial_state : (n,) array
+        State at the first sample; left as it is.
+    at : (m,) array of int
+        Samples whose output is asked for, sorted.
+
+    Returns
+    -------
+    (m,) array
+    """
+    whole = input.size // LONG * LONG
+    if not initial_state.size or FEW * at.size > input.size or not whole:
+        return simulate_linear(discrete_system, input, initial_state)[at]
+    a, direct = discrete_system.A, discrete_system.D[0, 0]
+    b, c = discrete_system.B[:, 0], discrete_system.C[0]
+    state, early = np.array(initial_state, dtype=float), np.searchsorted(at, whole)
+    output_in_blocks = blocks_at(
+        a, b, c, direct, np.ascontiguousarray(input[:whole]), state, at[:early])
+    behind = simulate_linear(discrete_system, input[whole:], state)[at[early:] - whole]
+    return np.concatenate([output_in_blocks, behind])
