@@ -28,7 +28,7 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_ros.quality import FEEDBACK, SAMPLES
 
-TIMEOUT_S = 180.0
+TIMEOUT_S = 300.0
 PATIENT = {"lockstep_timeout_s": 60.0, "exchange_timeout_s": 60.0}
 """Parameters of a stage that does not take a busy computer for a client or backend that hangs."""
 NEAR_CELLS = 50

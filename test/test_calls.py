@@ -16,7 +16,7 @@ from piezo_ros.requests import calls
 from piezo_ros.requests.calls import ActionCaller, CallFailed, call_service, number_request
 
 NAMESPACE = "/calls"
-TIMEOUT_S = 60.0
+TIMEOUT_S = 300.0
 
 
 class Spinning:

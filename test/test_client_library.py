@@ -81,7 +81,7 @@ def test_settling_goes_to_the_lowest_voltage_and_rests(stage, suite):
 
 def test_command_runs_an_experiment_and_says_where_its_recording_is(suite, tmp_path):
     command = start_command("experiment", "dynamics", "--output", tmp_path)
-    printed, told = suite.beside(command.communicate, timeout=120)
+    printed, told = suite.beside(command.communicate, timeout=300)
     assert command.returncode == 0, told
     *_, recorded, following = printed.splitlines()
     assert recorded == f"recorded {tmp_path / 'dynamics'}"
@@ -92,7 +92,7 @@ def test_command_runs_an_experiment_and_says_where_its_recording_is(suite, tmp_p
 
 def test_command_says_a_refusal_in_one_line(suite, tmp_path):
     command = start_command("experiment", "dance", "--output", tmp_path)
-    printed, told = suite.beside(command.communicate, timeout=120)
+    printed, told = suite.beside(command.communicate, timeout=300)
     assert (command.returncode, printed) == (1, "")
     assert told.count("\n") == 1
     assert told.startswith("stage: run_experiment: ") and "dance" in told
@@ -102,7 +102,7 @@ def test_command_that_is_interrupted_brings_the_stage_to_rest(suite, tmp_path):
     command = start_command("experiment", "hysteresis", "--output", tmp_path)
     suite.until(lambda: any(np.any(block.voltage_v) for block in suite.blocks))
     command.send_signal(signal.SIGINT)
-    _, told = suite.beside(command.communicate, timeout=120)
+    _, told = suite.beside(command.communicate, timeout=300)
     assert command.returncode == 130, told
     assert told.splitlines()[-1].startswith("stage: interrupted")
     recording = read_recording(tmp_path / "hysteresis")

@@ -65,7 +65,7 @@ def test_bad_parameter_ends_the_node_at_start_with_one_clear_line(node, argument
     environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
     ended = subprocess.run(
         [Path(get_package_prefix(package), "lib", package, executable), "--ros-args", *arguments],
-        env=environment, capture_output=True, text=True, timeout=60)
+        env=environment, capture_output=True, text=True, timeout=300)
     assert ended.returncode == 2
     said = [text for text in ended.stderr.splitlines() if line in text]
     assert len(said) == 1

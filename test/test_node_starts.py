@@ -13,7 +13,7 @@ from ament_index_python.packages import get_package_prefix
 
 from piezo_bringup.processes import EXECUTABLES
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 300.0
 NODES = {**EXECUTABLES, "hardware": ("piezo_stage_driver", "stage")}
 # What a process has loaded tells how far its start has come.
 LOADED = ("numpy", "librcl.so", "libfastrtps")

@@ -23,7 +23,7 @@ from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.writing.writer import FLUSH_PERIOD_S
 from piezo_ros.quality import DESCRIPTION, SAMPLES
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 300.0
 NAMESPACE = "/recorded"
 SAMPLE_RATE_HZ = 40_000.0
 

@@ -55,7 +55,7 @@ def test_node_that_is_asked_for_security_does_not_start_without_it(node, tmp_pat
         (enclave / name).write_text("not signed by anybody")
     ended = subprocess.run(
         [executable(node), "--ros-args", "--enclave", "/mine"], capture_output=True, text=True,
-        timeout=120, env=environment(ROS_SECURITY_ENABLE="true", ROS_SECURITY_STRATEGY="Enforce",
+        timeout=300, env=environment(ROS_SECURITY_ENABLE="true", ROS_SECURITY_STRATEGY="Enforce",
                                      ROS_SECURITY_KEYSTORE=str(tmp_path)))
     assert ended.returncode == 2
     assert "Traceback" not in ended.stderr

@@ -32,6 +32,7 @@ class Hanging:
         self.due_s = time.monotonic()
     def exchange(self, voltage_v):
         while voltage_v[-1] >= 50.0 and not Path(sys.argv[1]).exists():
+            Path(sys.argv[1] + ".awaited").touch()
             time.sleep(0.005)
         self.due_s = max(self.due_s, time.monotonic() - 0.1) + len(voltage_v) / 40000.0
         time.sleep(max(0.0, self.due_s - time.monotonic()))
@@ -168,7 +169,9 @@ class HangingStage:
         """Begin to play 60 V; return the goal once the backend hangs."""
         goal = self.client.send_goal(
             "play_waveform", voltage_v=np.full(4000, 60.0), sample_period_s=25e-6, repeats=1000)
-        self.client.until(lambda: self.client.blocks[-1].voltage_v[-1] > 47.0)
+        # It rises by 2 V a block; all blocks in front of the one that hangs are to be read.
+        self.client.until(lambda: self.client.blocks[-1].voltage_v[-1] > 47.99)
+        self.client.until(self._file.with_name("released.awaited").exists)
         return goal
 
     def tells(self, key):
@@ -224,18 +227,18 @@ def test_emergency_stop_of_a_stage_that_hangs_answers_that_it_failed_and_the_sto
 
 
 def test_stage_that_hangs_stops_by_itself_and_says_so_meanwhile(hanging):
-    stage = hanging("/hangs_alone", exchange_timeout_s=0.3)
+    stage = hanging("/hangs_alone", exchange_timeout_s=1.0)
     goal = stage.play_until_it_hangs()
     stage.client.until(lambda: stage.tells("hangs")[0] == "True")
     stage.client.until(lambda: stage.tells("hangs")[1].endswith("cut its supply"))
     stage.release()
     _, result = stage.client.result(goal)
-    assert result.message == "the backend has not returned for 0.3 s"
+    assert result.message == "the backend has not returned for 1 s"
     assert stage.client.samples(result.last_sample).voltage_v[-1] == 0.0
 
 
 def test_backend_that_hangs_and_has_its_own_way_to_rest_is_asked_for_it(hanging):
-    stage = hanging("/hangs_safely", own_rest=True, exchange_timeout_s=0.3)
+    stage = hanging("/hangs_safely", own_rest=True, exchange_timeout_s=1.0)
     goal = stage.play_until_it_hangs()
     response = stage.client.call(Trigger, "emergency_stop")
     assert response.success
@@ -269,7 +272,7 @@ def test_command_that_was_refused_never_acts_later(hanging):
 
 
 def test_node_whose_backend_hangs_can_be_ended(hanging):
-    stage = hanging("/ends", exchange_timeout_s=0.3)
+    stage = hanging("/ends", exchange_timeout_s=1.0)
     goal = stage.play_until_it_hangs()
     stage.process.terminate()
     status, result = stage.client.result(goal)

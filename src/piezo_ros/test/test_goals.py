@@ -12,7 +12,7 @@ from rclpy.lifecycle import LifecycleNode
 
 from piezo_ros.requests.goals import GoalServers
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 300.0
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import rclpy
 from piezo_ros import presence
 from piezo_ros.presence import ClientWatch, Presence
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 300.0
 
 
 @pytest.fixture

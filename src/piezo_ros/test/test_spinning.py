@@ -38,7 +38,7 @@ run_node(Refused, ["--ros-args", "-p", "rate_hz:=text"])
 ])
 def test_refused_node_leaves_no_thread_of_the_middleware_behind(failure, line):
     ended = subprocess.run([sys.executable, "-c", REFUSED.format(failure=failure)],
-                           capture_output=True, text=True, timeout=120)
+                           capture_output=True, text=True, timeout=300)
     assert ended.returncode == 2
     assert line in ended.stderr
     assert "Traceback" not in ended.stderr
