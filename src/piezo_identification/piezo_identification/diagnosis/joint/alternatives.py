@@ -116,7 +116,8 @@ def settled(problem: JointProblem, progress: Progress) -> JointFit:
     for turn in range(1, FITS.turns):
         if fit.has_converged:
             break
-        progress("all recordings together: no effect", 0.2 * turn / FITS.turns)
+        progress("all recordings together: no effect",
+                 0.2 / SETTINGS.most_effects * turn / FITS.turns)
         fit = problem.fit(fit.effects, begun=fit)
     return fit
 

@@ -2,12 +2,14 @@
 """Models compete on recordings that SciPy alone has made: effects there all along, and since."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.joint.alternatives import _turn_of, settled
 from piezo_identification.diagnosis.joint.free_parameters import changed_model, free_sensitivities
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
@@ -149,3 +151,18 @@ def test_recordings_that_do_not_show_an_effect_do_not_tell_when_it_came():
     diagnosis = found(LINE, recording("1", 1, other_mode=True), slow(recording("2", 2)))
     first = diagnosis.effects[0]
     assert (first["name"], first["came"]) == ("vibration_mode", "not decidable")
+
+
+def test_progress_of_a_model_that_does_not_settle_ends_before_effects_compete():
+    """A problem whose fits go on improving: every turn is taken, and told."""
+    fit = SimpleNamespace(has_converged=False, effects=())
+    problem = SimpleNamespace(own=(), fit=lambda *_, **__: fit)
+    told = []
+
+    def progress(_, fraction):
+        told.append(fraction)
+
+    assert settled(problem, progress) is fit
+    compete = _turn_of(progress, 0)
+    compete("", 0.0)
+    assert len(told) > 2 and told == sorted(told)
