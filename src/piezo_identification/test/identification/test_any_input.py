@@ -65,14 +65,13 @@ def test_dynamics_of_a_linear_stage_are_found_from_any_input(kind, linear_stage,
 
 
 @pytest.mark.parametrize("kind", [
-    "square", pytest.param("chirp", marks=[pytest.mark.long, pytest.mark.xfail(
-        reason="a slow mode is fitted in place of the hysteresis: 12 % of the response")]),
-    *(pytest.param(kind, marks=pytest.mark.long) for kind in ("multisine", "noise", "steps"))])
+    "square", *(pytest.param(kind, marks=pytest.mark.long)
+                for kind in ("chirp", "multisine", "noise", "steps"))])
 def test_dynamics_are_found_behind_a_hysteresis_that_nothing_else_tells(kind, stage, record):
     recording = record(stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
     estimate = estimate_dynamics_any([recording], CreepDynamics())
     # With the voltage taken for what enters the dynamics, noise would leave 0.18.
-    assert error_of(estimate) < 0.03
+    assert error_of(estimate) < (5e-3 if kind == "chirp" else 0.03)
 
 
 @pytest.mark.long

@@ -13,7 +13,6 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import free_running_level
 from piezo_identification.conditioning.recording_start import square_part
-from piezo_identification.conditioning.settling import slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
 from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
@@ -27,21 +26,19 @@ from piezo_identification.estimators.dynamics.fast_signals import (
     played_at_the_clock,
     through_hysteresis,
 )
-from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH
+from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH, fit_output_error
 from piezo_identification.estimators.dynamics.pole_search import free_fits
 from piezo_identification.estimators.dynamics.slow_misfit import beside_slow_misfit
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.estimate import Estimate
-from piezo_identification.estimators.hysteresis.beside_dynamics import (
-    FastLoops,
-    hysteresis_beside_dynamics,
-)
+from piezo_identification.estimators.hysteresis.beside_dynamics import hysteresis_beside_dynamics
+from piezo_identification.estimators.hysteresis.fast_loops import FastLoops
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
-MODES_IN_TURN = 2
-"""Vibration modes of the first fit, from which hysteresis and dynamics are fitted together."""
+MODES_OF_A_LINE = 2
+"""Vibration modes with which a line is compared with a hysteresis."""
 
 MODES_THAT_TELL = 2
 """Modes with which it is told whether a generator runs freely: edges off by half a sample show."""
@@ -107,18 +104,15 @@ def estimate_dynamics_any(
             creep, mode_count, delay)
     without_hysteresis = _signals(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
-    linear = fit_signals(without_hysteresis, MODES_IN_TURN, delay)
-    estimate = _beside_hysteresis(parts, creep, linear, mode_count, delay)
-    if estimate.residual_rms >= linear.residual_rms:
-        return fit_signals(without_hysteresis, mode_count, delay)
-    if estimate.order.all_modes <= MODES_IN_TURN:
+    estimate = _beside_hysteresis(parts, creep, mode_count, delay)
+    linear = fit_signals(without_hysteresis, MODES_OF_A_LINE, delay)
+    if estimate.residual_rms < linear.residual_rms:
         return estimate
-    return _beside_hysteresis(parts, creep, estimate, mode_count, delay)
+    return fit_signals(without_hysteresis, mode_count, delay)
 
 
 def _beside_hysteresis(
-    parts: Sequence[Recording], creep: CreepDynamics, start: Estimate, mode_count: int | None,
-    delay: float | None,
+    parts: Sequence[Recording], creep: CreepDynamics, mode_count: int | None, delay: float | None,
 ) -> Estimate:
     """Fit the dynamics behind the hysteresis that the recordings themselves show."""
     loops = [
@@ -126,11 +120,10 @@ def _beside_hysteresis(
                   remove_creep(part.displacement_um, creep, part.sample_period_s),
                   drift_basis(part.time_s, creep), _first_kept(part), part.sample_period_s)
         for part in parts]
-    hysteresis, _ = hysteresis_beside_dynamics(
-        loops, slow_dynamics(start.model, start.effects),
-        start.delay_s + slow_delay_s(start.model, start.effects))
-    entering = [hysteresis.simulate(each.voltage_v) for each in loops]
-    return fit_signals(_signals(parts, entering, creep), mode_count, delay)
+    found = hysteresis_beside_dynamics(loops)
+    entering = [found.entering_um(each) for each in loops]
+    return fit_output_error(
+        beside_slow_misfit(_signals(parts, entering, creep).record()), mode_count, delay)
 
 
 def _has_two_levels(part: Recording) -> bool:
@@ -176,7 +169,8 @@ def _first_kept(part: Recording) -> int:
     range_v = float(np.ptp(voltage_v))
     moved = np.flatnonzero(np.abs(voltage_v - voltage_v[0]) > 1e-3 * range_v)
     rest = int(moved[0]) if moved.size else voltage_v.size
-    warm = 0 if rest >= AT_REST else round(WARM_UP_S / part.sample_period_s)
+    # Of a rest the end is enough: it may begin with what rings after an earlier step.
+    warm = rest - AT_REST if rest >= AT_REST else round(WARM_UP_S / part.sample_period_s)
     near_v = NEAR_AN_EXTREME * range_v
     high = int(np.argmax(voltage_v >= voltage_v.max() - near_v))
     low = int(np.argmax(voltage_v <= voltage_v.min() + near_v))

@@ -8,6 +8,7 @@ in no creep recording, and a fit of lag and modes alone would bend these until t
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.optimize import nnls
@@ -107,8 +108,8 @@ def fast_creep(
     -------
     FastCreep or None
     """
+    best = best_free_fit(record_without(creep))
     record = record_without(creep).thinned(ROWS_OF_SEARCH)
-    best = best_free_fit(record)
     fastest = min(SLOWER_THAN_MODES * _lowest_ringing(best),
                   1.0 / (ROWS_OF_DECAY * record.input.sample_period_s))
     duration_s = record.input.samples.size * record.input.sample_period_s
@@ -121,9 +122,9 @@ def fast_creep(
     found = _positive_parts(record, dynamics, np.geomspace(slowest, fastest, count))
     if found is None:
         return None
-    without = record_without(joined_creep(creep, found.model)).thinned(ROWS_OF_SEARCH)
+    without = record_without(joined_creep(creep, found.model))
     # The creep stands in the place of slow poles, which no stage has: it need not pay for itself.
-    gain = _information(record, best) - _information(without, best_free_fit(without))
+    gain = _information(record, best) - _information(record, best_free_fit(without))
     return found if gain > -AS_GOOD else None
 
 
@@ -133,12 +134,23 @@ def best_free_fit(record: FastRecord) -> FreeFit:
     Parameters
     ----------
     record : FastRecord
-        Thinned, as the search takes its time.
+        Its rows are thinned, as the search takes its time; it is searched once, however often this
+        is asked.
 
     Returns
     -------
     FreeFit
+        Of the thinned rows.
     """
+    if record not in _FOUND:
+        _FOUND[record] = _best_free_fit(record.thinned(ROWS_OF_SEARCH))
+    return _FOUND[record]
+
+
+_FOUND: WeakKeyDictionary[FastRecord, FreeFit] = WeakKeyDictionary()
+
+
+def _best_free_fit(record: FastRecord) -> FreeFit:
     best: FreeFit | None = None
     for free in free_fits(record, MOST_MODES):
         if best is not None and _information(record, free) > _information(record, best):

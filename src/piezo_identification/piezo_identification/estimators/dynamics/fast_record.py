@@ -135,6 +135,8 @@ class FastRecord:
         What else these may hold, such as an offset; fitted linearly, as is the gain.
     starts : callable
         Poles (rad/s) from which fits with a number of modes may begin: a list of arrays.
+    every_row : FastRecord, optional
+        That of which this one has rows far between; by default itself.
     """
 
     input: HeldInput
@@ -142,6 +144,7 @@ class FastRecord:
     measured_um: FloatArray
     fixed: FloatArray
     starts: Callable[[int], list[ComplexArray]]
+    every_row: "FastRecord | None" = None
     _span: FloatArray = field(init=False, repr=False)
     _target: FloatArray = field(init=False, repr=False)
 
@@ -160,7 +163,7 @@ class FastRecord:
         if step == 1:
             return self
         return FastRecord(self.input, self.kept[::step], self.measured_um[::step],
-                          self.fixed[::step], self.starts)
+                          self.fixed[::step], self.starts, self.every_row or self)
 
     def fit(self, order: ModeOrder, vector: FloatArray, delay: float,
             evaluations: int = 100, is_delay_free: bool = True,

@@ -54,7 +54,7 @@ def free_fits(record: FastRecord, most_modes: int) -> Iterator[FreeFit]:
         else:
             delay = best.delay
             starts += [_further_mode(best.vector, frequency, damping)
-                       for frequency in _peaks(record, best.residual)
+                       for frequency in residual_peaks(record, best)
                        for damping in TRIED_DAMPINGS]
             starts += [_further_mode(best.vector, *_drawn(record, generator))
                        for _ in range(RANDOM_STARTS)]
@@ -133,8 +133,21 @@ def _further_mode(vector: FloatArray, frequency: float, damping: float) -> Float
         lag, frequencies, [np.log(frequency)], dampings, [np.log(damping)]])
 
 
-def _peaks(record: FastRecord, residual: FloatArray) -> list[float]:
-    """Frequencies (rad/s) at which most is left."""
+def residual_peaks(record: FastRecord, free: FreeFit) -> list[float]:
+    """Return the frequencies (rad/s) at which a fit leaves most.
+
+    Parameters
+    ----------
+    record : FastRecord
+    free : FreeFit
+        Its residual is taken in every row: rows far between show a frequency as another one.
+
+    Returns
+    -------
+    list of float
+    """
+    whole = record.every_row
+    residual = free.residual if whole is None else whole.free(free.vector, free.delay).residual
     strength = np.abs(np.fft.rfft(residual * np.hanning(residual.size)))
     unit = 2.0 * np.pi / (residual.size * record.input.sample_period_s)
     inner = strength[1:-1]

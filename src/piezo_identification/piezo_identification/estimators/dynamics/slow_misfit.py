@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from piezo_common.arrays import FloatArray
 from piezo_identification.estimators.dynamics.fast_creep import best_free_fit
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
-from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH
 from piezo_identification.estimators.dynamics.physical_standing import (
     FAR_BELOW,
     HEAVY_DAMPING,
@@ -41,7 +40,7 @@ def beside_slow_misfit(record: FastRecord) -> FastRecord:
     FastRecord
         The same one where there is no need.
     """
-    poles = best_free_fit(record.thinned(ROWS_OF_SEARCH)).poles
+    poles = best_free_fit(record).poles
     frequencies, dampings = np.abs(poles), -poles.real / np.abs(poles)
     period_s = record.input.sample_period_s
     far_above = loop_rad_per_s(record.input.samples, period_s) / FAR_BELOW

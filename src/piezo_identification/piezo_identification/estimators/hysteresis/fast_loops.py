@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Regression of fast recordings on the hysteresis that enters known dynamics.
+
+What leaves the dynamics is linear in the Everett values of the hysteresis. So for any dynamics the
+hysteresis of least error is that of a linear regression: variable projection (Golub and Pereyra
+1973), with the Jacobian of Kaufman (1975).
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import irfft, rfft
+from scipy.sparse import csr_array
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.cancellation import check_cancelled
+from piezo_identification.estimators.hysteresis.density_estimate import lower_triangle
+from piezo_identification.estimators.hysteresis.dynamics_inverse import closed_signal, samples_added
+from piezo_identification.estimators.hysteresis.equations import bending_operator
+from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
+from piezo_identification.estimators.hysteresis.nonnegative import nonnegative_minimum
+from piezo_identification.estimators.hysteresis.penalties import bounded_operator
+from piezo_models.hysteresis.preisach import PreisachModel
+
+CELLS = 12
+"""Cells along a threshold: enough for the hysteresis that drives dynamics, few enough to filter."""
+
+SMOOTHING = 1e-10
+"""Weight of the density's curvature."""
+
+MOST_SAMPLES = 40_000
+"""Samples of the longest recordings that are fitted; further ones would only cost time."""
+
+MOST_ROWS = 6_000
+"""Samples that are compared, spread over all: many times as many as there are unknowns."""
+
+ROUNDING = 1e-13
+"""Eigenvalue, of the largest one of scaled normal equations, that counts as zero."""
+
+PASTS = ("rising", "falling", "demagnetised")
+"""Ways by which the first voltage of a recording may have been reached: from the lowest one, from
+the highest, or in swings that became smaller and smaller."""
+
+SWINGS = 40
+"""Of a voltage that demagnetises."""
+
+LINES_OF_A_PEAK = 400
+"""Parts of a spectrum over which it is averaged before its peaks are sought: noise has peaks at
+every line."""
+
+Response = Callable[[FloatArray], ComplexArray]
+"""From held values to samples, by frequency (Hz)."""
+
+
+@dataclass(frozen=True, eq=False)
+class FastLoops:
+    """A fast recording without gaps, and what else its displacement may hold.
+
+    Parameters
+    ----------
+    voltage_v, displacement_um : ndarray, shape (N,)
+        The creep is removed from the displacement.
+    fixed : ndarray, shape (N, K)
+        Columns whose coefficients are free, such as an offset.
+    first_kept : int
+        Sample from which on the past counts for no more than these columns.
+    sample_period_s : float
+    """
+
+    voltage_v: FloatArray
+    displacement_um: FloatArray
+    fixed: FloatArray
+    first_kept: int
+    sample_period_s: float
+
+    def first(self, count: int) -> "FastLoops":
+        """Return the first samples alone."""
+        return FastLoops(self.voltage_v[:count], self.displacement_um[:count],
+                         self.fixed[:count], self.first_kept, self.sample_period_s)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopFit:
+    """The hysteresis of least error behind one response.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (R, U)
+        Responses to the Everett values, then the fixed columns of each recording.
+    inverse : ndarray, shape (U, U)
+        Of the normal equations.
+    unknowns : ndarray, shape (U,)
+    residual : ndarray, shape (R + 1,)
+        What is left, then the root of the density's curvature.
+    """
+
+    columns: FloatArray
+    inverse: FloatArray
+    unknowns: FloatArray
+    residual: FloatArray
+
+    @property
+    def cost(self) -> float:
+        """Sum of the squared residual."""
+        return float(self.residual @ self.residual)
+
+
+class LoopRegression:
+    """What is measured, as a regression on the responses to Everett values of all recordings.
+
+    Parameters
+    ----------
+    recordings : sequence of FastLoops
+        Of one sample period.
+    past : str
+        One of `PASTS`. It counts where the voltage grows, until it has been at either end.
+    """
+
+    def __init__(self, recordings: Sequence[FastLoops], past: str = PASTS[0]) -> None:
+        self.past = past
+        low_v = min(float(part.voltage_v.min()) for part in recordings)
+        high_v = max(float(part.voltage_v.max()) for part in recordings)
+        self._levels_v = np.linspace(low_v, high_v, CELLS + 1)
+        most = MOST_SAMPLES // len(recordings)
+        self._parts = [part.first(part.first_kept + most) for part in recordings]
+        self._spectra = [self._everett_spectrum(part) for part in self._parts]
+        self._width = sum(part.fixed.shape[1] for part in self._parts)
+        kept = sum(part.voltage_v.size - part.first_kept for part in self._parts)
+        self._stride = -(-kept // MOST_ROWS)
+        self._measured_um = np.concatenate(
+            [part.displacement_um[part.first_kept :: self._stride] for part in self._parts])
+        self._bending = SMOOTHING * self._measured_um.size * bending_operator(CELLS).toarray()
+
+    def _everett_spectrum(self, part: FastLoops) -> ComplexArray:
+        past_v = past_voltages(self.past, part.voltage_v[0], self._levels_v[0], self._levels_v[-1])
+        rows = everett_regression(np.append(past_v, part.voltage_v), self._levels_v)
+        columns = rows.matrix[past_v.size :].toarray()
+        # One row for each value: transforms along rows take half as long as along columns.
+        return np.ascontiguousarray(rfft(closed_signal(columns), axis=0).T)
+
+    def fit(self, response: Response) -> LoopFit:
+        """Return the best hysteresis in front of a response; its density may be negative."""
+        check_cancelled()
+        columns = self._columns(response)
+        quadratic, linear = columns.T @ columns, columns.T @ self._measured_um
+        size = self._bending.shape[0]
+        quadratic[:size, :size] += self._bending
+        scale = np.sqrt(np.maximum(np.diag(quadratic), np.finfo(float).tiny))
+        inverse = np.linalg.pinv(quadratic / np.outer(scale, scale), ROUNDING, hermitian=True)
+        inverse /= np.outer(scale, scale)
+        unknowns = inverse @ linear
+        bent = unknowns[:size] @ (self._bending @ unknowns[:size])
+        left_um = self._measured_um - columns @ unknowns
+        return LoopFit(columns, inverse, unknowns, np.append(left_um, np.sqrt(max(bent, 0.0))))
+
+    def slopes(self, fit: LoopFit, changes: Callable[[FloatArray], ComplexArray]) -> FloatArray:
+        """Return the derivatives of a fit's residual by the parameters of its response.
+
+        Parameters
+        ----------
+        fit : LoopFit
+        changes : callable
+            Derivatives of the response by the parameters, shape (P, F), at frequencies (Hz).
+
+        Returns
+        -------
+        ndarray, shape (R + 1, P)
+        """
+        size = self._bending.shape[0]
+        driven = np.vstack([
+            irfft((fit.unknowns[:size] @ spectrum) * changes(frequency_hz), count)[:, rows].T
+            for _, spectrum, frequency_hz, count, rows in self._each()])
+        taken = fit.inverse @ (fit.columns.T @ driven)
+        bent = self._bending @ fit.unknowns[:size] / max(fit.residual[-1], np.finfo(float).tiny)
+        return np.vstack([fit.columns @ taken - driven, -bent @ taken[:size]])
+
+    def peaks(self, fit: LoopFit, response: Response, most: int) -> FloatArray:
+        """Return the frequencies (rad/s) at which a fit leaves most, of the longest recording."""
+        longest = int(np.argmax([part.voltage_v.size - part.first_kept for part in self._parts]))
+        part, spectrum, frequency_hz, count, _ = list(self._each())[longest]
+        size = self._bending.shape[0]
+        left = part.displacement_um - irfft(
+            (fit.unknowns[:size] @ spectrum) * response(frequency_hz), count)[: part.voltage_v.size]
+        left = (left - np.mean(left))[part.first_kept :]
+        strength = np.abs(np.fft.rfft(left * np.hanning(left.size))) ** 2
+        width = max(strength.size // LINES_OF_A_PEAK, 1)
+        strength = np.convolve(strength, np.full(width, 1.0 / width), "same")
+        inner = strength[1:-1]
+        tops = 1 + np.flatnonzero((inner >= strength[:-2]) & (inner > strength[2:]))
+        strongest = tops[np.argsort(-strength[tops])][:most]
+        return 2.0 * np.pi * strongest / (left.size * part.sample_period_s)
+
+    def hysteresis(self, response: Response) -> PreisachModel:
+        """Return the hysteresis of least error whose density is nowhere negative."""
+        columns = self._columns(response)
+        size = self._bending.shape[0]
+        responses, fixed = columns[:, :size], columns[:, size:]
+        count = self._measured_um.size
+        solution, *_ = nonnegative_minimum(
+            csr_array((responses.T @ responses + self._bending) / count),
+            responses.T @ self._measured_um / count, bounded_operator(CELLS),
+            responses.T @ fixed / count, fixed.T @ fixed / count,
+            fixed.T @ self._measured_um / count)
+        bounded = np.maximum(bounded_operator(CELLS) @ solution, 0.0)
+        density, reversible = np.split(bounded, [-CELLS])
+        width_v = (self._levels_v[-1] - self._levels_v[0]) / CELLS
+        return PreisachModel(
+            self._levels_v[0], self._levels_v[-1], lower_triangle(density, CELLS) / width_v**2,
+            0.0, reversible / width_v)
+
+    def _columns(self, response: Response) -> FloatArray:
+        """Responses to the Everett values, and the columns of each recording beside them."""
+        blocks, first = [], 0
+        for part, spectrum, frequency_hz, count, rows in self._each():
+            responses = irfft(spectrum * response(frequency_hz), count)
+            own = np.zeros((part.voltage_v.size, self._width))
+            own[:, first : first + part.fixed.shape[1]] = part.fixed
+            first += part.fixed.shape[1]
+            blocks.append(np.hstack([responses[:, rows].T, own[rows]]))
+        return np.vstack(blocks)
+
+    def _each(self) -> Iterator[tuple[FastLoops, ComplexArray, FloatArray, int, slice]]:
+        """Recordings with their spectra, their frequencies, lengths, and the rows compared."""
+        for part, spectrum in zip(self._parts, self._spectra, strict=True):
+            count = part.voltage_v.size + samples_added(part.voltage_v.size)
+            yield (part, spectrum, np.fft.rfftfreq(count, part.sample_period_s), count,
+                   slice(part.first_kept, part.voltage_v.size, self._stride))
+
+
+def past_voltages(past: str, first_v: float, low_v: float, high_v: float) -> FloatArray:
+    """Return extremes of the voltage before a recording.
+
+    Parameters
+    ----------
+    past : str
+        One of `PASTS`.
+    first_v : float
+        Voltage with which the recording begins.
+    low_v, high_v : float
+        Between which the voltage goes.
+
+    Returns
+    -------
+    ndarray, shape (K,)
+    """
+    if past == "rising":
+        return np.array([low_v])
+    if past == "falling":
+        return np.array([low_v, high_v])
+    part = 1.0 - np.arange(SWINGS) / SWINGS
+    return first_v + part * np.where(np.arange(SWINGS) % 2, high_v - first_v, low_v - first_v)
