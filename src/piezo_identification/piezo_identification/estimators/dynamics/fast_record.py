@@ -15,6 +15,7 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
     ModeOrder,
     differentiated,
     poles_and_residues,
+    with_lags_apart,
 )
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 
@@ -58,7 +59,8 @@ class FastFit:
         In sample periods.
     residual : ndarray, shape (N,)
     jacobian : ndarray, shape (N, P + 1)
-        By the vector and the delay; without the delay where that was given.
+        By the vector and the delay; without the delay where that was given. Where two lags are
+        nearly equal, it is taken where they are apart, see `fast_dynamics.with_lags_apart`.
     """
 
     order: ModeOrder
@@ -178,8 +180,11 @@ class FastRecord:
             lambda unknowns: problem.at(unknowns)[0], np.clip(begin, lower + 1e-9, upper - 1e-9),
             lambda unknowns: problem.at(unknowns)[1][:, : begin.size], bounds=(lower, upper),
             x_scale="jac", xtol=tolerance, ftol=tolerance, gtol=1e-15, max_nfev=evaluations)
-        best = full(solution.x)
-        return FastFit(order, best[:-1], float(best[-1]), solution.fun, solution.jac)
+        best, jacobian = full(solution.x), solution.jac
+        apart = with_lags_apart(best[:-1], order)
+        if np.any(apart != best[:-1]):
+            jacobian = self.errors(order, np.append(apart, best[-1]))[1][:, : begin.size]
+        return FastFit(order, best[:-1], float(best[-1]), solution.fun, jacobian)
 
     def errors(self, order: ModeOrder, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual with the gain that fits best, and its exact Jacobian (N, P + 1)."""
