@@ -19,6 +19,9 @@ HOLD_ROWS = 4
 FINER = 8
 """Steps of a row within which a generator that runs freely may switch."""
 
+HALF_PERIOD_STEPS, FIRST_EDGE_STEPS = 2411, 1495
+"""Such steps of half a period of that generator, and those gone when the recording begins."""
+
 
 @dataclass(frozen=True)
 class Played:
@@ -63,10 +66,10 @@ def _fast_time_s() -> FloatArray:
 
 
 def _free_square() -> Played:
-    # The generator knows nothing of the rows, so its edges lie between them.
-    time_s = FAST_S / FINER * np.arange(FINER * FAST_ROWS)
-    return Played(FAST_S, np.where((time_s / 0.030137 + 0.31) % 1.0 < 0.5, 65.0, 35.0),
-                  finer=FINER)
+    # The generator knows nothing of the rows: each edge lies at another part of a row, and on one
+    # of the steps within it, as an edge that came late to its step would be no generator's.
+    steps = FIRST_EDGE_STEPS + np.arange(FINER * FAST_ROWS)
+    return Played(FAST_S, np.where(steps // HALF_PERIOD_STEPS % 2 == 0, 65.0, 35.0), finer=FINER)
 
 
 def _chirp() -> Played:
