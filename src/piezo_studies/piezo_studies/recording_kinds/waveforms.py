@@ -19,8 +19,9 @@ HOLD_ROWS = 4
 FINER = 8
 """Steps of a row within which a generator that runs freely may switch."""
 
-HALF_PERIOD_STEPS, FIRST_EDGE_STEPS = 2411, 1495
-"""Such steps of half a period of that generator, and those gone when the recording begins."""
+GENERATOR_STEPS, STEPS_GONE = 4821, 1495
+"""Such steps of a period of that generator, and those gone when the recording begins. As the steps
+of a period are odd in number, its edges come at every one of the steps within a row."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +67,10 @@ def _fast_time_s() -> FloatArray:
 
 
 def _free_square() -> Played:
-    # The generator knows nothing of the rows: each edge lies at another part of a row, and on one
-    # of the steps within it, as an edge that came late to its step would be no generator's.
-    steps = FIRST_EDGE_STEPS + np.arange(FINER * FAST_ROWS)
-    return Played(FAST_S, np.where(steps // HALF_PERIOD_STEPS % 2 == 0, 65.0, 35.0), finer=FINER)
+    # The generator knows nothing of the rows, so its edges lie between them; each on a step, as
+    # edges that jitter are no generator's.
+    steps = (STEPS_GONE + np.arange(FINER * FAST_ROWS)) % GENERATOR_STEPS
+    return Played(FAST_S, np.where(2 * steps < GENERATOR_STEPS, 65.0, 35.0), finer=FINER)
 
 
 def _chirp() -> Played:
