@@ -19,6 +19,10 @@ HOLD_ROWS = 4
 FINER = 8
 """Steps of a row within which a generator that runs freely may switch."""
 
+GENERATOR_STEPS, STEPS_GONE = 4821, 1495
+"""Such steps of a period of that generator, and those gone when the recording begins. As the steps
+of a period are odd in number, its edges come at every one of the steps within a row."""
+
 
 @dataclass(frozen=True)
 class Played:
@@ -63,10 +67,10 @@ def _fast_time_s() -> FloatArray:
 
 
 def _free_square() -> Played:
-    # The generator knows nothing of the rows, so its edges lie between them.
-    time_s = FAST_S / FINER * np.arange(FINER * FAST_ROWS)
-    return Played(FAST_S, np.where((time_s / 0.030137 + 0.31) % 1.0 < 0.5, 65.0, 35.0),
-                  finer=FINER)
+    # The generator knows nothing of the rows, so its edges lie between them; each on a step, as
+    # edges that jitter are no generator's.
+    steps = (STEPS_GONE + np.arange(FINER * FAST_ROWS)) % GENERATOR_STEPS
+    return Played(FAST_S, np.where(2 * steps < GENERATOR_STEPS, 65.0, 35.0), finer=FINER)
 
 
 def _chirp() -> Played:

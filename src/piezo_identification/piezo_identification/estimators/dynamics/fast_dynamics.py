@@ -23,6 +23,10 @@ APART = 1e-5
 STEP = 1e-6
 """Step of the derivatives of poles and residues: the root of the rounding, and some more."""
 
+ALIKE = 1e-2
+"""Logarithm of the ratio of two lags below which their derivatives are taken so far apart: what
+both make depends on the square of their difference, so that the derivative by it vanishes."""
+
 
 @dataclass(frozen=True)
 class ModeOrder:
@@ -191,6 +195,35 @@ def _split(values: np.ndarray, order: ModeOrder) -> list[np.ndarray]:
     return np.split(values, np.cumsum([
         1 + 2 * (order.modes + order.antiresonances), order.beside, order.beside,
         order.sensor_lags]), axis=-1)
+
+
+def lag_difference(vector: FloatArray, order: ModeOrder) -> float:
+    """Half the logarithm of the ratio of the lag to the sensor's lag."""
+    return 0.5 * float(vector[0] - vector[order.parameters - order.beside - 1])
+
+
+def with_lags_apart(vector: FloatArray, order: ModeOrder) -> FloatArray:
+    """Return a vector whose two lags are not nearly equal; itself where there is but one.
+
+    Parameters
+    ----------
+    vector : ndarray, shape (P,)
+    order : ModeOrder
+
+    Returns
+    -------
+    ndarray, shape (P,)
+    """
+    if not order.sensor_lags:
+        return vector
+    half = lag_difference(vector, order)
+    if abs(half) >= 0.5 * ALIKE:
+        return vector
+    by = np.copysign(0.5 * ALIKE, half) - half
+    apart = vector.copy()
+    apart[0] += by
+    apart[order.parameters - order.beside - 1] -= by
+    return apart
 
 
 def poles_and_residues(

@@ -15,6 +15,7 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
     ModeOrder,
     differentiated,
     poles_and_residues,
+    with_lags_apart,
 )
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 
@@ -58,7 +59,8 @@ class FastFit:
         In sample periods.
     residual : ndarray, shape (N,)
     jacobian : ndarray, shape (N, P + 1)
-        By the vector and the delay; without the delay where that was given.
+        By the vector and the delay; without the delay where that was given. Where two lags are
+        nearly equal, it is taken where they are apart, see `fast_dynamics.with_lags_apart`.
     """
 
     order: ModeOrder
@@ -182,17 +184,27 @@ class FastRecord:
             lambda unknowns: problem.at(unknowns)[1][:, : begin.size], bounds=(lower, upper),
             x_scale="jac", xtol=tolerance, ftol=tolerance, gtol=1e-15, max_nfev=evaluations)
         best = full(solution.x)
-        return FastFit(order, best[:-1], float(best[-1]), solution.fun, solution.jac)
+        residual, jacobian = self.errors(order, best)
+        apart = with_lags_apart(best[:-1], order)
+        if np.any(apart != best[:-1]):
+            jacobian = self.errors(order, np.append(apart, best[-1]))[1]
+        return FastFit(order, best[:-1], float(best[-1]), residual, jacobian[:, : begin.size])
 
     def errors(self, order: ModeOrder, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual with the gain that fits best, and its exact Jacobian (N, P + 1)."""
         check_cancelled()
         poles, residues, by_pole, by_residue = differentiated(unknowns[:-1], order)
-        answers = self.input.responses(poles, float(unknowns[-1]), self.kept)
+        # Of a conjugate pair, both have the same real part: one is computed, and counts twice.
+        own = poles.imag >= 0.0
+        twice = np.where(poles.imag[own] > 0.0, 2.0, 1.0)
+        answers = self.input.responses(poles[own], float(unknowns[-1]), self.kept)
+        residues, by_pole = twice * residues[own], by_pole[own]
+        by_residue = twice[:, None] * by_residue[own]
         columns = np.column_stack([
-            (answers.value @ residues).real,
-            (answers.value @ by_residue + answers.by_pole @ (residues[:, None] * by_pole)).real,
-            (answers.by_delay @ residues).real,
+            real_products([answers.value, answers.by_pole], [
+                np.column_stack([residues, by_residue]),
+                np.column_stack([np.zeros_like(residues), residues[:, None] * by_pole])]),
+            real_products([answers.by_delay], [residues[:, None]]),
         ])
         columns = self._beside(columns)
         response, slopes = columns[:, 0], columns[:, 1:]
@@ -295,7 +307,11 @@ class FastRecord:
 
 
 class _Remembered:
-    """A residual and its Jacobian, evaluated together and once for each point."""
+    """A residual and its Jacobian, evaluated together and once for each point, in few rows.
+
+    All that the steps of a least-squares fit ask of them are their inner products, which a QR
+    decomposition keeps.
+    """
 
     def __init__(self, evaluate: Callable[[FloatArray], tuple[FloatArray, FloatArray]]) -> None:
         self._evaluate = evaluate
@@ -303,10 +319,32 @@ class _Remembered:
         self._value: tuple[FloatArray, FloatArray] | None = None
 
     def at(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residual and Jacobian at a point."""
+        """Residual and Jacobian at a point, of as many rows as there are unknowns, and one."""
         if self._value is None or self._point is None or not np.array_equal(point, self._point):
-            self._point, self._value = point.copy(), self._evaluate(point)
+            residual, jacobian = self._evaluate(point)
+            triangle = np.linalg.qr(np.column_stack([jacobian, residual]), mode="r")
+            self._point, self._value = point.copy(), (triangle[:, -1], triangle[:, :-1])
         return self._value
+
+
+def real_products(signals: list[ComplexArray], weights: list[ComplexArray]) -> FloatArray:
+    """Real part of the sum of products of signals and weights, by real numbers only.
+
+    Parameters
+    ----------
+    signals : list of ndarray of complex, shape (N, n)
+    weights : list of ndarray of complex, shape (n, P)
+        Of each.
+
+    Returns
+    -------
+    ndarray, shape (N, P)
+    """
+    # The transposes lie one after the other in memory, where the responses are made.
+    parts = np.concatenate([part for each in signals for part in (each.T.real, each.T.imag)])
+    factors = np.concatenate([part for each in weights for part in (each.real, -each.imag)])
+    product: FloatArray = parts.T @ factors
+    return product
 
 
 def independent(columns: FloatArray) -> FloatArray:

@@ -4,6 +4,10 @@
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.estimators.dynamics.fast_dynamics import (
+    lag_difference,
+    with_lags_apart,
+)
 from piezo_identification.estimators.dynamics.fast_record import FastFit
 from piezo_identification.estimators.estimate import SIGNIFICANT, parameter_covariance
 
@@ -17,9 +21,10 @@ FAR_MORE = 2.0
 def fit_covariance(fit: FastFit, linear_parameters: int) -> FloatArray:
     """Covariance of the vector of a fit, and of its delay where that was fitted.
 
-    Two things part it from that of a linear fit with white residual. What a form cannot explain is
-    no white noise: neighbours are alike, and tell less. And a lag cannot be negative: a short one
-    is told apart from a delay by its square only.
+    Three things part it from that of a linear fit with white residual. What a form cannot explain
+    is no white noise: neighbours are alike, and tell less. Two lags that are nearly equal are told
+    apart by the square of their difference only. And a lag cannot be negative: a short one is told
+    apart from a delay by its square only.
 
     Parameters
     ----------
@@ -36,10 +41,44 @@ def fit_covariance(fit: FastFit, linear_parameters: int) -> FloatArray:
         fit.jacobian, fit.residual, fit.jacobian.shape[1] + linear_parameters)
     alike = _alike(fit.residual)
     covariance *= (1.0 + alike) / (1.0 - alike)
+    if fit.order.sensor_lags:
+        covariance = _of_alike_lags(covariance, fit)
     last = fit.order.parameters - fit.order.beside
     for lag in [0, *range(last - fit.order.sensor_lags, last)]:
         covariance = _of_positive_lag(covariance, lag)
     return covariance
+
+
+def _of_alike_lags(covariance: FloatArray, fit: FastFit) -> FloatArray:
+    """Bound the variance of the difference of two lags by what its square lets it be.
+
+    If the square of half their difference x has the deviation d, a large x has the deviation
+    d / (2 x), and one that may be none is below (2 d)^(1/2).
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (P, P)
+        Of the Jacobian where the lags are apart.
+    fit : FastFit
+        With a sensor's lag.
+    """
+    one, other = 0, fit.order.parameters - fit.order.beside - 1
+    half = abs(lag_difference(fit.vector, fit.order))
+    taken_at = abs(lag_difference(with_lags_apart(fit.vector, fit.order), fit.order))
+    lags = np.ix_([one, other], [one, other])
+    sides = np.array([0.5, -0.5])
+    variance = sides @ covariance[lags] @ sides
+    if not np.isfinite(variance) or variance <= 0.0:
+        return covariance
+    of_square = 2.0 * taken_at * np.sqrt(variance)
+    largest = np.sqrt(2.0 * of_square)
+    bounded = of_square / (2.0 * half) if 2.0 * half * largest > of_square else largest
+    # The mean of both lags stays as it is, the difference is scaled.
+    scale = np.eye(covariance.shape[0])
+    stretch = bounded / np.sqrt(variance) - 1.0
+    scale[lags] += 0.5 * stretch * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    scaled: FloatArray = scale @ covariance @ scale.T
+    return scaled
 
 
 def _of_positive_lag(covariance: FloatArray, lag: int) -> FloatArray:
