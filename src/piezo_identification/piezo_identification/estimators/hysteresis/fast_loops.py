@@ -221,7 +221,7 @@ class LoopRegression:
         return np.vstack(blocks)
 
     def _each(self) -> Iterator[tuple[FastLoops, ComplexArray, FloatArray, int, slice]]:
-        """Give the recordings with their spectra, their frequencies, lengths, and the rows compared."""
+        """Give the recordings with their spectra, frequencies, lengths and the rows compared."""
         for part, spectrum in zip(self._parts, self._spectra, strict=True):
             count = part.voltage_v.size + samples_added(part.voltage_v.size)
             yield (part, spectrum, np.fft.rfftfreq(count, part.sample_period_s), count,
