@@ -11,6 +11,8 @@ from piezo_stage_driver.engine.answer_latency import LatencyCounts
 
 # By which the backend's clock may go slower than the computer's.
 CLOCK_TOLERANCE = 5e-4
+# A backend that is further behind may set its clock anew; it then waits again, though it is late.
+LARGEST_LAG_S = 0.05
 
 
 class TickTimes:
@@ -19,7 +21,8 @@ class TickTimes:
     An exchange ends when its samples have been measured; the next one is due then. The clock's
     phase is that of the exchanges that returned soonest, so that a thread that was woken late
     counts as late. A tick misses its deadline where it is asked for later than the hardware can
-    wait: by `lead_samples`, or by a tick where nothing is written ahead.
+    wait: by `lead_samples`, or by a tick where nothing is written ahead. A backend that sets its
+    clock anew after a long pause has the phase from there on.
 
     Parameters
     ----------
@@ -53,10 +56,13 @@ class TickTimes:
     def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
         """Play samples; see ``StageBackend.exchange``."""
         duration_s = len(voltage_v) / self._backend.sample_rate_hz
-        if self._due_s is not None:
-            self._count(self._clock() - self._due_s, duration_s)
+        asked_s = self._clock()
         displacement_um: np.ndarray = self._backend.exchange(voltage_v)
         returned_s = self._clock()
+        if self._due_s is not None:
+            if asked_s - self._due_s > LARGEST_LAG_S and returned_s - asked_s > 0.5 * duration_s:
+                self._due_s = returned_s - duration_s
+            self._count(asked_s - self._due_s, duration_s)
         latest_s = returned_s if self._due_s is None else (
             self._due_s + (1.0 + CLOCK_TOLERANCE) * duration_s)
         self._due_s = min(returned_s, latest_s)

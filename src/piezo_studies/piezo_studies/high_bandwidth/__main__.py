@@ -2,6 +2,7 @@
 """Design feedbacks beyond the first mode by every method, and write the page that compares them."""
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
@@ -21,7 +22,8 @@ def main(arguments: list[str] | None = None) -> None:
     """
     parser = argparse.ArgumentParser(prog="high_bandwidth", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/high_bandwidth"),
-                        help="directory of the controller files, from which a run goes on")
+                        help="directory of the controller files, from which a run goes on, and of "
+                             "what searches found")
     parser.add_argument("--page", type=Path, default=Path("docs/high_bandwidth.md"),
                         help="page; its picture goes to pictures beside it")
     parser.add_argument("--effort", type=float, default=1.0,
@@ -32,6 +34,8 @@ def main(arguments: list[str] | None = None) -> None:
         directory.mkdir(parents=True, exist_ok=True)
 
     model = identified_stage()
+    searches = [json.loads(path.read_text(encoding="utf-8"))
+                for path in sorted(options.output.glob("search_*.json"))]
     compared: list[Compared] = []
 
     def take(row: Compared) -> None:
@@ -44,7 +48,7 @@ def main(arguments: list[str] | None = None) -> None:
               flush=True)
         # Each design leaves its row at once, so that an interrupted run is not lost.
         (pictures / "high_bandwidth.png").write_bytes(small_png(draw(compared)))
-        options.page.write_text(page(model, compared), encoding="utf-8")
+        options.page.write_text(page(model, compared, searches), encoding="utf-8")
 
     compare(model, take, options.output, options.effort)
     print(f"{len(compared)} designs: {options.page}")

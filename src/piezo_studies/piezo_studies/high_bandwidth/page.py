@@ -45,8 +45,9 @@ mean square.
 
 **The methods.** A controller of *fixed order* is an integration with seven pairs of poles and six
 pairs of zeros, and some real ones. It is tuned over all stages at once by sequential linear
-programming, with the derivatives of every loop at every frequency, and begins anew many times. It
-ends at a margin of 3 dB, which is how far the closed loop falls at the edge of its band. One
+programming, with the derivatives of every loop at every frequency, and begins anew many times.
+`piezo_studies.high_bandwidth.search` searches for where to begin, see below. The tuning ends at a
+margin of 3 dB, which is how far the closed loop falls at the edge of its band. One
 that has *resonances* attenuates the disturbances in a narrow band, and spends no gain beside it:
 between the lines it attenuates as little as a slow loop does. The other methods have few numbers,
 and are searched by trial. H-infinity has the weights of a four-block problem and constant scalings
@@ -63,6 +64,32 @@ nothing within the bounds.
 Off by 20 % it lies anywhere from {low_hz:.0f} Hz to {high_hz:.0f} Hz. In this band the phase of the
 loop is unknown by 180 degrees, and its gain by the {peak_db:.0f} dB of the resonance.
 """
+
+
+SEARCHES = """\
+## From drawn starts
+
+`python -m piezo_studies.high_bandwidth.search` draws the numbers of a controller of fixed order by
+a seed, tunes them over ever larger errors of the light mode, and changes the best at random.
+With `--broadband` all slower disturbances are attenuated as much as those at 50 Hz and 100 Hz, so
+that no resonance helps. A search proves no bound: what it did not find may exist.
+"""
+
+SEARCH_HEADER = ("method", "light mode off by", "to reach the demands", "slower disturbances",
+                 "seed", "starts, trials", "margin")
+
+
+def searched_table(searches):
+    """Return the rows of what searches found, as their files tell it."""
+    rows = []
+    for found in searches:
+        demands = found["demands"]
+        rows.append((
+            TITLES[found["method"]], f"{100 * demands['errors']['light_mode']:.0f} %",
+            "every stage" if demands["of_every_stage"] else "the model",
+            "as much" if demands["broadband"] else "not asked for", str(found["seed"]),
+            f"{found['starts']}, {found['trials']}", f"{found['margin_db']:+.1f} dB"))
+    return [SEARCH_HEADER, ["---"] * len(SEARCH_HEADER), *sorted(rows)]
 
 
 def draw(compared):
@@ -95,8 +122,8 @@ def _row(row):
     return cells if row.keeps_bounds else [cells[0], *(f"({cell})" for cell in cells[1:])]
 
 
-def page(model, compared):
-    """Return the page as Markdown."""
+def page(model, compared, searches=()):
+    """Return the page as Markdown, of designs, and of what the files of searches hold."""
     demands = Demands()
     modes_hz = np.array(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
     light_hz = modes_hz[light_mode(model)]
@@ -115,6 +142,11 @@ def page(model, compared):
     for every_stage, title in TABLES:
         rows = [HEADER, ["---"] * len(HEADER),
                 *(_row(row) for row in compared if row.of_every_stage == every_stage)]
-        parts.append(f"## {title}\n\n"
-                     + "\n".join("| " + " | ".join(cells) + " |" for cells in rows) + "\n")
+        parts.append(f"## {title}\n\n" + _table(rows))
+    if searches:
+        parts.append(SEARCHES + "\n" + _table(searched_table(searches)))
     return "\n".join(parts)
+
+
+def _table(rows):
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in rows) + "\n"

@@ -5,7 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezo_controller.feedback.sample_rate.perturbed_loops import LoopFigures, ModelErrors
+from piezo_controller.feedback.sample_rate.perturbed_loops import (
+    COARSE,
+    LoopFigures,
+    ModelErrors,
+    PerturbedLoops,
+)
+from piezo_models.cascade import StageModel
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,8 @@ class Demands:
         within which the mains' frequency lies.
     of_every_stage : bool
         Whether every stage that the errors allow is to reach it, or the model itself.
+    broadband : bool
+        Whether all slower disturbances are to be attenuated as much, so that no resonance helps.
     """
 
     bandwidth_ratio: float = 1.2
@@ -43,6 +51,13 @@ class Demands:
     errors: ModelErrors = ModelErrors()
     disturbance_tolerance: float = 0.01
     of_every_stage: bool = False
+    broadband: bool = False
+
+    def loops(self, model: StageModel, clock_period_s: float,
+              delay_ticks: int = 0, coarse: int = COARSE) -> PerturbedLoops:
+        """Return the stages of a model that are to meet the demands; see `PerturbedLoops`."""
+        return PerturbedLoops(model, self.errors, clock_period_s, self.disturbance_hz,
+                              self.disturbance_tolerance, delay_ticks, self.broadband, coarse)
 
     def margin_db(self, figures: LoopFigures, first_mode_hz: float) -> float:
         """Return by how much the least margin exceeds what is asked; negative if it does not."""

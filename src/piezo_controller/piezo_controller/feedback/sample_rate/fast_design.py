@@ -107,8 +107,7 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
         raise ValueError("the model has no mode, or has antiresonances: a feedback at the sample "
                          "rate is designed for modes without them")
     demands = demands or Demands()
-    loops = PerturbedLoops(model, demands.errors, clock_period_s, demands.disturbance_hz,
-                           demands.disturbance_tolerance, delay_ticks)
+    loops = demands.loops(model, clock_period_s, delay_ticks)
     first_mode_hz = min(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
     family: _Family
     if method in STARTS_OF:

@@ -98,6 +98,10 @@ class PerturbedLoops:
         Relative error of these frequencies; the least attenuation within it counts.
     delay_ticks : int
         See `design_plant`: 0 where the stage evaluates the feedback by itself.
+    broadband : bool
+        Whether the attenuation is asked for at all lower frequencies, too.
+    coarse : int
+        Frequencies over the whole band.
 
     Attributes
     ----------
@@ -107,23 +111,25 @@ class PerturbedLoops:
     responses : ndarray of complex, shape (P, F)
         Of the plants (um/V).
     disturbances : list of ndarray
-        Numbers of the frequencies about each disturbance.
+        Numbers of the frequencies about each disturbance, or up to it.
     """
 
     def __init__(self, model: StageModel, errors: ModelErrors, clock_period_s: float = 25e-6,
                  disturbance_hz: tuple[float, ...] = (50.0, 100.0),
-                 disturbance_tolerance: float = 0.0, delay_ticks: int = 1) -> None:
+                 disturbance_tolerance: float = 0.0, delay_ticks: int = 1,
+                 broadband: bool = False, coarse: int = COARSE) -> None:
         self.plants = list(_perturbed(model, errors, clock_period_s, delay_ticks))
         highest_hz = HIGHEST / clock_period_s
         mode_hz = model.dynamics.mode_frequencies_rad_per_s[light_mode(model)] / (2 * np.pi)
         about = np.outer(disturbance_hz, 1 + disturbance_tolerance * ABOUT)
         self.frequency_hz = np.unique(np.concatenate([
-            np.geomspace(LOWEST_HZ, highest_hz, COARSE),
+            np.geomspace(LOWEST_HZ, highest_hz, coarse),
             np.geomspace(mode_hz / 3, mode_hz * 3, FINE), *(_near(hz) for hz in disturbance_hz),
             about.ravel()]))
         self.points = np.exp(2j * np.pi * self.frequency_hz * clock_period_s)
         self.responses = np.array([_response(plant, self.points) for plant in self.plants])
-        self.disturbances = [np.unique(np.searchsorted(self.frequency_hz, band)) for band in about]
+        bands = [np.unique(np.searchsorted(self.frequency_hz, band)) for band in about]
+        self.disturbances = [np.arange(band[-1] + 1) for band in bands] if broadband else bands
 
     def measure(self, controller: control.StateSpace) -> LoopFigures:
         """Close every loop with a controller from error (um) to voltage (V)."""

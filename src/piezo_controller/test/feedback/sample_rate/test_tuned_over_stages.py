@@ -169,3 +169,19 @@ def test_the_tuning_begins_with_less_gain_where_its_start_is_not_stable(model):
     controller = design_at_sample_rate(soft, demands, "fixed_order", PERIOD_S, effort=0.0)
     assert controller.report["figures"]["unstable"] == 0
     assert controller.delay_ticks == 0
+
+
+def test_broadband_attenuation_is_the_least_of_all_slower_disturbances(model):
+    """With resonances at 50 Hz and 100 Hz it is what the loop leaves between them."""
+    demands = Demands(broadband=True)
+    loops = demands.loops(model, PERIOD_S, coarse=1000)
+    family = tuned_family(model, demands, RESONANT, PERIOD_S)
+    controller = family.controller(family.start)
+    figures = loops.measure(controller)
+    hz = np.arange(1.0, 101.0, 0.05)
+    points = np.exp(2j * np.pi * hz * PERIOD_S)
+    left_db = 20 * np.log10(np.abs(1 + (loops.plants[0] * controller)(points, squeeze=True)))
+    expected_db = left_db[hz <= 50.5].min(), left_db.min()
+    np.testing.assert_allclose(figures.attenuation_db, expected_db, atol=0.1)
+    narrow = Demands().loops(model, PERIOD_S).measure(controller)
+    assert min(np.subtract(narrow.attenuation_db, figures.attenuation_db)) > 6.0

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Search for where the tuning of a controller of fixed order begins, from drawn numbers.
+
+Each start is drawn, and tuned over the stages of a small error of the light mode, then of larger
+ones. The best is then changed at random again and again: all numbers a little, or one pair of zeros
+and one of poles to a pair that cancels. What lowers the cost is kept.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_controller.feedback.sample_rate.demands import Demands
+from piezo_controller.feedback.sample_rate.minimax import Linearised, lower_largest
+from piezo_controller.feedback.sample_rate.tuned_over_stages import (
+    STARTS_OF,
+    LoopProblem,
+    Start,
+    tuned_family,
+)
+from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_models.cascade import StageModel
+from piezo_studies.thesis.identified_stage import identified_stage
+
+SUMMARY = "Search for where the tuning of a controller of fixed order begins."
+
+FIRST_GAIN = 2.0
+"""Logarithm of the drawn controllers' integral gain; lowered where that is not stable."""
+
+Resonances = tuple[tuple[tuple[float, float], tuple[float, float]], ...]
+
+FIRST_ERRORS = (0.05, 0.10)
+"""Of the light mode, over which a start is tuned before the error that is asked for."""
+
+COARSE = 240
+"""Frequencies over the whole band: between fewer of them a search from anywhere hides peaks."""
+
+START_STEPS, FEW_STEPS, STEPS = 120, 25, 200
+PROMISING = 0.5
+SIZES, SHARES = (0.02, 0.06, 0.15, 0.4), (0.15, 0.5, 1.0)
+REDRAWN = 0.3
+"""Part of the trials in which pairs are drawn anew."""
+
+
+class Search:
+    """Tune controllers of fixed order over the stages of a model.
+
+    Parameters
+    ----------
+    model : piezo_models.cascade.StageModel
+    demands : Demands
+    method : str
+        Of `STARTS_OF`: whose numbers of zeros and poles the controllers have, and whose resonances
+        they begin with.
+    clock_period_s : float
+    """
+
+    def __init__(self, model: StageModel, demands: Demands, method: str = "fixed_order",
+                 clock_period_s: float = 25e-6) -> None:
+        self._like = STARTS_OF[method]
+        family = tuned_family(model, demands, method, clock_period_s)
+        self.structure, self._with_resonances = family.structure, family.start
+        self._disturbances = [2 * np.pi * hz / self.structure.unit_rad_per_s
+                              for hz in demands.disturbance_hz]
+        asked = demands.errors.light_mode
+        first_mode_hz = min(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
+        self._problems = []
+        for error in (*(first for first in FIRST_ERRORS if first < asked), asked):
+            these = replace(demands, errors=replace(demands.errors, light_mode=error))
+            loops = these.loops(model, clock_period_s, coarse=COARSE)
+            self._problems.append(LoopProblem(loops, these, self.structure, first_mode_hz,
+                                              float(np.mean(hysteresis_gain_range(model)))))
+
+    def run(self, seed: int, starts: int, trials: int,
+            tell: Callable[[str, FloatArray, float], None]) -> float:
+        """Search; return the largest margin that was found (dB).
+
+        What bounds are exceeded counts against the margin to the demands.
+
+        Parameters
+        ----------
+        seed : int
+        starts, trials : int
+            Drawn; and made from the best of them.
+        tell : callable
+            Is told what was improved, the best numbers so far and their margin.
+        """
+        rng = np.random.default_rng(seed)
+        best, least = np.empty(0), np.inf
+        for number in range(starts + trials):
+            drawn = number < starts
+            if drawn:
+                numbers, found = self.from_anywhere(rng)
+            else:
+                numbers, found = self._tuned(self._changed(best, rng), FEW_STEPS)
+                if found.cost < least + PROMISING:
+                    numbers, found = self._tuned(numbers, STEPS)
+            if found.allowed and found.cost < least:
+                best, least = numbers, found.cost
+                tell(f"start {number + 1}" if drawn else f"trial {number + 1 - starts}",
+                     best, -least)
+        return -least
+
+    def from_anywhere(self, rng: np.random.Generator) -> tuple[FloatArray, Linearised]:
+        """Draw numbers, and tune them over ever larger errors."""
+        numbers = self.drawn(rng)
+        for problem in self._problems:
+            numbers, found = self._tuned(numbers, START_STEPS, problem)
+        return numbers, found
+
+    def drawn(self, rng: np.random.Generator) -> FloatArray:
+        """Draw all numbers but those of resonances: frequencies and dampings by logarithms."""
+        def logarithms(lowest: float, highest: float, count: int) -> FloatArray:
+            return np.asarray(rng.uniform(np.log(lowest), np.log(highest), count))
+
+        like, numbers = self._like, self._with_resonances.copy()
+        zeros, poles = self._pairs_from
+        numbers[0] = FIRST_GAIN
+        numbers[1:zeros] = np.concatenate([logarithms(0.1, 10.0, len(like.real_zeros)),
+                                           logarithms(1.0, 10.0, len(like.real_poles))])
+        count = len(like.zeros)
+        numbers[zeros:zeros + 2 * count] = np.column_stack(
+            [logarithms(0.2, 8.0, count), rng.uniform(0.02, 1.0, count)]).ravel()
+        count = len(like.poles)
+        numbers[poles:poles + 2 * count] = np.column_stack(
+            [logarithms(0.3, 8.0, count), logarithms(0.02, 3.0, count)]).ravel()
+        return numbers
+
+    def as_start(self, numbers: FloatArray) -> Start:
+        """Return numbers as a start, without resonances."""
+        like = self._like
+        zeros, poles = self._pairs_from
+        real = np.exp(numbers[1:zeros])
+        return Start(
+            float(numbers[0]), _floats(real[:len(like.real_zeros)]),
+            _floats(real[len(like.real_zeros):]),
+            tuple((float(np.exp(frequency)), float(damping)) for frequency, damping
+                  in numbers[zeros:zeros + 2 * len(like.zeros)].reshape(-1, 2)),
+            tuple((float(frequency), float(damping)) for frequency, damping
+                  in np.exp(numbers[poles:poles + 2 * len(like.poles)]).reshape(-1, 2)))
+
+    def as_resonances(self, numbers: FloatArray) -> Resonances:
+        """Return the numbers of the resonances as `tuned_over_stages.RESONANCES` has them."""
+        zeros, poles = self._pairs_from
+        of_zeros = numbers[zeros + 2 * len(self._like.zeros):poles].reshape(-1, 2)
+        of_poles = np.exp(numbers[poles + 2 * len(self._like.poles):].reshape(-1, 2))
+        units = self._disturbances
+        return tuple(
+            ((float(np.exp(zero[0]) / unit), float(zero[1])),
+             (float(pole[0] / unit), float(pole[1])))
+            for unit, zero, pole in zip(units, of_zeros, of_poles, strict=False))
+
+    @property
+    def _pairs_from(self) -> tuple[int, int]:
+        """Return where the pairs of zeros begin among the numbers, and those of poles."""
+        zeros = 1 + self.structure.real_zeros + self.structure.real_poles
+        return zeros, zeros + 2 * self.structure.zero_pairs
+
+    def _tuned(self, numbers: FloatArray, steps: int,
+               problem: LoopProblem | None = None) -> tuple[FloatArray, Linearised]:
+        """Lower the cost; with less gain first where the loops are not stable."""
+        problem = problem or self._problems[-1]
+        low, high = self.structure.bounds
+        numbers = np.clip(numbers, low, high)
+        while not problem.linearise(numbers).allowed and numbers[0] > low[0]:
+            numbers[0] -= np.log(2.0)
+        return lower_largest(problem.linearise, numbers, low, high, steps)
+
+    def _changed(self, numbers: FloatArray, rng: np.random.Generator) -> FloatArray:
+        if rng.random() >= REDRAWN:
+            changed = rng.random(numbers.size) < rng.choice(SHARES)
+            return numbers + changed * rng.normal(size=numbers.size) * rng.choice(SIZES)
+        numbers = numbers.copy()
+        zeros, poles = self._pairs_from
+        zero = zeros + 2 * rng.integers(len(self._like.zeros))
+        pole = poles + 2 * rng.integers(len(self._like.poles))
+        frequency, damping = rng.uniform(np.log([0.25, 0.03]), np.log([6.0, 1.0]))
+        numbers[zero:zero + 2] = frequency, np.exp(damping)
+        numbers[pole:pole + 2] = frequency, damping
+        return numbers
+
+
+def _floats(values: Iterable[float]) -> tuple[float, ...]:
+    return tuple(map(float, values))
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Those of the command line by default.
+    """
+    parser = argparse.ArgumentParser(prog="high_bandwidth.search", description=SUMMARY)
+    parser.add_argument("--method", choices=list(STARTS_OF), default=next(iter(STARTS_OF)))
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--starts", type=int, default=4, help="drawn, about 15 s each")
+    parser.add_argument("--trials", type=int, default=60, help="made from the best, about 4 s each")
+    parser.add_argument("--light-mode-error", type=float, default=0.20)
+    parser.add_argument("--model-itself", action="store_true",
+                        help="let the model alone reach the demands, not every stage")
+    parser.add_argument("--broadband", action="store_true",
+                        help="attenuate all slower disturbances as much")
+    parser.add_argument("--output", type=Path, default=Path("runs/high_bandwidth"),
+                        help="directory of the file with the best start so far")
+    options = parser.parse_args(arguments)
+    demands = Demands(of_every_stage=not options.model_itself, broadband=options.broadband)
+    demands = replace(demands, errors=replace(
+        demands.errors, light_mode=options.light_mode_error))
+    options.output.mkdir(parents=True, exist_ok=True)
+    path = options.output / (
+        f"search_{options.method}_{100 * options.light_mode_error:.0f}_"
+        f"{'model' if options.model_itself else 'every_stage'}"
+        f"{'_broadband' if options.broadband else ''}_{options.seed}.json")
+    begun_s = time.monotonic()
+
+    def tell(what: str, numbers: FloatArray, margin_db: float) -> None:
+        print(f"{time.monotonic() - begun_s:6.0f} s  {what}: margin {margin_db:+.2f} dB",
+              flush=True)
+        path.write_text(json.dumps({
+            "method": options.method, "seed": options.seed, "starts": options.starts,
+            "trials": options.trials, "demands": asdict(demands), "margin_db": margin_db,
+            "start": asdict(search.as_start(numbers)),
+            "resonances": search.as_resonances(numbers)}, indent=1), encoding="utf-8")
+
+    search = Search(identified_stage(), demands, options.method)
+    margin_db = search.run(options.seed, options.starts, options.trials, tell)
+    print(f"margin {margin_db:+.2f} dB, start in {path}")
+
+
+if __name__ == "__main__":
+    main()
