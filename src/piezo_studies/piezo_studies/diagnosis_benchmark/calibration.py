@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from piezo_identification.diagnosis.joint.probabilities import NONE, SOMETHING_ELSE
-from piezo_studies.diagnosis_benchmark.outcome import outcome, strongest
+from piezo_studies.diagnosis_benchmark.outcome import CLEAR, outcome, strongest
 
 BINS = 10
 LARGEST_TEMPERATURE = 100.0
@@ -67,6 +67,8 @@ def is_true(result, label):
     """
     group, _ = outcome(result)
     if label == NONE:
+        if strongest(result)[1] <= CLEAR:
+            return True
         held = set(result["in_model"])
         causes = {entry["cause"] for entry in result["contributions"]}
         return group in ("clean", "weak") or bool(causes) and causes <= held
