@@ -26,13 +26,12 @@ from piezo_identification.diagnosis.joint.model_weights import (
     HeldOut,
     expected_widths,
     held_out_of,
-    occam_penalty,
 )
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     Evidence,
-    counted_once,
     logarithms_of_evidence,
+    penalty_of,
 )
 from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
 from piezo_identification.diagnosis.residual.regression import Regression
@@ -106,8 +105,7 @@ class Alternative:
         widths = expected_widths(self.fit.effects, self.fit.regression.dataset.extent)
         return Evidence(
             "+".join(self.names) or NONE, self.held_out,
-            occam_penalty(
-                self.fit.covariance, widths, counted_once(self.held_out, self.effective)))
+            penalty_of(self.held_out, self.effective, self.fit.covariance, widths))
 
     @property
     def mean_square_um2(self) -> tuple[float, ...]:

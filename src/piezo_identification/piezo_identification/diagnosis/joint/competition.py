@@ -26,13 +26,12 @@ from piezo_identification.diagnosis.joint.joint_fit import JointProblem
 from piezo_identification.diagnosis.joint.model_weights import (
     HeldOut,
     expected_widths,
-    occam_penalty,
 )
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     SOMETHING_ELSE,
     Evidence,
-    counted_once,
+    penalty_of,
     probabilities,
 )
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
@@ -225,7 +224,7 @@ def _of_fits(regression: Regression, fits: Sequence[Fit], stated: float) -> dict
         widths = expected_widths(
             [effect for effect in fit.effects if type(effect) is not Outliers],
             regression.dataset.extent)
-        penalty = occam_penalty(fit.covariance, widths, counted_once(held_out, independent))
+        penalty = penalty_of(held_out, independent, fit.covariance, widths)
         evidence.append(Evidence(_label(fit), held_out, penalty))
         effective.append(independent)
     least_um = np.array([SETTINGS.model_tolerance * np.ptp(part.measured_um)

@@ -26,8 +26,6 @@ DRAWS = 4000
 SEED = 0
 WIDEST = 2.3
 """Widest prior of a fitted number, over the number or as a logarithm: a decade."""
-UNKNOWN = 3.5
-"""Cost of a number of unknown covariance: what a thousand independent errors narrow by a third."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,30 +168,35 @@ def expected_widths(effects: Sequence[Effect], extent: Extent | None = None) -> 
     return np.concatenate(widths)
 
 
-def occam_penalty(covariance: FloatArray | None, widths: FloatArray, alike: float) -> float:
+def occam_penalty(covariance: FloatArray | None, widths: FloatArray, rows: float,
+                  counted: float) -> float:
     """Return what fitted numbers cost: the logarithm of how far the recordings narrow them.
 
     This is Laplace's approximation of the evidence with a Gaussian prior of the widths (MacKay,
     Neural Computation 4, 1992): half of the sum of ln(1 + w^2 / s^2) in the principal directions.
+    None of them costs more than with a prior that tells as much as one error (Schwarz 1978): how
+    an effect is parameterised, and how wide its bounds are, says nothing of how likely it is.
 
     Parameters
     ----------
     covariance : (p, p) array or None
-        Of the numbers by the recordings; None where it is not known.
+        Of the numbers by the recordings; None where it is not known, and all then cost the most.
     widths : (p,) array
         Standard deviations with which the numbers are expected.
-    alike : float
-        Rows for each error that the evidence counts: by so much less does it determine the numbers.
+    rows, counted : float
+        Rows of the recordings, and how many errors the evidence counts: by so much less does it
+        determine the numbers.
 
     Returns
     -------
     float
         A number of which the evidence tells nothing costs nothing.
     """
+    most = 0.5 * float(np.log(max(counted, 2.0)))
     if covariance is None or covariance.shape != (widths.size, widths.size):
-        return widths.size * UNKNOWN
+        return widths.size * most
     shown = (np.diag(covariance) > 0.0) & (widths > 0.0)
     of_shown = widths[shown]
-    over_prior = alike * covariance[np.ix_(shown, shown)] / np.outer(of_shown, of_shown)
+    over_prior = rows / counted * covariance[np.ix_(shown, shown)] / np.outer(of_shown, of_shown)
     variances = np.maximum(np.linalg.eigvalsh(over_prior), np.finfo(float).eps)
-    return float(0.5 * np.sum(np.log1p(1.0 / variances)))
+    return float(np.sum(np.minimum(0.5 * np.log1p(1.0 / variances), most)))

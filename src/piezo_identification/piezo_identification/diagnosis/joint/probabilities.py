@@ -25,7 +25,11 @@ from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.diagnosis.joint.model_weights import HeldOut, shares_of
+from piezo_identification.diagnosis.joint.model_weights import (
+    HeldOut,
+    occam_penalty,
+    shares_of,
+)
 
 NONE, SOMETHING_ELSE = "none", "something_else"
 
@@ -93,10 +97,25 @@ class Evidence:
         return tuple(part.mean_square_um2 for part in self.held_out)
 
 
-def counted_once(held_out: Sequence[HeldOut], effective: ArrayLike) -> float:
-    """Return how many held-out rows there are for each that the evidence counts."""
-    counted = np.sum(np.minimum(np.asarray(effective), SETTINGS.most_effective))
-    return float(sum(part.left_um.size for part in held_out) / counted)
+def penalty_of(held_out: Sequence[HeldOut], effective: ArrayLike, covariance: FloatArray | None,
+               widths: FloatArray) -> float:
+    """Return what fitted numbers cost, with so many errors as the evidence counts.
+
+    Parameters
+    ----------
+    held_out : (R,) sequence of HeldOut
+    effective : (R,) array
+        Independent samples of each recording.
+    covariance, widths
+        Of `model_weights.occam_penalty`.
+
+    Returns
+    -------
+    float
+    """
+    counted = float(np.sum(np.minimum(np.asarray(effective), SETTINGS.most_effective)))
+    rows = float(sum(part.left_um.size for part in held_out))
+    return occam_penalty(covariance, widths, rows, counted)
 
 
 def logarithms_of_evidence(alternatives: Sequence[Evidence], effective: ArrayLike,

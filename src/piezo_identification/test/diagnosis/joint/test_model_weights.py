@@ -73,14 +73,19 @@ def test_numbers_are_determined_as_far_as_recordings_tell_more_than_their_widths
 
 def test_a_number_costs_as_much_as_recordings_narrow_it_and_nothing_where_they_do_not():
     # The evidence of a mean with a Gaussian prior, over that at its best value, in closed form.
-    width, deviation, rows = 2.0, 0.1, 30.0
-    alone = occam_penalty(np.array([[deviation**2]]), np.array([width]), 1.0)
+    width, deviation, rows = 2.0, 0.1, 1000.0
+    alone = occam_penalty(np.array([[deviation**2]]), np.array([width]), rows, rows)
     assert alone == pytest.approx(0.5 * np.log(1.0 + (width / deviation) ** 2))
-    fewer = occam_penalty(np.array([[deviation**2 / rows]]), np.array([width]), rows)
+    fewer = occam_penalty(np.array([[deviation**2 / 2.0]]), np.array([width]), 2.0 * rows, rows)
     assert fewer == pytest.approx(alone)
     unseen = np.diag([deviation**2, 1e12, 0.0])
-    assert occam_penalty(unseen, np.full(3, width), 1.0) == pytest.approx(alone)
-    assert occam_penalty(None, np.full(2, width), 1.0) > 0.0
+    assert occam_penalty(unseen, np.full(3, width), rows, rows) == pytest.approx(alone)
+
+
+def test_no_number_costs_more_than_with_a_prior_of_one_error():
+    most = 0.5 * np.log(1000.0)
+    assert occam_penalty(np.array([[1e-12]]), np.ones(1), 1000.0, 1000.0) == pytest.approx(most)
+    assert occam_penalty(None, np.ones(2), 1000.0, 1000.0) == pytest.approx(2.0 * most)
 
 
 def test_a_delay_and_a_lag_are_expected_alike():
