@@ -5,7 +5,8 @@ from collections import Counter
 
 from piezo_common.marked_sections import with_sections
 from piezo_common.picture_style import new_figure, to_png
-from piezo_studies.diagnosis_benchmark.calibration import draw_reliability
+from piezo_studies.diagnosis_benchmark.calibration import calibrate, draw_reliability
+from piezo_studies.diagnosis_benchmark.coverage import KNOWN, coverage
 from piezo_studies.diagnosis_benchmark.outcome import outcome
 from piezo_studies.diagnosis_calibration.study import figures
 
@@ -39,12 +40,25 @@ def section(seed, results):
     counts = Counter(outcome(result) for result in results)
     lines += ["", "| figure | value |", "|---|---|"]
     lines += [f"| {group}: {what} | {count} |" for (group, what), count in sorted(counts.items())]
+    strict = calibrate(results, strict=True).expected_calibration_error
+    level = f"{100 * intervals['level']:.0f} % intervals"
     lines += [
         f"| expected calibration error | {reliability.expected_calibration_error:.3f} |",
-        f"| {100 * intervals['level']:.0f} % intervals that contain the parameter | "
-        f"{intervals['right']} of {intervals['intervals']} |", "",
+        f"| the same, strict | {strict:.3f} |",
+        f"| {level} that contain the parameter | "
+        f"{intervals['right']} of {intervals['intervals']} |"]
+    lines += [
+        f"| {level} of `{cause}` | {found['right']} of {found['intervals']} |"
+        for cause in KNOWN if (found := coverage(_with_cause(results, cause)))["intervals"]]
+    lines += [
+        "",
         f"![How often statements come true, over their probability](pictures/{PICTURE})", ""]
     return "\n".join(lines)
+
+
+def _with_cause(results, cause):
+    return [result for result in results
+            if any(entry["cause"] == cause for entry in result["contributions"])]
 
 
 def write_page(page, seed, results):

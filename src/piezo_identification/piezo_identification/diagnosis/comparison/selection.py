@@ -138,7 +138,9 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
                 break
             sets = alternatives(regression, larger)
         best = _needed(regression, start, best)
-        others = alternatives(regression, [best, *others])[1:]
+        # Larger sets than the best did not convince.
+        others = [fit for fit in alternatives(regression, [best, *others])[1:]
+                  if len(fit.effects) <= len(best.effects)]
         if best.effects:
             # With these weights: only at its optimum is one set likelier than another.
             best, *others = _once_more(regression, [best, *others])
