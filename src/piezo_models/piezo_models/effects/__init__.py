@@ -16,6 +16,7 @@ from piezo_models.effects.effect import (
     Evidence,
     Extent,
     fitted_values,
+    units_of_fitted,
     with_fitted_values,
 )
 from piezo_models.effects.gain_drift import GainDrift
@@ -61,7 +62,7 @@ GROUP = "piezo_models.effects"
 
 __all__ = [
     "EFFECTS", "GROUP", "Effect", "Evidence", "Extent", "fitted_values", "known_effects",
-    "with_fitted_values",
+    "units_of_fitted", "with_fitted_values",
 ]
 
 

@@ -468,6 +468,17 @@ def fitted_values(effect: Effect, extent: Extent | None = None,
     return np.concatenate(values), np.concatenate(lows), np.concatenate(highs)
 
 
+def units_of_fitted(effect: Effect) -> list[str | None]:
+    """List the unit of each number of `fitted_values`, None where it is fitted as a logarithm."""
+    units: list[str | None] = []
+    for field in dataclasses.fields(effect):
+        unit, scale = field.metadata["unit"], field.metadata["scale"]
+        if scale != "fixed":
+            size = np.atleast_1d(getattr(effect, field.name)).size
+            units += [None if scale == "logarithm" else unit] * size
+    return units
+
+
 def with_fitted_values(effect: AnyEffect, values: FloatArray) -> AnyEffect:
     """Return the effect with other values, in the order of `fitted_values`."""
     changes, used = {}, 0

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from piezo_identification.diagnosis.joint.probabilities import NONE, SOMETHING_ELSE
-from piezo_studies.diagnosis_benchmark.outcome import outcome, strongest
+from piezo_studies.diagnosis_benchmark.outcome import CLEAR, outcome, strongest
 
 BINS = 10
 LARGEST_TEMPERATURE = 100.0
@@ -48,7 +48,7 @@ class Reliability:
         ], "expected_calibration_error": self.expected_calibration_error}
 
 
-def is_true(result, label):
+def is_true(result, label, strict=False):
     """Return whether a statement of a diagnosis holds in a case.
 
     Parameters
@@ -57,33 +57,39 @@ def is_true(result, label):
         As `run_case` returns it.
     label : str
         A key of `probabilities`.
+    strict : bool
+        Something else is true of causes outside the list alone.
 
     Returns
     -------
     bool
         A set of effects is true if all that it names are there, the strongest among them; none is
         true where nothing is there, or too little to be clear; something else, where the cause is
-        outside the list.
+        outside the list, or is named but acts in another form than the list's, which leaves a rest.
     """
     group, _ = outcome(result)
     if label == NONE:
+        if strongest(result)[1] <= CLEAR:
+            return True
         held = set(result["in_model"])
         causes = {entry["cause"] for entry in result["contributions"]}
         return group in ("clean", "weak") or bool(causes) and causes <= held
-    if label == SOMETHING_ELSE:
-        return group == "outside"
-    names = set(label.split("+"))
     causes, _ = strongest(result)
+    if label == SOMETHING_ELSE:
+        return group == "outside" or not strict and bool(set(causes) & set(result["effects"]))
+    names = set(label.split("+"))
     return names <= {entry["cause"] for entry in result["contributions"]} and bool(
         names & set(causes))
 
 
-def first_statements(results):
+def first_statements(results, strict=False):
     """Return the largest probability of each case, and whether its statement is true.
 
     Parameters
     ----------
     results : list of dict
+    strict : bool
+        See `is_true`.
 
     Returns
     -------
@@ -94,7 +100,7 @@ def first_statements(results):
     first = [max(result["probabilities"], key=result["probabilities"].get) for result in told]
     return (np.array([result["probabilities"][label]
                       for result, label in zip(told, first, strict=True)]),
-            np.array([is_true(result, label)
+            np.array([is_true(result, label, strict)
                       for result, label in zip(told, first, strict=True)], dtype=bool))
 
 
@@ -195,16 +201,18 @@ def draw_reliability(axes, found):
     axes.legend()
 
 
-def calibrate(results):
+def calibrate(results, strict=False):
     """Return the calibration of a table of cases.
 
     Parameters
     ----------
     results : list of dict
         As `run_case` returns them.
+    strict : bool
+        See `is_true`.
 
     Returns
     -------
     Reliability
     """
-    return reliability(*first_statements(results))
+    return reliability(*first_statements(results, strict))

@@ -82,3 +82,19 @@ def test_the_diagram_shows_every_bin_that_has_cases():
     found = calibrate(drawn(50))
     draw_reliability(axes, found)
     assert sorted(int(text.get_text()) for text in axes.texts) == sorted(filter(None, found.counts))
+
+
+def test_something_else_is_true_of_a_cause_outside_the_list_or_in_another_form():
+    named = result({"something_else": 1.0}, "delay", verdict="unexplained") | {"effects": ["delay"]}
+    unnamed = result({"something_else": 1.0}, "delay", verdict="unexplained")
+    outside = result({"something_else": 1.0}, "self_heating", verdict="unexplained")
+    told = [is_true(each, "something_else") for each in (named, unnamed, outside)]
+    assert told == [True, False, True]
+    strict = [is_true(each, "something_else", strict=True) for each in (named, unnamed, outside)]
+    assert strict == [False, False, True]
+
+
+def test_nothing_is_true_where_too_little_is_there():
+    assert [is_true(result({}, cause, over_noise=size), "none") for cause, size in (
+        ("delay", 2.0), ("self_heating", 2.0), ("delay", 9.0), ("self_heating", 9.0))] == [
+        True, True, False, False]

@@ -69,7 +69,8 @@ class Selection:
     not_shown : dict of str to str
         Effects that the data cannot show, and why.
     alternatives : tuple of Fit
-        Other sets of the last round that leave not much more than the best.
+        Other sets of the last round that leave not much more than the best, and those with an
+        effect in place of one of the best that the data cannot tell from it.
     interrupted : bool
         The comparison was ended by Ctrl-C: more effects may be missing, and those found may not be
         needed beside each other.
@@ -110,7 +111,7 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
     indistinguishable: dict[str, str] = {}
     not_shown: dict[str, str] = {}
     sets = [best]
-    others: tuple[Fit, ...] = ()
+    others: Sequence[Fit] = ()
     try:
         for turn in range(SETTINGS.most_effects):
             attempts: list[Attempt] = []
@@ -131,20 +132,28 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
             larger = [weighed.fit(fit.effects, fit.covariance) for fit in larger]
             # Together, so that they fit to each other whenever the comparison is interrupted.
             regression, start, best = weighed, fit_without_effects(weighed), larger[0]
-            others = tuple(larger[1:])
+            others = larger[1:]
             indistinguishable = like_the_best(regression, larger)
             if stuck or mean_square(regression, best) < 1.0 + CRITERIA.noticeable**2:
                 break
             sets = alternatives(regression, larger)
         best = _needed(regression, start, best)
+        # Larger sets than the best did not convince.
+        others = [fit for fit in alternatives(regression, [best, *others])[1:]
+                  if len(fit.effects) <= len(best.effects)]
+        if best.effects:
+            # With these weights: only at its optimum is one set likelier than another.
+            best, *others = _once_more(regression, [best, *others])
+        alike = in_place_of_the_found(regression, kinds, best)
+        indistinguishable |= {name: found for name, (found, _) in alike.items()}
+        others = _without_repeats([*others, *(fit for _, fit in alike.values())])
         not_shown |= explained_by_parameters(regression, kinds, best)
-        indistinguishable |= in_place_of_the_found(regression, kinds, best)
     except KeyboardInterrupt:
         # What was found until then is worth more than nothing.
         return Selection(
             regression, start, best, rounds, indistinguishable, not_shown, interrupted=True)
-    return Selection(regression, start, best, rounds, indistinguishable, not_shown,
-                     tuple(alternatives(regression, [best, *others])[1:]))
+    return Selection(
+        regression, start, best, rounds, indistinguishable, not_shown, tuple(others))
 
 
 def left_rms_um(selection: Selection) -> float:
@@ -176,6 +185,18 @@ def _fitted_as_a_whole(regression: Regression, attempts: Sequence[Attempt]) -> l
                         alternatives(regression, list(tried.values())))
     fits = [fit for fit in fits if not impossible_effects(fit, regression.dataset.extent)]
     return sorted(fits, key=lambda fit: score(regression, fit))
+
+
+def _once_more(regression: Regression, fits: Sequence[Fit]) -> list[Fit]:
+    """Fit sets of effects further, each as a whole."""
+    return side_by_side(
+        lambda fit: fit_effects(regression, fit.effects) if fit.effects else fit, fits)
+
+
+def _without_repeats(fits: Sequence[Fit]) -> list[Fit]:
+    """Return the first fit of each set of effects."""
+    return list({tuple(sorted(effect.name for effect in fit.effects)): fit
+                 for fit in reversed(fits)}.values())[::-1]
 
 
 def _needed(regression: Regression, start: Fit, best: Fit) -> Fit:

@@ -64,13 +64,13 @@ def like_the_best(regression: Regression, fits: Sequence[Fit]) -> dict[str, str]
 
 
 def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
-                          best: Fit) -> dict[str, str]:
+                          best: Fit) -> dict[str, tuple[str, Fit]]:
     """Try the effects that are said to be indistinguishable from those found in their place.
 
     Returns
     -------
-    dict of str to str
-        Those that do as well, and the effect which each stands for.
+    dict of str to (str, Fit)
+        Those that do as well, the effect which each stands for, and the set with it instead.
     """
     found = {}
     for number, effect in enumerate(best.effects):
@@ -79,9 +79,9 @@ def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
         for kind in kinds:
             if kind.is_indistinguishable_from(type(effect)) and kind.name not in present:
                 fit = fit_one_more(regression, kind, others, recording_evidence(regression, others))
-                if fit and is_indistinguishable(
-                        regression, best, fit_effects(regression, fit.effects)):
-                    found[kind.name] = effect.name
+                whole = fit and fit_effects(regression, fit.effects)
+                if whole and is_indistinguishable(regression, best, whole):
+                    found[kind.name] = effect.name, whole
     return found
 
 

@@ -11,12 +11,14 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.diagnosis.candidates.effect_fit import fit_one_more
 from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
 from piezo_identification.diagnosis.comparison.attempts import SAME_AS_OTHER_PARAMETERS
-from piezo_identification.diagnosis.experiment_design.model_weights import (
+from piezo_identification.diagnosis.joint.joint_fit import JointFit, JointProblem
+from piezo_identification.diagnosis.joint.model_weights import (
     HeldOut,
     determined_numbers,
+    expected_widths,
+    held_out_of,
     probabilities_of,
 )
-from piezo_identification.diagnosis.joint.joint_fit import JointFit, JointProblem
 from piezo_identification.diagnosis.residual.regression import (
     SETTINGS,
     Regression,
@@ -29,8 +31,6 @@ from piezo_recorder.reading.recording import Recording
 NONE = "none"
 LEAST_PROBABLE = 0.01
 """Sets of effects that a verdict gives less are no alternatives, and none is left with less."""
-WIDEST = 2.3
-"""Widest prior of a fitted number, over the number or as a logarithm: a decade."""
 STEPS = 8
 """Most steps of a fit: with the two by which a diagnosis begins, alternatives that are right lose
 where their model has to move farther."""
@@ -206,15 +206,6 @@ def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit]) -> Alternati
                         *_errors(problem, left[alternatives[0].name]))
 
 
-def held_out_of(fit: JointFit) -> list[HeldOut]:
-    """Return what a fit leaves of the held-out rows of each recording."""
-    regression = fit.regression
-    good = regression.estimation | regression.validation
-    return [HeldOut(left_um[held_out], regression.dataset.stretch[mask & good][held_out])
-            for (left_um, held_out), mask in zip(
-                fit.left_um(), regression.dataset.masks(), strict=True)]
-
-
 def _errors(problem: JointProblem, left: Sequence[HeldOut]) -> tuple[float, float]:
     """Return how many errors are alike in new recordings, and what is left beyond the noise."""
     alike, misfit = 1.0, 0.0
@@ -237,12 +228,9 @@ def _fitted(problem: JointProblem, effects: Effects, was_there: bool) -> JointFi
 
 def _determined(problem: JointProblem, fit: JointFit, root: FloatArray) -> float:
     """Return how many fitted numbers of the effects the recordings determine."""
-    parts = [fitted_values(effect, problem.dataset.extent) for effect in fit.effects]
-    widths = [np.minimum(high - low, WIDEST * np.maximum(1.0, np.abs(values)))
-              for values, low, high in parts]
-    count = sum(each.size for each in widths)
-    of_effects = root[len(root) - count :, len(root) - count :]
-    return determined_numbers(of_effects.T @ of_effects, np.concatenate([np.zeros(0), *widths]))
+    widths = expected_widths(fit.effects, problem.dataset.extent)
+    of_effects = root[len(root) - widths.size :, len(root) - widths.size :]
+    return determined_numbers(of_effects.T @ of_effects, widths)
 
 
 def _name(effects: Sequence[Effect]) -> str:

@@ -22,10 +22,16 @@ from piezo_identification.diagnosis.joint.joint_fit import (
     JointProblem,
     correlated_scale,
 )
+from piezo_identification.diagnosis.joint.model_weights import (
+    HeldOut,
+    expected_widths,
+    held_out_of,
+)
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     Evidence,
     logarithms_of_evidence,
+    penalty_of,
 )
 from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
 from piezo_identification.diagnosis.residual.regression import Regression
@@ -81,7 +87,7 @@ class Alternative:
     since : bool
         The effects came after the identification.
     fit : JointFit
-    mean_square_um2 : tuple of float
+    held_out : tuple of HeldOut
         What is left on the held-out stretches of each recording, noise and all.
     effective : tuple of float
         How many of these rows err independently.
@@ -90,13 +96,21 @@ class Alternative:
     names: tuple[str, ...]
     since: bool
     fit: JointFit
-    mean_square_um2: tuple[float, ...]
+    held_out: tuple[HeldOut, ...]
     effective: tuple[float, ...]
 
     @property
     def evidence(self) -> Evidence:
         """Return what its probability depends on."""
-        return Evidence("+".join(self.names) or NONE, self.mean_square_um2, self.fit.count)
+        widths = expected_widths(self.fit.effects, self.fit.regression.dataset.extent)
+        return Evidence(
+            "+".join(self.names) or NONE, self.held_out,
+            penalty_of(self.held_out, self.effective, self.fit.covariance, widths))
+
+    @property
+    def mean_square_um2(self) -> tuple[float, ...]:
+        """Return the mean square that is left of each recording."""
+        return tuple(part.mean_square_um2 for part in self.held_out)
 
 
 def settled(problem: JointProblem, progress: Progress) -> JointFit:
@@ -318,12 +332,12 @@ def _possible(problem: JointProblem, alternatives: Sequence[Alternative]) -> lis
 
 
 def _alternative(names: Sequence[str], fit: JointFit, since: bool = False) -> Alternative:
-    squares, effective = [], []
+    effective = []
     for left_um, held_out in fit.left_um():
-        squares.append(float(np.mean(left_um[held_out] ** 2)))
         alike = (correlated_scale(left_um) ** 2) / np.mean(left_um**2)
         effective.append(float(np.count_nonzero(held_out) / alike))
-    return Alternative(tuple(sorted(names)), since, fit, tuple(squares), tuple(effective))
+    return Alternative(
+        tuple(sorted(names)), since, fit, tuple(held_out_of(fit)), tuple(effective))
 
 
 def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effect],

@@ -22,11 +22,16 @@ from piezo_identification.diagnosis.joint.alternatives import (
     settled,
     times_of_coming,
 )
-from piezo_identification.diagnosis.joint.joint_fit import JointProblem, correlated_scale
+from piezo_identification.diagnosis.joint.joint_fit import JointProblem
+from piezo_identification.diagnosis.joint.model_weights import (
+    HeldOut,
+    expected_widths,
+)
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     SOMETHING_ELSE,
     Evidence,
+    penalty_of,
     probabilities,
 )
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
@@ -40,6 +45,7 @@ from piezo_identification.diagnosis.residual.regression import (
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, known_effects
+from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
 
 LIKELY = 0.05
@@ -213,9 +219,14 @@ def _of_fits(regression: Regression, fits: Sequence[Fit], stated: float) -> dict
     """Return the probabilities of fits to the new recordings alone."""
     evidence, effective = [], []
     for fit in fits:
-        squares, samples = _held_out(regression, fit)
-        evidence.append(Evidence(_label(fit), squares, fit.parameter_count))
-        effective.append(samples)
+        held_out = _held_out(regression, fit)
+        independent = [part.independent for part in held_out]
+        widths = expected_widths(
+            [effect for effect in fit.effects if type(effect) is not Outliers],
+            regression.dataset.extent)
+        penalty = penalty_of(held_out, independent, fit.covariance, widths)
+        evidence.append(Evidence(_label(fit), held_out, penalty))
+        effective.append(independent)
     least_um = np.array([SETTINGS.model_tolerance * np.ptp(part.measured_um)
                          for part in regression.dataset.simulated])
     return probabilities(
@@ -224,15 +235,11 @@ def _of_fits(regression: Regression, fits: Sequence[Fit], stated: float) -> dict
         _wrong_um(regression.dataset, stated))
 
 
-def _held_out(regression: Regression, fit: Fit) -> tuple[tuple[float, ...], list[float]]:
-    """Return the mean square left of each recording, and how many samples err independently."""
-    left_um = fit.residual * regression.tolerance_um
-    squares, samples = [], []
-    for mask in regression.dataset.masks():
-        left = left_um[mask & regression.validation]
-        squares.append(float(np.mean(left**2)))
-        samples.append(left.size * squares[-1] / correlated_scale(left) ** 2)
-    return tuple(squares), samples
+def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:
+    """Return what a fit leaves of the held-out rows of each recording."""
+    left_um, stretch = fit.residual * regression.tolerance_um, regression.dataset.stretch
+    return tuple(HeldOut(left_um[rows], stretch[rows]) for rows in (
+        mask & regression.validation for mask in regression.dataset.masks()))
 
 
 def beside_alternative(selection: Selection, competition: Competition,
@@ -264,8 +271,9 @@ def beside_alternative(selection: Selection, competition: Competition,
         covariance = covariance[len(covariance) - numbers :, len(covariance) - numbers :]
     end = regression.fit(added, covariance)
     alike = in_place_of_the_found(regression, list(known_effects().values()), end)
+    names = {name: found for name, (found, _) in alike.items()}
     return replace(selection, regression=regression, end=end,
-                   indistinguishable=alike | competition.indistinguishable())
+                   indistinguishable=names | competition.indistinguishable())
 
 
 def _with_model(dataset: Dataset, model: StageModel) -> Dataset:

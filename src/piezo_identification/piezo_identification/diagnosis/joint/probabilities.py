@@ -2,13 +2,15 @@
 """Probabilities of what a model lacks, from what each alternative leaves on held-out data.
 
 The evidence of an alternative is that of Gaussian errors of unknown variance in each recording r,
-with the Bayesian penalty for its fitted numbers (Schwarz 1978):
+with what its fitted numbers cost (`model_weights.occam_penalty`):
 
-    ln p = - sum_r n_r / 2 ln(m_r + l_r^2) - k / 2 ln(sum_r n_r)
+    ln p = - sum_r n_r / 2 ln(m_r + l_r^2 + w_r^2) - penalty
 
 Here m_r is the mean square left on held-out stretches, n_r how many of its samples err
-independently, l_r the accuracy that a good model has, and k the count of fitted numbers. What is
-not on the list, `something_else`, leaves what passes for noise in the new recordings.
+independently, l_r the accuracy that a good model has, and w_r what this model is known to be wrong
+by: an error of the model may look like any effect. The probabilities are means over a Bayesian
+bootstrap of the stretches (`model_weights.shares_of`). What is not on the list, `something_else`,
+leaves what passes for noise in the new recordings.
 
 An alternative may also leave what the model is known to be wrong by. That is known from other
 recordings, and so only up to a factor of logarithmic normal distribution, over which the evidence
@@ -23,6 +25,11 @@ from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.diagnosis.joint.model_weights import (
+    HeldOut,
+    occam_penalty,
+    shares_of,
+)
 
 NONE, SOMETHING_ELSE = "none", "something_else"
 
@@ -33,8 +40,6 @@ class ProbabilitySettings:
 
     Attributes
     ----------
-    temperature : float
-        By which differences of evidence are divided: lack of fit makes them too sure.
     something_else : float
         Prior probability of what is not on the list, over that of one of the alternatives.
     passes : float
@@ -52,7 +57,6 @@ class ProbabilitySettings:
         stationary than that.
     """
 
-    temperature: float = 1.0
     something_else: float = 0.05
     passes: float = 0.8
     carried_over: float = 0.3
@@ -65,6 +69,8 @@ SETTINGS = ProbabilitySettings()
 
 NODES = 60
 """The quadrature over a normal distribution has so many."""
+MOST_GAIN = 500.0
+"""A logarithm of odds that leaves nothing to doubt, and whose exponential is finite."""
 
 
 @dataclass(frozen=True)
@@ -75,15 +81,41 @@ class Evidence:
     ----------
     label : str
         Names of its effects with + between them, or `none`.
-    mean_square_um2 : (R,) tuple of float
-        Left on held-out stretches of each recording.
-    count : int
-        Fitted numbers of the effects.
+    held_out : (R,) tuple of HeldOut
+        What is left on held-out stretches of each recording.
+    penalty : float
+        What the fitted numbers of the effects cost; see `model_weights.occam_penalty`.
     """
 
     label: str
-    mean_square_um2: tuple[float, ...]
-    count: int
+    held_out: tuple[HeldOut, ...]
+    penalty: float
+
+    @property
+    def mean_square_um2(self) -> tuple[float, ...]:
+        """Return the mean square that is left of each recording."""
+        return tuple(part.mean_square_um2 for part in self.held_out)
+
+
+def penalty_of(held_out: Sequence[HeldOut], effective: ArrayLike, covariance: FloatArray | None,
+               widths: FloatArray) -> float:
+    """Return what fitted numbers cost, with so many errors as the evidence counts.
+
+    Parameters
+    ----------
+    held_out : (R,) sequence of HeldOut
+    effective : (R,) array
+        Independent samples of each recording.
+    covariance, widths
+        Of `model_weights.occam_penalty`.
+
+    Returns
+    -------
+    float
+    """
+    counted = float(np.sum(np.minimum(np.asarray(effective), SETTINGS.most_effective)))
+    rows = float(sum(part.left_um.size for part in held_out))
+    return occam_penalty(covariance, widths, rows, counted)
 
 
 def logarithms_of_evidence(alternatives: Sequence[Evidence], effective: ArrayLike,
@@ -105,8 +137,8 @@ def logarithms_of_evidence(alternatives: Sequence[Evidence], effective: ArrayLik
     samples = np.minimum(np.asarray(effective), SETTINGS.most_effective)
     left = np.array([alternative.mean_square_um2 for alternative in alternatives])
     squares = left + np.square(np.asarray(least_um))
-    counts = np.array([alternative.count for alternative in alternatives])
-    return -0.5 * np.log(squares) @ samples - 0.5 * counts * np.log(max(np.sum(samples), 2.0))
+    penalties = np.array([alternative.penalty for alternative in alternatives])
+    return -0.5 * np.log(squares) @ samples - penalties
 
 
 def probabilities(alternatives: Sequence[Evidence], effective: ArrayLike,
@@ -130,16 +162,19 @@ def probabilities(alternatives: Sequence[Evidence], effective: ArrayLike,
     dict of str to float
         The largest first; they sum to one.
     """
-    logarithms = logarithms_of_evidence(alternatives, effective, least_um)
     samples = np.minimum(np.asarray(effective), SETTINGS.most_effective)
-    best = int(np.argmax(logarithms))
     passing, least = np.square(np.asarray(passing_um)), np.square(np.asarray(least_um))
     new = passing.size
+    wrong = np.broadcast_to(np.square(np.asarray(wrong_um)), new)
+    told = least + np.append(wrong, np.zeros(least.size - new))
+    listed = shares_of([each.held_out for each in alternatives],
+                       [each.penalty for each in alternatives], np.sqrt(told), samples)
+    best = int(np.argmax(listed))
     squares = np.array(alternatives[best].mean_square_um2[:new]) + least[:new]
-    gain = _gain(squares, samples[:new], passing, np.square(np.asarray(wrong_um)))
-    scaled = np.append(logarithms, logarithms[best] + gain) / SETTINGS.temperature
-    scaled[-1] += np.log(SETTINGS.something_else)
-    shares = np.exp(scaled - logsumexp(scaled))
+    gain = _gain(squares, samples[:new], passing, wrong)
+    # Its odds to the best alternative are those of the prior and of the evidence.
+    other = np.exp(min(gain, MOST_GAIN)) * SETTINGS.something_else * listed[best]
+    shares = np.append(listed, other) / (1.0 + other)
     summed: dict[str, float] = {}
     labels = [*(each.label for each in alternatives), SOMETHING_ELSE]
     for label, share in zip(labels, shares, strict=True):

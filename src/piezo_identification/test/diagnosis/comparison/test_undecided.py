@@ -38,4 +38,5 @@ def test_only_effects_that_name_one_of_those_found_are_tried_in_its_place(plant,
     regression = first_regression(simulate_recordings(plant, [delayed]))
     best = fit_effects(regression, (Delay(4e-5),))
     found = in_place_of_the_found(regression, [Echo, Silent], best)
-    assert found == {"echo": "delay"}
+    assert {name: stands_for for name, (stands_for, _) in found.items()} == {"echo": "delay"}
+    assert [effect.name for effect in found["echo"][1].effects] == ["echo"]

@@ -5,51 +5,67 @@ import numpy as np
 import pytest
 
 from piezo_identification.diagnosis.joint.joint_fit import correlated_scale
+from piezo_identification.diagnosis.joint.model_weights import HeldOut
 from piezo_identification.diagnosis.joint.probabilities import Evidence, probabilities
 
 NOISE_UM = 0.01
 PASSING_UM = [1.2 * NOISE_UM]
 
 
+def evidence(label, mean_square_um2, determined):
+    """Leave the same of every stretch, of which a bootstrap then draws no other ratio."""
+    stretch = np.repeat(np.arange(40), 10)
+    return Evidence(
+        label, (HeldOut(np.full(stretch.size, np.sqrt(mean_square_um2)), stretch),), determined)
+
+
 def shares(*alternatives, effective=(400.0,)):
     return probabilities(
-        [Evidence(*each) for each in alternatives], effective, [0.0], PASSING_UM)
+        [evidence(*each) for each in alternatives], effective, [0.0], PASSING_UM)
 
 
 def test_they_sum_to_one_and_the_largest_comes_first():
-    found = shares(("none", (4e-4,), 0), ("delay", (1e-4,), 1), ("creep", (1.1e-4,), 3))
+    found = shares(("none", 4e-4, 0), ("delay", 1e-4, 1), ("creep", 1.1e-4, 3))
     assert sum(found.values()) == pytest.approx(1.0)
     assert list(found) == sorted(found, key=found.get, reverse=True)
     assert next(iter(found)) == "delay"
     assert found["none"] < 1e-6
 
 
-def test_what_explains_nothing_is_less_probable_by_its_numbers():
-    found = shares(("none", (1e-4,), 0), ("delay", (1e-4,), 1))
-    assert found["none"] / found["delay"] == pytest.approx(np.sqrt(400.0))
+def test_what_explains_nothing_is_less_probable_by_what_its_numbers_cost():
+    found = shares(("none", 1e-4, 0.0), ("delay", 1e-4, 3.0))
+    assert found["none"] / found["delay"] == pytest.approx(np.exp(3.0))
+
+
+def test_what_the_model_is_known_to_be_wrong_by_tells_no_alternatives_apart():
+    alternatives = [evidence("delay", 1.02e-4, 0.0), evidence("creep", 1e-4, 0.0)]
+    sure, unsure = (probabilities(alternatives, [1000.0], [0.0], PASSING_UM, [wrong_um])
+                    for wrong_um in (0.0, 10.0 * NOISE_UM))
+    assert sure["creep"] > 0.99 * 0.95
+    assert unsure["creep"] / unsure["delay"] == pytest.approx(np.exp(10.0 / 101.0), rel=0.01)
 
 
 def test_fewer_independent_samples_tell_less():
-    alternatives = ("none", (1.1e-4,), 0), ("delay", (1e-4,), 1)
+    alternatives = ("none", 1.1e-4, 0.0), ("delay", 1e-4, 2.0)
     many, few = (shares(*alternatives, effective=[number])["delay"] for number in (900.0, 30.0))
     assert many > 0.9 > 0.5 > few
 
 
 def test_an_alternative_in_two_ways_has_the_probability_of_both():
-    found = shares(("none", (1e-4,), 0), ("delay", (1e-4,), 0), ("delay", (1e-4,), 0))
+    found = shares(("none", 1e-4, 0), ("delay", 1e-4, 0), ("delay", 1e-4, 0))
     assert found["delay"] == pytest.approx(2.0 * found["none"])
 
 
 @pytest.mark.parametrize(("left", "is_believed"), [(1.0, False), (1.15, False), (1.5, True)])
 def test_something_else_is_believed_where_more_is_left_than_passes_for_noise(left, is_believed):
-    found = shares(("none", (16e-4,), 0), ("delay", ((left * NOISE_UM) ** 2,), 1))
+    found = shares(("none", 16e-4, 0), ("delay", (left * NOISE_UM) ** 2, 1))
     assert (found["something_else"] > 0.5) is is_believed
 
 
 def test_a_share_of_a_large_error_does_not_pass_for_noise():
     # 489 nm beside 9 nm of noise were once explained, as they are little of 4369 nm.
     found = probabilities(
-        [Evidence("none", (4.369**2,), 0), Evidence("vibration_mode", (0.489**2,), 3)],
+        [evidence("none", 4.369**2, 0), evidence("vibration_mode", 0.489**2, 3)],
         [40.0], [0.0], [np.hypot(0.009, 0.8 * 0.009)])
     assert found["something_else"] > 0.99
 
@@ -72,7 +88,7 @@ def test_errors_that_are_alike_count_once():
 ])
 def test_a_rest_passes_that_is_no_larger_than_what_the_model_is_known_to_be_wrong_by(
         left_um, noise_um, wrong_um, is_believed):
-    found = probabilities([Evidence("none", (left_um**2,), 0)], [1000.0], [1e-4],
+    found = probabilities([evidence("none", left_um**2, 0)], [1000.0], [1e-4],
                           [1.28 * noise_um], [wrong_um])
     assert (found["something_else"] > 0.5) is is_believed
 
@@ -81,7 +97,7 @@ def test_the_probability_of_something_else_rises_steadily_beyond_what_is_declare
     # The figures of docs/diagnosis.md.
     wrong_um = 0.003
     shares = [
-        probabilities([Evidence("none", (0.0025**2 + (times * wrong_um) ** 2,), 0)], [1000.0],
+        probabilities([evidence("none", 0.0025**2 + (times * wrong_um) ** 2, 0)], [1000.0],
                       [0.0], [0.0025], [wrong_um])["something_else"]
         for times in (1.0, 1.5, 2.0, 2.5)]
     assert shares == pytest.approx([0.09, 0.31, 0.88, 0.98], abs=0.01)

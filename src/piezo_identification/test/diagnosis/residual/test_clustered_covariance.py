@@ -24,3 +24,15 @@ def test_it_is_the_scatter_of_fits_to_errors_that_are_alike(alike):
         found.append(sizes)
         stated.append(np.diag(clustered_covariance(-columns, errors - columns @ sizes, cluster)))
     np.testing.assert_allclose(np.mean(stated, axis=0), np.var(found, axis=0), rtol=0.25)
+
+
+def test_errors_that_are_alike_for_longer_than_a_cluster_widen_it():
+    generator = np.random.default_rng(6)
+    cluster = np.repeat(np.arange(200), ROWS)
+    columns = np.ones((cluster.size, 1))
+    found, stated = [], []
+    for _ in range(200):
+        errors = np.repeat(generator.normal(size=20), 10 * ROWS)
+        found.append(errors.mean())
+        stated.append(clustered_covariance(-columns, errors - found[-1], cluster)[0, 0])
+    assert np.mean(stated) == pytest.approx(np.var(found), rel=0.25)

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Diagnose drawn cases by the hundred, and write how often what is stated is true."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from piezo_common.progress_line import ProgressLine
+from piezo_studies.diagnosis_calibration.page import write_page
+from piezo_studies.diagnosis_calibration.study import figures, run_study
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Those of the command line by default.
+    """
+    parser = argparse.ArgumentParser(prog="diagnosis_calibration", description=__doc__)
+    parser.add_argument("--cases", type=int, default=500, help="how many (%(default)s)")
+    parser.add_argument("--seed", type=int, default=302, help="of everything random (%(default)s)")
+    parser.add_argument("--seconds", type=float, default=float("inf"),
+                        help="of the processor, after which no other case begins")
+    parser.add_argument("--output", type=Path, default=Path("runs/diagnosis-calibration"),
+                        help="directory of models and results, from which a run goes on")
+    parser.add_argument("--page", type=Path,
+                        help="page whose section is written anew, such as docs/diagnosis.md; its "
+                             "picture goes to pictures beside it")
+    options = parser.parse_args(arguments)
+    line = ProgressLine()
+    results = run_study(options.seed, options.cases, options.output, options.seconds,
+                        lambda done: line.show("cases", done / options.cases))
+    line.clear()
+    reliability, intervals = figures(results)
+    print(f"{len(results)} cases of seed {options.seed}: expected calibration error "
+          f"{reliability.expected_calibration_error:.3f}; {intervals['right']} of "
+          f"{intervals['intervals']} intervals of 90 % contain the parameter")
+    if options.page is not None:
+        write_page(options.page, options.seed, results)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

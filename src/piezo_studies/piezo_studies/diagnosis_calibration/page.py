@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The section of docs/diagnosis.md that tells how far probabilities and intervals come true."""
+
+from collections import Counter
+
+from piezo_common.marked_sections import with_sections
+from piezo_common.picture_style import new_figure, to_png
+from piezo_studies.diagnosis_benchmark.calibration import calibrate, draw_reliability
+from piezo_studies.diagnosis_benchmark.coverage import KNOWN, coverage
+from piezo_studies.diagnosis_benchmark.outcome import outcome
+from piezo_studies.diagnosis_calibration.study import figures
+
+SECTION = "small cases"
+"""Mark of the section in the page."""
+PICTURE = "diagnosis_calibration.png"
+
+
+def section(seed, results):
+    """Return the text of the section.
+
+    Parameters
+    ----------
+    seed : int
+    results : list of dict
+        As `run_small_case` returns them.
+
+    Returns
+    -------
+    str
+    """
+    reliability, intervals = figures(results)
+    lines = [
+        f"{len(results)} cases of seed {seed}:", "",
+        "| probability of the first statement | cases | mean | true |", "|---|---|---|---|"]
+    lines += [
+        f"| {low:.1f} to {high:.1f} | {count} | {stated:.2f} | {true:.2f} |"
+        for low, high, stated, true, count in zip(
+            reliability.edges[:-1], reliability.edges[1:], reliability.stated, reliability.true,
+            reliability.counts, strict=True) if count]
+    counts = Counter(outcome(result) for result in results)
+    lines += ["", "| figure | value |", "|---|---|"]
+    lines += [f"| {group}: {what} | {count} |" for (group, what), count in sorted(counts.items())]
+    strict = calibrate(results, strict=True).expected_calibration_error
+    level = f"{100 * intervals['level']:.0f} % intervals"
+    lines += [
+        f"| expected calibration error | {reliability.expected_calibration_error:.3f} |",
+        f"| the same, strict | {strict:.3f} |",
+        f"| {level} that contain the parameter | "
+        f"{intervals['right']} of {intervals['intervals']} |"]
+    lines += [
+        f"| {level} of `{cause}` | {found['right']} of {found['intervals']} |"
+        for cause in KNOWN if (found := coverage(_with_cause(results, cause)))["intervals"]]
+    lines += [
+        "",
+        f"![How often statements come true, over their probability](pictures/{PICTURE})", ""]
+    return "\n".join(lines)
+
+
+def _with_cause(results, cause):
+    return [result for result in results
+            if any(entry["cause"] == cause for entry in result["contributions"])]
+
+
+def write_page(page, seed, results):
+    """Write the section of a page anew, and its picture; the other text of the page stays.
+
+    Parameters
+    ----------
+    page : Path
+    seed : int
+    results : list of dict
+
+    Raises
+    ------
+    ValueError
+        If the page has no such section.
+    """
+    text = page.read_text(encoding="utf-8")
+    page.write_text(
+        with_sections(text, {SECTION: section(seed, results)}), encoding="utf-8")
+    figure = new_figure()
+    draw_reliability(figure.subplots(), figures(results)[0])
+    picture = page.parent / "pictures" / PICTURE
+    picture.parent.mkdir(exist_ok=True)
+    picture.write_bytes(to_png(figure))

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Cases that are decided in seconds: one effect or none in a short recording at a low rate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_identification.experiments.catalogue import Experiment
+from piezo_studies.diagnosis_benchmark.cases import FAST_ONLY, SLOW_ONLY
+from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES, CAUSES_OUTSIDE
+
+PLANTS = 5
+"""Of one seed: an identification takes as long as a dozen diagnoses."""
+NONE_SHARE, OUTSIDE_SHARE = 0.15, 0.1
+WEAKEST, STRONGEST = 0.3, 40.0
+"""Contributions to the recording, over the noise: the least cannot be detected."""
+RATES_HZ = {"fast": 10_000.0, "slow": 1000.0}
+DURATIONS_S = {"fast": 0.5, "slow": 5.0}
+KINDS = ("scan", "sweep", "levels", "tones")
+LEVELS = 40
+TONES = 12
+
+
+@dataclass(frozen=True)
+class SmallCase:
+    """One case; everything random in it follows from its seed and number.
+
+    Attributes
+    ----------
+    number, seed : int
+    plant : int
+        Number of its plant.
+    cause : str or None
+        A key of `CAUSES` or `CAUSES_OUTSIDE`; None for nothing.
+    multiple : float
+        Contribution of the cause, over the noise.
+    kind : str
+        Of the waveform, one of `KINDS`.
+    logger : str
+        A key of `RATES_HZ`.
+    """
+
+    number: int
+    seed: int
+    plant: int
+    cause: str | None
+    multiple: float
+    kind: str
+    logger: str
+
+    def random(self, purpose):
+        """Return the random generator for one purpose."""
+        return np.random.default_rng([self.seed, self.number, *purpose.encode()])
+
+
+def draw_case(number, seed):
+    """Draw one case.
+
+    Parameters
+    ----------
+    number, seed : int
+
+    Returns
+    -------
+    SmallCase
+        It does not depend on how many others are drawn.
+    """
+    random = np.random.default_rng([seed, number, *b"small case"])
+    share, cause = random.random(), None
+    if share > NONE_SHARE:
+        kinds = CAUSES_OUTSIDE if share < NONE_SHARE + OUTSIDE_SHARE else CAUSES
+        cause = str(random.choice(list(kinds)))
+    multiple = float(np.exp(random.uniform(np.log(WEAKEST), np.log(STRONGEST))))
+    logger = str(random.choice(list(RATES_HZ)))
+    if cause in FAST_ONLY | SLOW_ONLY:
+        logger = "slow" if cause in SLOW_ONLY else "fast"
+    return SmallCase(number, seed, number % PLANTS, cause, multiple,
+                     str(random.choice(KINDS)), logger)
+
+
+def waveform(case):
+    """Return what the stage plays in a case.
+
+    Parameters
+    ----------
+    case : SmallCase
+
+    Returns
+    -------
+    Experiment
+        Within 5 to 95 V.
+    """
+    random, rate_hz = case.random("waveform"), RATES_HZ[case.logger]
+    duration_s = DURATIONS_S[case.logger]
+    time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
+    shape = {"scan": _scan, "sweep": _sweep, "levels": _levels, "tones": _tones}[case.kind]
+    line = shape(random, time_s / duration_s)
+    line = line / np.abs(line).max()
+    middle_v, reach_v = random.uniform(40.0, 60.0), random.uniform(20.0, 35.0)
+    return Experiment(case.kind, middle_v + reach_v * line, 1.0 / rate_hz, 1, "")
+
+
+def _scan(random, turn):
+    """Return a rounded scan line of some periods, with a faster one on top."""
+    periods = random.uniform(4.0, 10.0)
+    triangle = 4.0 * np.abs(periods * turn % 1.0 - 0.5) - 1.0
+    return (np.sin(0.5 * np.pi * triangle)
+            + 0.15 * np.sin(2.0 * np.pi * periods * random.uniform(4.0, 12.0) * turn))
+
+
+def _sweep(random, turn):
+    """Return a sine whose frequency rises by two decades, with an amplitude that falls."""
+    first, ratio = random.uniform(1.0, 3.0), np.log(random.uniform(60.0, 200.0))
+    phase = 2.0 * np.pi * first * np.expm1(ratio * turn) / ratio
+    return np.cos(phase) / (1.0 + np.exp(ratio * turn) / 40.0)
+
+
+def _levels(random, turn):
+    """Return levels between which the stage moves in an eighth of the time that each lasts."""
+    levels = random.uniform(-1.0, 1.0, LEVELS + 1)
+    number = np.minimum((turn * LEVELS).astype(int), LEVELS - 1)
+    moved = np.minimum(8.0 * (turn * LEVELS - number), 1.0)
+    return levels[number] + moved * (levels[number + 1] - levels[number])
+
+
+def _tones(random, turn):
+    """Return tones over two decades, each with less amplitude than those below."""
+    orders = np.unique(np.round(np.geomspace(2.0, random.uniform(100.0, 300.0), TONES)))
+    phases = random.uniform(0.0, 2.0 * np.pi, orders.size)
+    return np.sum([np.sin(2.0 * np.pi * order * turn + phase) / np.sqrt(order)
+                   for order, phase in zip(orders, phases, strict=True)], axis=0)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A small case recorded and diagnosed."""
+
+import numpy as np
+
+from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.report.results import stated_error
+from piezo_identification.diagnosis.residual.dataset import simulate_recordings
+from piezo_identification.diagnosis.residual.regression import first_regression
+from piezo_studies.diagnosis_benchmark import records
+from piezo_studies.diagnosis_benchmark.coverage import estimates
+from piezo_studies.diagnosis_benchmark.effect_draws import DrawError, draw_effect, response_um
+from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
+from piezo_studies.diagnosis_calibration.small_cases import waveform
+
+TRIES = 8
+"""How often the contribution wanted is halved where a recording cannot show an effect so well."""
+
+
+def run_small_case(case, identified):
+    """Record a case, diagnose the recording, and return what was found.
+
+    Parameters
+    ----------
+    case : SmallCase
+    identified : IdentifiedModel
+        Of the case's plant without effects.
+
+    Returns
+    -------
+    dict or None
+        As `diagnosis_benchmark.run_case.run_case` returns it, as far as statements and intervals
+        need it; None where the waveform does not show the cause at all.
+    """
+    plant, experiment = draw_plant((case.seed, case.plant)), waveform(case)
+    seed = int(case.random("noise").integers(2**31))
+    noise, drawn = noise_um(plant), None
+    if case.cause is not None:
+        drawn = _drawn(case, plant, experiment, seed)
+        if drawn is None:
+            return None
+    recording = records.record(plant if drawn is None else drawn.plant, experiment, seed)
+    diagnosis = diagnose(identified.model, [recording], stated=stated_error(identified))
+    size = 0.0 if drawn is None else _shown_um(
+        identified.model, recording, plant, drawn.plant, experiment, seed) / noise
+    return {
+        "number": case.number, "kind": case.kind, "logger": case.logger,
+        "model": "identified before",
+        "contributions": [] if drawn is None else [
+            {"cause": case.cause, "effect": repr(drawn.effect), "over_noise": size,
+             "whole_over_noise": drawn.contribution_rms_um / noise}],
+        "in_model": [effect.name for effect in identified.model.effects],
+        "verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
+        "effects": [entry["name"] for entry in diagnosis.effects],
+        "not_decidable": sorted(diagnosis.not_decidable),
+        "estimates": [] if drawn is None else estimates(
+            case.cause, drawn.effect, diagnosis.effects),
+        "noise_um": noise, "noise_found_um": diagnosis.noise_floor_um,
+        "before_um": diagnosis.before["rms_um"], "after_um": diagnosis.after["rms_um"],
+    }
+
+
+def _shown_um(model, recording, plant, changed, experiment, seed):
+    """Return the RMS of what an effect adds to the fitted rows that nothing else may explain.
+
+    Offset, initial creep and changes of the model within their prior are not held against it.
+    """
+    voltage_v, _ = records.commanded(experiment)
+    surroundings = records.surroundings(experiment, seed)
+    with_it_um, without_um = (
+        response_um(stage, voltage_v, surroundings, records.clock_samples(experiment))
+        for stage in (changed, plant))
+    regression = first_regression(simulate_recordings(model, [recording]))
+    rows, tolerance_um = regression.dataset.rows[0], regression.tolerance_um
+    added_um = (with_it_um - without_um)[recording.playing][rows]
+    left = regression.remainder(added_um / tolerance_um)[: np.count_nonzero(regression.estimation)]
+    return float(np.sqrt(np.mean((left * tolerance_um[regression.estimation]) ** 2)))
+
+
+def _drawn(case, plant, experiment, seed):
+    """Draw the effect, half as strong as often as it takes for the recording to show it."""
+    voltage_v, _ = records.commanded(experiment)
+    surroundings = records.surroundings(experiment, seed)
+    for halved in range(TRIES):
+        try:
+            return draw_effect(case.cause, plant, voltage_v, surroundings,
+                               case.multiple * 0.5**halved, seed,
+                               records.clock_samples(experiment))
+        except DrawError:
+            continue
+    return None

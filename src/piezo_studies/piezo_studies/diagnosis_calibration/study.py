@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Runs of the study: every result is kept at once, and a run goes on from those that are there."""
+
+import json
+import pickle
+import time
+
+from piezo_studies.diagnosis_benchmark.calibration import calibrate
+from piezo_studies.diagnosis_benchmark.coverage import coverage
+from piezo_studies.diagnosis_benchmark.run_case import clean_model
+from piezo_studies.diagnosis_calibration.small_cases import PLANTS, draw_case
+from piezo_studies.diagnosis_calibration.small_runs import run_small_case
+
+
+def kept_results(path):
+    """Return the results in a file, by the number of their case; None for a case that shows none.
+
+    Parameters
+    ----------
+    path : Path
+        One JSON document a line.
+
+    Returns
+    -------
+    dict of int to dict or None
+    """
+    if not path.exists():
+        return {}
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return {entry["number"]: entry.get("result") for entry in lines}
+
+
+def run_study(seed, count, directory, seconds, report):
+    """Compute cases until there are enough, or until the time is over.
+
+    Parameters
+    ----------
+    seed, count : int
+        Of the cases.
+    directory : Path
+        Of models and results.
+    seconds : float
+        Processor time after which no other case begins.
+    report : callable
+        Called with how many cases are done.
+
+    Returns
+    -------
+    list of dict
+        Results of the cases that are done.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    path, models = directory / f"cases_{seed}.jsonl", {}
+    kept, begun = kept_results(path), time.process_time()
+    for number in range(count):
+        if number in kept:
+            continue
+        if time.process_time() - begun > seconds:
+            break
+        plant = number % PLANTS
+        if plant not in models:
+            models[plant] = _model(directory, seed, plant)
+        kept[number] = run_small_case(draw_case(number, seed), models[plant])
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"number": number, "result": kept[number]}) + "\n")
+        report(len(kept))
+    return [kept[number] for number in range(count) if kept.get(number) is not None]
+
+
+def figures(results):
+    """Return the calibration and the coverage of results.
+
+    Parameters
+    ----------
+    results : list of dict
+
+    Returns
+    -------
+    Reliability
+    dict
+        Of `coverage`.
+    """
+    return calibrate(results), coverage(results)
+
+
+def _model(directory, seed, plant):
+    """Return the model of a plant without effects, identified once."""
+    path = directory / f"model_{seed}_{plant}.pickle"
+    if not path.exists():
+        identified, _ = clean_model(seed, plant)
+        path.write_bytes(pickle.dumps(identified))
+    return pickle.loads(path.read_bytes())
