@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds diagnose-suite docs api clean
+.PHONY: help setup demo test style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds diagnose-suite calibration docs api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -72,6 +72,9 @@ changes: setup ## change the stage while a model watches it; writes a table of d
 CASES ?= 260
 diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite
 	@./run piezo_studies diagnose_suite --cases $(CASES) --seed $(SEED) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
+
+calibration: setup ## diagnose 500 short recordings of a seed; writes their calibration to docs/diagnosis.md
+	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_calibration --cases 500 --seed 302 --page docs/diagnosis.md
 
 docs: setup ## write the tables and the picture in docs that are made from the sources
 	@$(in_environment) .venv/bin/python tools/error_table.py

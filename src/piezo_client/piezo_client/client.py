@@ -261,8 +261,8 @@ class Client:
             except GoalFailed:
                 raise
             except BaseException:
-                # The goal is on its way, and must not run on alone.
-                self._withdraw(client, number, action_type)
+                if sent:  # the goal is on its way, and must not run on alone
+                    self._withdraw(client, number, action_type)
                 raise
         if handle is None:
             self._withdraw(client, number, action_type)

@@ -57,7 +57,12 @@ class TickTimes:
         """Play samples; see ``StageBackend.exchange``."""
         duration_s = len(voltage_v) / self._backend.sample_rate_hz
         asked_s = self._clock()
-        displacement_um: np.ndarray = self._backend.exchange(voltage_v)
+        try:
+            displacement_um: np.ndarray = self._backend.exchange(voltage_v)
+        except Exception:
+            if self._due_s is not None:
+                self._count(asked_s - self._due_s, duration_s)
+            raise
         returned_s = self._clock()
         if self._due_s is not None:
             if asked_s - self._due_s > LARGEST_LAG_S and returned_s - asked_s > 0.5 * duration_s:

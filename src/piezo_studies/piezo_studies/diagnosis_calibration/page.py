@@ -52,7 +52,8 @@ def section(seed, results):
         for cause in KNOWN if (found := coverage(_with_cause(results, cause)))["intervals"]]
     lines += [
         "",
-        f"![How often statements come true, over their probability](pictures/{PICTURE})", ""]
+        f"![How often statements come true, over their probability](pictures/{PICTURE})", "",
+        "Table and picture are made by `make calibration`.", ""]
     return "\n".join(lines)
 
 

@@ -2,9 +2,9 @@
 """Runs of the study: every result is kept at once, and a run goes on from those that are there."""
 
 import json
-import pickle
 import time
 
+from piezo_models.model_file import load_model, save_model
 from piezo_studies.diagnosis_benchmark.calibration import calibrate
 from piezo_studies.diagnosis_benchmark.coverage import coverage
 from piezo_studies.diagnosis_benchmark.run_case import clean_model
@@ -85,8 +85,8 @@ def figures(results):
 
 def _model(directory, seed, plant):
     """Return the model of a plant without effects, identified once."""
-    path = directory / f"model_{seed}_{plant}.pickle"
+    path = directory / f"model_{seed}_{plant}.json"
     if not path.exists():
         identified, _ = clean_model(seed, plant)
-        path.write_bytes(pickle.dumps(identified))
-    return pickle.loads(path.read_bytes())
+        save_model(path, identified)
+    return load_model(path)

@@ -7,6 +7,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES_OUTSIDE
 from piezo_studies.diagnosis_calibration import study
 from piezo_studies.diagnosis_calibration.page import SECTION, write_page
@@ -54,7 +58,10 @@ def test_a_run_goes_on_from_the_results_that_are_kept(tmp_path, monkeypatch):
         return None if case.number == 2 else told(case.number, 0.9, "delay")
 
     monkeypatch.setattr(study, "run_small_case", run_small_case)
-    monkeypatch.setattr(study, "clean_model", lambda seed, plant: ((seed, plant), None))
+    line = IdentifiedModel(StageModel(
+        PreisachModel(0.0, 1.0, np.zeros((1, 1)), 0.0, np.ones(1)), CreepDynamics(),
+        ElectricVibrationDynamics()), (0.0, 1.0))
+    monkeypatch.setattr(study, "clean_model", lambda seed, plant: (line, None))
     study.run_study(5, 3, tmp_path, np.inf, lambda done: None)
     results = study.run_study(5, 5, tmp_path, np.inf, lambda done: None)
     assert asked == [0, 1, 2, 3, 4]

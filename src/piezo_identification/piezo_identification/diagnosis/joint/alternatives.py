@@ -105,7 +105,8 @@ class Alternative:
         widths = expected_widths(self.fit.effects, self.fit.regression.dataset.extent)
         return Evidence(
             "+".join(self.names) or NONE, self.held_out,
-            penalty_of(self.held_out, self.effective, self.fit.covariance, widths))
+            penalty_of(self.held_out, self.effective, self.fit.covariance, widths,
+                       self.fit.recurrence_count))
 
     @property
     def mean_square_um2(self) -> tuple[float, ...]:

@@ -98,7 +98,7 @@ class Evidence:
 
 
 def penalty_of(held_out: Sequence[HeldOut], effective: ArrayLike, covariance: FloatArray | None,
-               widths: FloatArray) -> float:
+               widths: FloatArray, recurrence_count: int = 0) -> float:
     """Return what fitted numbers cost, with so many errors as the evidence counts.
 
     Parameters
@@ -108,6 +108,9 @@ def penalty_of(held_out: Sequence[HeldOut], effective: ArrayLike, covariance: Fl
         Independent samples of each recording.
     covariance, widths
         Of `model_weights.occam_penalty`.
+    recurrence_count : int
+        Further numbers, which each recording of the identification has of its own; the recordings
+        determine them, and each costs the most.
 
     Returns
     -------
@@ -115,7 +118,8 @@ def penalty_of(held_out: Sequence[HeldOut], effective: ArrayLike, covariance: Fl
     """
     counted = float(np.sum(np.minimum(np.asarray(effective), SETTINGS.most_effective)))
     rows = float(sum(part.left_um.size for part in held_out))
-    return occam_penalty(covariance, widths, rows, counted)
+    return (occam_penalty(covariance, widths, rows, counted)
+            + occam_penalty(None, np.zeros(recurrence_count), rows, counted))
 
 
 def logarithms_of_evidence(alternatives: Sequence[Evidence], effective: ArrayLike,

@@ -104,8 +104,8 @@ def estimate_dynamics_any(
             creep, mode_count, delay)
     without_hysteresis = _signals(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
-    estimate = _beside_hysteresis(parts, creep, mode_count, delay)
     linear = fit_signals(without_hysteresis, MODES_OF_A_LINE, delay)
+    estimate = _beside_hysteresis(parts, creep, mode_count, delay)
     if estimate.residual_rms < linear.residual_rms:
         return estimate
     return fit_signals(without_hysteresis, mode_count, delay)

@@ -94,7 +94,11 @@ def hysteresis_beside_dynamics(recordings: Sequence[FastLoops]) -> BesideDynamic
     """
     period_s = recordings[0].sample_period_s
     regressions = [LoopRegression(recordings, past) for past in PASTS]
-    lag = _polished(regressions[0], _Point(np.array([np.log(period_s), 0.0]), 0, period_s))
+    start = _Point(np.array([np.log(period_s), 0.0]), 0, period_s)
+    begun = BesideDynamics(regressions[0].hysteresis(start.response), start.dynamics, 0.0, PASTS[0])
+    if all(np.ptp(begun.entering_um(each)) == 0.0 for each in recordings):
+        return begun  # no displacement rises with the voltage: there is nothing to follow
+    lag = _polished(regressions[0], start)
     regression = min(regressions, key=lambda each: each.fit(lag.response).cost)
     found = _grown(regression, lag)
     return BesideDynamics(

@@ -15,7 +15,7 @@ from piezo_identification.estimators.refinement.sensitivities import (
     sensitivity_systems,
 )
 from piezo_identification.experiments import catalogue as experiments
-from piezo_identification.identification import identify as identify_module
+from piezo_identification.identification import estimated_loops
 from piezo_identification.prediction import predict, unseen_errors
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
@@ -204,7 +204,7 @@ def test_the_command_stores_the_errors_before_and_after(
     doubtful = DensityEstimate(
         "doubtful", hysteresis.levels_v, 1.02 * hysteresis.density_um_per_v2, hysteresis.offset_um,
         visited=np.tril(np.ones_like(hysteresis.density_um_per_v2, dtype=bool)))
-    monkeypatch.setattr(identify_module, "estimate_hysteresis_of", lambda *_, **__: doubtful)
+    monkeypatch.setattr(estimated_loops, "estimate_hysteresis_of", lambda *_, **__: doubtful)
     unseen = play(experiments.hysteresis(level_count=5, harmonic_period_s=1.0), 3, 1000.0)
     files = {"hysteresis": recordings["hysteresis"], "validation": unseen}
     arguments = []
