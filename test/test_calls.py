@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Calls survive a lost answer, and end when a node does."""
 
+import queue
 import threading
 
 import pytest
@@ -35,6 +36,12 @@ class Spinning:
     def _spin(self):
         while not self._ends.is_set():
             self._executor.spin_once(timeout_sec=0.05)
+
+    def make(self, entity, *arguments, **options):
+        """Make an entity of the node between two callbacks: a spinning executor may miss others."""
+        made = queue.SimpleQueue()
+        self._executor.create_task(lambda: made.put(entity(*arguments, **options)))
+        return made.get(timeout=TIMEOUT_S)
 
     def stop_executor(self):
         self._ends.set()
@@ -75,7 +82,7 @@ def forgetful(spinning):
             response.success = True
             return response
 
-        service = server.node.create_service(service_type, name, answer)
+        service = server.make(server.node.create_service, service_type, name, answer)
         send = service.send_response
 
         def lose_the_first(response, header):
@@ -103,7 +110,8 @@ def assert_repeated_under_one_number(requests):
 
 def test_numbered_request_is_sent_again_under_its_number_by_a_node(spinning, forgetful, soon):
     asking = spinning("asking")
-    client = asking.node.create_client(LoadFeedforward, "load_feedforward")
+    client = asking.make(
+        asking.node.create_client, LoadFeedforward, "load_feedforward")
     assert call_service(client, LoadFeedforward.Request(append=True)).success
     assert_repeated_under_one_number(forgetful)
 
@@ -131,7 +139,7 @@ def forgetful_action(spinning):
         handle.succeed()
         return PlayWaveform.Result(success=True, last_sample=7)
 
-    action = ActionServer(server.node, PlayWaveform, "play_waveform", work)
+    action = server.make(ActionServer, server.node, PlayWaveform, "play_waveform", work)
     handle = action._handle
     lost = []
 
@@ -154,7 +162,8 @@ def test_client_learns_from_the_status_that_its_goal_was_taken(forgetful_action,
 
 
 def test_node_learns_from_the_status_that_its_goal_was_taken(spinning, forgetful_action, soon):
-    caller = ActionCaller(spinning("asking").node, PlayWaveform, "play_waveform")
+    asking = spinning("asking")
+    caller = asking.make(ActionCaller, asking.node, PlayWaveform, "play_waveform")
     assert caller.run(PlayWaveform.Goal()).last_sample == 7
     assert len(forgetful_action) == 1
 
@@ -176,10 +185,10 @@ def talkative_action(spinning):
         handle.execute(end)
 
     pause = threading.Event()
-    ActionServer(server.node, PlayWaveform, "play_waveform", end,
-                 handle_accepted_callback=lambda handle: threading.Thread(
-                     target=work, args=(handle,)).start(),
-                 cancel_callback=lambda handle: CancelResponse.ACCEPT)
+    server.make(ActionServer, server.node, PlayWaveform, "play_waveform", end,
+                handle_accepted_callback=lambda handle: threading.Thread(
+                    target=work, args=(handle,)).start(),
+                cancel_callback=lambda handle: CancelResponse.ACCEPT)
     return cancelled
 
 
@@ -189,7 +198,8 @@ def refuse(feedback):
 
 def test_what_a_node_raises_at_feedback_cancels_the_goal_and_reaches_who_waits(
         spinning, talkative_action):
-    caller = ActionCaller(spinning("asking").node, PlayWaveform, "play_waveform")
+    asking = spinning("asking")
+    caller = asking.make(ActionCaller, asking.node, PlayWaveform, "play_waveform")
     with pytest.raises(ValueError, match="no more than 0.5"):
         caller.run(PlayWaveform.Goal(), refuse)
     assert len(talkative_action) == 1
@@ -235,9 +245,11 @@ def test_call_ends_when_the_node_that_serves_is_gone(spinning):
         asked.set()
         return response
 
-    service = server.node.create_service(LoadFeedforward, "load_feedforward", never)
+    service = server.make(
+        server.node.create_service, LoadFeedforward, "load_feedforward", never)
     service.send_response = lambda *_: None
-    client = asking.node.create_client(LoadFeedforward, "load_feedforward")
+    client = asking.make(
+        asking.node.create_client, LoadFeedforward, "load_feedforward")
     thread, failures = outcome_of(lambda: call_service(client, LoadFeedforward.Request()))
     assert asked.wait(TIMEOUT_S)
     server.close()
@@ -247,7 +259,7 @@ def test_call_ends_when_the_node_that_serves_is_gone(spinning):
 
 def test_goal_of_a_node_whose_executor_stopped_fails_once_the_node_ends(spinning, monkeypatch):
     asking = spinning("asking")
-    caller = ActionCaller(asking.node, PlayWaveform, "play_waveform")
+    caller = asking.make(ActionCaller, asking.node, PlayWaveform, "play_waveform")
     monkeypatch.setattr(caller._client, "wait_for_server", lambda timeout_s: True)
     asking.stop_executor()
     thread, failures = outcome_of(lambda: caller.run(PlayWaveform.Goal()))
