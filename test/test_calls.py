@@ -16,17 +16,16 @@ from piezo_client.client import Client, ServiceFailed
 from piezo_ros.requests import calls
 from piezo_ros.requests.calls import ActionCaller, CallFailed, call_service, number_request
 
-NAMESPACE = "/calls"
 TIMEOUT_S = 300.0
 
 
 class Spinning:
     """A node of a context of its own, spun by a thread."""
 
-    def __init__(self, name):
+    def __init__(self, name, namespace):
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
-        self.node = rclpy.create_node(name, namespace=NAMESPACE, context=self.context)
+        self.node = rclpy.create_node(name, namespace=namespace, context=self.context)
         self._executor = EventsExecutor(context=self.context)
         self._executor.add_node(self.node)
         self._ends = threading.Event()
@@ -58,12 +57,18 @@ class Spinning:
 
 
 @pytest.fixture
-def spinning():
+def namespace(request):
+    """A namespace of each test's own: a server that has just ended is still seen for a while."""
+    return "/" + request.node.name
+
+
+@pytest.fixture
+def spinning(namespace):
     """Makes nodes that are spun in threads."""
     made = []
 
     def make(name):
-        made.append(Spinning(name))
+        made.append(Spinning(name, namespace))
         return made[-1]
 
     yield make
@@ -116,14 +121,14 @@ def test_numbered_request_is_sent_again_under_its_number_by_a_node(spinning, for
     assert_repeated_under_one_number(forgetful)
 
 
-def test_numbered_request_is_sent_again_under_its_number_by_a_client(forgetful, soon):
-    with Client(NAMESPACE, "asking") as client:
+def test_numbered_request_is_sent_again_under_its_number_by_a_client(forgetful, soon, namespace):
+    with Client(namespace, "asking") as client:
         assert client.call(LoadFeedforward, "load_feedforward", append=True).success
     assert_repeated_under_one_number(forgetful)
 
 
-def test_request_without_a_number_is_never_sent_twice(forgetful, soon):
-    with Client(NAMESPACE, "asking") as client:
+def test_request_without_a_number_is_never_sent_twice(forgetful, soon, namespace):
+    with Client(namespace, "asking") as client:
         with pytest.raises(ServiceFailed, match="did not answer within 3 s"):
             client.call(StartRecording, "recorder/start_recording")
     assert len(forgetful) == 1
@@ -155,8 +160,8 @@ def forgetful_action(spinning):
     action._handle = handle
 
 
-def test_client_learns_from_the_status_that_its_goal_was_taken(forgetful_action, soon):
-    with Client(NAMESPACE, "asking") as client:
+def test_client_learns_from_the_status_that_its_goal_was_taken(forgetful_action, soon, namespace):
+    with Client(namespace, "asking") as client:
         assert client.goal("play_waveform").last_sample == 7
     assert len(forgetful_action) == 1
 
@@ -208,8 +213,8 @@ def test_what_a_node_raises_at_feedback_cancels_the_goal_and_reaches_who_waits(
 
 
 def test_what_a_client_raises_at_feedback_cancels_the_goal_and_reaches_its_caller(
-        talkative_action):
-    with Client(NAMESPACE, "asking") as client:
+        talkative_action, namespace):
+    with Client(namespace, "asking") as client:
         with pytest.raises(ValueError, match="no more than 0.5"):
             client.goal("play_waveform", on_feedback=refuse)
         assert len(talkative_action) == 1
