@@ -233,7 +233,8 @@ def test_client_that_is_killed_stops_the_stage(paced, work):
 def test_full_disk_stops_the_run_and_says_so(paced, tmp_path):
     stage, _ = paced
     recorder = stage.processes.process("recorder").pid
-    unlimited = resource.prlimit(recorder, resource.RLIMIT_FSIZE, (300_000, -1))
+    # Room for one chunk: how much is written at once depends on how busy the computer is.
+    unlimited = resource.prlimit(recorder, resource.RLIMIT_FSIZE, (600_000, -1))
     try:
         with pytest.raises(GoalFailed, match="was closed early: File too large") as failure:
             stage.run_experiment("dynamics", tmp_path)
@@ -243,7 +244,7 @@ def test_full_disk_stops_the_run_and_says_so(paced, tmp_path):
     assert "was closed early: File too large" in stage.logs()
     recording = read_recording(failure.value.result.recording)
     assert recording.gaps == []
-    assert 0 < len(recording.voltage_v) < 40_000
+    assert 0 < len(recording.voltage_v) < 80_000
     # With room again the next one is whole.
     assert stage.run_experiment("dynamics", tmp_path).success
 
