@@ -88,8 +88,8 @@ def test_place_where_nothing_can_be_recorded_is_refused_and_nothing_moves(suite,
 
 def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, tmp_path):
     # Far longer than the refusals take on any machine.
-    goal = suite.begin("run_experiment", experiment="diagnostic", directory=str(tmp_path))
-    for name, fields in [("run_experiment", {"experiment": "creep"}), ("identify", {})]:
+    goal = suite.begin("run_experiment", experiment="creep", directory=str(tmp_path))
+    for name, fields in [("run_experiment", {"experiment": "diagnostic"}), ("identify", {})]:
         with pytest.raises(GoalFailed, match="rejected the goal: it is busy"):
             suite.goal(name, directory=str(tmp_path), **fields)
     with pytest.raises(GoalFailed, match="the stage is busy"):
@@ -98,7 +98,7 @@ def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, tmp_
     suite.until(lambda: len(suite.blocks) > seen)
     status, result = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED, result.message
-    assert [path.name for path in tmp_path.iterdir()] == ["diagnostic"]
+    assert [path.name for path in tmp_path.iterdir()] == ["creep"]
     assert read_recording(result.recording).gaps == []
 
 
