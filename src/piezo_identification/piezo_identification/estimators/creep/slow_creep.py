@@ -119,9 +119,10 @@ def estimate_slow_creep(
     def gain(beside: _Problem) -> float:
         return problem.gain_of(residual, beside.residual(point), beside.width - problem.width)
 
-    beside = max((_Problem(parts, settling_s, each) for each in NUISANCES), key=gain)
-    if gain(beside) > NUISANCE_GAIN:
-        problem = beside
+    tried = [_Problem(parts, settling_s, each) for each in NUISANCES]
+    gains = [gain(each) for each in tried]
+    if max(gains) > NUISANCE_GAIN:
+        problem = tried[int(np.argmax(gains))]
         point, trials = _search(problem, pair_count)
     if pair_count is not None and trials[-1].refusal:
         raise CreepNotShown(

@@ -41,7 +41,7 @@ TRIED_DAMPINGS = (0.01, 0.1, 0.8)
 """Damping ratios of a further mode to begin with."""
 
 FOLLOWED = 2
-"""Of the starts of a further mode, so many of the best are followed."""
+"""So many of the starts of a further mode, the best ones, are followed."""
 
 MOST_EVALUATIONS, LEAST_GAIN = 20, 1e-4
 """Steps of the search for the dynamics, and the part by which the squared error must fall in each:

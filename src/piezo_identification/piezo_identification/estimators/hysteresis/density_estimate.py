@@ -67,7 +67,7 @@ class DensityEstimate:
 
     @property
     def condition_number(self) -> float:
-        """Of the normal equations, over the singular values that were kept."""
+        """Return that of the normal equations, over the singular values that were kept."""
         return float(self.singular_values[0] / self.singular_values[self.rank - 1])
 
     def model(self) -> PreisachModel:

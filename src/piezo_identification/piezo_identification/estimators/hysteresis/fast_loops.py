@@ -43,7 +43,7 @@ PASTS = ("rising", "falling", "demagnetised")
 the highest, or in swings that became smaller and smaller."""
 
 SWINGS = 40
-"""Of a voltage that demagnetises."""
+"""A voltage that demagnetises swings so often."""
 
 LINES_OF_A_PEAK = 400
 """Parts of a spectrum over which it is averaged before its peaks are sought: noise has peaks at

@@ -77,7 +77,7 @@ def nonnegative_minimum(
 
     def slope(point: FloatArray, beside: FloatArray, step: FloatArray, step_beside: FloatArray,
               length: float) -> float:
-        """Of the function, along a step."""
+        """Return the slope of the function along a step."""
         there, there_beside = point + length * step, beside + length * step_beside
         force = np.maximum(multiplier - penalty * (bounded @ there), 0.0)
         gradient = quadratic @ there + border @ there_beside - linear - bounded.T @ force

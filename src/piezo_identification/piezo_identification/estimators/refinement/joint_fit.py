@@ -204,7 +204,7 @@ class _Fit:
         return self.parts
 
     def residual(self, vector: FloatArray) -> FloatArray:
-        """Of all fitted rows."""
+        """Return the residual of all fitted rows."""
         if self.report is not None:
             self.report(min(1.0, self.steps / MOST_EVALUATIONS))
         self.steps += 1
