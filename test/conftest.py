@@ -146,6 +146,10 @@ class StageClient(Client):
         if not self.spin_until(condition, TIMEOUT_S):
             pytest.fail(f"nothing came for {TIMEOUT_S:g} s; the nodes say:\n{self.logs()}")
 
+    def until_flagged(self, flag, seen=0):
+        """Spin until a block bears a flag; a fast stage may have passed it since."""
+        self.until(lambda: any(block.flags & flag for block in self.blocks[seen:]))
+
     def wait(self, future):
         self.until(future.done)
         return future.result()
@@ -186,9 +190,10 @@ class StageClient(Client):
 
     def begin_play(self, voltage_v, sample_period_s=25e-6, repeats=1):
         """Begin a waveform; return the goal once the stage plays it."""
+        seen = len(self.blocks)
         goal = self.begin("play_waveform", voltage_v=array.array("d", voltage_v),
                           sample_period_s=sample_period_s, repeats=repeats)
-        self.until(lambda: self.blocks[-1].flags & SampleBlock.FLAG_PLAYING)
+        self.until_flagged(SampleBlock.FLAG_PLAYING, seen)
         return goal
 
     def result(self, goal):

@@ -117,7 +117,7 @@ def test_what_can_no_longer_be_recorded_is_stopped(stage, suite, tmp_path):
 
     with ThreadPoolExecutor(1) as thread:
         played = thread.submit(stage.play, [30.0] * 400, 0.1, 100, tmp_path)
-        suite.until(lambda: suite.blocks and suite.blocks[-1].flags & SampleBlock.FLAG_PLAYING)
+        suite.until_flagged(SampleBlock.FLAG_PLAYING)
         fill_disk(1_000_000_000)
         suite.until(played.done)
     fill_disk(1)

@@ -130,7 +130,7 @@ def test_law_designed_without_computing_time_leaves_less_and_ends_with_its_clien
     assert loop.track().e_rms_percent < 0.95 * same["remote"].e_rms_percent
     client.forget()
     client.begin("track", **loop.fields(3000.0))
-    client.until(lambda: client.blocks[-1].flags & SampleBlock.FLAG_TRACKING)
+    client.until_flagged(SampleBlock.FLAG_TRACKING)
     client.processes.process("controller").send_signal(signal.SIGKILL)
     client.until(lambda: client.blocks[-1].flags & SampleBlock.FLAG_STOPPED)
     assert client.samples().voltage_v[-1] == 0.0

@@ -179,7 +179,7 @@ def test_run_whose_answers_came_late_fails_and_says_how_many(nodes, fields):
                         node_parameters={"controller": {"feedback": "remote"}})
     fields["duration_s"] = 4.0
     goal = stage.send_goal("track", **fields)
-    stage.until(lambda: stage.blocks and stage.blocks[-1].flags & SampleBlock.FLAG_TRACKING)
+    stage.until_flagged(SampleBlock.FLAG_TRACKING)
     controller = stage.processes.process("controller")
     late = 2 * MAX_LATE_PERCENT / 100.0 * fields["duration_s"] / TICK_S
     # For far less long than others wait for a sign of life, however busy this process is.
