@@ -38,7 +38,8 @@ class IdentifiedModel:
         under "effects" a list of those of each effect's parameters, by their names.
     rows : dict of str to dict
         For each recording when its rows are read and what delay is left in it:
-        `read_at_samples`, `delay_s` and `standard_deviation_s`.
+        `read_at_samples`, `delay_s` (not where the rows do not tell it) and
+        `standard_deviation_s`.
     visited : ndarray of bool, shape (L, L), optional
         Cells of the density that the recordings determine; lower triangular. In the others it is a
         continuation. None where that is not known.

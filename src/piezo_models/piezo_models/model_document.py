@@ -143,7 +143,9 @@ class RowsPart(Part):
     read_at_samples: Number = entry(
         "Instant at which a row's displacement is read, after its voltage: the logger's habit.",
         unit="sample periods")
-    delay_s: Number = entry("Delay left beside that and the model.", unit="s")
+    delay_s: Number | None = entry(
+        "Delay left beside that and the model; left out where the rows do not tell it.", unit="s",
+        default=None)
     standard_deviation_s: Deviation = entry("Of this delay.", unit="s")
 
 

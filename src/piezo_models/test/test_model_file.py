@@ -22,6 +22,8 @@ def identified(stage):
         sample_periods_s={"creep": 0.01, "dynamics": np.float64(25e-6)},
         errors={"e_y_percent": 0.123, "unseen": {"rms_um": np.float32(0.5)}},
         recordings=[{"path": "runs/größe/creep", "sha256": "ab" * 32}],
+        rows={"dynamics": {"read_at_samples": 1.0, "delay_s": 2e-6, "standard_deviation_s": 1e-7},
+              "creep": {"read_at_samples": 1.0, "standard_deviation_s": np.inf}},
     )
 
 
@@ -51,6 +53,7 @@ def test_model_comes_back_to_the_bit(path, identified):
     assert loaded.errors == identified.errors
     assert loaded.recordings == identified.recordings
     assert loaded.created == identified.created
+    assert loaded.rows == identified.rows
 
 
 def test_second_saving_is_the_same_text(path, tmp_path):

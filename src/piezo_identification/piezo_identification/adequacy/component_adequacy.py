@@ -7,7 +7,7 @@ from typing import Any
 
 from piezo_identification.adequacy.component_residual import component_residual
 from piezo_identification.adequacy.lack_of_fit import LackOfFit, lack_of_fit
-from piezo_identification.adequacy.order_advice import advice_on_order
+from piezo_identification.adequacy.order_advice import advice_on_creep_pairs, advice_on_order
 from piezo_identification.adequacy.residual_location import ResidualLocation, residual_location
 from piezo_identification.conditioning.segments import experiment_of, testable
 from piezo_identification.estimators.estimate import Estimate
@@ -136,7 +136,7 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
             steps.append(f"give a recording for --{missing}")
     elif component == "creep":
         steps.append("record the creep longer")
-        steps.append(f"ask for --creep-pairs {len(model.creep.poles_rad_per_s) + 1}")
+        steps.append(advice_on_creep_pairs(estimate) if estimate is not None else "")
     elif "hysteresis" not in recordings and model.hysteresis.density_um_per_v2.any():
         steps.append("give a recording for --hysteresis, which was taken from the fast one alone")
     elif estimate is not None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What to do about dynamics that are inadequate, from the orders that were tried."""
+"""What to do about creep or dynamics that are inadequate, from the orders that were tried."""
 
 from piezo_identification.estimators.estimate import Estimate, OrderTrial
 
@@ -32,6 +32,27 @@ def advice_on_order(estimate: Estimate) -> str:
     refusal = f", but has {least.refusal}" if least.refusal else ""
     return (f"see the table of orders, where {least.order} leaves least: "
             f"{least.residual_rms:.3g} um of {estimate.residual_rms:.3g} um{refusal}")
+
+
+def advice_on_creep_pairs(estimate: Estimate) -> str:
+    """Say which number of creep pairs to ask for, where one was not tried.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        Of the creep, with all its trials.
+
+    Returns
+    -------
+    str
+        Empty where the next larger number was tried and left out.
+    """
+    if estimate.order_given:
+        return "leave --creep-pairs out, so that their number is sought"
+    further = estimate.order + 1
+    if any(trial.order >= further for trial in estimate.trials):
+        return ""
+    return f"ask for --creep-pairs {further}"
 
 
 def _left(trial: OrderTrial) -> float:

@@ -66,8 +66,9 @@ class RowDelay:
                 and abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s)
 
     def fields(self) -> dict[str, float]:
-        """Return the numbers by their names in a model file."""
-        return {"read_at_samples": self.read_at_samples, "delay_s": self.delay_s,
+        """Return the numbers by their names in a model file; no delay that the rows do not tell."""
+        told = {"delay_s": self.delay_s} if self.is_identifiable else {}
+        return {"read_at_samples": self.read_at_samples, **told,
                 "standard_deviation_s": self.standard_deviation_s}
 
 

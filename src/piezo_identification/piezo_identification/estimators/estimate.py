@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.row_alignment import MOST_UNCERTAIN
 from piezo_models.cascade import StageModel
 from piezo_models.effects.effect import Effect
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -91,7 +92,15 @@ class DelayEstimate:
         return (abs(self.samples) > LEAST_DELAY
                 and abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s)
 
+    @property
+    def is_told(self) -> bool:
+        """Whether the rows tell anything of it: that it is there, or that it is short."""
+        return self.is_significant or (
+            self.standard_deviation_s < MOST_UNCERTAIN * self.sample_period_s)
+
     def __str__(self) -> str:
+        if not self.is_told:
+            return "not identifiable from these rows, left out"
         verdict = "significant" if self.is_significant else "not significant, left out"
         return (f"{1e6 * self.delay_s:.4g} +- {1e6 * self.standard_deviation_s:.2g} us "
                 f"({self.samples:.4g} sample periods), {verdict}")

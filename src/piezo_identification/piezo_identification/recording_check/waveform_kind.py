@@ -43,6 +43,9 @@ class KindSettings:
     full_cycle : float
         Part of the swing that most ways between reversals take, from which on they are cycles: in
         noise they are far shorter.
+    steady_order, grown : float
+        Rank correlation of the ways between reversals with their order, and ratio of the last of
+        them to the first, or its inverse, from which on their amplitude grows or shrinks.
     jump, jump_over_usual : float
         Part of the swing, and multiple of the change that 99 % of the samples do not exceed, from
         which on a change between two samples is a jump.
@@ -68,6 +71,8 @@ class KindSettings:
     one_tone: float = 0.9
     even_branches: float = 0.15
     full_cycle: float = 0.6
+    steady_order: float = 0.9
+    grown: float = 1.3
     jump: float = 0.05
     jump_over_usual: float = 5.0
     chirp_order: float = 0.9
@@ -130,8 +135,8 @@ def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
     turns = turning_points(part_v, SETTINGS.reversal * swing_v)
     branches_s = np.diff(turns) * period_s
     branch_s = float(np.median(branches_s[1:-1] if branches_s.size > 2 else branches_s))
-    period = _repeat(part_v)
     heights = np.abs(np.diff(voltage_v[turns]))[1:-1] / swing_v
+    period = 0 if _growth(heights) else _repeat(part_v)
     kind, text = _kind_of_moving(part_v, period_s, branches_s[1:-1], branch_s, period, heights)
     jumps = none if kind in BROADBAND else _lone_jumps(voltage_v, swing_v)
     if jumps.size:
@@ -225,7 +230,9 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
             first, last = branches_s[:at_first].mean(), branches_s[-at_last:].mean()
             return "chirp", f"{0.5 / first:.4g} to {0.5 / last:.4g} Hz"
     if share > SETTINGS.one_tone:
-        return "sine", f"{frequency_hz:.4g} Hz"
+        growth = _growth(heights)
+        return ("cycles", f"a sine of {frequency_hz:.4g} Hz whose amplitude {growth}") if growth \
+            else ("sine", f"{frequency_hz:.4g} Hz")
     if mean_slopes.size and np.ptp(np.quantile(mean_slopes, [0.1, 0.9])) < (
             SETTINGS.even_slope * np.median(mean_slopes)):
         # Ways of ever larger amplitude take longer, too, and sweep no frequency.
@@ -238,6 +245,16 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
     if period or sparse < SETTINGS.sparse:
         return "multisine", f"up to {band_hz:.4g} Hz{again}"
     return "noise", f"up to {band_hz:.4g} Hz"
+
+
+def _growth(heights: FloatArray) -> str:
+    """Say whether the ways between reversals grow or shrink all along; empty if they do neither."""
+    if heights.size < 4 or _first_over_last(heights) < SETTINGS.grown:
+        return ""
+    order = float(spearmanr(np.arange(heights.size), heights).statistic)
+    if abs(order) < SETTINGS.steady_order:
+        return ""
+    return "grows" if order > 0.0 else "shrinks"
 
 
 def _first_over_last(values: FloatArray) -> float:

@@ -117,9 +117,13 @@ def test_a_mode_is_found_at_its_frequency_and_the_search_for_the_order_is_advise
 def test_creep_that_is_a_tenth_too_fast_is_inadequate(plant, recordings):
     poles, zeros = plant.creep.poles_rad_per_s, plant.creep.zeros_rad_per_s
     wrong = CreepDynamics((1.1 * poles[0], *poles[1:]), (1.1 * zeros[0], *zeros[1:]))
-    adequacy = adequacy_of(replace(plant, creep=wrong), {"creep": recordings["creep"]})
+    ended = Estimate(wrong, {}, len(poles), (OrderTrial(len(poles), 3 * len(poles), 0.1, 0.0),))
+    # Pairs that a fast recording showed are none of those that are asked for.
+    joined = CreepDynamics((*wrong.poles_rad_per_s, 1e4), (*wrong.zeros_rad_per_s, 1.00001e4))
+    adequacy = adequacy_of(replace(plant, creep=joined), {"creep": recordings["creep"]},
+                           estimates={"creep": ended})
     assert adequacy["creep"].verdict == "inadequate"
-    assert "--creep-pairs 5" in adequacy["creep"].advice
+    assert f"or ask for --creep-pairs {len(poles) + 1}," in adequacy["creep"].advice
 
 
 def test_loops_that_the_model_misses_are_told_by_voltage(plant, recordings):

@@ -3,7 +3,7 @@
 
 import pytest
 
-from piezo_identification.adequacy.order_advice import advice_on_order
+from piezo_identification.adequacy.order_advice import advice_on_creep_pairs, advice_on_order
 from piezo_identification.estimators.estimate import Estimate, OrderTrial
 
 
@@ -29,3 +29,12 @@ def test_an_order_that_leaves_less_is_named_with_what_speaks_against_it(refusal)
 def test_where_the_order_was_asked_for_it_is_to_be_sought():
     assert advice_on_order(estimate((1, 0.5, ""), order_given=True)).startswith("leave --modes out")
     assert advice_on_order(estimate((1, 0.5, ""))) == ""
+
+
+def test_no_number_of_creep_pairs_is_advised_that_was_tried():
+    rejected = estimate((0, 2.0, ""), (1, 0.5, ""), (2, 0.5, "a gain is not positive"))
+    assert advice_on_creep_pairs(rejected) == ""
+    ended = estimate((0, 2.0, ""), (1, 0.5, ""), (2, 0.3, ""), order=2)
+    assert advice_on_creep_pairs(ended) == "ask for --creep-pairs 3"
+    asked = estimate((0, 2.0, ""), (1, 0.5, ""), order_given=True)
+    assert advice_on_creep_pairs(asked).startswith("leave --creep-pairs out")

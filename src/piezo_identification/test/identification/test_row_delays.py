@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from piezo_identification.conditioning.row_alignment import RowDelay, remaining_delay
+from piezo_identification.estimators.estimate import DelayEstimate
 from piezo_identification.identification.row_delays import tell_row_delays
 
 PERIOD_S = 0.5
@@ -38,3 +39,15 @@ def test_a_delay_of_several_rows_with_a_deviation_as_large_is_not_reported():
     # That it differs from none by many deviations does not make rows tell it.
     assert not RowDelay(0.0, 5.0, 0.4, PERIOD_S).is_significant
     assert not RowDelay(0.0, 0.0, np.inf, PERIOD_S).is_identifiable
+
+
+def test_a_delay_that_rows_do_not_tell_is_neither_printed_nor_kept():
+    """Noise in the place of a response: its fit gives a delay of seven rows, and nothing of it."""
+    row = RowDelay(0.0, -182e-6, 0.7, 25e-6)
+    assert row.fields() == {"read_at_samples": 0.0, "standard_deviation_s": 0.7}
+    assert row.fields().keys() | {"delay_s"} == RowDelay(0.0, 2e-6, 1e-7, 25e-6).fields().keys()
+    text = str(DelayEstimate(-182e-6, 0.7, 25e-6))
+    assert text == "not identifiable from these rows, left out"
+    # Ten rows that are told to one are a delay all the same.
+    assert str(DelayEstimate(2.5e-4, 2.5e-5, 25e-6)).endswith(", significant")
+    assert "0.2 +- 1 us" in str(DelayEstimate(2e-7, 1e-6, 25e-6))

@@ -34,6 +34,10 @@ MAKERS = {
     "sine": lambda random: np.sin(2 * np.pi * 0.7 * TIME_S + random.uniform(0, 6)),
     "cycles": lambda random: (1 + np.floor(TIME_S / 2.0)) * (1 - np.cos(np.pi * TIME_S)),
     "cycles of rising steps": rising_staircase,
+    "cycles of a sine that grows": lambda random: TIME_S * np.sin(
+        2 * np.pi * 0.7 * TIME_S + random.uniform(0, 6)),
+    "cycles of a sine that decays": lambda random: np.exp(-0.1 * TIME_S) * np.sin(
+        2 * np.pi * TIME_S + random.uniform(0, 6)),
     "multisine": multisine,
     "noise": lambda random: lfilter([1.0], [1.0, -0.9], random.normal(size=TIME_S.size)),
     "chirp": lambda random: chirp(TIME_S, 0.5, TIME_S[-1], 60.0, phi=random.uniform(0, 360)),
@@ -61,3 +65,12 @@ def test_jumps_period_and_time_between_reversals_are_measured():
     swept = waveform_of(chirp(TIME_S, 2.0, TIME_S[-1], 40.0), PERIOD_S)
     low, high = (float(word) for word in swept.text.removesuffix(" Hz").split(" to "))
     assert low == pytest.approx(2.0, rel=0.5) and high == pytest.approx(40.0, rel=0.1)
+
+
+@pytest.mark.parametrize("amplitude, words", [
+    (TIME_S, "amplitude grows"), (np.floor(TIME_S / 2.0) + 1.0, "amplitude grows"),
+    (np.exp(-0.1 * TIME_S), "amplitude shrinks")])
+def test_a_sine_whose_amplitude_changes_says_so_and_has_neither_period_nor_jumps(amplitude, words):
+    found = waveform_of(amplitude * np.sin(2.0 * np.pi * TIME_S), PERIOD_S)
+    assert found.text == f"a sine of 1 Hz whose {words}"
+    assert found.period == 0 and found.jumps.size == 0
