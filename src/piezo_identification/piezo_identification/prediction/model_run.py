@@ -253,14 +253,13 @@ class ModelRun:
     def _response_um(self, past_v: PastVoltages, highest_v: float | None = None) -> FloatArray:
         """Return the displacement after a past, without offset and initial creep."""
         model, part = self.model, self.part
-        past = model.hysteresis.memory()
-        model.hysteresis.simulate([*past_v, *self._before_v], past)
-        memory = model.memory(hysteresis=past)
-        hysteresis_um = model.hysteresis.simulate(self._voltage_v, memory.hysteresis)
-        if model.hysteretic_creep is not None and memory.hysteretic_creep is not None:
+        memory = model.hysteresis.memory()
+        model.hysteresis.simulate([*past_v, *self._before_v], memory)
+        extremes_v = memory.extremes_v[: memory.top + 1].copy()
+        hysteresis_um = model.hysteresis.simulate(self._voltage_v, memory)
+        if model.hysteretic_creep is not None:
             hysteresis_um += model.hysteretic_creep.simulate(
-                self._voltage_v, part.sample_period_s, memory.hysteretic_creep
-            )
+                self._voltage_v, part.sample_period_s, model.hysteretic_creep.memory(extremes_v))
         if model.first_rise is not None:
             highest_v = self.highest_v if highest_v is None else highest_v
             hysteresis_um += model.first_rise.simulate(

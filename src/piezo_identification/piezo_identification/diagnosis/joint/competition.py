@@ -42,7 +42,6 @@ from piezo_identification.diagnosis.residual.regression import (
     Regression,
     reweighted,
 )
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, known_effects
 from piezo_models.effects.outliers import Outliers
@@ -278,6 +277,5 @@ def beside_alternative(selection: Selection, competition: Competition,
 
 def _with_model(dataset: Dataset, model: StageModel) -> Dataset:
     """Simulate another model on the same rows."""
-    return replace(dataset, model=model, simulated=tuple(
-        SimulatedRecording(model, recording, part.past_v)
-        for recording, part in zip(dataset.recordings, dataset.simulated, strict=True)))
+    return replace(
+        dataset, model=model, simulated=tuple(part.with_model(model) for part in dataset.simulated))

@@ -62,6 +62,14 @@ class RecordingBefore(SimulatedRecording):
 
     later: frozenset[str] = frozenset()
 
+    @classmethod
+    def of(cls, part: SimulatedRecording, later: frozenset[str]) -> "RecordingBefore":
+        """Return a simulated recording as one that was made before the effects of some names."""
+        before = cls.__new__(cls)
+        vars(before).update(vars(part))
+        before.later = later
+        return before
+
     def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
                  rows: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the displacement with those effects of the stage that did not come later."""
@@ -96,16 +104,10 @@ def simulated_by(dataset: Dataset, model: StageModel, new_count: int,
     -------
     Dataset
     """
-    simulated: list[SimulatedRecording] = []
-    for number, (recording, part) in enumerate(
-            zip(dataset.recordings, dataset.simulated, strict=True)):
-        if number < new_count:
-            simulated.append(SimulatedRecording(model, recording, part.past_v))
-        else:
-            before = RecordingBefore(model, recording, part.past_v)
-            before.later = later
-            simulated.append(before)
-    return replace(dataset, model=model, simulated=tuple(simulated))
+    simulated = [part.with_model(model) for part in dataset.simulated]
+    return replace(dataset, model=model, simulated=tuple(
+        part if number < new_count else RecordingBefore.of(part, later)
+        for number, part in enumerate(simulated)))
 
 
 def _projected_out(part: SimulatedRecording, rows: NDArray[np.intp],
@@ -281,8 +283,7 @@ class JointErrors:
         dataset, rows = point.dataset, point.dataset.rows[index]
         given, part = self.dataset.model, dataset.simulated[index]
         there = part.there(point.effects) if isinstance(part, RecordingBefore) else point.effects
-        behind = SimulatedRecording(
-            replace(dataset.model, effects=there), dataset.recordings[index], part.past_v)
+        behind = part.with_model(replace(dataset.model, effects=there))
         pieces_um = None if self._pieces_um is None else self._pieces_um[index]
         changes = free_sensitivities(behind, rows, given, pieces_um)
         decays = decay_sensitivities(part, rows, point.sizes[index], given)

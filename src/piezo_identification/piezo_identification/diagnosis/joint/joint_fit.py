@@ -281,7 +281,5 @@ def _weighed(dataset: Dataset, noise: NoiseEstimate, scale_um: FloatArray) -> Re
     """Weigh the rows by their scales; the prior of one width matters where no recording tells."""
     good = ~dataset.at_rows(noise.outliers)
     estimation, validation = dataset.for_estimation & good, ~dataset.for_estimation & good
-    weighted = dataset.regressors / scale_um[:, None]
-    prior = np.eye(weighted.shape[1])[dataset.nuisance_count :]
-    q, r = np.linalg.qr(np.vstack([weighted[estimation], prior]))
-    return Regression(dataset, noise, scale_um, estimation, validation, weighted, prior, q, r)
+    prior = np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
+    return Regression(dataset, noise, scale_um, estimation, validation, prior)

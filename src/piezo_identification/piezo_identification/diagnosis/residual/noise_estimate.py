@@ -91,8 +91,7 @@ def residual_um(dataset: Dataset, index: int, effects: Sequence[Effect] = (),
 def residual_of_model_um(dataset: Dataset, index: int, model: StageModel,
                          noise: NoiseEstimate | None = None) -> FloatArray:
     """Return the residual of one recording beside another model, (N,); see `residual_um`."""
-    past_v = dataset.simulated[index].past_v
-    part = SimulatedRecording(model, dataset.recordings[index], past_v)
+    part = dataset.simulated[index].with_model(model)
     return _without_nuisance(part, (), _outliers(dataset, index, noise))
 
 

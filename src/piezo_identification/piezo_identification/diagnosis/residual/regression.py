@@ -7,6 +7,7 @@ that they explain an error only as far as they can be believed.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -89,12 +90,8 @@ class Regression:
         The noise and what a good model may be wrong by.
     estimation, validation : (r,) array of bool
         Rows without outliers that are fitted, and those of the validation set.
-    weighted : (r, m) array
-        Regressors over the tolerance.
     prior : (p, m) array
         Rows that carry the prior of the parameters.
-    q, r : (n + p, m) and (m, m) array
-        QR factors of the estimation rows and the prior together.
     """
 
     dataset: Dataset
@@ -102,10 +99,21 @@ class Regression:
     tolerance_um: FloatArray
     estimation: BoolArray
     validation: BoolArray
-    weighted: FloatArray
     prior: FloatArray
-    q: FloatArray
-    r: FloatArray
+
+    @cached_property
+    def weighted(self) -> FloatArray:
+        """Return the regressors over the tolerance, (r, m)."""
+        return np.asarray(self.dataset.regressors / self.tolerance_um[:, None])
+
+    @cached_property
+    def _factors(self) -> tuple[FloatArray, FloatArray]:
+        """Return the QR factors of the estimation rows and the prior together.
+
+        They are as large as the recordings, and many fits are never asked for them.
+        """
+        q, r = np.linalg.qr(np.vstack([self.weighted[self.estimation], self.prior]))
+        return q, r
 
     def difference(self, effects: Sequence[Effect], quick: Sequence[Effect] = ()) -> FloatArray:
         """Return measured minus simulated over the tolerance, (r,)."""
@@ -113,8 +121,8 @@ class Regression:
 
     def remainder(self, difference: FloatArray) -> FloatArray:
         """Return what the regressors leave of the estimation rows, with their own deviations."""
-        padded = self._padded(difference)
-        return padded - self.q @ (self.q.T @ padded)
+        padded, (q, _) = self._padded(difference), self._factors
+        return padded - q @ (q.T @ padded)
 
     def fit(self, effects: Sequence[Effect], covariance: FloatArray | None = None,
             quick: Sequence[Effect] = ()) -> Fit:
@@ -132,9 +140,8 @@ class Regression:
         -------
         Fit
         """
-        difference = self.difference(effects, quick)
-        coefficients = np.linalg.lstsq(
-            self.r, self.q.T @ self._padded(difference), rcond=1e-12)[0]
+        difference, (q, r) = self.difference(effects, quick), self._factors
+        coefficients = np.linalg.lstsq(r, q.T @ self._padded(difference), rcond=1e-12)[0]
         return Fit(tuple(effects), difference - self.weighted @ coefficients, difference,
                    np.asarray(coefficients, dtype=float), covariance)
 
@@ -144,7 +151,8 @@ class Regression:
         They belong to a recording and not to a model. So all rows tell of them: the ends of an
         initial creep that only held-out rows show would be anything otherwise.
         """
-        nuisance = self.weighted[:, : self.dataset.nuisance_count]
+        dataset = self.dataset
+        nuisance = dataset.regressors[:, : dataset.nuisance_count] / self.tolerance_um[:, None]
         rows = self.estimation | self.validation
         sizes = np.linalg.lstsq(nuisance[rows], difference[rows], rcond=1e-12)[0]
         return difference - nuisance @ sizes
@@ -164,7 +172,7 @@ class Regression:
         return replace(model, effects=(*dataset.model.effects, *fit.effects))
 
     def _padded(self, difference: FloatArray) -> FloatArray:
-        parameters = self.weighted.shape[1] - self.dataset.nuisance_count
+        parameters = self.dataset.regressors.shape[1] - self.dataset.nuisance_count
         return np.concatenate([difference[self.estimation], np.zeros(parameters)])
 
 
@@ -189,18 +197,16 @@ def regression_beside(dataset: Dataset, noise: NoiseEstimate,
     ])
     good = ~dataset.at_rows(noise.outliers)
     estimation, validation = dataset.for_estimation & good, ~dataset.for_estimation & good
-    weighted = dataset.regressors / tolerance_um[:, None]
-    nuisance = weighted[estimation, : dataset.nuisance_count]
+    nuisance = (dataset.regressors[:, : dataset.nuisance_count]
+                / tolerance_um[:, None])[estimation]
     left = (dataset.difference_um(effects) / tolerance_um)[estimation]
     left = left - nuisance @ np.linalg.lstsq(nuisance, left, rcond=1e-12)[0]
     noise_energy = float(
         np.sum((dataset.of_each(noise.noise_um) / tolerance_um)[estimation] ** 2))
     energy = max(left @ left - noise_energy, SETTINGS.least_share * noise_energy)
     cost = np.sqrt(SETTINGS.prior_share * energy)
-    prior = cost * np.eye(weighted.shape[1])[dataset.nuisance_count :]
-    q, r = np.linalg.qr(np.vstack([weighted[estimation], prior]))
-    return Regression(
-        dataset, noise, tolerance_um, estimation, validation, weighted, prior, q, r)
+    prior = cost * np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
+    return Regression(dataset, noise, tolerance_um, estimation, validation, prior)
 
 
 def first_regression(dataset: Dataset) -> Regression:

@@ -2,8 +2,10 @@
 """A recording beside many simulations of it, by a model with one effect or another."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import control
 import numpy as np
@@ -108,12 +110,23 @@ class SimulatedRecording:
         self.past_v = starting_past_v(model, recording) if past_v is None else past_v
         self._highest_v = CYCLED if model.first_rise is None else (
             ModelRun(model, recording).highest_v)
-        self._outputs: dict[tuple, FloatArray] = {}
-        self._ahead: dict[tuple, FloatArray] = {}
-        self._amplified_v = model.amplified(self._joined_v, self.sample_period_s)
-        self.hysteresis_um, rest_um = self._hysteresis(model.hysteresis, self._amplified_v)
-        self.input_um = self._with_creep(self.hysteresis_um, self._amplified_v)
-        self.rest_um = self._output((), (), ())[0] - (self.hysteresis_um[0] - rest_um)
+        self._simulate_hysteresis()
+        self._simulate_linear()
+
+    def with_model(self, model: StageModel) -> Self:
+        """Return the same recording simulated by another model, after the same past.
+
+        What the recording tells of the past is told by one model: so it stays while a fit changes
+        another, and is not sought once more for each.
+        """
+        other, given = copy(self), self.model
+        other.model = model
+        if not (model.hysteresis is given.hysteresis and model.first_rise is given.first_rise
+                and model.hysteretic_creep is given.hysteretic_creep
+                and model.effects_at("voltage") == given.effects_at("voltage")):
+            other._simulate_hysteresis()
+        other._simulate_linear()
+        return other
 
     def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
                  rows: NDArray[np.intp] | None = None) -> FloatArray:
@@ -160,6 +173,23 @@ class SimulatedRecording:
         """Return the output of a continuous system, sampled as the recording is; see `respond`."""
         return respond(
             system, input_um, self.sample_period_s, self.samples_per_mean, delay_s, at)
+
+    def _simulate_hysteresis(self) -> None:
+        """Simulate what is ahead of the linear part of the model."""
+        model = self.model
+        self._amplified_v = model.amplified(self._joined_v, self.sample_period_s)
+        self.hysteresis_um, self._rest_input_um = self._hysteresis(
+            model.hysteresis, self._amplified_v)
+        self.input_um = self._with_creep(self.hysteresis_um, self._amplified_v)
+
+    def _simulate_linear(self) -> None:
+        """Simulate the linear part without more effects, and forget what others gave."""
+        for name in ("_linear", "drive_um"):
+            vars(self).pop(name, None)
+        self._outputs: dict[tuple, FloatArray] = {}
+        self._ahead: dict[tuple, FloatArray] = {}
+        moved_um = self.hysteresis_um[0] - self._rest_input_um
+        self.rest_um = self._output((), (), ())[0] - moved_um
 
     @cached_property
     def repeated_period(self) -> int | None:

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Effects one behind another: which of them are simulated anew when one of them changes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
+import piezo_identification.diagnosis.residual.simulated_recording as module
 from piezo_identification.diagnosis.residual.simulated_recording import (
     SETTINGS,
     SimulatedRecording,
@@ -18,6 +19,7 @@ from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
+from piezo_models.hysteresis.first_rise import FirstRise
 
 
 @dataclass(frozen=True)
@@ -73,3 +75,33 @@ def test_rows_are_those_of_the_whole_simulation(recording, effects):
     rows = np.concatenate([np.arange(20), recording.time_s.size - np.arange(9, 0, -1)])
     some_um = recording.simulate(effects, rows=rows)
     np.testing.assert_allclose(some_um, recording.simulate(effects)[rows], rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("change", [
+    lambda model: replace(model, dynamics=replace(model.dynamics, time_constant_s=6e-4)),
+    lambda model: replace(model, hysteresis=replace(
+        model.hysteresis, density_um_per_v2=1.1 * model.hysteresis.density_um_per_v2)),
+    lambda model: replace(model, effects=(LAG,)),
+    lambda model: replace(model, effects=(VoltageClipping(-10.0, 40.0), MODE)),
+], ids=["dynamics", "hysteresis", "sensor", "voltage"])
+def test_another_model_is_simulated_as_if_the_recording_had_been_read_for_it(
+        recording, plant, play, change):
+    model, effects = change(plant), (Backlash(0.05),)
+    recording.simulate(effects)
+    anew = SimulatedRecording(
+        model, play(experiments.validation(arc_s=0.02, tones_s=0.2), 1), recording.past_v)
+    moved = recording.with_model(model)
+    assert moved.rest_um == anew.rest_um
+    np.testing.assert_array_equal(moved.simulate(), anew.simulate())
+    np.testing.assert_array_equal(moved.simulate(effects), anew.simulate(effects))
+    np.testing.assert_array_equal(moved.drive_um, anew.drive_um)
+
+
+def test_how_far_a_stage_had_risen_is_not_sought_for_every_model(plant, play, monkeypatch):
+    """The search simulates the recording some eight times, and a fit changes its model often."""
+    rising = replace(plant, first_rise=FirstRise((0.0, 60.0), (0.0, 2.0)))
+    recording = SimulatedRecording(rising, play(experiments.validation(arc_s=0.02, tones_s=0.2), 1))
+    monkeypatch.setattr(module, "ModelRun", None)
+    monkeypatch.setattr(module, "starting_past_v", None)
+    same = recording.with_model(replace(rising, hysteresis=replace(rising.hysteresis)))
+    np.testing.assert_array_equal(same.simulate(), recording.simulate())
