@@ -159,7 +159,7 @@ def page_faults(tmp_path_factory):
             [browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--dump-dom",
              f"--user-data-dir={directory / 'profile'}", "--enable-logging=stderr",
              f"--window-size={width + 100},2100", "--virtual-time-budget=2000", harness.as_uri()],
-            capture_output=True, text=True, timeout=120)
+            capture_output=True, text=True, timeout=300)
         told = re.search(r'<pre id="found">(.*?)</pre>', shown.stdout, re.S)
         assert told, shown.stderr
         console = re.findall(r"CONSOLE.*", shown.stderr)

@@ -21,16 +21,25 @@ from std_srvs.srv import Trigger
 
 from piezo_bringup.forked_processes import ForkedProcesses
 from piezo_bringup.processes import USUAL_NODES, Processes, clean_shared_memory
+from piezo_client import client as client_module
+from piezo_client import overview, rejections
 from piezo_client.client import Client, GoalFailed
 from piezo_client.stage import Stage
+from piezo_identification.experiments.probing import probe_file
+from piezo_identification.experiments.stage_limits import USUAL_LIMITS
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.reader import read_recording
+from piezo_recorder.reading.recording import RecordingError
 from piezo_ros.quality import FEEDBACK, SAMPLES
 
 TIMEOUT_S = 300.0
-PATIENT = {"lockstep_timeout_s": 60.0, "exchange_timeout_s": 60.0}
+PATIENT = {"lockstep_timeout_s": 60.0, "exchange_timeout_s": 60.0,
+           "emergency_stop_timeout_s": 60.0}
 """Parameters of a stage that does not take a busy computer for a client or backend that hangs."""
+ENDLESS_S = 100_000.0
+"""Of stage time: days of a paced stage, and more than an hour of one in lockstep."""
 NEAR_CELLS = 50
 DOMAINS = range(1, 100)
 CLAIMS = f"{tempfile.gettempdir()}/piezo_test_domain_{{number}}"
@@ -67,6 +76,14 @@ class Samples:
 def end(block):
     """The sample of the clock behind a block."""
     return block.first_sample + len(block.voltage_v) * round(block.sample_period_s * 40_000)
+
+
+def holds(path, topic, sample):
+    """Tell whether a recording holds a sample of a topic."""
+    try:
+        return sample in read_recording(path, topic=topic).sample_index
+    except RecordingError:  # nothing of the topic
+        return False
 
 
 def at_rest(block):
@@ -130,14 +147,18 @@ class StageClient(Client):
         self.until(lambda: self._feedback.get_subscription_count() > 0)
         self.forget()
 
-    def connect_recorder(self, directory):
-        """Make sure that no block is missing in recordings from here on."""
+    def connect_recorder(self, directory, sample_period_s=25e-6,
+                         topics=("samples", "ground_truth")):
+        """Make sure that no block of these topics is missing in recordings from here on."""
         for attempt in count():
             self.call(StartRecording, "recorder/start_recording", directory=str(directory),
-                      name=f"connect_{attempt}")
-            last_sample = self.play([0.0]).last_sample
-            if self.call(StopRecording, "recorder/stop_recording",
-                         last_sample=last_sample).success:
+                      name=f"connect_{attempt}", client=self.node.get_fully_qualified_name())
+            last_sample = self.play([0.0], sample_period_s).last_sample
+            stopped = self.call(
+                StopRecording, "recorder/stop_recording", last_sample=last_sample,
+                client=self.node.get_fully_qualified_name())
+            if stopped.success and all(
+                    holds(stopped.path, topic, last_sample) for topic in topics):
                 break
         self.forget()
 
@@ -146,9 +167,18 @@ class StageClient(Client):
         if not self.spin_until(condition, TIMEOUT_S):
             pytest.fail(f"nothing came for {TIMEOUT_S:g} s; the nodes say:\n{self.logs()}")
 
+    def until_any(self, condition, seen=0):
+        """Spin until a block fulfils a condition; each is looked at once, as there may be many."""
+        def found():
+            nonlocal seen
+            new, seen = self.blocks[seen:], len(self.blocks)
+            return any(map(condition, new))
+
+        self.until(found)
+
     def until_flagged(self, flag, seen=0):
         """Spin until a block bears a flag; a fast stage may have passed it since."""
-        self.until(lambda: any(block.flags & flag for block in self.blocks[seen:]))
+        self.until_any(lambda block: block.flags & flag, seen)
 
     def wait(self, future):
         self.until(future.done)
@@ -185,7 +215,7 @@ class StageClient(Client):
         """Send a goal; return it once the stage moves."""
         seen = len(self.blocks)
         goal = self.send_goal(name, **fields)
-        self.until(lambda: any(np.any(block.voltage_v) for block in self.blocks[seen:]))
+        self.until_any(lambda block: np.any(block.voltage_v), seen)
         return goal
 
     def begin_play(self, voltage_v, sample_period_s=25e-6, repeats=1):
@@ -253,6 +283,18 @@ class StageClient(Client):
 
     def forget(self):
         self.blocks.clear()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def patient_clients():
+    """Let clients wait as long as a busy computer takes: a node may compile its numerics first."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(client_module, "SERVER_TIMEOUT_S", TIMEOUT_S)
+        patch.setattr(client_module, "CALL_TIMEOUT_S", TIMEOUT_S)
+        for module in overview, rejections:
+            patch.setattr(module, "DIAGNOSTICS_S", TIMEOUT_S)
+        patch.setattr(client_module, "MOST_ASKS", round(TIMEOUT_S / client_module.LOST_RESPONSE_S))
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -341,6 +383,31 @@ def _is_free(domain):
         except OSError:
             return False
     return True
+
+
+@pytest.fixture
+def endless(tmp_path):
+    """Directory whose probe lets experiments last longer than a test asks, on any machine."""
+    tones = {"arc_s": 0.5, "tones_s": ENDLESS_S, "tones": [[100.0, 0.1]]}
+    held_s = {"sample_period_s": 1e-3}
+    document = probe_file.ProbeDocument.model_validate({
+        "format": probe_file.FORMAT, "version": float(probe_file.VERSION),
+        "limits": {name: getattr(USUAL_LIMITS, name) for name in probe_file.OF_THE_LIMITS},
+        "stage": {
+            "step_v": 10.0, "signal_to_noise": 100.0, "rest_level_um": 0.0, "noise_rms_um": 0.01,
+            "gain_um_per_v": 1.0, "lag_s": 0.0, "settling_s": 0.01, "modes": [],
+            "creep_share_per_decade": 0.0, "creep_time_s": 0.0, "creep_ended": True},
+        "range": {"voltage_min_v": USUAL_LIMITS.voltage_min_v,
+                  "voltage_max_v": USUAL_LIMITS.voltage_max_v},
+        "experiments": {
+            "creep": {"swing_v": 20.0, "period_s": 1.0, **held_s},
+            "dynamics": {"swing_v": 20.0, "period_s": 0.02, "duration_s": ENDLESS_S},
+            "hysteresis": {"level_count": 2, "harmonic_period_s": 1.0, **held_s},
+            "validation": tones, "multisine": tones, "relay": {"oscillation_s": ENDLESS_S}},
+        "expected": {"creep_percent": 0.0, "dynamics_percent": 0.0, "hysteresis_percent": 0.0,
+                     "model_percent": 0.0, "remarks": []}})
+    probe_file.save_probe(tmp_path / probe_file.NAME, document)
+    return tmp_path
 
 
 @pytest.fixture(scope="session")

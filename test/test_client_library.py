@@ -98,14 +98,14 @@ def test_command_says_a_refusal_in_one_line(suite, tmp_path):
     assert told.startswith("stage: run_experiment: ") and "dance" in told
 
 
-def test_command_that_is_interrupted_brings_the_stage_to_rest(suite, tmp_path):
-    command = start_command("experiment", "hysteresis", "--output", tmp_path)
-    suite.until(lambda: any(np.any(block.voltage_v) for block in suite.blocks))
+def test_command_that_is_interrupted_brings_the_stage_to_rest(suite, endless):
+    command = start_command("experiment", "dynamics", "--output", endless)
+    suite.until_any(lambda block: np.any(block.voltage_v))
     command.send_signal(signal.SIGINT)
     _, told = suite.beside(command.communicate, timeout=300)
     assert command.returncode == 130, told
     assert told.splitlines()[-1].startswith("stage: interrupted")
-    recording = read_recording(tmp_path / "hysteresis")
+    recording = read_recording(endless / "dynamics")
     assert recording.complete
     assert recording.voltage_v[-1] == 0.0
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from piezo_interfaces.msg import SampleBlock
 
 from piezo_client.client import GoalFailed
 from piezo_models.effects.delay import Delay
@@ -61,6 +62,7 @@ def test_what_decides_is_played_recorded_and_diagnosed(suite, files, tmp_path):
 def test_a_cancelled_decision_leaves_the_stage_at_rest_and_what_was_recorded(
         suite, files, tmp_path):
     goal = suite.begin("diagnose", directory=str(tmp_path), experiments=1, longest_s=0.3, **files)
+    suite.until_flagged(SampleBlock.FLAG_PLAYING)
     status, result = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED
     assert (result.success, result.verdict) == (False, "")

@@ -86,33 +86,27 @@ def test_place_where_nothing_can_be_recorded_is_refused_and_nothing_moves(suite,
     assert suite.play([0.0]).first_sample == before + 1
 
 
-def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, tmp_path):
-    # Far longer than the refusals take on any machine.
-    goal = suite.begin("run_experiment", experiment="creep", directory=str(tmp_path))
-    for name, fields in [("run_experiment", {"experiment": "diagnostic"}), ("identify", {})]:
+def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, endless):
+    goal = suite.begin("run_experiment", experiment="dynamics", directory=str(endless))
+    for name, fields in [("run_experiment", {"experiment": "creep"}), ("identify", {})]:
         with pytest.raises(GoalFailed, match="rejected the goal: it is busy"):
-            suite.goal(name, directory=str(tmp_path), **fields)
+            suite.goal(name, directory=str(endless), **fields)
     with pytest.raises(GoalFailed, match="the stage is busy"):
         suite.play([1.0])
     seen = len(suite.blocks)
     suite.until(lambda: len(suite.blocks) > seen)
     status, result = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED, result.message
-    assert [path.name for path in tmp_path.iterdir()] == ["creep"]
+    assert {path.name for path in endless.iterdir()} == {"probe.json", "dynamics"}
     assert read_recording(result.recording).gaps == []
 
 
-def cancel_when(suite, directory, stage):
-    """Cancel an experiment that lasts far longer than asking; return status and result."""
+def test_cancelled_experiment_ramps_to_rest_and_keeps_its_recording(suite, endless):
     told = []
-    goal = suite.send_goal("run_experiment", on_feedback=told.append, experiment="creep",
-                           directory=str(directory))
-    suite.until(lambda: any(stage in feedback.stage for feedback in told))
-    return suite.cancel(goal)
-
-
-def test_cancelled_experiment_ramps_to_rest_and_keeps_its_recording(suite, tmp_path):
-    status, result = cancel_when(suite, tmp_path, "play")
+    goal = suite.send_goal("run_experiment", on_feedback=told.append, experiment="dynamics",
+                           directory=str(endless))
+    suite.until(lambda: any("play" in feedback.stage for feedback in told))
+    status, result = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED
     assert (result.success, result.message) == (False, "cancelled")
     recording = read_recording(result.recording)
@@ -122,15 +116,15 @@ def test_cancelled_experiment_ramps_to_rest_and_keeps_its_recording(suite, tmp_p
     assert recording.voltage_v[-1] == 0.0
 
 
-def test_experiment_cancelled_at_once_leaves_the_stage_at_rest(suite, tmp_path):
-    goal = suite.send_goal("run_experiment", experiment="creep", directory=str(tmp_path))
+def test_experiment_cancelled_at_once_leaves_the_stage_at_rest(suite, endless):
+    goal = suite.send_goal("run_experiment", experiment="dynamics", directory=str(endless))
     status, result = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED
     assert (result.success, result.message) == (False, "cancelled")
 
 
-def test_emergency_stop_ends_an_experiment_whose_recording_stays_readable(suite, tmp_path):
-    goal = suite.begin("run_experiment", experiment="dynamics", directory=str(tmp_path))
+def test_emergency_stop_ends_an_experiment_whose_recording_stays_readable(suite, endless):
+    goal = suite.begin("run_experiment", experiment="dynamics", directory=str(endless))
     assert suite.trigger("emergency_stop").success
     status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
@@ -173,8 +167,8 @@ def test_relay_oscillates_in_feedback_and_tells_the_ultimate_gain(suite, tmp_pat
     assert {feedback.stage for feedback in told} <= {"relay: feedback"}
 
 
-def test_cancelled_relay_ramps_to_rest_and_keeps_its_recording(suite, tmp_path):
-    goal = suite.begin("run_experiment", experiment="relay", directory=str(tmp_path))
+def test_cancelled_relay_ramps_to_rest_and_keeps_its_recording(suite, endless):
+    goal = suite.begin("run_experiment", experiment="relay", directory=str(endless))
     status, result = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED
     assert (result.success, result.message) == (False, "cancelled")
@@ -184,8 +178,8 @@ def test_cancelled_relay_ramps_to_rest_and_keeps_its_recording(suite, tmp_path):
     assert suite.play([0.0]).success
 
 
-def test_emergency_stop_ends_a_relay(suite, tmp_path):
-    goal = suite.begin("run_experiment", experiment="relay", directory=str(tmp_path))
+def test_emergency_stop_ends_a_relay(suite, endless):
+    goal = suite.begin("run_experiment", experiment="relay", directory=str(endless))
     assert suite.trigger("emergency_stop").success
     status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_ABORTED

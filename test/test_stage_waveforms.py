@@ -127,8 +127,9 @@ def test_waveform_cancelled_at_once_ramps_to_rest_from_its_approach(suite):
 
 def test_feedback_tells_stage_fraction_and_time_left(suite):
     told = []
-    result = suite.play(sine(4000), repeats=40, on_feedback=told.append)
-    assert {"play"} <= {feedback.stage for feedback in told} <= {"approach", "play", "return"}
+    result = suite.play(sine(), on_feedback=told.append)  # over at once: each phase is told
+    stages = [feedback.stage for feedback in told]
+    assert list(dict.fromkeys(stages)) == ["approach", "play", "return"]
     fractions = [feedback.fraction for feedback in told]
     assert 0.0 <= fractions[0] < fractions[-1] <= 1.0
     assert fractions == sorted(fractions)
@@ -137,19 +138,27 @@ def test_feedback_tells_stage_fraction_and_time_left(suite):
     suite.samples(result.last_sample)
 
 
-def test_subscriber_that_does_not_read_holds_the_stage_back_until_it_is_gone(suite):
+# Both ends keep 5000 blocks each, of 200 samples: less does not hold the stage back.
+@pytest.mark.parametrize(("blocks", "held_back"), [
+    (2_400, False), pytest.param(12_000, True, marks=pytest.mark.long)])
+def test_subscriber_that_does_not_read_holds_the_stage_back_until_it_is_gone(
+        suite, blocks, held_back):
     def goes_on():
         seen = len(suite.blocks)
         return suite.spin_until(lambda: len(suite.blocks) > seen, 1.0)
 
     with suite.another_client() as other:
         other.connect()
-        # From here on it never looks at what comes: more than both ends keep, 5000 blocks each.
-        goal = suite.begin_play(np.full(4000, 60.0), repeats=120)
+        # From here on it never looks at what comes.
+        goal = suite.begin_play(np.full(4000, 60.0), repeats=blocks // 20)
         while goes_on():
+            pass
+        if held_back:
             assert not goal.outcome.done()
+            assert 10_000 <= len(suite.blocks) < blocks
     _, result = suite.result(goal)
     assert result.success, result.message
     samples = suite.samples(result.last_sample)
     assert samples.gapless
-    assert np.array_equal(samples.since(result.first_sample, 480_000), np.full(480_000, 60.0))
+    count = blocks * 200
+    assert np.array_equal(samples.since(result.first_sample, count), np.full(count, 60.0))

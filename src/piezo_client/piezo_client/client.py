@@ -11,7 +11,6 @@ from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperim
 from piezo_interfaces.msg import Reference, StageDescription
 from rclpy.action.client import ClientGoalHandle
 from rclpy.task import Future
-from std_srvs.srv import Trigger
 from unique_identifier_msgs.msg import UUID
 
 from piezo_client.interrupts import HeldSignals
@@ -21,7 +20,7 @@ from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.messages import Message, MessageType
-from piezo_ros.requests.calls import number_request
+from piezo_ros.requests.calls import may_be_repeated
 from piezo_ros.requests.lost_answers import PatientActionClient
 from piezo_ros.stage_runs.described_stage import DescribedStage
 
@@ -308,8 +307,8 @@ class Client:
     def call(self, service_type: MessageType, name: str, /, **fields: Any) -> Message:
         """Call a service and return its response.
 
-        A request that bears a number is sent again under the same where no response comes, and
-        acts once. So is one without a number only where acting twice does no harm.
+        A request is sent again where no response comes, if acting twice does no harm: under its
+        number, where it bears one, it acts once.
 
         Raises
         ------
@@ -326,7 +325,7 @@ class Client:
                 self.node.destroy_client(client)
 
     def _answer(self, client: rclpy.client.Client, name: str, request: Message) -> Message:
-        repeatable = number_request(request) or isinstance(request, Trigger.Request)
+        repeatable = may_be_repeated(request)
         answers = [client.call_async(request)]
 
         def answered() -> bool:

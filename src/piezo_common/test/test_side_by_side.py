@@ -18,7 +18,7 @@ def test_results_and_reports_come_in_the_order_of_the_items(threads):
 
 
 def test_two_items_are_under_way_at_once():
-    both = threading.Barrier(2, timeout=30.0)
+    both = threading.Barrier(2, timeout=300.0)
     assert len(side_by_side(lambda item: both.wait(), range(2), threads=2)) == 2
 
 

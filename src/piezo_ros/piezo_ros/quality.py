@@ -21,6 +21,12 @@ FEEDBACK = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE)
 
+# How an action gets on: a client that lags behind is to miss nothing.
+PROGRESS = QoSProfile(depth=1000)
+
+# Readers of /diagnostics: every node tells something there, and a stop is told once only.
+DIAGNOSTICS_DEPTH = 1000
+
 # Told once, and still there for who comes later; only the newest counts.
 DESCRIPTION = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=1,

@@ -5,9 +5,12 @@ import functools
 import warnings
 from collections.abc import Callable
 
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.service import Service
 
 from piezo_ros.messages import Message
+
+RCLError = rclpy_implementation.RCLError
 
 NOT_SENT = "failed to send response"
 ATTEMPTS = 20
@@ -47,9 +50,42 @@ def sent_again(send: Send) -> Send:
     return patient
 
 
+def answered_again(send: Callable[..., None]) -> Callable[..., None]:
+    """Return what answers for an action again while the middleware does not know the client.
+
+    rclpy would not begin a goal whose acceptance could not be sent: it is begun here, and the
+    action's status tells the client.
+
+    Parameters
+    ----------
+    send : callable
+        As a ``send_..._response`` of the action servers that are under those of rclpy.
+
+    Returns
+    -------
+    callable
+        To be used in its place.
+    """
+    @functools.wraps(send)
+    def patient(server: object, header: Message, response: Message) -> None:
+        failure = None
+        for _ in range(ATTEMPTS):
+            try:
+                return send(server, header, response)
+            except RCLError as error:
+                failure = error
+        warnings.warn(f"{failure}: the client will not receive it", RuntimeWarning, stacklevel=2)
+
+    return patient
+
+
 def answer_patiently() -> None:
-    """Make every service of this process send a response until it is received."""
-    if not hasattr(Service.send_response, "__wrapped__"):
-        # rclpy offers no other place at which a response can be sent again.
-        Service.send_response = sent_again(  # type: ignore[method-assign, assignment]
-            Service.send_response)
+    """Make every service and action of this process send a response until it is received."""
+    if hasattr(Service.send_response, "__wrapped__"):
+        return
+    # rclpy offers no other places at which a response can be sent again.
+    Service.send_response = sent_again(  # type: ignore[method-assign, assignment]
+        Service.send_response)
+    servers = rclpy_implementation.ActionServer
+    for name in ("send_goal_response", "send_cancel_response", "send_result_response"):
+        setattr(servers, name, answered_again(getattr(servers, name)))

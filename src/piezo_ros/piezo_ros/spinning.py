@@ -27,6 +27,8 @@ RCLError = rclpy_implementation.RCLError
 SPIN_TIMEOUT_S = 0.2
 WIND_DOWN_TIMEOUT_S = 10.0
 LAST_WORDS_S = 0.2
+# A result goes out by callbacks of which each calls for the next.
+LAST_CALLBACKS = 5
 FAILED_STATUS = 1
 BAD_INPUT_STATUS = 2
 
@@ -172,7 +174,10 @@ def _spin(executor: Executor, step: Callable[[], float], ending: Ending) -> None
 
 def _wind_down(executor: Executor, wind_down: Callable[[], bool]) -> None:
     _spin_until(executor, wind_down, WIND_DOWN_TIMEOUT_S)
-    # The results of goals that have just ended go out by callbacks of their own.
+    for _ in range(LAST_CALLBACKS):
+        behind_all_that_waits = executor.create_task(lambda: None)
+        _spin_until(executor, behind_all_that_waits.done, WIND_DOWN_TIMEOUT_S)
+    # Who is to hear the last words must get round to it before the process is gone.
     _spin_until(executor, lambda: False, LAST_WORDS_S)
 
 

@@ -23,7 +23,7 @@ HEAR = "signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGCONT])"
 BUSY = f"{HEAR}\nend_s = time.process_time() + 1.5\nwhile time.process_time() < end_s: pass"
 WAIT = "sys.stdin.readline()"
 SOON = f"{HEAR}\n{WAIT}\nwhile not heartbeat._standstill_s: time.sleep(0.01)"
-LONG_AFTER = f"{HEAR}\npiezo_ros.heartbeat.SIGNAL_DELAY_S = 0.5\n{WAIT}\ntime.sleep(1.0)"
+LONG_AFTER = f"{HEAR}\n{WAIT}\ntime.sleep(piezo_ros.heartbeat.SIGNAL_DELAY_S + 0.5)"
 BEFORE_IT_WAS_TOLD = f"""
 {WAIT}
 while not heartbeat._gap_s: time.sleep(0.01)

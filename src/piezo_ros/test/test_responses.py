@@ -5,7 +5,7 @@ import warnings
 
 import pytest
 
-from piezo_ros.responses import ATTEMPTS, sent_again
+from piezo_ros.responses import ATTEMPTS, RCLError, answered_again, sent_again
 
 WARNING = "failed to send response (timeout): client will not receive response"
 
@@ -42,3 +42,29 @@ def test_other_warnings_are_passed_on():
 
     with pytest.warns(UserWarning, match="something else"):
         sent_again(send)("service", "response", "header")
+
+
+def server_that_is_not_ready(attempts):
+    sent = []
+
+    def send(server, header, response):
+        sent.append((server, header, response))
+        if len(sent) <= attempts:
+            raise RCLError("Failed to send goal response", "client will not receive response")
+
+    return sent, send
+
+
+@pytest.mark.parametrize("attempts", [0, 1, 5])
+def test_an_answer_for_an_action_is_sent_until_the_client_is_known(attempts, recwarn):
+    sent, send = server_that_is_not_ready(attempts)
+    answered_again(send)("server", "header", "response")
+    assert sent == [("server", "header", "response")] * (attempts + 1)
+    assert not recwarn.list
+
+
+def test_a_goal_whose_answer_reaches_nobody_goes_on_with_a_warning():
+    sent, send = server_that_is_not_ready(1000)
+    with pytest.warns(RuntimeWarning, match="the client will not receive it"):
+        answered_again(send)("server", "header", "response")
+    assert len(sent) == ATTEMPTS

@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from piezo_ros.spinning import LAST_CALLBACKS
+
 REFUSED = """
 import atexit, os, sys
 from pathlib import Path
@@ -43,3 +45,36 @@ def test_refused_node_leaves_no_thread_of_the_middleware_behind(failure, line):
     assert line in ended.stderr
     assert "Traceback" not in ended.stderr
     assert ended.stdout.splitlines() == ["[]"]
+
+
+CHAIN = """
+from rclpy.node import Node
+from piezo_ros import spinning
+
+class Talkative(Node):
+    left = spinning.LAST_CALLBACKS
+
+    def __init__(self):
+        super().__init__("talkative")
+
+    def wind_down(self):
+        self.speak()
+        return True
+
+    def speak(self):
+        print(self.left)
+        self.left -= 1
+        if self.left:
+            self.executor.create_task(self.speak)
+
+spinning.LAST_WORDS_S = 0.0  # as on a computer that has no time for them
+spinning.Ending.__bool__ = lambda ending: True
+spinning.run_node(Talkative, [])
+"""
+
+
+def test_last_words_are_said_however_busy_the_computer_is():
+    ended = subprocess.run([sys.executable, "-c", CHAIN], capture_output=True, text=True,
+                           timeout=300)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.split() == [str(left) for left in range(LAST_CALLBACKS, 0, -1)]

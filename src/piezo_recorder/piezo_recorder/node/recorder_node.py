@@ -66,6 +66,9 @@ class Recorder(LifecycleNode):
         self._data_root = declare_data_root(self)
         self._stage = DescribedStage(self, self._record_description)
         self._session: RecordingSession | None = None
+        # Asked again by who did not hear the answer, they get the same.
+        self._started: StartRecording.Request | None = None
+        self._stopped: tuple[StopRecording.Request, StopRecording.Response] | None = None
         self._client_gone_at: float | None = None
         self._definitions: dict[str, MessageDefinition] = {}
         self._subscriptions_by_topic: dict[str, Subscription] = {}
@@ -138,6 +141,7 @@ class Recorder(LifecycleNode):
 
     async def _start_recording(self, request: StartRecording.Request,
                                response: StartRecording.Response) -> StartRecording.Response:
+        self._stopped = None
         refusal = self._refusal(request)
         if not refusal and not await self._stage_is_there():
             refusal = (f"Nobody publishes {self._samples_topic}: "
@@ -145,9 +149,14 @@ class Recorder(LifecycleNode):
         refusal = refusal or await self._why_undescribed()
         # Asked again: another request may have come while this one waited.
         refusal = refusal or self._refusal(request)
+        recording = self._recording
+        if recording and request == self._started and request.client:
+            response.success, response.path = True, recording.path
+            return response
         if not refusal:
             try:
                 session = self._session = self._new_session(request)
+                self._started = request
             except OSError as error:
                 refusal = _sentence(error)
             except DataRootError as error:
@@ -224,6 +233,8 @@ class Recorder(LifecycleNode):
                               response: StopRecording.Response) -> StopRecording.Response:
         session = self._session
         if session is None:
+            if self._stopped and self._stopped[0] == request:
+                return self._stopped[1]
             response.message = "Nothing is being recorded: start a recording first."
             return response
         owner = session.client.name
@@ -253,6 +264,7 @@ class Recorder(LifecycleNode):
         response.path = session.path
         response.samples = session.samples
         response.missing_samples = session.missing + late
+        self._stopped = request, response
         return response
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float,

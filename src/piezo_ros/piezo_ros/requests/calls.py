@@ -7,12 +7,21 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from lifecycle_msgs.srv import GetState
+from piezo_interfaces.srv import StartRecording, StopRecording
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
+)
 from rclpy.action.client import ClientGoalHandle
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.task import Future
+from std_srvs.srv import Trigger
 
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.requests.lost_answers import PatientActionClient
@@ -26,6 +35,11 @@ POLL_S = 0.05
 LAST_ANSWER_S = 1.0
 # A response gets lost where the server has not met the client yet.
 RESEND_S = 10.0
+
+IDEMPOTENT = tuple(service.Request for service in (
+    StopRecording, Trigger, GetState, ListParameters, DescribeParameters, GetParameters,
+    SetParameters))
+"""Requests that do no more when they come twice."""
 
 
 class CallFailed(ValueError):
@@ -48,6 +62,24 @@ class GoalAborted(CallFailed):
 
 class Cancelled(Exception):
     """The work was cancelled from outside."""
+
+
+def may_be_repeated(request: Message) -> bool:
+    """Tell whether a request may be sent again where no answer came; give it a number if need be.
+
+    Parameters
+    ----------
+    request : message
+
+    Returns
+    -------
+    repeatable : bool
+        Whether the second acts as one would: it bears a number, or does no more than the first. A
+        recorder answers a start by the same named client, and any stop, as it did before.
+    """
+    if isinstance(request, StartRecording.Request):
+        return bool(request.client)
+    return number_request(request) or isinstance(request, IDEMPOTENT)
 
 
 def number_request(request: Message) -> bool:
@@ -73,7 +105,7 @@ def call_service(client: Client, request: Message, timeout_s: float = CALL_TIMEO
                  appearance_s: float = CALL_TIMEOUT_S) -> Message:
     """Call a service whose response has ``success`` and ``message``.
 
-    A request that bears a number is sent again where no response came.
+    A request is sent again where no response came, if `may_be_repeated` allows it.
 
     Parameters
     ----------
@@ -94,7 +126,7 @@ def call_service(client: Client, request: Message, timeout_s: float = CALL_TIMEO
         If nobody serves or answers, if the node that serves or this one ends meanwhile, or if
         the response says so.
     """
-    repeatable = number_request(request)
+    repeatable = may_be_repeated(request)
     if not client.wait_for_service(appearance_s):
         raise CallFailed(f"nobody serves {client.srv_name}: start its node")
     response = _await(lambda: client.call_async(request), client.context,

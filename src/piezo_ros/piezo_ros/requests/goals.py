@@ -18,6 +18,7 @@ from piezo_ros.clock_guard import keep_clock
 from piezo_ros.diagnostics import diagnostic
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.presence import Presence
+from piezo_ros.quality import PROGRESS
 from piezo_ros.requests.calls import Cancelled, InvalidHandle
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -132,7 +133,8 @@ class GoalServers(ManagedEntity):
         self._servers.append(ActionServer(
             self._node, action_type, name, self._end_goal, goal_callback=self._examine,
             handle_accepted_callback=lambda goal: self._begin_goal(goal, name, action_type, work),
-            cancel_callback=lambda goal: CancelResponse.ACCEPT))
+            cancel_callback=lambda goal: CancelResponse.ACCEPT,
+            feedback_pub_qos_profile=PROGRESS))
 
     def end(self) -> bool:
         """Ask the running goal to end; return whether none runs any more."""

@@ -14,6 +14,7 @@ from rclpy.task import Future
 from unique_identifier_msgs.msg import UUID
 
 from piezo_ros.messages import Message
+from piezo_ros.quality import PROGRESS
 
 
 class PatientActionClient(ActionClient):
@@ -22,7 +23,7 @@ class PatientActionClient(ActionClient):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         self._taken: set[bytes] = set()
         self._unanswered: list[tuple[UUID, Future]] = []
-        super().__init__(*arguments, **options)
+        super().__init__(*arguments, feedback_sub_qos_profile=PROGRESS, **options)
 
     def send_goal_async(self, goal: Message,
                         feedback_callback: Callable[[Message], object] | None = None,

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Take limits, clock and rates from the stage that has them."""
 
+import math
 import time
 from collections.abc import Callable
 
@@ -11,7 +12,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from piezo_ros.quality import DESCRIPTION
-from piezo_ros.requests.calls import CALL_TIMEOUT_S, CallFailed
+from piezo_ros.requests.calls import CALL_TIMEOUT_S, RESEND_S, CallFailed
 
 # Parameters that other nodes had, too, before the stage described itself. Files may still set
 # them for all nodes; they must then say the same.
@@ -76,12 +77,15 @@ class DescribedStage:
         CallFailed
             If nobody serves the stage, it is not configured, or a parameter contradicts it.
         """
-        begin_s, state = time.monotonic(), None
+        begin_s, asked_s, state = time.monotonic(), -math.inf, None
         while (description := self.description) is None:
             check()
-            if state is None and self._state.service_is_ready():
-                state = self._state.call_async(GetState.Request())
-            self._check_start(state, time.monotonic() - begin_s)
+            now_s = time.monotonic()
+            if not self._state.service_is_ready():
+                asked_s, state = -math.inf, None  # whoever was asked is gone
+            elif now_s - asked_s > RESEND_S and not (state and state.done()):
+                asked_s, state = now_s, self._state.call_async(GetState.Request())
+            self._check_start(state, now_s - begin_s)
             time.sleep(POLL_S)
         if self.contradiction:
             raise CallFailed(self.contradiction)

@@ -13,6 +13,7 @@ from piezo_interfaces.srv import StartRecording, StopRecording
 from rclpy.node import Node
 
 from piezo_ros.presence import Presence
+from piezo_ros.quality import DIAGNOSTICS_DEPTH
 from piezo_ros.requests.calls import CallFailed, call_service
 
 # The recorder itself waits for samples that are on their way, as long as they come.
@@ -110,7 +111,8 @@ class RecorderNews:
         self._node = node
         self._recording: RunRecording | None = None
         self._recorder = f"{node.get_namespace().rstrip('/')}/recorder"
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, DIAGNOSTICS_DEPTH)
 
     def about(self, path: str, unrecorded: bool = False,
               stop: Callable[[int], StopRecording.Response] | None = None) -> RunRecording:

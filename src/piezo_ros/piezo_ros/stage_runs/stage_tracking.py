@@ -88,7 +88,7 @@ class StageTracker:
         cancelled : callable
             Asked now and then; true stops the run.
         report : callable
-            Called now and then.
+            Called now and then, and once the stage is at rest.
         more : callable, optional
             Where the feedforward is streamed behind ``once_voltage_v``, see `Stream`; the blocks
             are then answered in any case.
@@ -207,6 +207,7 @@ class StageTracker:
             if now_s - reported_s >= REPORT_PERIOD_S:
                 reported_s = now_s
                 report()
+        report()
         if failure:
             raise failure
 

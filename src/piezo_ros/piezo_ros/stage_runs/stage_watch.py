@@ -8,6 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from piezo_ros.presence import Presence
+from piezo_ros.quality import DIAGNOSTICS_DEPTH
 
 # The stage tells how it is every second, and later on a busy computer.
 NEWS_TIMEOUT_S = 10.0
@@ -28,7 +29,8 @@ class StageWatch:
         self._news = threading.Event()
         self._stopped = self._state = ""
         self.begin()
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, DIAGNOSTICS_DEPTH)
 
     def begin(self) -> None:
         """Begin a run: what was before does not matter any more."""

@@ -11,6 +11,7 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
+from piezo_ros.quality import PROGRESS
 from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.open_answers import OpenAnswers
@@ -34,7 +35,7 @@ class WaveformGoal:
         self._answer = answer
         self._result = PlayWaveform.Result()
         self._answered = threading.Lock()
-        self._last_progress_s = 0.0
+        self._told = "", 0.0
 
     @property
     def cancelled(self) -> bool:
@@ -49,11 +50,11 @@ class WaveformGoal:
             self._result.first_sample, self._result.samples = value
 
     def attend(self, engine: StageEngine) -> None:
-        """Tell how far it is."""
-        now_s = time.monotonic()
-        if now_s - self._last_progress_s < PROGRESS_PERIOD_S:
+        """Tell how far it is: now and then, and of each phase, however short it is."""
+        (phase, told_s), now_s = self._told, time.monotonic()
+        if phase == engine.phase_name and now_s - told_s < PROGRESS_PERIOD_S:
             return
-        self._last_progress_s = now_s
+        self._told = engine.phase_name, now_s
         self.handle.publish_feedback(PlayWaveform.Feedback(
             stage=engine.phase_name, fraction=float(engine.fraction),
             seconds_left=float(engine.seconds_left)))
@@ -86,7 +87,8 @@ class WaveformGoals:
         self._server = ActionServer(
             node, PlayWaveform, "play_waveform", self._end,
             handle_accepted_callback=self._accept,
-            cancel_callback=lambda handle: CancelResponse.ACCEPT)
+            cancel_callback=lambda handle: CancelResponse.ACCEPT,
+            feedback_pub_qos_profile=PROGRESS)
 
     @property
     def answered(self) -> bool:

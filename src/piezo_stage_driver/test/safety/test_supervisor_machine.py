@@ -108,7 +108,7 @@ class ScriptedBackend:
         actions, self.meanwhile = self.meanwhile, []
         thread = threading.Thread(target=self._world.act_meanwhile, args=(actions,), daemon=True)
         thread.start()
-        thread.join(20.0)
+        thread.join(300.0)
         if thread.is_alive():
             self.wrong.append("whoever acts while the backend hangs, hangs as well")
 
