@@ -7,8 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.adequacy.generator_residual import left_of_generator
 from piezo_identification.conditioning.creep_removal import remove_creep
-from piezo_identification.conditioning.generator_edges import free_running_level
+from piezo_identification.conditioning.generator_edges import (
+    free_running_level,
+    generator_edges,
+)
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
@@ -25,6 +29,7 @@ from piezo_identification.estimators.frequency_response.sampled_response import 
     leading_lags,
     respond,
 )
+from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_identification.prediction.model_run import ModelRun, starting_past_v
 from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics
@@ -153,9 +158,15 @@ def _of_square_wave(
         return np.asarray(measured_um - columns @ fitted)
 
     residual_um = left_um(wave.level)
-    own = free_running_level(wave)
-    if own is not None:
+    edges, own_um = generator_edges(wave), None
+    has_exact_answer = samples == 1 and not model.effects_at("voltage") and not system.D.any()
+    if edges is not None and component == "dynamics" and has_exact_answer:
+        own_um = left_of_generator(
+            system, HeldInput(wave.level, part.sample_period_s, False), behind_s + delay_s,
+            edges, measured_um, beside, good)
+    elif (own := free_running_level(wave)) is not None:
         own_um = left_um(own)
+    if own_um is not None:
         if np.sum(own_um[good] ** 2) < np.sum(residual_um[good] ** 2):
             residual_um = own_um
     voltage_v = np.asarray(part.voltage_v)[first:]

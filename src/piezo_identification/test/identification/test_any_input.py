@@ -85,10 +85,9 @@ def test_edges_of_a_generator_between_the_samples_are_found(record, linear_stage
     recording = record(linear_stage, voltage_v[::fine], PERIOD_S)
     noise_um = np.random.default_rng(2).normal(scale=0.01, size=COUNT)
     object.__setattr__(recording, "displacement_um", 0.5 * response[::fine] + noise_um)
-    # An edge within a sample is played as its mean over the sample: a lag of half a sample is seen.
-    assert error_of(estimate_dynamics_any([recording], CreepDynamics())) < 0.01
+    assert error_of(estimate_dynamics_any([recording], CreepDynamics())) < 5e-3
     # With the edges as sampled, 40 times the noise would be left.
-    assert identify(dynamics=recording).adequacy["dynamics"]["ratio"] < 1.5
+    assert identify(dynamics=recording).adequacy["dynamics"]["ratio"] < 1.1
 
 
 def test_a_linear_stage_becomes_a_line_with_its_gain(linear_stage, record):

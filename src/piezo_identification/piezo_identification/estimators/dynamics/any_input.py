@@ -6,12 +6,13 @@ or for two levels by offset and gain (4.5); the measured displacement is fitted 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
-from piezo_identification.conditioning.generator_edges import free_running_level
+from piezo_identification.conditioning.generator_edges import generator_edges
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
@@ -26,8 +27,8 @@ from piezo_identification.estimators.dynamics.fast_signals import (
     played_at_the_clock,
     through_hysteresis,
 )
-from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH, fit_output_error
-from piezo_identification.estimators.dynamics.pole_search import free_fits
+from piezo_identification.estimators.dynamics.generator_signals import with_edges_between
+from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_identification.estimators.dynamics.slow_misfit import beside_slow_misfit
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.estimate import Estimate
@@ -39,9 +40,6 @@ from piezo_recorder.reading.recording import Recording
 
 MODES_OF_A_LINE = 2
 """Vibration modes with which a line is compared with a hysteresis."""
-
-MODES_THAT_TELL = 2
-"""Modes with which it is told whether a generator runs freely: edges off by half a sample show."""
 
 AT_REST = 20
 """Samples without a change of the voltage, from which a recording counts as beginning at rest."""
@@ -92,10 +90,14 @@ def estimate_dynamics_any(
             "of the dynamics of one sample period")
     squares = [square_part(part) for part in parts]
     if all(_has_two_levels(square) for square in squares):
-        inputs = min(_two_level_inputs(squares), key=lambda inputs: _left_by_free_residues(
-            _signals(squares, inputs, creep)))
+        waves = [square_wave(square) for square in squares]
+        levels = [wave.level for wave in waves]
+        timed = with_edges_between(
+            _signals(squares, levels, creep), [generator_edges(wave) for wave in waves])
         return fit_beside_fast_creep(
-            lambda known: _signals(squares, inputs, known).record(), creep, mode_count, delay)
+            lambda known: replace(_signals(squares, levels, known), early=timed.early,
+                                  phase_room=timed.phase_room).record(),
+            creep, mode_count, delay)
     if hysteresis is not None:
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(recordings, parts, strict=True)]
@@ -133,16 +135,6 @@ def _has_two_levels(part: Recording) -> bool:
         return False
 
 
-def _two_level_inputs(parts: Sequence[Recording]) -> list[list[FloatArray]]:
-    """Levels as sampled, and where a free-running generator explains them, with its own edges."""
-    waves = [square_wave(part) for part in parts]
-    sampled = [wave.level for wave in waves]
-    own = [free_running_level(wave) for wave in waves]
-    if any(level is None for level in own):
-        return [sampled]
-    return [sampled, [level for level in own if level is not None]]
-
-
 def _signals(
     parts: Sequence[Recording], inputs: Sequence[FloatArray], creep: CreepDynamics,
 ) -> FastSignals:
@@ -155,12 +147,6 @@ def _signals(
                 f"{part.path} leaves {max(left, 0)} samples after its start has settled, "
                 f"fewer than {FEWEST_SAMPLES}: record the dynamics longer or faster")
     return joined_signals(parts, inputs, first_kept, creep)
-
-
-def _left_by_free_residues(signals: FastSignals) -> float:
-    """Sum of the squared residual that poles with free residues leave at most."""
-    return min(fit.cost for fit in free_fits(
-        signals.record().thinned(ROWS_OF_SEARCH), MODES_THAT_TELL))
 
 
 def _first_kept(part: Recording) -> int:

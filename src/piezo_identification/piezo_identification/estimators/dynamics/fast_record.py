@@ -139,6 +139,8 @@ class FastRecord:
         Poles (rad/s) from which fits with a number of modes may begin: a list of arrays.
     every_row : FastRecord, optional
         That of which this one has rows far between; by default itself.
+    phase_room : float
+        Part of a sample period by which all of the input may be earlier or later.
     """
 
     input: HeldInput
@@ -147,6 +149,7 @@ class FastRecord:
     fixed: FloatArray
     starts: Callable[[int], list[ComplexArray]]
     every_row: "FastRecord | None" = None
+    phase_room: float = 0.0
     _span: FloatArray = field(init=False, repr=False)
     _target: FloatArray = field(init=False, repr=False)
 
@@ -164,8 +167,9 @@ class FastRecord:
         step = -(-self.kept.size // most_rows)
         if step == 1:
             return self
-        return FastRecord(self.input, self.kept[::step], self.measured_um[::step],
-                          self.fixed[::step], self.starts, self.every_row or self)
+        return FastRecord(
+            self.input, self.kept[::step], self.measured_um[::step], self.fixed[::step],
+            self.starts, self.every_row or self, self.phase_room)
 
     def fit(self, order: ModeOrder, vector: FloatArray, delay: float,
             evaluations: int = 100, is_delay_free: bool = True,

@@ -51,6 +51,10 @@ class FastSignals:
     sample_period_s : float
     path : str
         Of the first recording.
+    early : ndarray, shape (N,), optional
+        Part of a sample period by which each input came before its sample; by default none did.
+    phase_room : float
+        Part of a sample period by which all inputs may be earlier or later.
     """
 
     entering_um: FloatArray
@@ -61,12 +65,15 @@ class FastSignals:
     begins: tuple[int, ...]
     sample_period_s: float
     path: str
+    early: FloatArray | None = None
+    phase_room: float = 0.0
 
     def record(self) -> FastRecord:
         """Return the record that is fitted, begun from poles of the spectral lines."""
         return FastRecord(
-            HeldInput(self.entering_um, self.sample_period_s, False, self.begins),
-            self.kept, self.displacement_um[self.kept], self.drift[self.kept], self._starts)
+            HeldInput(self.entering_um, self.sample_period_s, False, self.begins, self.early),
+            self.kept, self.displacement_um[self.kept], self.drift[self.kept], self._starts,
+            phase_room=self.phase_room)
 
     def _starts(self, mode_count: int) -> list[ComplexArray]:
         try:

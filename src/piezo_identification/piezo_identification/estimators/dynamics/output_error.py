@@ -205,13 +205,15 @@ class _Search:
 
     def _with_delay_told(self, fit: FastFit) -> tuple[FastFit, DelayEstimate]:
         """Return the fit and its delay; the fit without it where it is not significant."""
-        variance = float(fit_covariance(fit, self._whole.linear_parameters)[-1, -1])
+        of_phase = self._whole.phase_room**2 / 3.0
+        variance = of_phase + float(fit_covariance(fit, self._whole.linear_parameters)[-1, -1])
         without = None if is_told(fit, variance) else self._whole.fit(
             fit.order, fit.vector, 0.0, is_delay_free=False)
         period_s = self._record.input.sample_period_s
-        delay = DelayEstimate(
-            fit.delay * period_s, delay_deviation(fit, without, variance) * period_s, period_s)
-        if not delay.is_significant:
+        deviation = max(delay_deviation(fit, without, variance), np.sqrt(of_phase))
+        delay = DelayEstimate(fit.delay * period_s, deviation * period_s, period_s)
+        # Where the instant of the input is open, a delay that is not told stands for that.
+        if not delay.is_significant and not of_phase:
             fit = without or self._whole.fit(fit.order, fit.vector, 0.0, is_delay_free=False)
         return fit, delay
 

@@ -42,12 +42,16 @@ class HeldInput:
         held for ever before, and the last one will be.
     begins : tuple of int
         Samples at which inputs begin that have nothing to do with each other. Not if periodic.
+    early : ndarray, shape (N,), optional
+        Part of a sample period by which the input takes each sample before its time. By default 0,
+        and 0 where an input begins. Not if periodic.
     """
 
     samples: FloatArray
     sample_period_s: float
     is_periodic: bool
     begins: tuple[int, ...] = (0,)
+    early: FloatArray | None = None
 
     def responses(
         self, poles: ComplexArray, delay: float, rows: NDArray[np.intp] | None = None,
@@ -79,7 +83,25 @@ class HeldInput:
         value, by_pole, by_delay = _read(
             state, slope, self.samples[rows], scaled, part, decay, gain, gain_slope,
             self.sample_period_s)
+        if self.early is not None and part > 0.0:
+            self._add_edges_before(part, rows, scaled, value, by_pole, by_delay)
         return PoleResponses(value.T, by_pole.T, by_delay.T)
+
+    def _add_edges_before(
+        self, part: float, rows: NDArray[np.intp], scaled: ComplexArray, value: ComplexArray,
+        by_pole: ComplexArray, by_delay: ComplexArray,
+    ) -> None:
+        """Add what steps to the next samples add that come before the part of a period read at."""
+        assert self.early is not None
+        following = np.minimum(rows + 1, self.samples.size - 1)
+        since = self.early[following] + part - 1.0
+        read = np.flatnonzero((self.early[following] != 0.0) & (since > 0.0))
+        change = (self.samples[following] - self.samples[rows])[read]
+        gain, gain_slope = _step(scaled[:, None], since[read])
+        period_s = self.sample_period_s
+        value[:, read] += change * gain * period_s
+        by_pole[:, read] += change * gain_slope * period_s**2
+        by_delay[:, read] -= change * (scaled[:, None] * gain + 1.0) * period_s
 
     def _states(
         self, scaled: ComplexArray, rows: NDArray[np.intp],
@@ -92,23 +114,34 @@ class HeldInput:
             every = np.arange(self.samples.size)
             nothing = np.zeros_like(decay)
             _, _, state, slope = _run(
-                decay, gain, gain_slope, self.samples, nothing, nothing, every)
+                decay, gain, gain_slope, self.samples, nothing, nothing, every, *_NO_EDGES)
             rest = 1.0 - decay ** self.samples.size
             start = state / rest
             start_slope = (slope + self.samples.size * (1.0 - rest) * start) / rest
             states, slopes, _, _ = _run(
-                decay, gain, gain_slope, self.samples, start, start_slope, every)
+                decay, gain, gain_slope, self.samples, start, start_slope, every, *_NO_EDGES)
             return states.take(rows, axis=1), slopes.take(rows, axis=1)
         runs = []
         for begin, end in zip(self.begins, [*self.begins[1:], self.samples.size], strict=True):
             wanted = rows[slice(*np.searchsorted(rows, [begin, end]))] - begin
             part = self.samples[begin:end]
             runs.append(_run(decay, gain, gain_slope, part, -part[0] / scaled,
-                             part[0] / scaled**2, wanted))
+                             part[0] / scaled**2, wanted, *self._edges(begin, end, scaled)))
         if len(runs) == 1:
             return runs[0][0], runs[0][1]
         return (np.concatenate([run[0] for run in runs], axis=1),
                 np.concatenate([run[1] for run in runs], axis=1))
+
+    def _edges(
+        self, begin: int, end: int, scaled: ComplexArray,
+    ) -> tuple[NDArray[np.intp], ComplexArray, ComplexArray]:
+        """Samples of an input that come early, and what that adds to each state and slope."""
+        if self.early is None:
+            return _NO_EDGES
+        at = np.flatnonzero(self.early[begin:end])
+        change = self.samples[begin + at] - self.samples[begin + at - 1]
+        gain, gain_slope = _step(scaled[:, None], self.early[begin + at])
+        return at, change * gain, change * gain_slope
 
     def _places(self, ahead: int, rows: NDArray[np.intp] | None) -> NDArray[np.intp]:
         """Return samples so many ahead of some; at rest before an input, unknown after it."""
@@ -121,10 +154,22 @@ class HeldInput:
         return np.clip(wanted + ahead, first[number], last[number])
 
 
+_NO_EDGES = (np.empty(0, dtype=np.intp), np.empty((0, 0), dtype=complex),
+             np.empty((0, 0), dtype=complex))
+
+
+def _step(scaled: ComplexArray, time: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Answer to a step after a time in sample periods, and its derivative by the scaled pole."""
+    decay = np.exp(scaled * time)
+    gain = (decay - 1.0) / scaled
+    return gain, (time * decay - gain) / scaled
+
+
 @njit(cache=True)
 def _run(
     decay: ComplexArray, gain: ComplexArray, gain_slope: ComplexArray, samples: FloatArray,
     start: ComplexArray, start_slope: ComplexArray, rows: NDArray[np.intp],
+    edges: NDArray[np.intp], of_edge: ComplexArray, slope_of_edge: ComplexArray,
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
     """States and their derivatives at some samples, and those after the last sample."""
     states = np.empty((decay.size, rows.size), dtype=np.complex128)
@@ -137,14 +182,20 @@ def _run(
             last[i], last_slope[i] = np.conj(last[i - 1]), np.conj(last_slope[i - 1])
             continue
         state, slope = start[i], start_slope[i]
-        n = 0
+        n, edge = 0, 0
         # Only what is wanted is kept: writing all of it takes longer than the recursion.
         for k in range(rows.size + 1):
             until = rows[k] if k < rows.size else samples.size
-            for m in range(n, until):
-                slope = decay[i] * (slope + state) + gain_slope[i] * samples[m]
-                state = decay[i] * state + gain[i] * samples[m]
-            n = until
+            while n < until:
+                stop = min(until, edges[edge]) if edge < edges.size else until
+                for m in range(n, stop):
+                    slope = decay[i] * (slope + state) + gain_slope[i] * samples[m]
+                    state = decay[i] * state + gain[i] * samples[m]
+                n = stop
+                if edge < edges.size and n == edges[edge]:
+                    state += of_edge[i, edge]
+                    slope += slope_of_edge[i, edge]
+                    edge += 1
             if k < rows.size:
                 states[i, k], slopes[i, k] = state, slope
         last[i], last_slope[i] = state, slope

@@ -75,6 +75,26 @@ def test_the_derivatives_are_those_of_differences(samples, is_periodic):
     np.testing.assert_allclose(answers.by_pole, by_pole, rtol=1e-4, atol=1e-12)
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.3125, 2.625, -0.4375, -1.5])
+def test_an_input_between_the_samples_is_answered_as_one_of_finer_samples(samples, delay):
+    fine = 16
+    late = np.arange(samples.size) * fine - np.array([0, 0, 3, 0, 15, 8, 0, 1, 0, 14, 11, 0])
+    finer = np.repeat(samples, np.diff(late, append=samples.size * fine))
+    early = np.arange(samples.size) - late / fine
+    held = HeldInput(samples, PERIOD_S, False, early=early)
+    # Read between the edges, where the derivative by the delay has one value.
+    by = 0.5 / fine if delay % 1.0 else 0.0
+    found = held.responses(POLES, delay + by)
+    wanted = HeldInput(finer, PERIOD_S / fine, False).responses(POLES, (delay + by) * fine)
+    inner = slice(2, -2)
+    for name, scale in (("value", 1.0), ("by_pole", 1.0), ("by_delay", fine)):
+        whole, of_finer = getattr(found, name), scale * getattr(wanted, name)[::fine]
+        np.testing.assert_allclose(whole[inner], of_finer[inner], rtol=1e-9, atol=1e-15)
+    rows = np.array([3, 4, 8])
+    np.testing.assert_allclose(
+        held.responses(POLES, delay + by, rows).value, found.value[rows], rtol=1e-12)
+
+
 def test_poles_and_residues_make_the_response_of_the_model():
     poles, residues, _, _ = differentiated(WHOLE.vector(), WHOLE.order)
     frequency_hz = np.geomspace(1.0, 5000.0, 60)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What linear dynamics leave of the answer to a generator whose edges lie between the samples."""
+
+import control
+import numpy as np
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.conditioning.generator_edges import GeneratorEdges
+from piezo_identification.estimators.dynamics.generator_signals import (
+    ROUNDS,
+    edge_responses,
+    moved_edges,
+)
+from piezo_identification.estimators.poles.pole_responses import HeldInput
+
+
+def left_of_generator(
+    system: control.StateSpace, held: HeldInput, delay_s: float, edges: GeneratorEdges,
+    measured_um: FloatArray, beside: FloatArray, good: BoolArray,
+) -> FloatArray:
+    """Return what a system leaves, with the gain and the edges that fit best.
+
+    The rows leave period, duty and instant of the edges open, each within its sample period.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous, without direct feedthrough.
+    held : HeldInput
+        Levels as sampled, N of them.
+    delay_s : float
+    edges : GeneratorEdges
+    measured_um : ndarray, shape (K,)
+        Of the last K samples.
+    beside : ndarray, shape (N, M)
+        What else the record may hold.
+    good : ndarray of bool, shape (K,)
+        Samples that count.
+
+    Returns
+    -------
+    ndarray, shape (K,)
+    """
+    poles, vectors = np.linalg.eig(system.A)
+    residues = (system.C @ vectors)[0] * np.linalg.solve(vectors, system.B)[:, 0]
+    delay = delay_s / held.sample_period_s
+    last = slice(held.samples.size - measured_um.size, None)
+    held = moved_edges(held, edges.early)
+
+    def fitted(*moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+        response = (held.responses(poles, delay).value @ residues).real
+        columns = np.column_stack([response, *moved, beside])[last]
+        weights = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
+        return weights, np.asarray(measured_um - columns @ weights)
+
+    for _ in range(ROUNDS):
+        moved = edge_responses(held, edges.directions, poles, residues, delay)
+        weights = fitted(moved)[0]
+        by = weights[1 : 1 + moved.shape[1]] / weights[0]
+        held = moved_edges(held, edges.directions @ by)
+    return fitted()[1]
