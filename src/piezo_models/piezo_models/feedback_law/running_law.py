@@ -56,7 +56,8 @@ class RunningLaw:
                  largest_step_v: float = np.inf) -> None:
         self.law = law
         self._samples_per_tick = samples_per_tick
-        self.samples_at_once = samples_per_tick if law.sample.empty else 1
+        self._each_sample = not law.sample.empty
+        self.samples_at_once = 1 if self._each_sample else samples_per_tick
         self._step_v = largest_step_v
         self.error_um = self.voltage_v = 0.0
         self.stepped = False
@@ -99,7 +100,7 @@ class RunningLaw:
             self._acting_v = self._decisions.popleft()
             self._acts = self._acts or self._decided_ticks > self.law.delay_ticks
         self._played += len(planned_v)
-        if not (self._acts or self.begun and not self.law.sample.empty):
+        if not (self._acts or self._each_sample and self.begun):
             # Nothing is fed back yet: nothing is added, not even the rounding of an inverse.
             if self._inverse is not None:
                 self._inverse.follow(planned_v)

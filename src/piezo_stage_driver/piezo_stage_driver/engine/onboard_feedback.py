@@ -61,6 +61,8 @@ class OnboardFeedback:
         What acts: the mean over the tick (V).
     missed, missed_in_a_row : int
         Always 0: nobody has to answer.
+    each_sample : bool
+        Whether it changes within a tick.
     limited, limited_in_a_row : int
         Ticks in which the law asked for more than the limits allow.
     """
@@ -69,7 +71,7 @@ class OnboardFeedback:
 
     def __init__(self, checked: CheckedLaw, first_tick: int, lead_ticks: int,
                  limits: FeedbackLimits) -> None:
-        self._law = checked.running()
+        self._law, self.each_sample = checked.running(), not checked.law.sample.empty
         self._first_tick, self._lead_ticks, self._limits = first_tick, lead_ticks, limits
         self._guard, self._cause = LawGuard(checked.law), ""
         self.limited = self.limited_in_a_row = 0
@@ -78,11 +80,6 @@ class OnboardFeedback:
     def voltage_v(self) -> float:
         """Return what acts (V)."""
         return self._law.voltage_v
-
-    @property
-    def each_sample(self) -> bool:
-        """Tell whether it changes within a tick."""
-        return not self._law.law.sample.empty
 
     @property
     def cause(self) -> str:
@@ -103,7 +100,7 @@ class OnboardFeedback:
         law = checked.running()
         law.take_over(self._law)
         self._guard = self._guard.of_next(checked.law)
-        self._law = law
+        self._law, self.each_sample = law, not law.law.sample.empty
 
     def answer(self, tick: int, voltage_v: float, present_tick: int) -> None:
         """Refuse an answer.

@@ -180,6 +180,12 @@ class StageEngine:
         return (self.phase_name == "track" and self._feedback is not None
                 and not self.stop_cause and self._feedback.awaited(self.tick))
 
+    @property
+    def tracks_alone(self) -> bool:
+        """Tell whether the next tick tracks, and nobody has to answer before."""
+        return (self.phase_name == "track" and not self._latch.cause
+                and not isinstance(self._feedback, FeedbackHold))
+
     # What is played next
 
     def begin(self, program: Program, client: str = "",

@@ -143,7 +143,7 @@ class StageLoop:
         self._settle()
 
     def _tick(self) -> None:
-        block = self.supervisor.tick()
+        block = self.supervisor.tick(whole_block=self._settings.lockstep)
         self._published = block is not None
         if block is not None:
             self._publish(block)

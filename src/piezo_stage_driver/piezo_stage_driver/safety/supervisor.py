@@ -253,8 +253,14 @@ class StageSupervisor:
 
     # Time
 
-    def tick(self) -> Block | None:
+    def tick(self, whole_block: bool = False) -> Block | None:
         """Run what waits, play the next samples.
+
+        Parameters
+        ----------
+        whole_block : bool
+            Play on until a block is full, as long as nobody has to answer; for who takes no
+            commands meanwhile.
 
         Returns
         -------
@@ -267,6 +273,8 @@ class StageSupervisor:
         was_idle = self.engine.idle
         try:
             block = self.engine.advance()
+            while whole_block and block is None and self.engine.tracks_alone:
+                block = self.engine.advance()
         except SessionOver:
             return None  # given up: who did that has told why
         except BackendFault as fault:
