@@ -110,22 +110,47 @@ def fast_creep(
     """
     best = best_free_fit(record_without(creep))
     record = record_without(creep).thinned(ROWS_OF_SEARCH)
-    fastest = min(SLOWER_THAN_MODES * _lowest_ringing(best),
-                  1.0 / (ROWS_OF_DECAY * record.input.sample_period_s))
-    duration_s = record.input.samples.size * record.input.sample_period_s
-    slowest = max(FASTER_THAN_KNOWN * max(creep.poles_rad_per_s, default=0.0), 1.0 / duration_s)
-    is_slow = np.abs(best.poles) < fastest
-    if slowest >= fastest or not is_slow.any():
+    rates = sought_rates(record, best, creep)
+    is_slow = np.abs(best.poles) < rates.max(initial=0.0)
+    if not is_slow.any():
         return None
-    count = 1 + int(np.ceil(RATES_PER_DECADE * np.log10(fastest / slowest)))
     dynamics = replace(best, poles=best.poles[~is_slow], residues=best.residues[~is_slow])
-    found = _positive_parts(record, dynamics, np.geomspace(slowest, fastest, count))
+    found = _positive_parts(record, dynamics, rates)
     if found is None:
         return None
     without = record_without(joined_creep(creep, found.model))
     # The creep stands in the place of slow poles, which no stage has: it need not pay for itself.
     gain = _information(record, best) - _information(record, best_free_fit(without))
     return found if gain > -AS_GOOD else None
+
+
+def sought_rates(record: FastRecord, free: FreeFit, creep: CreepDynamics) -> FloatArray:
+    """Return rates (rad/s) that stand for any creep which a fast record could show.
+
+    They begin above the known creep, or where the record lasts for one decay, and end below all
+    that rings, or where a decay lasts for one row: a pair above the band rings for the fit only.
+
+    Parameters
+    ----------
+    record : FastRecord
+    free : FreeFit
+        Of it.
+    creep : CreepDynamics
+        That is known.
+
+    Returns
+    -------
+    ndarray, shape (R,)
+        None where nothing rings, or the known creep is as fast.
+    """
+    period_s = record.input.sample_period_s
+    fastest = min(SLOWER_THAN_MODES * _lowest_ringing(free), 1.0 / (ROWS_OF_DECAY * period_s))
+    slowest = max(FASTER_THAN_KNOWN * max(creep.poles_rad_per_s, default=0.0),
+                  1.0 / (record.input.samples.size * period_s))
+    if slowest >= fastest:
+        return np.empty(0)
+    return np.geomspace(
+        slowest, fastest, 1 + int(np.ceil(RATES_PER_DECADE * np.log10(fastest / slowest))))
 
 
 def best_free_fit(record: FastRecord) -> FreeFit:

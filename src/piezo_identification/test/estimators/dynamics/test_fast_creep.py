@@ -5,9 +5,14 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from piezo_identification.estimators.dynamics.fast_creep import fast_creep, joined_creep
-from piezo_identification.estimators.dynamics.fast_record import independent
+from piezo_identification.estimators.dynamics.fast_creep import (
+    fast_creep,
+    joined_creep,
+    sought_rates,
+)
+from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit, independent
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics, mean_period
+from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
@@ -17,10 +22,11 @@ PERIODS, PERIOD_SAMPLES = 10, 2000
 LAG_S, MODES_HZ, DAMPINGS, PARTS = 4e-4, (620.0, 1450.0), (0.02, 0.015), (0.94, 0.06)
 OVERSAMPLED = 10
 NOISE_UM = 2e-3
+DECADES = tuple(np.geomspace(1.0, 100.0, 7))
 
 
-def recording(creep_part):
-    """A stage in closed form but for a tenth of a sample, which creeps alike in every decade."""
+def recording(creep_part, creep_rates=DECADES, modes=2):
+    """A stage in closed form but for a tenth of a sample, which creeps alike at every rate."""
     step_s = 1.0 / (OVERSAMPLED * RATE_HZ)
     level = np.tile(np.repeat([1.0, 0.0], PERIOD_SAMPLES // 2), PERIODS)
     moved = np.repeat(level, OVERSAMPLED)
@@ -30,12 +36,13 @@ def recording(creep_part):
         return signal.lfilter(numerator.ravel(), denominator, values)
 
     crept = moved + sum(
-        creep_part * passed(([rate], [1.0, rate]), moved) for rate in np.geomspace(1.0, 100.0, 7))
+        creep_part * passed(([rate], [1.0, rate]), moved) for rate in creep_rates)
     lagged = passed(([1.0], [LAG_S, 1.0]), crept)
     rates = 2.0 * np.pi * np.array(MODES_HZ)
-    displacement_um = 3.0 * sum(
+    displacement_um = 3.0 / sum(PARTS[:modes]) * sum(
         passed(([part * rate**2], [1.0, 2.0 * damping * rate, rate**2]), lagged)
-        for rate, damping, part in zip(rates, DAMPINGS, PARTS, strict=True))[::OVERSAMPLED]
+        for rate, damping, part in list(zip(rates, DAMPINGS, PARTS, strict=True))[:modes]
+    )[::OVERSAMPLED]
     noise_um = NOISE_UM * np.random.default_rng(1).normal(size=level.size)
     return Recording("closed form", RATE_HZ, np.arange(level.size),
                      np.full(level.size, 1.0 / RATE_HZ), 35.0 + 10.0 * level,
@@ -69,6 +76,34 @@ def test_dynamics_behind_creep_of_every_decade_are_those_without_it():
 def test_no_creep_is_found_where_there_is_none():
     assert fast_creep(
         lambda creep: mean_period(recording(creep_part=0.0), creep), CreepDynamics()) is None
+
+
+def test_creep_that_explains_as_much_as_free_poles_need_not_pay_for_its_numbers():
+    """Of one rate, between those that are tried: two stand for it, and no pole of the fit does."""
+    stage = recording(creep_part=0.01, creep_rates=(30.0,), modes=1)
+    found = fast_creep(lambda creep: mean_period(stage, creep), CreepDynamics())
+    assert found is not None
+    below, above = found.model.poles_rad_per_s
+    assert below < 30.0 < above
+    response = found.model.response(np.array([1.0, 5.0, 20.0]))
+    truth = CreepDynamics((30.0,), (30.3,)).response(np.array([1.0, 5.0, 20.0]))
+    # Creep counts relative to what follows at once.
+    np.testing.assert_allclose(response / response[-1], truth / truth[-1], atol=1e-3)
+
+
+@pytest.mark.parametrize("rings_at, known_rate, first, last", [
+    (40.0, (), 0.5, 8.0), (400.0, (), 0.5, 50.0), (400.0, (4.0,), 12.0, 50.0),
+    (40.0, (4.0,), None, None)])
+def test_creep_is_sought_above_the_known_one_and_below_what_rings_and_what_rows_show(
+        rings_at, known_rate, first, last):
+    """Rows of 0.02 s over 2 s; half the sample rate is 157 rad/s."""
+    record = FastRecord(HeldInput(np.zeros(100), 0.02, False), np.arange(90), np.arange(90.0),
+                        np.ones((90, 1)), lambda count: [])
+    poles = np.array([-1.0, rings_at * (-0.28 + 0.96j), rings_at * (-0.28 - 0.96j)])
+    free = FreeFit(np.zeros(3), 0.0, np.zeros(90), poles, np.ones(3, dtype=complex))
+    creep = CreepDynamics(known_rate, tuple(1.1 * rate for rate in known_rate))
+    rates = sought_rates(record, free, creep)
+    assert (rates[0], rates[-1]) == pytest.approx((first, last)) if first else not rates.size
 
 
 def test_creep_of_two_in_succession_is_the_product_of_their_responses():
