@@ -43,6 +43,7 @@ class FedRecorder(Client):
             StageDescription, "stage/description", DESCRIPTION)
         self._description.publish(StageDescription(sample_rate_hz=SAMPLE_RATE_HZ))
         self._start = self.node.create_client(StartRecording, "recorder/start_recording")
+        self._name = self.node.get_fully_qualified_name()
         self.diagnostics = []
         self.node.create_subscription(
             DiagnosticArray, "/diagnostics",
@@ -52,11 +53,12 @@ class FedRecorder(Client):
 
     def start(self, directory, name, **fields):
         self.until(self._start.service_is_ready)
-        return self.wait(self._start.call_async(StartRecording.Request(
-            directory=str(directory), name=name, **fields)))
+        return self._answer(self._start, "recorder/start_recording", StartRecording.Request(
+            **{"directory": str(directory), "name": name, "client": self._name, **fields}))
 
     def stop(self, last_sample=0):
-        return self.call(StopRecording, "recorder/stop_recording", last_sample=last_sample)
+        return self.call(StopRecording, "recorder/stop_recording", last_sample=last_sample,
+                         client=self._name)
 
     def until(self, condition):
         if not self.spin_until(condition, TIMEOUT_S):
@@ -114,6 +116,23 @@ def test_every_message_is_recorded_and_numbers_are_told(recorder, tmp_path):
     refused = recorder.start(tmp_path, "run")
     assert not refused.success
     assert "exists already" in refused.message
+
+
+def test_who_did_not_hear_the_answer_asks_again_and_gets_the_same(recorder, tmp_path):
+    started = recorder.start(tmp_path, "run")
+    assert started.success, started.message
+    assert recorder.start(tmp_path, "run") == started
+    # Others than who began it, and another recording, are refused.
+    for name, fields in (("run", {"client": ""}), ("run", {"client": "/other"}), ("other", {})):
+        assert "is being recorded" in recorder.start(tmp_path, name, **fields).message
+    recorder.publish(range(3))
+    stopped = recorder.stop(119)
+    assert (stopped.success, stopped.samples) == (True, 120)
+    assert recorder.stop(119) == stopped
+    assert "Nothing is being recorded" in recorder.stop(79).message
+    # From the next start on, the recording before is forgotten, whatever became of that.
+    assert "exists already" in recorder.start(tmp_path, "run").message
+    assert "Nothing is being recorded" in recorder.stop(119).message
 
 
 def test_what_is_not_under_the_data_root_is_refused_in_one_line(recorder, tmp_path):
