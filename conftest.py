@@ -3,14 +3,19 @@
 
 import base64
 import csv
+import fcntl
 import html
 import importlib.util
 import io
 import os
+import random
 import re
 import shutil
+import socket
 import subprocess
 import sys
+import tempfile
+from contextlib import contextmanager
 from itertools import chain, combinations
 from pathlib import Path
 
@@ -34,6 +39,10 @@ OF_THE_SUITE = {
 # A test that draws does not watch the clock.
 settings.register_profile("suite", deadline=None)
 settings.load_profile("suite")
+
+DOMAINS = range(1, 100)
+CLAIMS = f"{tempfile.gettempdir()}/piezo_test_domain_{{number}}"
+"""Locked by the test process that uses a domain, until it ends."""
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 WIDTHS_PX = {"phone": 390, "desk": 1280}
@@ -96,6 +105,46 @@ def pytest_collection_modifyitems(config, items):
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in set(left_out)]
+
+
+@pytest.fixture(scope="session")
+def domain_of_our_own():
+    """Return the number of a ROS domain that nobody else on this machine uses now."""
+    with claimed_domain() as number:
+        os.environ.update(ROS_DOMAIN_ID=str(number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+        yield number
+
+
+@contextmanager
+def claimed_domain():
+    """Claim a free ROS domain, also against test processes that have started no node yet."""
+    for number in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
+        try:
+            claim = open(CLAIMS.format(number=number), "a", encoding="utf-8")
+        except PermissionError:  # of another user
+            continue
+        with claim:
+            if _is_locked(claim) and _is_free(number):
+                yield number
+                return
+    pytest.exit("every ROS domain of this machine is in use")
+
+
+def _is_locked(file):
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _is_free(domain):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", 7410 + 250 * domain))  # RTPS: of the domain's first participant
+        except OSError:
+            return False
+    return True
 
 
 @pytest.fixture(scope="session")

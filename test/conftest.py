@@ -2,13 +2,8 @@
 """Start the real nodes as processes, and talk to them as any client would."""
 
 import array
-import fcntl
-import os
-import random
-import socket
-import tempfile
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from itertools import count, pairwise
 
 import numpy as np
@@ -41,9 +36,6 @@ PATIENT = {"lockstep_timeout_s": 60.0, "exchange_timeout_s": 60.0,
 ENDLESS_S = 100_000.0
 """Of stage time: days of a paced stage, and more than an hour of one in lockstep."""
 NEAR_CELLS = 50
-DOMAINS = range(1, 100)
-CLAIMS = f"{tempfile.gettempdir()}/piezo_test_domain_{{number}}"
-"""Locked by the test process that uses a domain, until it ends."""
 
 
 class Samples:
@@ -345,44 +337,10 @@ class Nodes:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def domain():
-    """A ROS domain of our own, which nobody else on this machine uses now."""
-    with claimed_domain() as number:
-        os.environ.update(ROS_DOMAIN_ID=str(number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
-        clean_shared_memory()
-        yield number
-
-
-@contextmanager
-def claimed_domain():
-    """Claim a free ROS domain, also against test processes that have started no node yet."""
-    for number in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
-        try:
-            claim = open(CLAIMS.format(number=number), "a", encoding="utf-8")
-        except PermissionError:  # of another user
-            continue
-        with claim:
-            if _is_locked(claim) and _is_free(number):
-                yield number
-                return
-    pytest.exit("every ROS domain of this machine is in use")
-
-
-def _is_locked(file):
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
-
-
-def _is_free(domain):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind(("", 7410 + 250 * domain))  # RTPS: of the domain's first participant
-        except OSError:
-            return False
-    return True
+def domain(domain_of_our_own):
+    """A ROS domain of our own, without what killed nodes have left."""
+    clean_shared_memory()
+    return domain_of_our_own
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ def run_example(name, *arguments):
     environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
     ended = subprocess.run(
         [sys.executable, EXAMPLES / f"{name}.py", *map(str, arguments)],
-        env=environment, capture_output=True, text=True, timeout=300)
+        env=environment, capture_output=True, text=True, timeout=1800)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout
 

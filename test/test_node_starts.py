@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -32,9 +33,9 @@ def wait_until(condition, process):
         assert time.monotonic() < deadline, "the process does not get on"
 
 
-def start(node):
+def start(node, **changes):
     package, executable = NODES[node]
-    environment = {**os.environ}
+    environment = {**os.environ, **changes}
     environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
     return subprocess.Popen([Path(get_package_prefix(package), "lib", package, executable)],
                             env=environment, stderr=subprocess.PIPE, text=True)
@@ -52,8 +53,11 @@ def interrupted(process, number, condition):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("node", NODES)
-def test_interrupt_before_anything_is_loaded_is_one_line(node, number):
-    status, said = interrupted(start(node), number, lambda: True)
+def test_interrupt_before_anything_is_loaded_is_one_line(node, number, tmp_path):
+    # However late the signal comes, the node still loads its first library of ROS.
+    (tmp_path / "rclpy.py").write_text("import time\ntime.sleep(1000.0)\n")
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    status, said = interrupted(start(node, PYTHONPATH=path), number, lambda: True)
     assert (status, said) == (130, f"{NODES[node][1]}: interrupted while it started\n")
 
 

@@ -37,7 +37,8 @@ def scheduling(request):
                              option=SimpleNamespace(loadscopereorder=True))
     scheduling = request.config.pluginmanager.hook.pytest_xdist_make_scheduler(
         config=config, log=None)
-    return scheduling
+    # Without the plugin, whose hook takes the first result, there is a list of them.
+    return scheduling[0] if isinstance(scheduling, list) else scheduling
 
 
 def join(scheduling, process, tests):

@@ -34,7 +34,7 @@ def make(node):
     told = load_document(PiSettings, sys.argv[2])
     controller = PiController(told, gcs_stand_in.library(gcs_stand_in.Controller()))
     settings, longest_samples = node.settings.for_backend(sys.argv[2]), int(sys.argv[3])
-    return StoredWaveformStage(controller, settings, longest_samples, 1.0)
+    return StoredWaveformStage(controller, settings, longest_samples, 30.0)
 
 run_node(lambda: StageNode(make), sys.argv)
 """
@@ -64,6 +64,7 @@ def stage(stage_client, tmp_path_factory):
         client = stage_client("/stored", processes)
         client.until(lambda: client.blocks and client.node_names() >= {
             "stage", "recorder", "identification"})
+        client.connect_recorder(directory, 1.0 / RATE_HZ, ["samples"])
         yield client
         client.close()
     process.terminate()

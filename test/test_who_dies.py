@@ -9,12 +9,14 @@ import signal
 import subprocess
 import sys
 from itertools import product
+from pathlib import Path
 
 import pytest
 from piezo_interfaces.msg import Reference, SampleBlock
 from piezo_interfaces.srv import StopRecording
 
 from piezo_client.client import ServiceFailed
+from piezo_identification.experiments.probing import probe_file
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
@@ -87,10 +89,9 @@ class Suite:
         self.namespace = client.node.get_namespace()
         self._model_file = model_file
 
-    def fields(self, name, directory, duration_s=600.0):
-        if name == "run_experiment":
-            return {"experiment": "diagnostic" if duration_s > 1.0 else "dynamics",
-                    "directory": str(directory)}
+    def fields(self, name, directory, duration_s=3600.0):
+        if name == "run_experiment":  # whose length the directory tells
+            return {"experiment": "dynamics", "directory": str(directory)}
         return {"reference": REFERENCE, "model": str(self._model_file), "mode": "pi",
                 "duration_s": duration_s, "directory": str(directory)}
 
@@ -157,7 +158,7 @@ def suite_of(nodes, model_file):
 
 def recorded(directory):
     """The only recording of a directory."""
-    path, = directory.iterdir()
+    path, = filter(Path.is_dir, directory.iterdir())
     return read_recording(path)
 
 
@@ -182,8 +183,10 @@ def nothing_is_recorded(client):
 
 @pytest.mark.parametrize(("timing", "name", "victim", "number"), CASES)
 def test_whoever_goes_away_the_rest_ends_in_order(
-        suite_of, tmp_path, timing, name, victim, number):
+        suite_of, endless, tmp_path, timing, name, victim, number):
     whole = suite_of(timing)
+    (tmp_path / "first").mkdir()
+    (endless / probe_file.NAME).rename(tmp_path / "first" / probe_file.NAME)
     client, outcome = whole.client, tmp_path / "outcome.json"
     operator = whole.begin(name, tmp_path / "first", outcome)
     client.until(lambda: holds_samples(tmp_path / "first"))
