@@ -167,18 +167,21 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
     found, *others = sets.values()
     first = _gone_on(problem, _fitted(problem, found, was_there))
 
+    def begins_from_first(effects: Effects) -> bool:
+        return {effect.name for effect in found} < {effect.name for effect in effects}
+
     def beside(effects: Effects) -> JointFit:
-        has_more = set(_name(found).split("+")) < set(_name(effects).split("+"))
-        begun = _fitted(problem, effects, was_there, first if has_more else None)
-        return _gone_on(problem, begun, first)
+        begun = first if begins_from_first(effects) else None
+        return _gone_on(problem, _fitted(problem, effects, was_there, begun), first)
 
     fitted = [first, *side_by_side(beside, others)]
     best = min(fitted, key=lambda fit: fit.against)
 
     def again(fit: JointFit) -> JointFit:
-        if fit is best:
+        effects = fit.effects[len(problem.own):]
+        if fit is best or best is first and begins_from_first(effects):
             return fit
-        moved = _fitted(problem, fit.effects[len(problem.own):], was_there, best)
+        moved = _fitted(problem, effects, was_there, best)
         return min(fit, _gone_on(problem, moved, best), key=lambda fit: fit.against)
 
     fits = dict(zip(sets, side_by_side(again, fitted), strict=True))
