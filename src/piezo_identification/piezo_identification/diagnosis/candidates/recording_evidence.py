@@ -34,14 +34,14 @@ def _of_recording(regression: Regression, index: int, mask: BoolArray,
                   effects: Sequence[Effect]) -> Evidence:
     dataset = regression.dataset
     part, used = dataset.simulated[index], regression.estimation[mask]
+    tolerance_um = regression.tolerance_um[mask][0]
     simulated_um = part.simulate(effects)
     return Evidence(
         part.sample_period_s, part.voltage_v, simulated_um,
         residual_um(dataset, index, effects, regression.noise),
         regression.noise.noise_um[index], dataset.model.dynamics, part.drive_um,
-        *_projections(regression.weighted[mask][used], regression.prior,
-                      dataset.rows[index][used], regression.tolerance_um[mask][0],
-                      part.measured_um - simulated_um),
+        *_projections(dataset.regressors[mask][used] / tolerance_um, regression.prior,
+                      dataset.rows[index][used], tolerance_um, part.measured_um - simulated_um),
         part.measured_um,
     )
 

@@ -2,15 +2,17 @@
 """Alternative explanations of recordings, each with its parameters and how far these are known."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.candidates.effect_fit import fit_one_more
 from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
 from piezo_identification.diagnosis.comparison.attempts import SAME_AS_OTHER_PARAMETERS
+from piezo_identification.diagnosis.joint.far_starts import may_lead
 from piezo_identification.diagnosis.joint.joint_fit import JointFit, JointProblem
 from piezo_identification.diagnosis.joint.model_weights import (
     HeldOut,
@@ -31,11 +33,9 @@ from piezo_recorder.reading.recording import Recording
 NONE = "none"
 LEAST_PROBABLE = 0.01
 """Sets of effects that a verdict gives less are no alternatives, and none is left with less."""
-STEPS = 8
-"""Most steps of a fit: with the two by which a diagnosis begins, alternatives that are right lose
-where their model has to move farther."""
-TURNS, WORTHWHILE = 1, 0.98
-"""Fits are repeated from the model of the best so often, while they leave less than this part."""
+TURNS = 8
+"""In which a fit goes on at most, each of two steps: after the one turn by which a diagnosis
+begins, alternatives that are right lose where their model has to move farther."""
 STEP = 1e-4
 """Change of a fitted number from which its sensitivity is taken, over the number."""
 
@@ -150,42 +150,53 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
     for effects in (*others, *_undecided(regression, found, verdict),
                     *_probable(regression, found, verdict)):
         sets.setdefault(_name(effects), effects)
-    problem = JointProblem(dataset.model, dataset.recordings, old, len(dataset.recordings), STEPS)
+    problem = JointProblem(dataset.model, dataset.recordings, old, len(dataset.recordings))
     was_there = any(entry.get("came") == "before the identification"
                     for entry in verdict.get("effects", []))
-    fitted = _fit(problem, sets, was_there)
-    for _ in range(TURNS):
-        again = _fit(_moved(problem, fitted), {
-            name: fit.effects[len(problem.own):] for name, fit in fitted.items()}, was_there)
-        better = {name: fit for name, fit in again.items()
-                  if _left_over(fit) < WORTHWHILE * _left_over(fitted[name])}
-        fitted = {**fitted, **better}
-        if not better:
-            break
-    return _weighed(problem, fitted)
+    return _weighed(problem, _fit(problem, sets, was_there))
 
 
 def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
          ) -> dict[str, JointFit]:
-    """Fit sets of effects beside the model, and leave out those that no stage can have."""
-    fits = {name: _fitted(problem, effects, was_there) for name, effects in sets.items()}
+    """Fit sets of effects beside the model, and leave out those that no stage can have.
+
+    The first is fitted before the others, which then end where they can no longer lead. One that
+    has all of its effects and more begins from it; one that ends behind the best is fitted from the
+    model of that once more, because another optimum may be closer to there.
+    """
+    found, *others = sets.values()
+    first = _gone_on(problem, _fitted(problem, found, was_there))
+
+    def begins_from_first(effects: Effects) -> bool:
+        return {effect.name for effect in found} < {effect.name for effect in effects}
+
+    def beside(effects: Effects) -> JointFit:
+        begun = first if begins_from_first(effects) else None
+        return _gone_on(problem, _fitted(problem, effects, was_there, begun), first)
+
+    fitted = [first, *side_by_side(beside, others)]
+    best = min(fitted, key=lambda fit: fit.against)
+
+    def again(fit: JointFit) -> JointFit:
+        effects = fit.effects[len(problem.own):]
+        if fit is best or best is first and begins_from_first(effects):
+            return fit
+        moved = _fitted(problem, effects, was_there, best)
+        return min(fit, _gone_on(problem, moved, best), key=lambda fit: fit.against)
+
+    fits = dict(zip(sets, side_by_side(again, fitted), strict=True))
     extent = problem.dataset.extent
     return {name: fit for name, fit in fits.items()
             if name == NONE or not any(effect.impossible(extent) for effect in fit.effects)}
 
 
-def _moved(problem: JointProblem, fitted: Mapping[str, JointFit]) -> JointProblem:
-    """Return the problem with its derivatives at the model of the best fit, where fits begin."""
-    best, recordings = min(fitted.values(), key=_left_over), problem.dataset.recordings
-    model = replace(best.regression.dataset.model, effects=best.effects[: len(problem.own)])
-    return JointProblem(model, recordings[: problem.new_count], recordings[problem.new_count :],
-                        problem.undivided, problem.steps)
-
-
-def _left_over(fit: JointFit) -> float:
-    """Return the geometric mean of the mean squares that a fit leaves of the recordings."""
-    return float(np.exp(np.mean([
-        np.log(np.mean(left_um**2)) for left_um, _ in fit.left_um()])))
+def _gone_on(problem: JointProblem, fit: JointFit, best: JointFit | None = None) -> JointFit:
+    """Fit on until nothing is to be gained, or the best is too far ahead."""
+    for _ in range(1, TURNS):
+        if fit.has_converged or best is not None and not may_lead(fit, best):
+            break
+        fit = problem.fit(fit.effects, fit.later, fit)
+    return fit
 
 
 def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit]) -> Alternatives:
@@ -219,11 +230,13 @@ def _errors(problem: JointProblem, left: Sequence[HeldOut]) -> tuple[float, floa
     return alike, float(misfit)
 
 
-def _fitted(problem: JointProblem, effects: Effects, was_there: bool) -> JointFit:
+def _fitted(problem: JointProblem, effects: Effects, was_there: bool,
+            begun: JointFit | None = None) -> JointFit:
     """Fit effects as come since the identification, or as there all along."""
     later = [effect.name for effect in effects if not (
         was_there and (effect.of_the_stage or effect.recurs))]
-    return problem.fit((*problem.own, *effects), later)
+    own = problem.own if begun is None else begun.effects[: len(problem.own)]
+    return problem.fit((*own, *effects), later, begun)
 
 
 def _determined(problem: JointProblem, fit: JointFit, root: FloatArray) -> float:

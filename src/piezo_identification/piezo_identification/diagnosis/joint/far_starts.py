@@ -51,12 +51,12 @@ def from_afar(problem: JointProblem, beside: JointFit, guesses: Sequence[Effect]
     JointFit
     """
     held = _held(problem, beside, guesses[1:])
-    if held is not None and _may_lead(held, nearby):
+    if held is not None and may_lead(held, nearby):
         nearby = _better(problem.fit(held.effects, begun=held), nearby)
     fit = _taken_out(problem, beside, guesses)
     if fit is not None:
         for _ in range(SETTINGS.turns):
-            if fit.has_converged or not _may_lead(fit, nearby):
+            if fit.has_converged or not may_lead(fit, nearby):
                 break
             fit = problem.fit(fit.effects, begun=fit)
         nearby = _better(fit, nearby)
@@ -67,7 +67,8 @@ def _better(*fits: JointFit) -> JointFit:
     return min(fits, key=lambda fit: fit.against)
 
 
-def _may_lead(fit: JointFit, best: JointFit) -> bool:
+def may_lead(fit: JointFit, best: JointFit) -> bool:
+    """Tell whether a fit that goes on may yet have less evidence against it than the best."""
     return fit.against - SETTINGS.hopeful * fit.gain < best.against
 
 

@@ -75,16 +75,20 @@ def probabilities_of(left: Sequence[Sequence[HeldOut]], determined: Sequence[flo
     determined : (n,) array
         Fitted numbers of each that the recordings determine.
     least_um : (R,) array
-        Accuracy that a good model has in each recording.
+        Accuracy that a good model has in each recording. Its errors are alike within a stretch: so
+        what an alternative explains of them counts once for each stretch, however many rows show
+        it, and an effect is not bought that does no more than take up an error of the model.
 
     Returns
     -------
     (n,) array
     """
-    independent = [max(part.independent for part in of_recording)
-                   for of_recording in zip(*left, strict=True)]
+    recordings = list(zip(*left, strict=True))
+    independent = np.array([max(part.independent for part in parts) for parts in recordings])
     penalties = 0.5 * np.asarray(determined) * np.log(max(np.sum(independent), 2.0))
-    return shares_of(left, penalties, least_um, independent)
+    stretches = np.array([np.unique(parts[0].stretch).size for parts in recordings])
+    alike = np.maximum(1.0, independent / stretches)
+    return shares_of(left, penalties, np.asarray(least_um) * np.sqrt(alike), independent)
 
 
 def shares_of(left: Sequence[Sequence[HeldOut]], penalties: ArrayLike, least_um: ArrayLike,

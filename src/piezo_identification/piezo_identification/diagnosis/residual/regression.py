@@ -101,7 +101,7 @@ class Regression:
     validation: BoolArray
     prior: FloatArray
 
-    @cached_property
+    @property
     def weighted(self) -> FloatArray:
         """Return the regressors over the tolerance, (r, m)."""
         return np.asarray(self.dataset.regressors / self.tolerance_um[:, None])
@@ -142,7 +142,8 @@ class Regression:
         """
         difference, (q, r) = self.difference(effects, quick), self._factors
         coefficients = np.linalg.lstsq(r, q.T @ self._padded(difference), rcond=1e-12)[0]
-        return Fit(tuple(effects), difference - self.weighted @ coefficients, difference,
+        explained = self.dataset.regressors @ coefficients / self.tolerance_um
+        return Fit(tuple(effects), difference - explained, difference,
                    np.asarray(coefficients, dtype=float), covariance)
 
     def nuisance_remainder(self, difference: FloatArray) -> FloatArray:

@@ -52,6 +52,22 @@ def test_one_stretch_that_speaks_for_an_alternative_is_less_than_all_of_them():
     assert chances([right, once])[0] < chances([right, everywhere])[0]
 
 
+def test_an_effect_that_takes_up_an_error_within_the_accuracy_of_the_model_is_not_bought():
+    """Many rows show an error that is alike in each stretch; it may look like any effect."""
+    random = np.random.default_rng(5)
+    noise, shape = random.normal(size=STRETCH.size), random.normal(size=40)[STRETCH]
+    right = HeldOut(noise, STRETCH)
+
+    def chance_of_none(error, accuracy):
+        left = [[HeldOut(noise + error * shape, STRETCH)], [right]]
+        return probabilities_of(left, (0.0, 4.0), [accuracy])[0]
+
+    assert chance_of_none(0.3, 0.0) < 0.01
+    assert chance_of_none(0.3, 0.5) > 0.99
+    # Well beyond the accuracy it is no error of the model.
+    assert chance_of_none(2.0, 0.5) < 0.01
+
+
 def test_a_fitted_number_costs_only_where_it_is_determined():
     random = np.random.default_rng(3)
     same = left_by(random, 0.0)
