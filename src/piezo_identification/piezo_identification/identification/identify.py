@@ -53,6 +53,7 @@ from piezo_identification.identification.row_delays import (
     found_readings,
     row_delays,
     tell_row_delays,
+    validation_as_read,
 )
 from piezo_identification.identification.told_by_data import failures_explained
 from piezo_identification.prediction.prediction_errors import unseen_errors
@@ -158,6 +159,7 @@ def identify(
         tell_estimates(linear, estimate, tell)
         tell_starts(recordings, cycled, linear, first_rise, tell)
         fitted = fitted_model(linear, estimate, first_rise)
+        recordings, read_at = validation_as_read(fitted.model, said, recordings, read_at)
         rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)
         tell_row_delays(rows, tell)
         if refine:

@@ -16,7 +16,9 @@ from piezo_identification.estimators.frequency_response.response_file import Fre
 from piezo_identification.identification.given_data import Data, of_kind
 from piezo_identification.identification.linear_dynamics import LinearDynamics, aligned_density
 from piezo_identification.prediction.model_run import ModelRun
+from piezo_identification.prediction.row_reading import read_as_explained
 from piezo_models.cascade import StageModel
+from piezo_recorder.reading.recording import Recording
 
 SHORT_S = 1e-2
 """Delays below this are told in microseconds."""
@@ -45,6 +47,34 @@ def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> di
             else read_as(data, loops_read_at if name.split()[0] == "hysteresis"
                          else linear.read_at_samples)
             for name, data in recordings.items()}
+
+
+def validation_as_read(
+    model: StageModel, said: Mapping[str, Data], recordings: Mapping[str, Data],
+    read_at: Mapping[str, float],
+) -> tuple[dict[str, Data], dict[str, float]]:
+    """Read the validation as the dynamics only if that explains it better.
+
+    It may be of another logger, or the same one may read a slower row at another part of it.
+
+    Parameters
+    ----------
+    model : StageModel
+    said, recordings : dict of str to Recording or FrequencyResponse
+        As they were given, and aligned.
+    read_at : dict of str to float
+        Of `found_readings`.
+
+    Returns
+    -------
+    recordings : dict of str to Recording or FrequencyResponse
+    read_at : dict of str to float
+    """
+    read, instants = dict(recordings), dict(read_at)
+    for name, data in said.items():
+        if name.split()[0] == "validation" and isinstance(data, Recording):
+            read[name], instants[name] = read_as_explained(model, data, [read_at[name]])
+    return read, instants
 
 
 def delays_of_rows_s(

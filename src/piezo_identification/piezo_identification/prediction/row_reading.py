@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Recordings read as those that a model was identified from, where that explains them better."""
 
+from collections.abc import Sequence
+
 from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
 from piezo_identification.prediction.model_run import ModelRun, conditioned
+from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.recording import Recording
 
@@ -31,15 +34,42 @@ def read_as_identified(identified: IdentifiedModel,
     ValueError
         If the recording has gaps, or is too short.
     """
-    instants = {read_as(recording, row["read_at_samples"]) for row in identified.rows.values()}
+    return read_as_explained(
+        identified.model, recording,
+        [row["read_at_samples"] for row in identified.rows.values()])
+
+
+def read_as_explained(
+    model: StageModel, recording: Recording, read_at_samples: Sequence[float],
+) -> tuple[Recording, float]:
+    """Align the rows of a recording to the one of several instants that a model explains best.
+
+    Parameters
+    ----------
+    model : StageModel
+    recording : Recording
+    read_at_samples : sequence of float
+        Instants, in sample periods after the voltage of a row changed; 0 is always tried.
+
+    Returns
+    -------
+    recording : Recording
+    read_at_samples : float
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps, or is too short.
+    """
+    instants = {read_as(recording, instant) for instant in read_at_samples}
     if instants <= {0.0}:
         return recording, 0.0
     tried = [(rows_read_at_start(recording, instant), instant)
              for instant in sorted({0.0, *instants})]
 
     def error_um(entry: tuple[Recording, float]) -> float:
-        signed, _ = conditioned(identified.model, entry[0])
-        return ModelRun(identified.model, signed).error_um(())
+        signed, _ = conditioned(model, entry[0])
+        return ModelRun(model, signed).error_um(())
 
     return min(tried, key=error_um)
 

@@ -13,9 +13,14 @@ from independent_stage import IndependentStage, square_wave_v
 
 from piezo_identification.conditioning.settling import low_frequency_delay_s
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
-from piezo_identification.identification.identify import identify
+from piezo_identification.identification.given_data import aligned
+from piezo_identification.identification.identify import identify, validation_errors
 from piezo_identification.identification.linear_dynamics import LinearDynamics
-from piezo_models.linear.dynamics import CreepDynamics
+from piezo_identification.identification.row_delays import validation_as_read
+from piezo_models.cascade import StageModel
+from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_file import load_model, save_model
 
 FAST_S, SLOW_S = 1e-4, 5e-3
@@ -81,6 +86,23 @@ def test_what_comes_early_is_the_loggers_and_what_comes_late_the_stages(
     assert found.read_at_samples == pytest.approx(read_at_samples, abs=0.02)
     assert found.delay_s == pytest.approx(delay_s, abs=0.02 * FAST_S)
     assert len(found.all_effects) == len(found.effect_deviations) == bool(delay_s)
+
+
+@pytest.mark.parametrize("read_at", [0.0, 1.0])
+def test_a_validation_of_another_logger_is_read_as_it_was(read_at):
+    """The rows of the dynamics were read late; those of the validation were, or were not."""
+    stage = IndependentStage(
+        4.9e-4, MODES, read_at=read_at, gains_um_per_v=(0.5,), half_widths_v=(0.0,))
+    time_s = np.arange(4000) * 1e-3
+    unseen = stage.record(50.0 + 25.0 * np.sin(2.0 * np.pi * 17.0 * time_s), 1e-3, NOISE_UM)
+    modes = tuple(VibrationMode(*mode) for mode in MODES)
+    line = PreisachModel(20.0, 80.0, np.zeros((1, 1)), 10.0, np.array([0.5]))
+    model = StageModel(line, CreepDynamics(), ElectricVibrationDynamics(4.9e-4), effects=modes)
+    late = {"validation": 1.0}
+    recordings, instants = validation_as_read(
+        model, {"validation": unseen}, aligned({"validation": unseen}, late), late)
+    assert instants == {"validation": read_at}
+    assert validation_errors(model, recordings)["e_y_percent"] < 0.2
 
 
 @pytest.mark.long

@@ -17,6 +17,7 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
     values_of,
 )
 from piezo_identification.estimators.dynamics.fast_record import (
+    BESIDE_DAMPING,
     EARLIEST,
     FastFit,
     FastRecord,
@@ -53,6 +54,10 @@ POLISHING, ROUNDING = 200, 1e-12
 
 PATIENCE = 2
 """Numbers of modes in succession that may bring no gain before the search ends."""
+
+STILL_MUCH = 0.5
+"""Part of the power to which a further mode with free residues has to bring it down to be a gain,
+whatever the forms make of it."""
 
 LACKING, WORTHWHILE_PART = 10.0, 0.02
 """Where so many times the noise is left, a further mode has to explain this part of its power: tens
@@ -146,14 +151,16 @@ class _Search:
 
     def try_all_orders(self) -> None:
         """Fit every order until more modes bring no gain."""
-        without_gain, before = 0, np.inf
+        without_gain, before, left = 0, np.inf, np.inf
         for free in self._free_fits(MOST_MODES):
             if self._could_gain(free):
                 self._try_forms(free)
             least = self._best_trial()
             information = np.inf if least is None else least.information
-            without_gain = 0 if information < before else without_gain + 1
-            before = information
+            # Too few modes may have no standing at all, as each stands for several.
+            is_gain = information < before or free.cost < STILL_MUCH * left
+            without_gain = 0 if is_gain else without_gain + 1
+            before, left = information, free.cost
             if without_gain == PATIENCE:
                 break
 
@@ -286,6 +293,8 @@ class _Search:
                     _subsets(free.modes, count), self._delays_near(free.delay)):
                 others = [_chosen(free.vector, (i,)) for i in range(free.modes) if i not in chosen]
                 rated.append(self._side_by_side(_chosen(free.vector, chosen), others, delay))
+            # A mode that is damped beyond what one beside others may be belongs in series.
+            rated = [start for start in rated if _may_stand_beside(start[1], count)] or rated
             rated += self._with_one_more_beside(free, count)
             yield ModeOrder(count, 0, free.modes - count), self._best_starts(rated)
 
@@ -358,6 +367,13 @@ class _Search:
 
 def _subsets(count: int, size: int) -> Iterator[tuple[int, ...]]:
     return combinations(range(count), size)
+
+
+def _may_stand_beside(vector: FloatArray, modes: int) -> bool:
+    """Whether the modes beside those in series are damped as little as they have to be."""
+    beside = (vector.size - 1 - 2 * modes) // 3
+    first = 1 + 2 * modes + beside
+    return bool(np.all(vector[first : first + beside] < np.log(BESIDE_DAMPING[1])))
 
 
 def _chosen(vector: FloatArray, modes: tuple[int, ...]) -> FloatArray:

@@ -116,14 +116,24 @@ def test_a_mode_that_may_not_be_fitted_is_not_taken_for_a_delay():
 
 
 @pytest.mark.long
-@pytest.mark.xfail(reason="an open fault: of some such stages the form with the right number of "
-                   "modes does not converge, and one with a mode more is taken")
 def test_modes_of_opposite_sign_are_found_beside_each_other():
     """Their zeros lie on the right, where no antiresonance can stand for them."""
     stage = IndependentStage(
         3e-4, ((3200.0, 0.5, 0.85), (5400.0, 0.025, 0.19), (8300.0, 0.015, -0.04)))
     estimate = estimated(stage)
     assert [effect.name for effect in estimate.effects] == ["vibration_mode"] * 2
+    assert np.abs(normalised_errors(stage, estimate)).max() < 4.0
+
+
+@pytest.mark.parametrize("seed", [
+    # Dynamics with fewer modes than these stages have all lack a standing.
+    14, pytest.param(69, marks=pytest.mark.long),
+    # The lowest mode is damped beyond what one beside others may be.
+    pytest.param(88, marks=pytest.mark.long), pytest.param(99, marks=pytest.mark.long)])
+def test_the_search_does_not_end_before_three_modes_nor_begin_where_none_may_stand(seed):
+    stage = drawn_stage(seed, with_stiffening=True)
+    estimate = estimated(stage, seed)
+    assert estimate.residual_rms < 1.2 * FOLDED_NOISE_UM
     assert np.abs(normalised_errors(stage, estimate)).max() < 4.0
 
 
