@@ -21,6 +21,7 @@ from piezo_identification.diagnosis.comparison.selection import (
     select_effects,
 )
 from piezo_identification.diagnosis.comparison.validation import Validation
+from piezo_identification.diagnosis.evidence.effect_covariance import with_model_errors
 from piezo_identification.diagnosis.evidence.effect_entries import effect_entries
 from piezo_identification.diagnosis.evidence.found_outliers import (
     FoundOutliers,
@@ -301,6 +302,9 @@ def decide(selection: Selection, validation: Validation,
     verdict = "unexplained"
     if is_explained:
         verdict = "explained" if fit.effects or outliers else "none"
+    if found is selection:
+        # The recordings of the identification did not take part: its errors are in the effects.
+        fit = with_model_errors(found.regression, fit)
     came = competition.came(_names(fit))
     return Decision(verdict, fit, outliers, refused, came, shares), found, believed
 

@@ -41,20 +41,27 @@ def section(seed, results):
     lines += ["", "| figure | value |", "|---|---|"]
     lines += [f"| {group}: {what} | {count} |" for (group, what), count in sorted(counts.items())]
     strict = calibrate(results, strict=True).expected_calibration_error
+    explained = coverage([each for each in results if each["verdict"] == "explained"])
     level = f"{100 * intervals['level']:.0f} % intervals"
     lines += [
         f"| expected calibration error | {reliability.expected_calibration_error:.3f} |",
         f"| the same, strict | {strict:.3f} |",
         f"| {level} that contain the parameter | "
-        f"{intervals['right']} of {intervals['intervals']} |"]
+        f"{_told(intervals)} |",
+        f"| the same, where it is explained | {_told(explained)} |",
+        f"| the same, of the parameter that was drawn | {_told(coverage(results, 'drawn'))} |"]
     lines += [
-        f"| {level} of `{cause}` | {found['right']} of {found['intervals']} |"
+        f"| {level} of `{cause}` | {_told(found)} |"
         for cause in KNOWN if (found := coverage(_with_cause(results, cause)))["intervals"]]
     lines += [
         "",
         f"![How often statements come true, over their probability](pictures/{PICTURE})", "",
         "Table and picture are made by `make calibration`.", ""]
     return "\n".join(lines)
+
+
+def _told(found):
+    return f"{found['right']} of {found['intervals']}"
 
 
 def _with_cause(results, cause):

@@ -8,8 +8,9 @@ from piezo_identification.diagnosis.report.results import stated_error
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.regression import first_regression
 from piezo_studies.diagnosis_benchmark import records
-from piezo_studies.diagnosis_benchmark.coverage import estimates
+from piezo_studies.diagnosis_benchmark.coverage import OF_ANOTHER_FORM, estimates
 from piezo_studies.diagnosis_benchmark.effect_draws import DrawError, draw_effect, response_um
+from piezo_studies.diagnosis_benchmark.nearest_effect import nearest_parameters
 from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
 from piezo_studies.diagnosis_calibration.small_cases import waveform
 
@@ -41,8 +42,12 @@ def run_small_case(case, identified):
             return None
     recording = records.record(plant if drawn is None else drawn.plant, experiment, seed)
     diagnosis = diagnose(identified.model, [recording], stated=stated_error(identified))
-    size = 0.0 if drawn is None else _shown_um(
-        identified.model, recording, plant, drawn.plant, experiment, seed) / noise
+    size, told = 0.0, []
+    if drawn is not None:
+        without_um, added_um = _responses_um(plant, drawn.plant, experiment, seed, recording)
+        size = _shown_um(identified.model, recording, added_um) / noise
+        told = estimates(case.cause, drawn.effect, diagnosis.effects, _nearest(
+            case.cause, diagnosis, without_um, added_um, recording.sample_period_s))
     return {
         "number": case.number, "kind": case.kind, "logger": case.logger,
         "model": "identified before",
@@ -53,28 +58,42 @@ def run_small_case(case, identified):
         "verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
         "effects": [entry["name"] for entry in diagnosis.effects],
         "not_decidable": sorted(diagnosis.not_decidable),
-        "estimates": [] if drawn is None else estimates(
-            case.cause, drawn.effect, diagnosis.effects),
+        "estimates": told,
         "noise_um": noise, "noise_found_um": diagnosis.noise_floor_um,
         "before_um": diagnosis.before["rms_um"], "after_um": diagnosis.after["rms_um"],
     }
 
 
-def _shown_um(model, recording, plant, changed, experiment, seed):
+def _responses_um(plant, changed, experiment, seed, recording):
+    """Return the quiet response of a plant where it plays, and what a change of it adds, (N,)."""
+    voltage_v, _ = records.commanded(experiment)
+    surroundings = records.surroundings(experiment, seed)
+    without_um, with_it_um = (
+        response_um(stage, voltage_v, surroundings, records.clock_samples(experiment))[
+            recording.playing]
+        for stage in (plant, changed))
+    return without_um, with_it_um - without_um
+
+
+def _shown_um(model, recording, added_um):
     """Return the RMS of what an effect adds to the fitted rows that nothing else may explain.
 
     Offset, initial creep and changes of the model within their prior are not held against it.
     """
-    voltage_v, _ = records.commanded(experiment)
-    surroundings = records.surroundings(experiment, seed)
-    with_it_um, without_um = (
-        response_um(stage, voltage_v, surroundings, records.clock_samples(experiment))
-        for stage in (changed, plant))
     regression = first_regression(simulate_recordings(model, [recording]))
     rows, tolerance_um = regression.dataset.rows[0], regression.tolerance_um
-    added_um = (with_it_um - without_um)[recording.playing][rows]
-    left = regression.remainder(added_um / tolerance_um)[: np.count_nonzero(regression.estimation)]
+    left = regression.remainder(added_um[rows] / tolerance_um)[
+        : np.count_nonzero(regression.estimation)]
     return float(np.sqrt(np.mean((left * tolerance_um[regression.estimation]) ** 2)))
+
+
+def _nearest(cause, diagnosis, without_um, added_um, sample_period_s):
+    """Return what the parameters should be of an effect that is named in another form, or None."""
+    selection = diagnosis.selection
+    found = next((effect for effect in selection.end.effects if effect.name == cause), None)
+    if cause not in OF_ANOTHER_FORM or found is None:
+        return None
+    return nearest_parameters(found, without_um, added_um, sample_period_s, selection.regression)
 
 
 def _drawn(case, plant, experiment, seed):

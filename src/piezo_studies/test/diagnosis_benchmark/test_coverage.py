@@ -23,6 +23,10 @@ def test_a_play_is_as_wide_as_both_its_halves():
              "standard_deviations": {"width_um": 0.02}}
     estimate, = estimates("backlash", SoftBacklash(0.5), [{"name": "delay"}, entry])
     assert (estimate["true"], estimate["found"]) == (1.0, 1.02)
+    estimate, = estimates("backlash", SoftBacklash(0.5), [entry], {"width_um": 0.9})
+    assert (estimate["true"], estimate["drawn"]) == (0.9, 1.0)
+    assert coverage([{"estimates": [estimate]}])["right"] == 0
+    assert coverage([{"estimates": [estimate]}], "drawn")["right"] == 1
     assert estimates("backlash", SoftBacklash(0.5), [{"name": "delay"}]) == []
 
 

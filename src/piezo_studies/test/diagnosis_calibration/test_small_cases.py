@@ -46,8 +46,9 @@ def told(number, share, *causes, label="delay"):
         "contributions": [{"cause": cause, "over_noise": 9.0} for cause in causes],
         "effects": [label], "not_decidable": [],
         "probabilities": {label: share, "something_else": 1.0 - share},
-        "estimates": [{"cause": cause, "name": "delay_s", "true": 1.0, "found": 1.0 + number,
-                       "standard_deviation": 2.0} for cause in causes if cause == label]}
+        "estimates": [{"cause": cause, "name": "delay_s", "drawn": 9.0, "true": 1.0,
+                       "found": 1.0 + number, "standard_deviation": 2.0}
+                      for cause in causes if cause == label]}
 
 
 def test_a_run_goes_on_from_the_results_that_are_kept(tmp_path, monkeypatch):
@@ -81,5 +82,7 @@ def test_the_page_tells_what_came_true(tmp_path):
     assert "| 0.9 to 1.0 | 4 | 0.90 | 0.50 |" in text
     assert "| expected calibration error | 0.400 |" in text
     assert "| 90 % intervals of `delay` | 2 of 2 |" in text
+    assert "| the same, where it is explained | 2 of 2 |" in text
+    assert "| the same, of the parameter that was drawn | 0 of 2 |" in text
     assert text.startswith("before\n") and text.endswith("behind\n")
     assert (tmp_path / "pictures" / "diagnosis_calibration.png").stat().st_size > 1000

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How far effects that were fitted beside a model with errors may be off.
+
+The model of a hysteresis is not exact, and what it leaves is alike in every cycle. A loop that is
+too narrow at some span looks like part of a delay or of a play, and a fit takes that part: it shows
+in no residual, nor in how the residual scatters. What is left beside it does show. So errors of
+the density are drawn, and an estimate that is linear about the optimum,
+
+    change of the effects = (G' G)^-1 G' e,
+
+tells what each of them does to the effects, with G the derivatives that the regressors leave. The
+drawn errors e are as large as makes them leave, beside white noise, what the fit leaves. An error
+is common to all cells of one span, since an identification averages over loops of one span, and
+its cells are too wide for what a density does near its diagonal wherever that is.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import norm
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.diagnosis.residual.dataset import Dataset
+from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_models.effects import Effect, fitted_values, with_fitted_values
+from piezo_models.hysteresis.preisach import PreisachModel
+
+DRAWS = 32
+"""Of errors of the model: their spread is then known to an eighth."""
+SEED = 0
+SMALL = 0.01
+"""Of the density, so that its change is linear; its size has no other meaning."""
+BLOCK = 10
+"""Rows in whose mean white noise is less by the root of it, and errors of the model are not."""
+STEP = float(np.finfo(float).eps ** (1.0 / 3.0))
+"""Of central differences."""
+
+
+def with_model_errors(regression: Regression, fit: Fit) -> Fit:
+    """Return a fit whose covariance tells of errors of the model as well.
+
+    Parameters
+    ----------
+    regression : Regression
+        In which it was fitted.
+    fit : Fit
+        With the covariance by the scatter of the residual, or without any.
+
+    Returns
+    -------
+    Fit
+        Without a covariance where there was none.
+    """
+    if fit.covariance is None or not fit.covariance.size:
+        return fit
+    left = derivatives(regression, fit)
+    scales = np.linalg.norm(left, axis=0)
+    scales[scales == 0.0] = 1.0
+    scaled = left / scales
+    inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+    errors = np.column_stack([
+        regression.remainder(error_um / regression.tolerance_um)
+        for error_um in drawn_errors_um(regression.dataset)])
+    rows = np.count_nonzero(regression.estimation)
+
+    def beside(columns: FloatArray) -> FloatArray:
+        """Return what effects leave of columns, too."""
+        return (columns - scaled @ (inverse @ (scaled.T @ columns)))[:rows]
+
+    noise, size = noise_and_errors(
+        beside(regression.remainder(fit.difference)), beside(errors))
+    changes = inverse @ (scaled.T @ errors) / scales[:, None]
+    white = noise * np.diag(inverse) / scales**2
+    # The scatter of the residual tells nothing of the prior of the parameters, and white noise
+    # nothing of errors that neighbours share.
+    missing = np.diag(np.maximum(0.0, white - np.diag(fit.covariance)))
+    return replace(
+        fit, covariance=fit.covariance + missing + size * (changes @ changes.T) / DRAWS)
+
+
+def derivatives(regression: Regression, fit: Fit) -> FloatArray:
+    """Return the derivatives of the difference by the fitted values, as the regressors leave them.
+
+    Parameters
+    ----------
+    regression : Regression
+    fit : Fit
+
+    Returns
+    -------
+    (n + p, m) array
+        Rows as those of `Regression.remainder`.
+    """
+    columns = []
+    for number, effect in enumerate(fit.effects):
+        values, low, high = fitted_values(effect)
+        for index, value in enumerate(values):
+            step = STEP * max(abs(value), 1e-3)
+            ends = np.clip([value - step, value + step], low[index], high[index])
+            below, above = (
+                regression.difference(_moved(fit, number, index, end)) for end in ends)
+            columns.append(regression.remainder((above - below) / np.ptp(ends)))
+    return np.column_stack(columns)
+
+
+def _moved(fit: Fit, number: int, index: int, value: float) -> list[Effect]:
+    """Return the effects of a fit with another value of one of their numbers."""
+    effects = list(fit.effects)
+    values, _, _ = fitted_values(effects[number])
+    values[index] = value
+    effects[number] = with_fitted_values(effects[number], values)
+    return effects
+
+
+def drawn_errors_um(dataset: Dataset) -> Iterator[FloatArray]:
+    """Yield what drawn errors of the density add to the rows, each (r,).
+
+    Parameters
+    ----------
+    dataset : Dataset
+    """
+    linear, hysteresis = dataset.model.linear(), dataset.model.hysteresis
+    for erring in _erring(hysteresis):
+        yield np.concatenate([
+            part.respond(linear, part.hysteresis_output_um(erring) - part.hysteresis_um, at=rows)
+            for part, rows in zip(dataset.simulated, dataset.rows, strict=True)])
+
+
+def _erring(hysteresis: PreisachModel) -> Iterator[PreisachModel]:
+    """Yield the hysteresis with drawn factors of the density, one for all cells of a span."""
+    random = np.random.default_rng(SEED)
+    density = hysteresis.density_um_per_v2
+    rising, falling = np.indices(density.shape)
+    for _ in range(DRAWS):
+        factors = 1.0 + SMALL * random.standard_normal(len(density))
+        yield replace(hysteresis, density_um_per_v2=density * factors[np.abs(rising - falling)])
+
+
+def noise_and_errors(left: FloatArray, errors: FloatArray) -> tuple[float, float]:
+    """Return the variance of white noise, and how large drawn errors are, by what a fit leaves.
+
+    The mean square of what is left is the sum of both, and so is that of means over neighbours, in
+    which white noise is less. Where that difference is within its scatter, the errors may still be
+    there: the size is the mean of those that are possible, which are normal about the estimate and
+    not negative.
+
+    Parameters
+    ----------
+    left : (n,) array
+    errors : (n, d) array
+        What the drawn errors leave.
+
+    Returns
+    -------
+    noise : float
+    size : float
+        Of the squares of the drawn errors.
+    """
+    count = len(left) // BLOCK
+
+    def squares(columns: FloatArray) -> FloatArray:
+        means = columns[: count * BLOCK].reshape(count, BLOCK, -1).mean(axis=1)
+        return np.array([np.mean(columns**2), np.mean(means**2)])
+
+    total, of_errors = squares(left), squares(errors)
+    excess = of_errors[1] - of_errors[0] / BLOCK
+    if excess <= 0.0 or total[1] <= 0.0:
+        return float(total[0]), 0.0
+    size = (total[1] - total[0] / BLOCK) / excess
+    deviation = total[1] * np.sqrt(2.0 / count) / excess
+    over = size / deviation
+    size += deviation * np.exp(norm.logpdf(over) - norm.logcdf(over))
+    return float(max(0.0, total[0] - size * of_errors[0])), float(size)
