@@ -6,7 +6,7 @@ import threading
 
 import pytest
 import rclpy
-from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.srv import ChangeState, GetState
 from piezo_interfaces.action import PlayWaveform
 from piezo_interfaces.srv import LoadFeedforward, StopRecording
 from rclpy.action import ActionServer, CancelResponse
@@ -16,6 +16,7 @@ from piezo_client import client as client_module
 from piezo_client.client import Client, ServiceFailed
 from piezo_ros.requests import calls
 from piezo_ros.requests.calls import ActionCaller, CallFailed, call_service, number_request
+from piezo_ros.stage_runs import described_stage
 
 TIMEOUT_S = 300.0
 
@@ -285,6 +286,47 @@ def test_call_ends_when_the_node_that_serves_is_gone(spinning):
     server.close()
     thread.join(TIMEOUT_S)
     assert failures == ["the node that serves load_feedforward has ended: start it again"]
+
+
+@pytest.fixture
+def silent_stage(spinning):
+    """A stage that loses its first answer to who asks for its state; the node, and what it lost."""
+    server, lost = spinning("server"), []
+
+    def answer(request, response):
+        response.current_state.label = "unconfigured"
+        return response
+
+    service = server.make(server.node.create_service, GetState, "stage/get_state", answer)
+    send = service.send_response
+
+    def lose_the_first(response, header):
+        service.send_response = send
+        lost.append(response)
+
+    service.send_response = lose_the_first
+    return server, lost
+
+
+def test_stage_that_does_not_describe_itself_is_asked_again_for_its_state(
+        spinning, silent_stage, monkeypatch):
+    monkeypatch.setattr(described_stage, "RESEND_S", 0.2)
+    asking, (_, lost) = spinning("asking"), silent_stage
+    stage = asking.make(described_stage.DescribedStage, asking.node)
+    with pytest.raises(CallFailed, match="the stage is unconfigured"):
+        stage.wait(lambda: None)
+    assert len(lost) == 1
+
+
+def test_stage_that_goes_away_before_it_tells_its_state_is_not_waited_for(
+        spinning, silent_stage, monkeypatch):
+    monkeypatch.setattr(described_stage, "APPEARANCE_S", 0.5)
+    asking, (server, lost) = spinning("asking"), silent_stage
+    stage = asking.make(described_stage.DescribedStage, asking.node)
+    while not asking.make(stage._state.service_is_ready):
+        pass
+    with pytest.raises(CallFailed, match="nobody serves the stage on .*/stage/description"):
+        stage.wait(lambda: server.close() if lost else None)
 
 
 def test_goal_of_a_node_whose_executor_stopped_fails_once_the_node_ends(spinning, monkeypatch):

@@ -2,6 +2,7 @@
 """A run that did not do what it was asked to says why; nobody else ends or changes it."""
 
 import re
+import resource
 import signal
 import time
 from pathlib import Path
@@ -24,10 +25,11 @@ from piezo_recorder.reading.reader import read_recording
 from piezo_ros.stage_runs.run_account import MAX_LATE_PERCENT
 
 TICK_S = 1e-3
-# Of the stage's time, of which twenty and more pass in a second of ours.
-RUNS_TO_ITS_END_S = 60.0
+# Of the stage's time, whose recording takes more than MOST_BYTES.
+RUNS_TO_ITS_END_S = 20.0
+MOST_BYTES = 1_000_000
 # Longer than any test asks while it lasts; the test ends it.
-GOES_ON_S = 900.0
+GOES_ON_S = 3600.0
 NO_DISK_HOLDS_THAT_MB = 1_000_000_000
 
 
@@ -59,28 +61,36 @@ def disk_that_is_filled(suite):
     assert set_parameter(suite, "recorder", "minimum_free_mb", 1).successful
 
 
-def end_recording_of(suite, fields, disk_that_is_filled, **options):
-    """Track, fill the disk meanwhile; return the goal's status and result."""
-    goal = suite.begin("track", **fields, **options)
-    disk_that_is_filled()
-    return suite.result(goal)
+@pytest.fixture
+def disk_that_holds_little(suite):
+    """Let the recorder write no more than some bytes, which says when in a run it ends."""
+    recorder = suite.processes.process("recorder").pid
+    unlimited = resource.prlimit(recorder, resource.RLIMIT_FSIZE, (MOST_BYTES, -1))
+    yield
+    resource.prlimit(recorder, resource.RLIMIT_FSIZE, unlimited)
 
 
 def test_run_whose_recording_ends_stops_and_says_why(suite, fields, disk_that_is_filled):
     fields["duration_s"] = GOES_ON_S
-    status, result = end_recording_of(suite, fields, disk_that_is_filled)
+    goal = suite.begin("track", **fields)
+    disk_that_is_filled()
+    status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
     assert "was closed early: only" in result.message
     assert suite.samples().voltage_v[-1] == 0.0
     assert read_recording(result.recording).complete
 
 
-def test_run_that_may_go_on_unrecorded_does_and_says_so(suite, fields, disk_that_is_filled):
+def test_run_that_may_go_on_unrecorded_does_and_says_so(suite, fields, disk_that_holds_little):
     fields["duration_s"] = RUNS_TO_ITS_END_S
-    status, result = end_recording_of(suite, fields, disk_that_is_filled, unrecorded=True)
+    goal = suite.send_goal("track", **fields, unrecorded=True)
+    status, result = suite.result(goal)
     assert status == GoalStatus.STATUS_SUCCEEDED, result.message
     assert "the run went on unrecorded: " in result.message
-    assert "was closed early: only" in result.message
+    assert "was closed early: File too large" in result.message
+    recorded, played = (len(voltage_v) for voltage_v in (
+        read_recording(result.recording).voltage_v, suite.samples().voltage_v))
+    assert 0 < recorded < played / 2
 
 
 @pytest.mark.parametrize(("service", "cause"), [

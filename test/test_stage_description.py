@@ -153,6 +153,7 @@ def test_parameter_that_contradicts_the_stage_is_refused_with_both_values(
             "identification": {"maximum_voltage_v": 100.0, "rest_voltage_v": 0.0},
             "controller": {"samples_per_tick": 20}})
     stage.processes.start("recorder", {"sample_rate_hz": 48_000.0}, "/contradicted")
+    stage.until(lambda: "recorder" in stage.node_names())
     assert refusal(stage, "run_experiment", experiment="dynamics", directory=str(tmp_path)) == (
         "run_experiment: parameter maximum_voltage_v is 100.0, but /contradicted/stage/description "
         "says 120.0: set it at the stage alone")
@@ -185,7 +186,7 @@ def test_goal_keeps_the_stage_it_was_planned_for_and_is_not_played_on_another(do
             return publisher
 
         def until(condition):
-            assert client.spin_until(condition, 60.0)
+            assert client.spin_until(condition, 300.0)
 
         first = serve(maximum_voltage_v=120.0)
         until(lambda: stage.description is not None)

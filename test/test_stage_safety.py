@@ -18,6 +18,8 @@ from piezo_bringup.processes import Processes
 from piezo_ros.quality import FEEDBACK
 
 MAX_STEP_V, MAX_FEEDBACK_V = 2.0, 20.0
+HANGS_S = 3.0
+"""So long each test waits, and no longer may a busy computer keep a backend from returning."""
 # A stage that hangs at 50 V until a file is there.
 HANGING_STAGE = """
 import sys, time
@@ -227,18 +229,19 @@ def test_emergency_stop_of_a_stage_that_hangs_answers_that_it_failed_and_the_sto
 
 
 def test_stage_that_hangs_stops_by_itself_and_says_so_meanwhile(hanging):
-    stage = hanging("/hangs_alone", exchange_timeout_s=1.0)
+    stage = hanging("/hangs_alone", exchange_timeout_s=HANGS_S)
     goal = stage.play_until_it_hangs()
     stage.client.until(lambda: stage.tells("hangs")[0] == "True")
     stage.client.until(lambda: stage.tells("hangs")[1].endswith("cut its supply"))
     stage.release()
     _, result = stage.client.result(goal)
-    assert result.message == "the backend has not returned for 1 s"
+    assert result.message == f"the backend has not returned for {HANGS_S:g} s"
     assert stage.client.samples(result.last_sample).voltage_v[-1] == 0.0
 
 
 def test_backend_that_hangs_and_has_its_own_way_to_rest_is_asked_for_it(hanging):
-    stage = hanging("/hangs_safely", own_rest=True, exchange_timeout_s=1.0)
+    stage = hanging("/hangs_safely", own_rest=True, exchange_timeout_s=HANGS_S,
+                    emergency_stop_timeout_s=60.0)
     goal = stage.play_until_it_hangs()
     response = stage.client.call(Trigger, "emergency_stop")
     assert response.success
@@ -272,7 +275,7 @@ def test_command_that_was_refused_never_acts_later(hanging):
 
 
 def test_node_whose_backend_hangs_can_be_ended(hanging):
-    stage = hanging("/ends", exchange_timeout_s=1.0)
+    stage = hanging("/ends", exchange_timeout_s=HANGS_S)
     goal = stage.play_until_it_hangs()
     stage.process.terminate()
     status, result = stage.client.result(goal)

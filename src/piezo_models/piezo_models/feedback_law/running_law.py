@@ -265,6 +265,10 @@ def _observer(block: LinearBlock) -> FloatArray:
                       / (c @ covariance @ c.T + known_v).item())
 
 
+COMPILED_TICKS = 3
+"""From the second on a law of no delay acts."""
+
+
 def compile_law() -> None:
     """Compile what is not compiled yet, so that no tick has to wait for it."""
     block = LinearBlock.of([0.0], [1.0], [1.0], [0.0])
@@ -273,7 +277,8 @@ def compile_law() -> None:
         law = FeedbackLaw(block, np.zeros(1), 1.0, np.zeros(1), np.zeros(0),
                           DeclaredPlant(block, np.ones(1)), inverse=inverse)
         running = RunningLaw(law, 1)
-        running.begin(np.zeros(1))
-        running.take(np.zeros(1))
+        for _ in range(COMPILED_TICKS):
+            running.begin(np.zeros(1))
+            running.take(np.zeros(1))
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A feedback law beside python-control, beside a loop written out, and where it must be refused."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import control
@@ -233,3 +235,18 @@ def test_an_inverse_of_another_hysteresis_is_refused(factor):
 def test_matrices_that_do_not_fit_are_refused():
     with pytest.raises(FeedbackLawError, match="3, 2, 2 and 1 elements"):
         LinearBlock.of([1, 2, 3], [1, 2], [1, 2], [0])
+
+
+COMPILED = """
+from piezo_models.feedback_law import law_kernels, running_law
+running_law.compile_law()
+kernels = [getattr(law_kernels, name) for name in ("take", "decide", "through_inverse")]
+print([len(kernel.signatures) for kernel in kernels])
+"""
+
+
+def test_every_kernel_of_a_law_that_acts_is_compiled_before_a_run():
+    ended = subprocess.run([sys.executable, "-c", COMPILED], capture_output=True, text=True,
+                           timeout=300)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip() == "[1, 1, 1]"
