@@ -60,8 +60,8 @@ high-bandwidth: setup ## design feedbacks beyond the first mode; writes docs/hig
 recipe: setup ## record the simulated stage in shorter ways; writes the tables of docs/recipe.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.recording_recipe
 
-recording-kinds: setup ## identify from every kind of recording of two foreign stages; prints a table
-	@$(in_environment) .venv/bin/python -m piezo_studies.recording_kinds
+recording-kinds: setup ## identify from every kind of recording of two foreign stages, for CPU_MINUTES; prints a table
+	@$(in_environment) .venv/bin/python -m piezo_studies.recording_kinds $(if $(CPU_MINUTES),--cpu-minutes $(CPU_MINUTES))
 
 published-reference: setup ## follow a published reference by its preview; writes docs/published_reference.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.published_reference

@@ -2,9 +2,14 @@
 """Identify from every kind of recording, and print a table of what came out."""
 
 import argparse
+import json
+from dataclasses import asdict
 from pathlib import Path
 
-from piezo_studies.recording_kinds.trials import STAGES, run, trials
+from piezo_studies.recording_kinds.trials import STAGES, Outcome, run, trials
+
+OUTCOMES = "outcomes.jsonl"
+"""File in the folder that holds what was run: an interrupted table goes on where it stopped."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -21,14 +26,32 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--stage", nargs="+", choices=STAGES, default=tuple(STAGES))
     parser.add_argument("--only", default="", metavar="TEXT",
                         help="trials whose line in the table holds this text")
+    parser.add_argument("--cpu-minutes", type=float, default=float("inf"), metavar="MINUTES",
+                        help="end before the first trial after so much time of the processor")
     options = parser.parse_args(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
     print("| stage and recordings | error on unseen data | verdict | CPU |\n|---|---|---|---|")
+    kept, used_s = _kept(options.output / OUTCOMES), 0.0
     for trial in trials(tuple(options.stage)):
-        if options.only in str(trial):
-            outcome = run(trial, options.output)
-            print(f"| {trial} | {outcome.error_percent:.3g} % | {outcome.verdict} | "
-                  f"{outcome.cpu_s:.0f} s |", flush=True)
+        text = str(trial)
+        if options.only not in text or used_s > 60.0 * options.cpu_minutes:
+            continue
+        if text not in kept:
+            kept[text] = run(trial, options.output)
+            used_s += kept[text].cpu_s
+            with (options.output / OUTCOMES).open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"trial": text, **asdict(kept[text])}) + "\n")
+        outcome = kept[text]
+        print(f"| {text} | {outcome.error_percent:.3g} % | {outcome.verdict} | "
+              f"{outcome.cpu_s:.0f} s |", flush=True)
+
+
+def _kept(path: Path) -> dict[str, Outcome]:
+    """Outcomes of the trials that were run before, by their lines in the table."""
+    if not path.exists():
+        return {}
+    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return {row.pop("trial"): Outcome(**row) for row in rows}
 
 
 if __name__ == "__main__":

@@ -5,8 +5,16 @@ import numpy as np
 import pytest
 
 from piezo_recorder.reading.reader import read_recording
+from piezo_studies.recording_kinds import __main__
 from piezo_studies.recording_kinds.stages import DuhemStage, PlayStage
-from piezo_studies.recording_kinds.trials import STAGES, Trial, recordings, run, trials
+from piezo_studies.recording_kinds.trials import (
+    STAGES,
+    Outcome,
+    Trial,
+    recordings,
+    run,
+    trials,
+)
 from piezo_studies.recording_kinds.waveforms import KINDS
 
 
@@ -36,6 +44,24 @@ def test_a_gap_and_a_second_recording_are_written(tmp_path):
     first, second = recordings("plays", "creep", "steps", "two recordings", tmp_path)
     np.testing.assert_allclose(
         read_recording(first).voltage_v, 100.0 - read_recording(second).voltage_v)
+
+
+def test_a_table_that_was_ended_goes_on_where_it_stopped(tmp_path, monkeypatch, capsys):
+    ran = []
+
+    def pretended(trial, folder):
+        ran.append(str(trial))
+        return Outcome(float("nan") if len(ran) == 1 else 0.25, "adequate", 40.0)
+
+    monkeypatch.setattr(__main__, "run", pretended)
+    of_creep = ["--output", str(tmp_path), "--stage", "plays", "--only", "creep: trapezoids"]
+    __main__.main([*of_creep, "--cpu-minutes", "1"])
+    first = capsys.readouterr().out
+    assert len(ran) == 2
+    __main__.main(of_creep)
+    whole = capsys.readouterr().out
+    assert whole.startswith(first)
+    assert len(set(ran)) == len(ran) == len(whole.splitlines()) - 2 > 4
 
 
 @pytest.mark.long
