@@ -135,7 +135,7 @@ class HeldInput:
     def _edges(
         self, begin: int, end: int, scaled: ComplexArray,
     ) -> tuple[NDArray[np.intp], ComplexArray, ComplexArray]:
-        """Return samples of the input that come early, and what they add to each state and slope."""
+        """Return samples of the input that come early, and what each adds to states and slopes."""
         if self.early is None:
             return _NO_EDGES
         at = np.flatnonzero(self.early[begin:end])
