@@ -29,6 +29,9 @@ class KindSettings:
         Part of the swing within which voltages are of one level.
     held : float
         Part of the samples that stay where they were, from which on a voltage has levels.
+    widest_level, widest_group : float
+        Part of the swing beyond which voltages that touch are more than one level, and beyond
+        which they are none.
     most_levels : int
     reversal : float
         Part of the swing below which a way back is noise.
@@ -46,9 +49,9 @@ class KindSettings:
     steady_order, grown : float
         Rank correlation of the ways between reversals with their order, and ratio of the last of
         them to the first, or its inverse, from which on their amplitude grows or shrinks.
-    jump, jump_over_usual : float
-        Part of the swing, and multiple of the change that 99 % of the samples do not exceed, from
-        which on a change between two samples is a jump.
+    jump, jump_over_usual, jump_over_others : float
+        Part of the swing, multiple of the change that 99 % of the samples do not exceed, and
+        multiple of the largest other change, from which on a change between two samples is a jump.
     chirp_order, chirp_ratio : float
         Rank correlation of the times between reversals with their order, and the ratio of the
         first to the last of these times and of the slopes between them, from which on a voltage
@@ -64,6 +67,8 @@ class KindSettings:
     constant: float = 1e-3
     level_width: float = 0.02
     held: float = 0.8
+    widest_level: float = 0.06
+    widest_group: float = 0.5
     most_levels: int = 100
     reversal: float = 0.02
     even_slope: float = 0.2
@@ -75,6 +80,7 @@ class KindSettings:
     grown: float = 1.3
     jump: float = 0.05
     jump_over_usual: float = 5.0
+    jump_over_others: float = 2.0
     chirp_order: float = 0.9
     chirp_ratio: float = 3.0
     repeated: float = 0.97
@@ -136,8 +142,12 @@ def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
     branches_s = np.diff(turns) * period_s
     branch_s = float(np.median(branches_s[1:-1] if branches_s.size > 2 else branches_s))
     heights = np.abs(np.diff(voltage_v[turns]))[1:-1] / swing_v
-    period = 0 if _growth(heights) else _repeat(part_v)
-    kind, text = _kind_of_moving(part_v, period_s, branches_s[1:-1], branch_s, period, heights)
+    spectrum = _spectrum(part_v, period_s)
+    growth = _growth(_swings_of_tone(part_v, spectrum[0] * period_s)
+                     if spectrum[1] > SETTINGS.one_tone else heights)
+    period = 0 if growth else _repeat(part_v)
+    kind, text = _kind_of_moving(
+        part_v, period_s, branches_s[1:-1], branch_s, period, heights, spectrum, growth)
     jumps = none if kind in BROADBAND else _lone_jumps(voltage_v, swing_v)
     if jumps.size:
         text += f", with {jumps.size} jump{'s' if jumps.size > 1 else ''}"
@@ -145,11 +155,19 @@ def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
 
 
 def _lone_jumps(voltage_v: FloatArray, swing_v: float) -> np.ndarray:
-    """Return the samples at which a voltage that moves slowly jumps."""
+    """Return the samples at which a voltage that moves slowly jumps.
+
+    They stand out from all others: the largest steps of a dither do not.
+    """
     change_v = np.abs(np.diff(voltage_v))
     usual_v = float(np.quantile(change_v, 0.99))
     least_v = max(SETTINGS.jump * swing_v, SETTINGS.jump_over_usual * usual_v)
-    return np.flatnonzero(change_v > least_v) + 1
+    descending = np.append(np.sort(change_v)[::-1], 0.0)
+    stand_out = (descending[:-1] > least_v) & (
+        descending[:-1] > SETTINGS.jump_over_others * descending[1:])
+    if not stand_out.any():
+        return np.empty(0, dtype=np.intp)
+    return np.flatnonzero(change_v >= descending[np.flatnonzero(stand_out)[-1]]) + 1
 
 
 def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform | None:
@@ -161,9 +179,12 @@ def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform 
     held = np.concatenate([[True], np.diff(level) == 0.0])
     # Noise on the edge between two bins makes two levels of one.
     bins = np.unique(level[held])
-    groups = 1 + int(np.count_nonzero(np.diff(bins) > 1.5))
+    parts = np.split(bins, np.flatnonzero(np.diff(bins) > 1.5) + 1)
+    groups = len(parts)
+    widest = SETTINGS.level_width * max(1.0 + np.ptp(part) for part in parts)
     jumps = np.flatnonzero(change_v > 1.5 * SETTINGS.level_width * swing_v) + 1
-    if jumps.size == 0 or groups > SETTINGS.most_levels or groups < 2:
+    if jumps.size == 0 or not 2 <= groups <= SETTINGS.most_levels or (
+            widest > SETTINGS.widest_group):
         return None
     inside = np.ones(change_v.size, dtype=bool)
     inside[jumps - 1] = False
@@ -177,7 +198,7 @@ def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform 
     rows = np.diff(np.concatenate([[0], jumps, [voltage_v.size]]))
     # The rows of a short way between two levels are no holds.
     branch_s = float(np.median(rows[rows > 4])) * period_s
-    if groups == 2:
+    if groups == 2 and widest <= 1.01 * SETTINGS.widest_level:
         count = "one step" if jumps.size == 1 else f"{jumps.size} steps"
         return Waveform("square", f"{count} between {voltage_v.min():.5g} and "
                         f"{voltage_v.max():.5g} V, held for {branch_s:.4g} s", jumps, branch_s)
@@ -208,8 +229,9 @@ def _repeat(voltage_v: FloatArray) -> int:
 
 
 def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArray,
-                    branch_s: float, period: int, heights: FloatArray) -> tuple[str, str]:
-    frequency_hz, share, sparse, band_hz = _spectrum(voltage_v, period_s)
+                    branch_s: float, period: int, heights: FloatArray,
+                    spectrum: tuple[float, float, float, float], growth: str) -> tuple[str, str]:
+    frequency_hz, share, sparse, band_hz = spectrum
     again = f", repeated every {period * period_s:.4g} s" if period else ""
     # Over many rows, so that noise counts little.
     stride = max(1, int(branch_s / period_s) // SETTINGS.slopes_per_branch)
@@ -230,7 +252,6 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
             first, last = branches_s[:at_first].mean(), branches_s[-at_last:].mean()
             return "chirp", f"{0.5 / first:.4g} to {0.5 / last:.4g} Hz"
     if share > SETTINGS.one_tone:
-        growth = _growth(heights)
         return ("cycles", f"a sine of {frequency_hz:.4g} Hz whose amplitude {growth}") if growth \
             else ("sine", f"{frequency_hz:.4g} Hz")
     if mean_slopes.size and np.ptp(np.quantile(mean_slopes, [0.1, 0.9])) < (
@@ -247,8 +268,15 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
     return "noise", f"up to {band_hz:.4g} Hz"
 
 
+def _swings_of_tone(voltage_v: FloatArray, frequency: float) -> FloatArray:
+    """Return the swing of each whole period of a tone, of which the frequency is that of rows."""
+    rows = max(1, round(1.0 / frequency))
+    whole = voltage_v[: voltage_v.size // rows * rows].reshape(-1, rows)
+    return np.ptp(whole, axis=1)
+
+
 def _growth(heights: FloatArray) -> str:
-    """Say whether the ways between reversals grow or shrink all along; empty if they do neither."""
+    """Say whether swings grow or shrink all along; empty if they do neither."""
     if heights.size < 4 or _first_over_last(heights) < SETTINGS.grown:
         return ""
     order = float(spearmanr(np.arange(heights.size), heights).statistic)

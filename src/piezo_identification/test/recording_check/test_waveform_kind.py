@@ -26,6 +26,11 @@ def rising_staircase(random):
     return np.repeat(np.concatenate(ways), 10)
 
 
+def dithered_sine(random):
+    """Growing sine with small steps on top, as laboratories excite hysteresis and vibration."""
+    return TIME_S * np.sin(2.0 * np.pi * 0.7 * TIME_S) + np.repeat(random.normal(size=400), 50)
+
+
 MAKERS = {
     "constant": lambda random: np.full(TIME_S.size, 20.0),
     "square": lambda random: np.sign(np.sin(2 * np.pi * (TIME_S + random.uniform(0.0, 2.0)) / 1.9)),
@@ -36,6 +41,7 @@ MAKERS = {
     "cycles of rising steps": rising_staircase,
     "cycles of a sine that grows": lambda random: TIME_S * np.sin(
         2 * np.pi * 0.7 * TIME_S + random.uniform(0, 6)),
+    "cycles of a sine that grows, with a dither": dithered_sine,
     "cycles of a sine that decays": lambda random: np.exp(-0.1 * TIME_S) * np.sin(
         2 * np.pi * TIME_S + random.uniform(0, 6)),
     "multisine": multisine,
@@ -74,3 +80,22 @@ def test_a_sine_whose_amplitude_changes_says_so_and_has_neither_period_nor_jumps
     found = waveform_of(amplitude * np.sin(2.0 * np.pi * TIME_S), PERIOD_S)
     assert found.text == f"a sine of 1 Hz whose {words}"
     assert found.period == 0 and found.jumps.size == 0
+
+
+def test_steps_of_a_dither_are_no_jumps_but_one_that_stands_out_is():
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        assert waveform_of(dithered_sine(random), PERIOD_S).jumps.size == 0
+        after_rest_v = np.append(np.zeros(1000), 40.0 * np.sin(4.4 * TIME_S + 1.0))
+        after_rest_v += np.repeat(random.normal(scale=0.5, size=420), 50)
+        found = waveform_of(after_rest_v, PERIOD_S)
+        assert found.kind == "sine" and found.jumps.tolist() == [1000]
+
+
+def test_a_sine_with_short_steps_is_no_square_wave():
+    """Its steps are held for five rows, in which the sine hardly moves; outliers leave a gap."""
+    random = np.random.default_rng(7)
+    time_s = 1e-4 * np.arange(15_000)
+    voltage_v = 40.0 * time_s * np.sin(2.0 * np.pi * 5.0 * time_s) + 4.0 * np.repeat(
+        random.normal(size=3000), 5)
+    assert waveform_of(voltage_v, 1e-4).kind == "cycles"

@@ -8,7 +8,6 @@ in no creep recording, and a fit of lag and modes alone would bend these until t
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.optimize import nnls
@@ -159,26 +158,17 @@ def best_free_fit(record: FastRecord) -> FreeFit:
     Parameters
     ----------
     record : FastRecord
-        Its rows are thinned, as the search takes its time; it is searched once, however often this
-        is asked.
+        Its rows are thinned, as the search takes its time.
 
     Returns
     -------
     FreeFit
         Of the thinned rows.
     """
-    if record not in _FOUND:
-        _FOUND[record] = _best_free_fit(record.thinned(ROWS_OF_SEARCH))
-    return _FOUND[record]
-
-
-_FOUND: WeakKeyDictionary[FastRecord, FreeFit] = WeakKeyDictionary()
-
-
-def _best_free_fit(record: FastRecord) -> FreeFit:
+    thin = record.thinned(ROWS_OF_SEARCH)
     best: FreeFit | None = None
-    for free in free_fits(record, MOST_MODES):
-        if best is not None and _information(record, free) > _information(record, best):
+    for free in free_fits(thin, MOST_MODES):
+        if best is not None and _information(thin, free) > _information(thin, best):
             break
         best = free
     assert best is not None

@@ -152,6 +152,7 @@ class FastRecord:
     phase_room: float = 0.0
     _span: FloatArray = field(init=False, repr=False)
     _target: FloatArray = field(init=False, repr=False)
+    _thinned: "dict[int, FastRecord]" = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_span", independent(self.fixed))
@@ -163,13 +164,15 @@ class FastRecord:
         return 1 + self._span.shape[1]
 
     def thinned(self, most_rows: int) -> "FastRecord":
-        """Return the record with no more rows than given, spread over all of it."""
+        """Return the record with no more rows than given, spread over all of it; made once."""
         step = -(-self.kept.size // most_rows)
         if step == 1:
             return self
-        return FastRecord(
-            self.input, self.kept[::step], self.measured_um[::step], self.fixed[::step],
-            self.starts, self.every_row or self, self.phase_room)
+        if step not in self._thinned:
+            self._thinned[step] = FastRecord(
+                self.input, self.kept[::step], self.measured_um[::step], self.fixed[::step],
+                self.starts, self.every_row or self, self.phase_room)
+        return self._thinned[step]
 
     def fit(self, order: ModeOrder, vector: FloatArray, delay: float,
             evaluations: int = 100, is_delay_free: bool = True,

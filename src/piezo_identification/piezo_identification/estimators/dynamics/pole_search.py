@@ -2,6 +2,8 @@
 """Poles of a fast record for a growing number of modes, each number begun from the one before."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -28,11 +30,23 @@ RANDOM_STARTS = 2
 """Starts with drawn poles, beside those that are derived from the record."""
 
 
+@dataclass(frozen=True)
+class _Found:
+    """What was found of a record, and what draws the starts of what is yet to be found."""
+
+    fits: list[FreeFit] = field(default_factory=list)
+    generator: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+
+_FOUND: WeakKeyDictionary[FastRecord, _Found] = WeakKeyDictionary()
+
+
 def free_fits(record: FastRecord, most_modes: int) -> Iterator[FreeFit]:
     """Yield the fit with free residues for 0, 1, 2, ... modes.
 
     None leaves more than the one before: it begins from it with a further mode, from the poles
-    that the record suggests, and from drawn ones.
+    that the record suggests, and from drawn ones. A record is searched once, however often this is
+    asked.
 
     Parameters
     ----------
@@ -43,34 +57,39 @@ def free_fits(record: FastRecord, most_modes: int) -> Iterator[FreeFit]:
     ------
     FreeFit
     """
-    generator = np.random.default_rng(0)
-    best: FreeFit | None = None
+    found = _FOUND.setdefault(record, _Found())
     for count in range(most_modes + 1):
-        starts = [vector_of_poles(poles, count) for poles in record.starts(count)]
-        suggested = len(starts)
-        if best is None:
-            starts.append(np.log([10.0 * record.input.sample_period_s]))
-            known = [_best_delay(record, start) for start in starts]
-        else:
-            delay = best.delay
-            starts += [_further_mode(best.vector, frequency, damping)
-                       for frequency in residual_peaks(record, best)
-                       for damping in TRIED_DAMPINGS]
-            starts += [_further_mode(best.vector, *_drawn(record, generator))
-                       for _ in range(RANDOM_STARTS)]
-            known = [record.free(start, delay) for start in starts]
-            known += [_best_delay(record, start) for start in starts[:suggested]]
-        known.sort(key=lambda fit: fit.cost)
-        quick = [record.fit_free(fit.vector, fit.delay, QUICK_EVALUATIONS)
-                 for fit in known[:FOLLOWED]]
-        found = min(quick, key=lambda fit: fit.cost)
-        found = record.fit_free(found.vector, found.delay)
-        if best is not None and found.cost > best.cost:
-            # A mode that no sample shows leaves what was left.
-            found = record.fit_free(
-                _further_mode(best.vector, 10.0 / record.input.sample_period_s, 0.8), best.delay)
-        best = found
-        yield found
+        if count == len(found.fits):
+            found.fits.append(_with_one_more(record, found))
+        yield found.fits[count]
+
+
+def _with_one_more(record: FastRecord, known: _Found) -> FreeFit:
+    """Fit one mode more than those that are known; none where none is known."""
+    count, best = len(known.fits), known.fits[-1] if known.fits else None
+    starts = [vector_of_poles(poles, count) for poles in record.starts(count)]
+    suggested = len(starts)
+    if best is None:
+        starts.append(np.log([10.0 * record.input.sample_period_s]))
+        begun = [_best_delay(record, start) for start in starts]
+    else:
+        starts += [_further_mode(best.vector, frequency, damping)
+                   for frequency in residual_peaks(record, best)
+                   for damping in TRIED_DAMPINGS]
+        starts += [_further_mode(best.vector, *_drawn(record, known.generator))
+                   for _ in range(RANDOM_STARTS)]
+        begun = [record.free(start, best.delay) for start in starts]
+        begun += [_best_delay(record, start) for start in starts[:suggested]]
+    begun.sort(key=lambda fit: fit.cost)
+    quick = [record.fit_free(fit.vector, fit.delay, QUICK_EVALUATIONS)
+             for fit in begun[:FOLLOWED]]
+    found = min(quick, key=lambda fit: fit.cost)
+    found = record.fit_free(found.vector, found.delay)
+    if best is None or found.cost <= best.cost:
+        return found
+    # A mode that no sample shows leaves what was left.
+    return record.fit_free(
+        _further_mode(best.vector, 10.0 / record.input.sample_period_s, 0.8), best.delay)
 
 
 def vector_of_poles(poles: ComplexArray, mode_count: int) -> FloatArray:

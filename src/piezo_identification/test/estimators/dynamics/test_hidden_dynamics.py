@@ -2,6 +2,7 @@
 """Dynamics of a stage that shares no code with the model, with what nobody told of."""
 
 import sys
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -115,13 +116,45 @@ def test_a_mode_that_may_not_be_fitted_is_not_taken_for_a_delay():
     assert not estimate.delay.is_significant
 
 
-@pytest.mark.long
-def test_modes_of_opposite_sign_are_found_beside_each_other():
+def zeros_of(modes):
+    """Zeros of modes that add up: what each adds, over the common denominator."""
+    def quadratic(mode):
+        return [1.0, 2.0 * mode[1] * mode[0], mode[0] ** 2]
+
+    numerator = np.zeros(1)
+    for index, mode in enumerate(modes):
+        others = [quadratic(each) for place, each in enumerate(modes) if place != index]
+        numerator = np.polyadd(
+            numerator, mode[2] * mode[0] ** 2 * reduce(np.polymul, others, np.ones(1)))
+    return np.roots(numerator)
+
+
+def drawn_modes_of_either_sign(seed):
+    """Two or three modes with zeros on the right, the first drawn ones that have them."""
+    draw = np.random.default_rng(seed)
+    while True:
+        parts = draw.uniform(0.04, 0.3, draw.choice([1, 2])) * draw.choice([-1.0, -1.0, 1.0])
+        rates = draw.uniform(2000.0, 4000.0) * np.cumprod(
+            [1.0, *draw.uniform(1.3, 2.2, parts.size)])
+        dampings = [draw.uniform(0.02, 0.6), *draw.uniform(0.01, 0.06, parts.size)]
+        modes = tuple(zip(rates.tolist(), dampings, [1.0 - parts.sum(), *parts.tolist()],
+                          strict=True))
+        if zeros_of(modes).real.max() > 0.0:
+            return modes
+
+
+@pytest.mark.parametrize("modes", [
+    ((2500.0, 0.45, 1.17), (4760.0, 0.045, -0.17)),
+    *(pytest.param(modes, marks=pytest.mark.long) for modes in (
+        ((3200.0, 0.5, 0.85), (5400.0, 0.025, 0.19), (8300.0, 0.015, -0.04)),
+        *map(drawn_modes_of_either_sign, range(3))))])
+def test_modes_of_opposite_sign_are_found_beside_each_other(modes):
     """Their zeros lie on the right, where no antiresonance can stand for them."""
-    stage = IndependentStage(
-        3e-4, ((3200.0, 0.5, 0.85), (5400.0, 0.025, 0.19), (8300.0, 0.015, -0.04)))
+    assert zeros_of(modes).real.max() > 0.0
+    stage = IndependentStage(3e-4, modes)
     estimate = estimated(stage)
-    assert [effect.name for effect in estimate.effects] == ["vibration_mode"] * 2
+    assert [effect.name for effect in estimate.effects] == ["vibration_mode"] * (len(modes) - 1)
+    assert estimate.residual_rms < 1.2 * FOLDED_NOISE_UM
     assert np.abs(normalised_errors(stage, estimate)).max() < 4.0
 
 
