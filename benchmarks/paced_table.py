@@ -107,7 +107,7 @@ def main():
     """Run what is missing, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("seconds", type=float, nargs="?", default=600.0, help="of each load")
-    parser.add_argument("--piece", type=float, default=60.0, help="seconds of one piece")
+    parser.add_argument("--piece", type=float, default=60.0, help="longest piece (s)")
     parser.add_argument("--output", type=Path, default=Path("runs/paced"),
                         help="directory of the file of pieces, from which a run goes on")
     parser.add_argument("--page", type=Path, default=Path("docs/how_it_works.md"),
@@ -115,15 +115,16 @@ def main():
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / "pieces.jsonl"
-    wanted = max(1, math.ceil(options.seconds / options.piece))
+    piece_s = min(options.piece, options.seconds)
+    wanted = max(1, math.ceil(options.seconds / piece_s))
     totals = {}
     for busy in LOADS:
-        conditions = conditions_of(busy, options.piece)
+        conditions = conditions_of(busy, piece_s)
         pieces = kept(path, conditions)[:wanted]
         while len(pieces) < wanted:
             print(f"{LOADS[busy]}: piece {len(pieces) + 1} of {wanted} ...", flush=True)
             with tempfile.TemporaryDirectory() as directory:
-                run = onboard_run(Path(directory), options.piece, busy)
+                run = onboard_run(Path(directory), piece_s, busy)
             pieces.append(piece_of(run, conditions))
             with path.open("a", encoding="utf-8") as file:
                 print(json.dumps(pieces[-1]), file=file)

@@ -11,9 +11,9 @@ from piezo_common.arrays import FloatArray
 from piezo_controller.tracking.answer_times import AnswerTimes
 from piezo_controller.tracking.feedbacks import Feedback
 from piezo_controller.tracking.foreseen import SHARE_AT_REST
+from piezo_controller.tracking.on_target import OnTarget
 from piezo_controller.tracking.plan import TrackingPlan
 
-ON_TARGET_SAMPLES = 400
 USUAL_PERCENT = 99
 TOLERANCE_OF_TRAVEL, LEAST_TOLERANCE_UM = 0.01, 0.03
 NOT_FOLLOWED = "the stage did not follow the reference"
@@ -63,8 +63,7 @@ class TrackingRun:
         self._expected_sum = self._expected_squares = 0.0
         self.largest_error_um = math.nan
         self._window = RunningSquares(window_samples)
-        self._target = RunningSquares(ON_TARGET_SAMPLES)
-        self._on_target_since: int | None = None
+        self._target = OnTarget(self.tolerance_um)
 
     @property
     def total_samples(self) -> int:
@@ -89,7 +88,7 @@ class TrackingRun:
     @property
     def on_target(self) -> bool:
         """Tell whether the error is within the tolerance now."""
-        return self._on_target_since is not None
+        return self._target.since_sample is not None
 
     @property
     def settled_after_sample(self) -> float:
@@ -97,7 +96,8 @@ class TrackingRun:
 
         NaN if it is not.
         """
-        return math.nan if self._on_target_since is None else self._on_target_since
+        since_sample = self._target.since_sample
+        return math.nan if since_sample is None else since_sample
 
     def take(self, displacement_um: FloatArray) -> float:
         """Take the next block of samples.
@@ -166,11 +166,7 @@ class TrackingRun:
         self._expected_squares += float(expected_um @ expected_um)
         self.largest_error_um = float(np.fmax(self.largest_error_um, np.abs(error_um).max()))
         self._window.add(squares, error_um.size)
-        self._target.add(squares, error_um.size)
-        if self._target.rms > self.tolerance_um:
-            self._on_target_since = None
-        elif self._on_target_since is None and self._target.full:
-            self._on_target_since = self._counted - self._target.samples
+        self._target.add(error_um)
 
     @property
     def _travel_um(self) -> float:
@@ -212,11 +208,6 @@ class RunningSquares:
         self.samples += samples
         while self.samples - self._blocks[0][1] >= self._wanted:
             self.samples -= self._blocks.popleft()[1]
-
-    @property
-    def full(self) -> bool:
-        """Tell whether there are as many samples as wanted."""
-        return self.samples >= self._wanted
 
     @property
     def rms(self) -> float:

@@ -3,11 +3,13 @@
 
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from piezo_controller.feedback.feedback_before_inverse import FeedbackBeforeInverse
-from piezo_controller.feedback.feedback_design import design_feedback
+from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.onboard_law import onboard_law
 from piezo_controller.feedback.synthesis.weights import load_weights
@@ -97,3 +99,27 @@ def test_law_of_a_gain_many_times_too_high_is_refused(stage_model, quick_control
     loud = replace(law, tick=replace(law.tick, c=factor * law.tick.c, d=factor * law.tick.d))
     with pytest.raises(FeedbackLawError, match="not stable with the declared model"):
         check_law(loud, SAMPLES)
+
+
+@pytest.mark.parametrize("delay_ticks", [0, 1])
+def test_law_of_samples_comes_as_many_samples_later_as_its_controller_declares(
+        stage_model, plan, delay_ticks):
+    """Beside the difference equation of the controller, simulated by SciPy."""
+    numerator, denominator = [0.02, 0.013, -0.004], [1.0, -1.3, 0.42]
+    system = control.ss(control.tf(numerator, denominator, CLOCK_PERIOD_S))
+    controller = FeedbackController(system.A, system.B, system.C, system.D, CLOCK_PERIOD_S,
+                                    {"delay_ticks": delay_ticks}, {})
+    law = onboard_law(controller, stage_model, plan, CLOCK_PERIOD_S, 1e3)
+    assert law.delay_ticks == 0 and law.tick.empty
+    displacement_um = 0.3 * np.random.default_rng(3).normal(size=TICKS * SAMPLES)
+    running, fed_back_v = RunningLaw(law, SAMPLES), np.empty(len(displacement_um))
+    for sample, measured_um in enumerate(displacement_um):
+        fed_back_v[sample] = running.begin(np.zeros(1))[0]
+        running.take(np.array([measured_um]))
+    start = -(-law.start_sample // SAMPLES) * SAMPLES
+    error_um = plan.expected_um(0, len(displacement_um)) - displacement_um
+    answers_v = lfilter(numerator, denominator, error_um[start:])
+    # What a sample measures acts in the next one at the earliest.
+    late = start + 1 + delay_ticks
+    assert not fed_back_v[:late].any() and fed_back_v[late] != 0.0
+    np.testing.assert_allclose(fed_back_v[late:], answers_v[:len(fed_back_v) - late], atol=1e-9)

@@ -10,9 +10,9 @@ from piezo_controller.tracking.tracking_run import RunningSquares
 
 def test_the_last_samples_count():
     window = RunningSquares(100)
-    assert math.isnan(window.rms) and not window.full
+    assert math.isnan(window.rms)
     window.add(100 * 9.0, 100)
-    assert window.rms == pytest.approx(3.0) and window.full
+    assert window.rms == pytest.approx(3.0)
     for _ in range(4):
         window.add(25 * 4.0, 25)
     assert window.rms == pytest.approx(2.0)

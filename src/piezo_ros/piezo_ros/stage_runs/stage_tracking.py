@@ -103,10 +103,11 @@ class StageTracker:
         self._stage.begin()
         for event in self._at_rest, self._awake, self._begun:
             event.clear()
-        self._blocks = self.last_sample = self.missed_feedback = 0
+        self._blocks = self.last_sample = self.missed_feedback = self._feedforward_id = 0
         self._load_voltages(once_voltage_v, period_voltage_v)
         if law is not None:
-            call_service(self._load_law, LoadFeedback.Request(law=law))
+            call_service(self._load_law, LoadFeedback.Request(
+                law=law, feedforward_id=self._feedforward_id))
         self._stream = more and Stream(more, len(once_voltage_v), self._append, self._publish)
         self._answering = answering or more is not None
         self._take = take
@@ -116,7 +117,8 @@ class StageTracker:
             self._run, self._early_answers = None, []
             begun = call_service(self._start, StartTracking.Request(
                 feedback=self._answering, onboard=law is not None, ticks=ticks,
-                client=self._client), appearance_s=APPEARANCE_S)
+                client=self._client, feedforward_id=self._feedforward_id),
+                appearance_s=APPEARANCE_S)
             self._first_tick = begun.first_tick
             self._begin_answers(begun.run)
             self._begun.set()
@@ -161,9 +163,10 @@ class StageTracker:
 
     def _load_voltages(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray | bytes = b"",
                        append: bool = False) -> None:
-        call_service(self._load, LoadFeedforward.Request(
+        self._feedforward_id = call_service(self._load, LoadFeedforward.Request(
             once_voltage_v=array.array("d", bytes(once_voltage_v)),
-            period_voltage_v=array.array("d", bytes(period_voltage_v)), append=append))
+            period_voltage_v=array.array("d", bytes(period_voltage_v)), append=append,
+            feedforward_id=self._feedforward_id)).feedforward_id
 
     def _append(self, voltage_v: FloatArray) -> None:
         self._load_voltages(voltage_v, append=True)

@@ -2,6 +2,7 @@
 """What clients may ask of the stage, and when each of it is refused."""
 
 import math
+import secrets
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -64,6 +65,7 @@ class StageCommands:
         self._latch, self._guards = latch, guards
         self._feedback_limits = feedback_limits or FeedbackLimits()
         self._feedforward: Feedforward | None = None
+        self._feedforward_id = 0
         self._law: CheckedLaw | None = None
 
     def play(self, voltage_v: npt.ArrayLike, sample_period_s: float, repeats: int = 1,
@@ -110,7 +112,7 @@ class StageCommands:
         return self._engine.last_sample + 1 + int(approach.samples), waveform.samples
 
     def load_feedforward(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
-                         append: bool = False) -> None:
+                         append: bool = False, feedforward_id: int = 0) -> int:
         """Take the feedforward that ``start_tracking`` plays.
 
         Parameters
@@ -119,6 +121,13 @@ class StageCommands:
             Played once, then repeated; at the rate of the sample clock.
         append : bool
             Add ``once_voltage_v`` behind what is loaded, also while it plays.
+        feedforward_id : int
+            Of what is to be appended to; 0 for whatever is loaded.
+
+        Returns
+        -------
+        int
+            Number of what is loaded now, which nothing else bears, by whomever it is loaded.
 
         Raises
         ------
@@ -133,14 +142,18 @@ class StageCommands:
             if self._feedforward is None or self._feedforward.periodic:
                 raise StageRefusal("there is no streamed feedforward to append to: "
                                    "load one without a repeated part first")
+            self._require_loaded(feedforward_id)
             self._limits.check(once_voltage_v, self._ticks.sample_period_s,
                                self._feedforward.last_v)
             self._feedforward.append(once_voltage_v)
-            return
+            return self._feedforward_id
         self._require_ready()
         feedforward = Feedforward(once_voltage_v, np.array(period_voltage_v, dtype=float))
         self._limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
         self._feedforward, self._law = feedforward, None
+        # Drawn, so that a stage that was started again gives none of its numbers a second time.
+        self._feedforward_id = secrets.randbits(63) + 1
+        return self._feedforward_id
 
     def checked(self, law: FeedbackLaw) -> CheckedLaw:
         """Check a feedback law for this stage; from any thread, as it takes longer than a tick.
@@ -152,16 +165,23 @@ class StageCommands:
         return CheckedLaw(law, self._ticks.samples_per_tick, self._engine.lead_ticks,
                           self._engine.rest_voltage_v, self._feedback_limits)
 
-    def load_feedback(self, law: CheckedLaw) -> None:
+    def load_feedback(self, law: CheckedLaw, feedforward_id: int = 0) -> None:
         """Take the law that ``start_tracking`` evaluates beside the feedforward loaded before.
 
         While one acts the next tick begins with the new one.
+
+        Parameters
+        ----------
+        law : CheckedLaw
+        feedforward_id : int
+            Of the feedforward that it goes with; 0 for whatever is loaded.
 
         Raises
         ------
         StageRefusal, FeedbackLawError
         """
         self._require_not_stopped()
+        self._require_loaded(feedforward_id)
         feedback = self._engine.feedback
         if isinstance(feedback, OnboardFeedback):
             feedback.replace(law)
@@ -229,7 +249,7 @@ class StageCommands:
         return engine.tick
 
     def start_tracking(self, feedback: bool, ticks: int = 0, client: str = "",
-                       onboard: bool = False) -> int:
+                       onboard: bool = False, feedforward_id: int = 0) -> int:
         """Play the loaded feedforward.
 
         Parameters
@@ -242,6 +262,8 @@ class StageCommands:
             As in `play`.
         onboard : bool
             Add what the loaded law gives, in place of answers.
+        feedforward_id : int
+            Of the feedforward that is to be played; 0 for whatever is loaded.
 
         Returns
         -------
@@ -254,6 +276,7 @@ class StageCommands:
         self._require_ready()
         if self._feedforward is None:
             raise StageRefusal("no feedforward is loaded: call load_feedforward first")
+        self._require_loaded(feedforward_id)
         if self._feedforward.forgotten:
             raise StageRefusal("the streamed feedforward has been played: load it again")
         self._limits.check_start(
@@ -317,6 +340,12 @@ class StageCommands:
                 "backend plays at once: shorten it, or set the stage's sample_rate_hz lower")
         if not engine.at_rest:
             raise StageRefusal("the backend still plays the waveform before: wait for its end")
+
+    def _require_loaded(self, feedforward_id: int) -> None:
+        """Refuse what goes with a feedforward that another one has taken the place of."""
+        if feedforward_id not in (0, self._feedforward_id):
+            raise StageRefusal("another feedforward was loaded since: let one client at a time use "
+                               "the stage, and load yours again")
 
     def _require_not_stopped(self) -> None:
         if self._latch.cause:

@@ -108,12 +108,16 @@ class StageServices:
         except ValueError as error:
             self._refuse(late, "load_feedback", error)
         else:
-            self._ask(late, "load_feedback", law)
+            self._ask(late, "load_feedback", law, request.feedforward_id)
 
     def _on_load_feedforward(self, request: LoadFeedforward.Request, late: LateResponse) -> None:
+        def fill(response: LoadFeedforward.Response, feedforward_id: int) -> None:
+            response.feedforward_id = feedforward_id
+
         if not self._loads.repeats(request.request_id, late):
             name = "append_feedforward" if request.append else "load_feedforward"
-            self._ask(late, name, request.once_voltage_v, request.period_voltage_v, request.append)
+            self._ask(late, name, request.once_voltage_v, request.period_voltage_v, request.append,
+                      request.feedforward_id, fill=fill)
 
     def _on_replace_feedforward(self, request: ReplaceFeedforward.Request,
                                 late: LateResponse) -> None:
@@ -137,7 +141,7 @@ class StageServices:
 
         if not self._starts.repeats(request.request_id, late):
             self._ask(late, "start_tracking", request.feedback, request.ticks, request.client,
-                      request.onboard, fill=fill)
+                      request.onboard, request.feedforward_id, fill=fill)
 
     def _on_stop_tracking(self, request: Trigger.Request, late: LateResponse) -> None:
         self._ask(late, "stop_tracking")

@@ -71,9 +71,6 @@ class StageSettings:
 
         take("sample_rate_hz", 40000.0, "Rate of the sample clock (Hz).", 10.0, 200000.0)
         take("samples_per_tick", 40, "Samples of one feedback period.", 1, 4000)
-        take("samples_per_block", 800,
-             "Samples of one message of samples while nobody has to answer it; at least a tick.",
-             1, 40000)
         take("minimum_voltage_v", -20.0, "Lowest voltage allowed (V).", -1000.0, 1000.0)
         take("maximum_voltage_v", 120.0, "Highest voltage allowed (V).", -1000.0, 1000.0)
         take("rest_voltage_v", 0.0, "Voltage while nothing plays (V).", -1000.0, 1000.0)
@@ -115,11 +112,16 @@ class StageSettings:
              choices=("paced", "lockstep"))
         take("lockstep_timeout_s", 10.0,
              "Wall time after which an answer counts as missed in lockstep (s).", 0.01, 600.0)
+        # In lockstep nobody looks at single milliseconds, and each message takes time of its own.
+        take("samples_per_block", 2000 if self.lockstep else 800,
+             "Samples of one message of samples while nobody has to answer it; at least a tick.",
+             1, 40000)
         take("real_time_priority", 40,
              "Priority of the loop of a paced stage, from 1 to 99, with memory that stays; 0 asks "
              "the system for neither.", 0, 99)
         take("joint_name", "stage", "Name of the joint in joint_states.")
-        take("joint_state_rate_hz", 50.0, "Rate of joint_states (Hz).", 0.1, 1000.0)
+        take("joint_state_rate_hz", 50.0,
+             "Rate of joint_states (Hz), as far as blocks of samples come so often.", 0.1, 1000.0)
 
     @property
     def lockstep(self) -> bool:

@@ -54,11 +54,12 @@ class Goal:
 class Stage:
     """A supervisor that is active, and what became of the commands."""
 
-    def __init__(self, closing_ticks=0):
+    def __init__(self, closing_ticks=0, samples_per_block=1):
         self.backend, self.told = Backend(), []
         self.supervisor = StageSupervisor(
             self.backend, lambda backend, latch: StageEngine(
-                backend, VoltageLimits(-20.0, 120.0, 2.0e5), 0.0, 2.0e4, TICK, latch=latch),
+                backend, VoltageLimits(-20.0, 120.0, 2.0e5), 0.0, 2.0e4, TICK, latch=latch,
+                samples_per_block=samples_per_block),
             closing_ticks=closing_ticks)
         self.supervisor.activate()
 
@@ -228,3 +229,24 @@ def test_commands_between_two_ticks_each_find_what_the_one_before_left(closing_t
             break
         stage.supervisor.tick()
     assert [cause for cause, _ in goal.ends] == [""]
+
+
+@pytest.mark.parametrize("ticks", [30, 33])
+def test_whole_blocks_hold_what_single_ticks_play(ticks):
+    played = []
+    for whole_block in (False, True):
+        stage = Stage(samples_per_block=400)
+        stage.ask("load_feedforward", np.linspace(0.0, 40.0, 40 * ticks), [], False)
+        stage.ask("start_tracking", False, ticks)
+        calls, blocks = 0, []
+        while not blocks or not stage.supervisor.at_rest:
+            blocks.append(stage.supervisor.tick(whole_block))
+            calls += 1
+        blocks = [block for block in blocks if block is not None]
+        played.append(([block.first_sample for block in blocks], np.concatenate(
+            [block.voltage_v for block in blocks])))
+        if whole_block:
+            assert calls == len(blocks) < ticks
+    assert played[0][0] == played[1][0]
+    assert np.array_equal(played[0][1], played[1][1])
+    assert played[0][1].max() == 40.0
