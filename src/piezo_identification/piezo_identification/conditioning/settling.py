@@ -2,12 +2,14 @@
 """What slow signals see of the electric and vibration dynamics."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TypeGuard
+from dataclasses import dataclass, fields
+from typing import Any, TypeGuard
 
+import control
 import numpy as np
+from numpy.typing import ArrayLike
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
@@ -26,10 +28,37 @@ MOST_OF_RECORDING = 0.25
 """Part of a recording that is given away to settle, however slowly a mode decays."""
 
 
+@dataclass(frozen=True)
+class SlowDynamics(ElectricVibrationDynamics):
+    """Electric and vibration dynamics with the further modes that have to settle beside theirs.
+
+    Parameters
+    ----------
+    beside : tuple of VibrationMode
+        Each takes its participation of the displacement from the modes in series.
+    """
+
+    beside: tuple[VibrationMode, ...] = ()
+
+    @property
+    def is_static(self) -> bool:
+        """Tell whether there is neither a lag nor a mode."""
+        return super().is_static and not self.beside
+
+    def state_space(self, beside: Sequence[Any] = ()) -> control.StateSpace:
+        """Return the continuous state space, with still further modes."""
+        return super().state_space((*self.beside, *beside))
+
+    def response(self, frequency_hz: ArrayLike, beside: Sequence[Any] = ()) -> ComplexArray:
+        """Return the complex response at frequencies, in their shape; see `state_space`."""
+        return super().response(frequency_hz, (*self.beside, *beside))
+
+
 def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
     """Return the delay of the dynamics at low frequency, the coefficient of (4.18) and (4.19).
 
-    It is tau + sum 2 d / w over the modes, less the same sum over the antiresonances.
+    It is tau + sum 2 d / w over the modes, less the same sum over the antiresonances. Of modes
+    beside each other, each delays its part of the displacement only.
 
     Parameters
     ----------
@@ -42,12 +71,20 @@ def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
     def sum_of_modes(frequencies: Sequence[float], dampings: Sequence[float]) -> float:
         return sum(2.0 * d / w for w, d in zip(frequencies, dampings, strict=True))
 
-    return (
-        dynamics.time_constant_s
-        + sum_of_modes(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios)
+    in_series_s = (
+        sum_of_modes(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios)
         - sum_of_modes(dynamics.antiresonance_frequencies_rad_per_s,
                        dynamics.antiresonance_damping_ratios)
     )
+    beside = dynamics.beside if isinstance(dynamics, SlowDynamics) else ()
+    return dynamics.time_constant_s + in_series_s + sum(
+        _delay_of_mode_s(mode, in_series_s) for mode in beside)
+
+
+def _delay_of_mode_s(mode: VibrationMode, in_series_s: float) -> float:
+    """By how much a mode delays the displacement beyond the modes in series."""
+    return mode.participation * (
+        2.0 * mode.damping_ratio / mode.frequency_rad_per_s - in_series_s)
 
 
 def held_delay_s(dynamics: ElectricVibrationDynamics, sample_period_s: float) -> float:
@@ -74,8 +111,8 @@ def held_delay_s(dynamics: ElectricVibrationDynamics, sample_period_s: float) ->
 
 def slow_dynamics(
     dynamics: ElectricVibrationDynamics, effects: Sequence[Effect],
-) -> ElectricVibrationDynamics:
-    """Return the dynamics with all modes that have to settle among those in series.
+) -> SlowDynamics:
+    """Return the dynamics with all modes that have to settle.
 
     Parameters
     ----------
@@ -85,14 +122,11 @@ def slow_dynamics(
 
     Returns
     -------
-    ElectricVibrationDynamics
+    SlowDynamics
     """
-    beside = [effect for effect in effects if _has_to_settle(effect)]
-    return replace(
-        dynamics,
-        mode_frequencies_rad_per_s=dynamics.mode_frequencies_rad_per_s + tuple(
-            mode.frequency_rad_per_s for mode in beside),
-        damping_ratios=dynamics.damping_ratios + tuple(mode.damping_ratio for mode in beside))
+    own = {each.name: getattr(dynamics, each.name) for each in fields(ElectricVibrationDynamics)}
+    return SlowDynamics(
+        **own, beside=tuple(effect for effect in effects if _has_to_settle(effect)))
 
 
 def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect]) -> float:
@@ -102,8 +136,7 @@ def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect])
     ----------
     dynamics : ElectricVibrationDynamics
     effects : sequence of Effect
-        Delays, lags of the amplifier or the sensor, and modes beside those of the dynamics, of
-        which each delays its part of the displacement only.
+        Delays, lags of the amplifier or the sensor, and modes too small to wait for.
 
     Returns
     -------
@@ -116,10 +149,8 @@ def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect])
             delay_s += effect.delay_s
         elif isinstance(effect, (SensorLag, AmplifierLag)):
             delay_s += effect.time_constant_s
-        elif isinstance(effect, VibrationMode):
-            own_s = 2.0 * effect.damping_ratio / effect.frequency_rad_per_s
-            delay_s += effect.participation * (own_s - in_series_s)
-            delay_s -= own_s if _has_to_settle(effect) else 0.0
+        elif isinstance(effect, VibrationMode) and not _has_to_settle(effect):
+            delay_s += _delay_of_mode_s(effect, in_series_s)
     return delay_s
 
 

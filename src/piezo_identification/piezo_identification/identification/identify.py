@@ -149,7 +149,8 @@ def identify(
             of_kind(said, "hysteresis"), method, order, stages.part(0.0, 0.6))
         stages.begin("hysteresis", 0.6)
         for loops in of_kind(said, "hysteresis"):
-            refuse_impossible_loops(loops, linear.creep, linear.slow_dynamics, linear.slow_delay_s)
+            tell_implausible(refuse_impossible_loops(
+                loops, linear.creep, linear.slow_dynamics, linear.slow_delay_s), tell)
         read_at = found_readings(said, linear)
         recordings = aligned(said, read_at)
         estimate, first_rise, cycled = estimate_loops(recordings, linear, density)

@@ -9,7 +9,11 @@ import numpy as np
 
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
-from piezo_identification.conditioning.settling import slow_delay_s, slow_dynamics
+from piezo_identification.conditioning.settling import (
+    SlowDynamics,
+    slow_delay_s,
+    slow_dynamics,
+)
 from piezo_identification.conditioning.waveforms import played, square_wave
 from piezo_identification.estimators.armax.armax_dynamics import estimate_dynamics_armax
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
@@ -86,8 +90,8 @@ class LinearDynamics:
                 *(effect for effect in self.effects if effect.place not in BEFORE_DELAY))
 
     @property
-    def slow_dynamics(self) -> ElectricVibrationDynamics:
-        """Dynamics as slow signals see them: every mode among those in series has to settle."""
+    def slow_dynamics(self) -> SlowDynamics:
+        """Dynamics as slow signals see them: with every mode that has to settle."""
         return slow_dynamics(self.dynamics, self.effects)
 
     @property

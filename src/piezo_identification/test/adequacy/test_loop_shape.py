@@ -13,6 +13,7 @@ from piezo_recorder.reading.reader import read_recording
 
 NOISE_UM = 0.02
 PERIOD_S = 0.05
+NO_CREEP = CreepDynamics()
 DATA = Path(os.environ.get("MEASURED_DATA", "../shared/data"))
 
 
@@ -28,10 +29,10 @@ BIPOLAR_V = ways(0, 100, -100, 100, -100, 0)
 
 @pytest.fixture
 def check(recorded):
-    def check(voltage_v, displacement_um, period_s=PERIOD_S):
-        refuse_impossible_loops(
+    def check(voltage_v, displacement_um, period_s=PERIOD_S, creep=NO_CREEP, delay_s=0.0):
+        return refuse_impossible_loops(
             recorded("loops", voltage_v, displacement_um, period_s, NOISE_UM),
-            CreepDynamics(), ElectricVibrationDynamics())
+            creep, ElectricVibrationDynamics(), delay_s)
     return check
 
 
@@ -40,7 +41,27 @@ def check(recorded):
 def test_loops_of_a_stage_are_let_through(independent_stage, check, settings):
     stage = independent_stage(**settings)
     for voltage_v in (NESTED_V, BIPOLAR_V, NESTED_V[::8]):
-        check(voltage_v, stage.displacement_um(voltage_v, PERIOD_S))
+        assert check(voltage_v, stage.displacement_um(voltage_v, PERIOD_S)) == []
+
+
+@pytest.mark.parametrize(("wrong", "name"), [
+    ({"delay_s": -0.3}, "a butterfly loop"),
+    ({"delay_s": 0.15}, "loops that are run through clockwise"),
+    ({"creep": CreepDynamics((0.5,), (5.0,))}, "loops that are run through clockwise"),
+], ids=["delay of the other sign", "long delay", "large creep"])
+def test_loops_are_not_refused_for_what_is_taken_out_wrongly(
+        independent_stage, check, wrong, name):
+    voltage_v = NESTED_V[::4]
+    told = check(voltage_v, independent_stage().displacement_um(voltage_v, PERIOD_S), **wrong)
+    assert any(each.startswith("once creep and dynamics are taken out, ")
+               and f"loops holds {name}" in each for each in told)
+
+
+def test_a_butterfly_that_creeps_and_is_late_is_refused(independent_stage, check):
+    polarisation = independent_stage().displacement_um(BIPOLAR_V, PERIOD_S)
+    for creep, delay_s in ((CreepDynamics((0.125,), (0.13,)), 0.0), (NO_CREEP, 0.01)):
+        with pytest.raises(ValueError, match="loops holds a butterfly loop"):
+            check(BIPOLAR_V, 0.05 * polarisation**2, creep=creep, delay_s=delay_s)
 
 
 def test_a_butterfly_is_refused_by_name(independent_stage, check):
