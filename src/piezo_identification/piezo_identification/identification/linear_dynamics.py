@@ -46,6 +46,10 @@ DRIVING_LEVELS = 30
 """Levels of a density that drives a fit of the dynamics, or tells how rows are read: beside the
 error of either, twice as many cells along a threshold make no difference."""
 
+CLEARLY_LESS = 0.9
+"""Part of the residual to which creep has to come down if its rows are read otherwise than those of
+the dynamics: slow rows hardly tell."""
+
 BEFORE_DELAY = ("voltage", "modes")
 """Places of the effects that the delay of the stage comes after."""
 
@@ -65,6 +69,8 @@ class LinearDynamics:
     read_at_samples : float
         Instant at which the rows of the dynamics' recording were found to be read, in sample
         periods after their voltage.
+    creep_is_read_alike : bool
+        Whether the rows of the creep are read at that instant too. Another logger may have them.
     estimates : dict of str to Estimate
         By what they were made from: creep, dynamics.
     uncertainties : dict of str to dict
@@ -78,6 +84,7 @@ class LinearDynamics:
     delay_s: float = 0.0
     effects: tuple[Effect, ...] = ()
     read_at_samples: float = 0.0
+    creep_is_read_alike: bool = True
     estimates: dict[str, Estimate] = field(default_factory=dict)
     uncertainties: dict[str, dict[str, Any]] = field(default_factory=dict)
     effect_deviations: tuple[dict[str, float], ...] = ()
@@ -99,10 +106,11 @@ class LinearDynamics:
         """Delay of slow signals beside those dynamics."""
         return slow_delay_s(self.dynamics, self.all_effects)
 
-    def with_creep(self, estimate: Estimate) -> "LinearDynamics":
+    def with_creep(self, estimate: Estimate, is_read_alike: bool) -> "LinearDynamics":
         """Estimate the model anew with the creep of a recording."""
         return replace(
-            self, creep=estimate.model, estimates=self.estimates | {"creep": estimate},
+            self, creep=estimate.model, creep_is_read_alike=is_read_alike,
+            estimates=self.estimates | {"creep": estimate},
             uncertainties=self.uncertainties | {"creep": estimate.standard_deviations},
         )
 
@@ -206,7 +214,7 @@ def estimate_linear_dynamics(
     for turn in range(passes):
         if creep:
             begin("creep beside the dynamics" if turn else "creep", 0.5 * turn)
-            found = found.with_creep(_creep_of(creep, found, bool(turn), order.creep_pairs))
+            found = found.with_creep(*creep_of(creep, found, bool(turn), order.creep_pairs))
         if not given:
             continue
         begin("dynamics beside the creep" if turn else "dynamics", 0.5 * turn + 0.3)
@@ -246,14 +254,30 @@ def with_lag_in_front(
     return found if estimate is None else found.with_dynamics(estimate)
 
 
-def _creep_of(
+def creep_of(
+    recordings: Sequence[Recording], found: LinearDynamics, is_dynamics_known: bool,
+    pair_count: int | None,
+) -> tuple[Estimate, bool]:
+    """Creep, and whether its rows are read as the dynamics': unless as given leaves clearly less.
+
+    What is a small shift of fast rows smears the steps of slow ones, if it is wrong.
+    """
+    tried = []
+    for read_at in {found.read_at_samples, 0.0}:
+        aligned = [rows_read_at_start(each, read_as(each, read_at)) for each in recordings]
+        estimate = _creep_of_aligned(aligned, found, is_dynamics_known, pair_count)
+        is_alike = read_at == found.read_at_samples
+        tried.append((
+            estimate.residual_rms / (1.0 if is_alike else CLEARLY_LESS), estimate, is_alike))
+    return min(tried, key=lambda entry: entry[0])[1:]
+
+
+def _creep_of_aligned(
     recordings: Sequence[Recording], found: LinearDynamics, is_dynamics_known: bool,
     pair_count: int | None,
 ) -> Estimate:
     """Creep of one square wave as it was designed for, else of what there is."""
     dynamics = found.slow_dynamics if is_dynamics_known else None
-    recordings = [rows_read_at_start(each, read_as(each, found.read_at_samples))
-                  for each in recordings]
     if len(recordings) == 1 and _is_square_wave(recordings[0]):
         return estimate_creep(recordings[0], dynamics, pair_count, found.slow_delay_s)
     return estimate_slow_creep(recordings, dynamics, pair_count)

@@ -27,7 +27,8 @@ SHORT_S = 1e-2
 def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> dict[str, float]:
     """Tell when the rows of every recording are read: as those of the dynamics.
 
-    Loops may be of another logger. They are read as the dynamics only if that explains them better.
+    Creep and loops may be of another logger. Creep is read as its estimate was, loops as the
+    dynamics only if that explains them better.
 
     Parameters
     ----------
@@ -43,9 +44,10 @@ def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> di
     loops = of_kind(recordings, "hysteresis")
     if loops and any(read_as(each, loops_read_at) for each in loops):
         loops_read_at = aligned_density(loops, linear)[1]
+    read_at = {"creep": linear.read_at_samples if linear.creep_is_read_alike else 0.0,
+               "hysteresis": loops_read_at}
     return {name: 0.0 if isinstance(data, FrequencyResponse)
-            else read_as(data, loops_read_at if name.split()[0] == "hysteresis"
-                         else linear.read_at_samples)
+            else read_as(data, read_at.get(name.split()[0], linear.read_at_samples))
             for name, data in recordings.items()}
 
 

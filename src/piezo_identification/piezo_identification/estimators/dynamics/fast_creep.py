@@ -39,6 +39,8 @@ RINGING = 0.5
 MOST_MODES = 4
 """Modes with free residues up to which those are sought that are right beside the creep."""
 
+MOST_TURNS = 4
+"""Times that creep is sought beside the dynamics that are right beside the creep found before."""
 
 AS_GOOD = 10.0
 """Information by which free poles may be better: creep is what a stage has, a mode without
@@ -95,7 +97,9 @@ def fast_creep(
     """Find creep in a fast record: exponentials that are slower than all that rings.
 
     Free poles tell whether there is any: one of them is real and slow. It is creep if the record
-    without it is explained as well by the information criterion, most often with fewer poles.
+    without it is explained as well by the information criterion, most often with fewer poles. The
+    slow poles bend the others, and with them the creep: it is sought again beside the dynamics that
+    are right once it is removed, while that explains the record better.
 
     Parameters
     ----------
@@ -107,20 +111,26 @@ def fast_creep(
     -------
     FastCreep or None
     """
-    best = best_free_fit(record_without(creep))
+    first = best_free_fit(record_without(creep))
     record = record_without(creep).thinned(ROWS_OF_SEARCH)
-    rates = sought_rates(record, best, creep)
-    is_slow = np.abs(best.poles) < rates.max(initial=0.0)
-    if not is_slow.any():
+    rates = sought_rates(record, first, creep)
+    if not (np.abs(first.poles) < rates.max(initial=0.0)).any():
         return None
-    dynamics = replace(best, poles=best.poles[~is_slow], residues=best.residues[~is_slow])
-    found = _positive_parts(record, dynamics, rates)
-    if found is None:
-        return None
-    without = record_without(joined_creep(creep, found.model))
     # The creep stands in the place of slow poles, which no stage has: it need not pay for itself.
-    gain = _information(record, best) - _information(record, best_free_fit(without))
-    return found if gain > -AS_GOOD else None
+    best, least = None, _information(record, first) + AS_GOOD
+    free = first
+    for _ in range(MOST_TURNS):
+        is_slow = np.abs(free.poles) < rates.max()
+        found = _positive_parts(record, replace(
+            free, poles=free.poles[~is_slow], residues=free.residues[~is_slow]), rates)
+        if found is None:
+            break
+        free = best_free_fit(record_without(joined_creep(creep, found.model)))
+        information = _information(record, free)
+        if information >= least:
+            break
+        best, least = found, information
+    return best
 
 
 def sought_rates(record: FastRecord, free: FreeFit, creep: CreepDynamics) -> FloatArray:
