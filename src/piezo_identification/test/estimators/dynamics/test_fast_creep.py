@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Creep within the half period of a fast square wave does not bend lag and modes."""
 
+import sys
+
 import numpy as np
 import pytest
 from scipy import signal
 
 from piezo_identification.estimators.dynamics.fast_creep import (
+    best_free_fit,
     fast_creep,
     joined_creep,
     sought_rates,
@@ -112,3 +115,14 @@ def test_creep_of_two_in_succession_is_the_product_of_their_responses():
     np.testing.assert_allclose(
         joined_creep(first, second).response(frequency_hz),
         first.response(frequency_hz) * second.response(frequency_hz))
+
+
+def test_creep_is_sought_until_it_leaves_no_slow_pole_in_the_dynamics(monkeypatch):
+    """The poles that stood for creep had bent the dynamics beside which it was sought first."""
+    monkeypatch.setattr(sys.modules[__name__], "NOISE_UM", 5e-4)
+    stage = recording(creep_part=0.004, creep_rates=np.geomspace(3.0, 600.0, 10))
+    found = fast_creep(lambda creep: mean_period(stage, creep), CreepDynamics())
+    assert found is not None
+    left = best_free_fit(mean_period(stage, found.model)).poles
+    assert left.size == 1 + 2 * len(MODES_HZ)
+    assert np.abs(left).min() == pytest.approx(1.0 / LAG_S, rel=0.01)
