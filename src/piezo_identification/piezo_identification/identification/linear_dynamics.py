@@ -258,9 +258,24 @@ def creep_of(
     recordings: Sequence[Recording], found: LinearDynamics, is_dynamics_known: bool,
     pair_count: int | None,
 ) -> tuple[Estimate, bool]:
-    """Creep, and whether its rows are read as the dynamics': unless as given leaves clearly less.
+    """Estimate the creep, its rows read as the dynamics' unless as given leaves clearly less.
 
     What is a small shift of fast rows smears the steps of slow ones, if it is wrong.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    found : LinearDynamics
+    is_dynamics_known : bool
+        Whether `found` holds the dynamics already.
+    pair_count : int, optional
+        By default chosen from the data.
+
+    Returns
+    -------
+    estimate : Estimate
+    is_read_alike : bool
+        Whether the rows are read as those of the dynamics.
     """
     tried = []
     for read_at in {found.read_at_samples, 0.0}:
