@@ -36,6 +36,8 @@ LEAST_PROBABLE = 0.01
 TURNS = 8
 """In which a fit goes on at most, each of two steps: after the one turn by which a diagnosis
 begins, alternatives that are right lose where their model has to move farther."""
+IDLE = 1e-3
+"""Part of the tolerance of a row that an effect has to change somewhere, to be one."""
 STEP = 1e-4
 """Change of a fitted number from which its sensitivity is taken, over the number."""
 
@@ -186,8 +188,36 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
 
     fits = dict(zip(sets, side_by_side(again, fitted), strict=True))
     extent = problem.dataset.extent
-    return {name: fit for name, fit in fits.items()
-            if name == NONE or not any(effect.impossible(extent) for effect in fit.effects)}
+    return without_idle({
+        name: fit for name, fit in fits.items()
+        if name == NONE or not any(effect.impossible(extent) for effect in fit.effects)},
+        len(problem.own))
+
+
+def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
+    """Leave out sets of which an effect changes nothing: the set without it is the same.
+
+    Parameters
+    ----------
+    fits : dict of str to JointFit
+        By the names of their effects.
+    own : int
+        Effects of the model itself, with which those of every fit begin.
+
+    Returns
+    -------
+    dict of str to JointFit
+    """
+    def is_another(fit: JointFit) -> bool:
+        whole = fit.regression.difference(fit.effects)
+        for index in range(own, len(fit.effects)):
+            rest = fit.effects[:index] + fit.effects[index + 1:]
+            if _name(rest[own:]) in fits and np.allclose(
+                    fit.regression.difference(rest), whole, rtol=0.0, atol=IDLE):
+                return True
+        return False
+
+    return {name: fit for name, fit in fits.items() if not is_another(fit)}
 
 
 def _gone_on(problem: JointProblem, fit: JointFit, best: JointFit | None = None) -> JointFit:
