@@ -131,7 +131,7 @@ class Suite:
                 **PATIENT_NODES}.get(self.node(victim, name)), self.namespace)
 
     def wait_until_whole(self):
-        """Until every node is seen by every other, and a waveform is recorded without gaps."""
+        """Wait until every node is there."""
         self.client.until(lambda: {"stage", "recorder", *WORKERS.values()}
                           <= self.client.node_names())
 
@@ -215,4 +215,6 @@ def test_whoever_goes_away_the_rest_ends_in_order(
 
     whole.wait_until_whole()
     client.until(lambda: client.trigger("reset").success)
+    # A stage that has only just met a new recorder may have sent a short run before.
+    client.connect_recorder(tmp_path / "met")
     assert whole.run(name, tmp_path / "next").success
