@@ -27,14 +27,14 @@ from piezo_models.effects import Effect, fitted_values, with_fitted_values
 from piezo_models.hysteresis.preisach import PreisachModel
 
 DRAWS = 32
-"""Of errors of the model: their spread is then known to an eighth."""
+"""So many errors of the model are drawn: their spread is then known to an eighth."""
 SEED = 0
 SMALL = 0.01
-"""Of the density, so that its change is linear; its size has no other meaning."""
+"""The density changes by this part, to which the response is linear; it has no other meaning."""
 BLOCK = 10
 """Rows in whose mean white noise is less by the root of it, and errors of the model are not."""
 STEP = float(np.finfo(float).eps ** (1.0 / 3.0))
-"""Of central differences."""
+"""Central differences take this part of a number as their step."""
 
 
 def with_model_errors(regression: Regression, fit: Fit) -> Fit:

@@ -219,7 +219,7 @@ class _Fit:
         return np.flatnonzero(np.diff(numbers, prepend=-1))
 
     def jacobian(self, vector: FloatArray) -> FloatArray:
-        """Of all fitted rows by the unknowns."""
+        """Return the derivatives of all fitted rows by the unknowns."""
         return self._stacked([part.jacobian[part.fitted] for part in self.parts_at(vector)])
 
     def _stacked(self, values: list[FloatArray]) -> FloatArray:

@@ -131,7 +131,7 @@ class RefinementProblem:
         )
 
     def standard_deviations(self, fit: WeightedErrors, vector: FloatArray) -> dict[str, Any]:
-        """Of the physical parameters, with all the others free.
+        """Return those of the physical parameters, with all the others free.
 
         Errors may be alike within a stretch of a recording, where the density is not quite that of
         the stage; from stretch to stretch they count as independent.
