@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags_array
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
@@ -21,6 +21,9 @@ from piezo_identification.estimators.hysteresis.penalties import (
 
 ROWS_AT_ONCE = 200_000
 """Rows of the regression that are held in memory together."""
+
+HOLD = 1e6
+"""Weight at which a reversible part is zero, but for a millionth of what it would be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +52,13 @@ class Penalties:
     Parameters
     ----------
     smoothing, translation : float
+    is_reversible : bool
+        The density has a reversible part beside it.
     """
 
     smoothing: float
     translation: float = 0.0
+    is_reversible: bool = True
 
 
 class Equations:
@@ -105,6 +111,8 @@ class Equations:
         roughness = penalties.smoothing * bending_operator(self.size)
         if penalties.translation:
             roughness = roughness + penalties.translation * _sliding(self.size)
+        if not penalties.is_reversible:
+            roughness = roughness + _held_at_zero(self.size)
         return nonnegative_minimum(
             self.quadratic / self.count + roughness,
             self.linear / self.count, _bounded(self.size), self.border / self.count,
@@ -224,3 +232,10 @@ def _sliding(size: int) -> csr_array:
     translation = translation_operator(size) @ _bounded(size)[:-size]
     slope = reversible_differences(size, 1)
     return size**4 * (translation.T @ translation) + size**3 * (slope.T @ slope)
+
+
+@lru_cache(maxsize=8)
+def _held_at_zero(size: int) -> csr_array:
+    """Charge reversible parts so much that they vanish; the regression has rows of about one."""
+    crossings = size * (size + 1) // 2
+    return HOLD * diags_array(np.repeat([0.0, 1.0], [crossings, size])).tocsr()

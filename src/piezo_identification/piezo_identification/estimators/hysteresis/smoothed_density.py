@@ -44,8 +44,9 @@ def smoothed_density(
     Minimises the mean square of what the regression on the Everett values leaves, and the weighted
     integral of the squares of the density's second derivatives along both thresholds (voltages in
     units of the range). The reversible part on the diagonal is smoothed alike, as a function of the
-    voltage. Everything is sparse: Everett values and reversible part are the unknowns, the density
-    is the mixed second difference of what the second leaves of the first.
+    voltage; it is left out where the data do not ask for it. Everything is sparse: Everett values
+    and reversible part are the unknowns, the density is the mixed second difference of what the
+    second leaves of the first.
 
     Parameters
     ----------
@@ -88,6 +89,11 @@ def smoothed_density(
 LARGEST_TRANSLATION_COST = 1.3
 """Factor by which a weight on the change along the diagonal that was chosen on few cells may raise
 the sum of squares on all of them."""
+
+LARGEST_REVERSIBLE_GAIN = 1.3
+"""Factor by which the sum of squares may rise where the reversible part is left out. A density near
+its diagonal does nearly what a reversible part does, and smoothing moves one into the other: where
+loops do not ask for it, such a part makes small loops too narrow by up to a third."""
 
 
 def density_of_segments(
@@ -143,7 +149,13 @@ def density_of_segments(
             if equations.misfit(unknowns, beside) > (
                     LARGEST_TRANSLATION_COST * equations.misfit(*others)):
                 penalties, (unknowns, beside) = free, others
+        without = equations.solve(replace(penalties, is_reversible=False), multiplier)[:2]
+        if equations.misfit(*without) < (
+                LARGEST_REVERSIBLE_GAIN * equations.misfit(unknowns, beside)):
+            penalties, (unknowns, beside) = replace(penalties, is_reversible=False), without
     bounded = np.maximum(bounded_operator(size) @ unknowns, 0.0)
+    if not penalties.is_reversible:
+        bounded[-size:] = 0.0
     density, reversible = np.split(bounded, [-size])
     width_v = (levels_v[-1] - levels_v[0]) / size
     # The first column of a segment is the offset of its samples of a known past.

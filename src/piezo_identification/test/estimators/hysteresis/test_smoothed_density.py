@@ -217,3 +217,22 @@ def test_a_voltage_that_never_returns_is_refused():
     voltage_v = np.linspace(1.0, 2.0, 50)
     with pytest.raises(ValueError, match="record at least one reversal"):
         smoothed_density(voltage_v, voltage_v, np.linspace(0.0, 3.0, 6), smoothing_weight=1e-12)
+
+
+@pytest.mark.parametrize(("part", "most_um"), [(0.0, 0.01), (0.3, 0.02)])
+def test_a_reversible_part_is_there_only_where_the_loops_ask_for_it(part, most_um):
+    """Small loops are as wide as those of the stage, whether it has such a part or not."""
+    voltage_v, plant = reversal_curves(-20.0, 120.0, 14), truth(cells=700)
+    small_v = 50.0 + np.repeat([5.0, 2.0, 1.0], 200) * np.sin(np.linspace(0.0, 6.0 * np.pi, 600))
+
+    def displacement_um(of_v):
+        return (1.0 - part) * plant.simulate(of_v) + part * 0.75 * of_v
+
+    rng = np.random.default_rng(0)
+    output_um = displacement_um(voltage_v) + NOISE_UM * rng.standard_normal(voltage_v.size)
+    found = smoothed_density(voltage_v, output_um, np.linspace(-20.0, 120.0, 71))
+    assert bool(found.reversible_um_per_v.any()) == bool(part)
+    approach_v = np.append(np.linspace(-20.0, 120.0, 500), np.linspace(120.0, 50.0, 300))
+    played_v = np.append(approach_v, small_v)
+    error_um = (found.model().simulate(played_v) - displacement_um(played_v))[approach_v.size :]
+    assert np.std(error_um) < most_um
