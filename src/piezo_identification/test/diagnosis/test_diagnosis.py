@@ -177,12 +177,22 @@ def test_parameter_sensitivities_are_the_derivatives_by_the_parameters(plant, re
     columns = parameter_sensitivities(part, rows)
     generator = np.random.default_rng(0)
     changes = 0.01 * generator.normal(size=columns.shape[1])
+    changes[-1] = abs(changes[-1])  # a reversible part is not negative
     moved, still = (
         SimulatedRecording(model, recording).simulate()[rows]
         for model in (perturbed(plant, changes), plant)
     )
     linear = columns @ changes
     assert np.abs(moved - still - linear).max() < 0.02 * np.abs(linear).max()
+
+
+def test_what_is_not_reversible_cannot_be_made_irreversible(plant, record):
+    """Otherwise the density would gain what no reversible part loses."""
+    part = SimulatedRecording(plant, record(noise_um=0.0))
+    changes = np.zeros(parameter_sensitivities(part, np.arange(9)).shape[1])
+    changes[-1] = -1.0
+    moved = perturbed(plant, changes).hysteresis
+    assert moved.output_range_um == pytest.approx(plant.hysteresis.output_range_um)
 
 
 def test_held_out_stretches_are_not_fitted(plant, record):

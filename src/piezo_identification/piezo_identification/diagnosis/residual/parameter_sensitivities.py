@@ -32,6 +32,10 @@ class PriorWidths:
         Of the part of the gain that is reversible: small loops alone tell it from the rest.
     middle_knots, span_knots : int
         Of the surface by which the density may be multiplied: few enough to stay smooth.
+    near_diagonal : tuple of (float, float)
+        Further factors of the density, about its diagonal: the span over which each decays, as a
+        part of the voltage's range, and its width. An identification turns through small spans on
+        its way to large ones, and knows least of them.
     """
 
     dynamics_and_density: float = 0.005
@@ -39,6 +43,7 @@ class PriorWidths:
     reversible: float = 0.02
     middle_knots: int = 3
     span_knots: int = 4
+    near_diagonal: tuple[tuple[float, float], ...] = ((0.005, 0.2), (0.015, 0.05), (0.05, 0.02))
 
 
 WIDTHS = PriorWidths()
@@ -163,19 +168,29 @@ def _width_map(model: StageModel) -> FloatArray:
 
 
 def _surfaces(model: StageModel) -> FloatArray:
-    return factor_surfaces(
-        model.hysteresis.density_um_per_v2.shape[0], WIDTHS.middle_knots, WIDTHS.span_knots
-    )
+    """Return surfaces by which the density is multiplied, for a change of one logarithm."""
+    size = len(model.hysteresis.density_um_per_v2)
+    rising, falling = np.indices((size, size))
+    near = [width / WIDTHS.dynamics_and_density
+            * np.tril(np.exp((falling - rising) / (span * size)))
+            for span, width in WIDTHS.near_diagonal]
+    return np.concatenate([factor_surfaces(size, WIDTHS.middle_knots, WIDTHS.span_knots), near])
 
 
 def _traded(hysteresis: PreisachModel, part: float) -> PreisachModel:
-    """Make a part of the gain of the hysteresis over the whole range reversible."""
+    """Make a part of the gain of the hysteresis over the whole range reversible.
+
+    A negative part makes no more irreversible than is reversible.
+    """
     low_um, high_um = hysteresis.output_range_um
     gain_um_per_v = (high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
+    reversible = hysteresis.reversible_um_per_v
+    rest = np.maximum(gain_um_per_v - reversible, np.finfo(float).tiny)
+    part = max(part, -float(np.min(reversible / rest)))
     return replace(
         hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * (1.0 - part),
         reversible_um_per_v=np.maximum(
-            hysteresis.reversible_um_per_v * (1.0 - part) + part * gain_um_per_v, 0.0),
+            reversible * (1.0 - part) + part * gain_um_per_v, 0.0),
     )
 
 
