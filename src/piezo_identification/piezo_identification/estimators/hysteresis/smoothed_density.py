@@ -90,10 +90,10 @@ LARGEST_TRANSLATION_COST = 1.3
 """Factor by which a weight on the change along the diagonal that was chosen on few cells may raise
 the sum of squares on all of them."""
 
-LARGEST_REVERSIBLE_GAIN = 1.3
+LARGEST_REVERSIBLE_GAIN = 1.06
 """Factor by which the sum of squares may rise where the reversible part is left out. A density near
-its diagonal does nearly what a reversible part does, and smoothing moves one into the other: where
-loops do not ask for it, such a part makes small loops too narrow by up to a third."""
+its diagonal does nearly what such a part does, and smoothing moves one into the other; see
+`docs/decisions/reversible_part.md`."""
 
 
 def density_of_segments(
