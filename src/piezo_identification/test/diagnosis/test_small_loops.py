@@ -29,7 +29,7 @@ def record(plant, play):
 
 
 def less_near_the_diagonal(plant):
-    """Return a model whose density is a fifth too small on its diagonal, and less so 1 V beside it."""
+    """Return a model whose density is a fifth too small on its diagonal, less so 1 V beside it."""
     density = plant.hysteresis.density_um_per_v2
     rising, falling = np.indices(density.shape)
     span_v = (rising - falling) * 140.0 / len(density)

@@ -222,17 +222,23 @@ def test_a_voltage_that_never_returns_is_refused():
 @pytest.mark.parametrize(("part", "most_um"), [(0.0, 0.01), (0.3, 0.02)])
 def test_a_reversible_part_is_there_only_where_the_loops_ask_for_it(part, most_um):
     """Small loops are as wide as those of the stage, whether it has such a part or not."""
-    voltage_v, plant = reversal_curves(-20.0, 120.0, 14), truth(cells=700)
-    small_v = 50.0 + np.repeat([5.0, 2.0, 1.0], 200) * np.sin(np.linspace(0.0, 6.0 * np.pi, 600))
+    levels_v = np.linspace(-20.0, 120.0, 701)
+    rising_v, falling_v = np.meshgrid(levels_v[:-1], levels_v[:-1], indexing="ij")
+    density = np.tril(0.0006 + 0.078 * np.exp(-np.abs(rising_v - falling_v) / 12.0))
+    plant = PreisachModel(-20.0, 120.0, density, -9.0)
 
     def displacement_um(of_v):
         return (1.0 - part) * plant.simulate(of_v) + part * 0.75 * of_v
 
-    rng = np.random.default_rng(0)
-    output_um = displacement_um(voltage_v) + NOISE_UM * rng.standard_normal(voltage_v.size)
-    found = smoothed_density(voltage_v, output_um, np.linspace(-20.0, 120.0, 71))
+    lows_v = np.linspace(-20.0, 110.0, 14)
+    turns_v = np.append(-20.0, np.column_stack([np.full(14, 120.0), lows_v]).ravel())
+    voltage_v = np.interp(np.linspace(0.0, 28.0, 5601), np.arange(29), turns_v)
+    output_um = displacement_um(voltage_v)
+    output_um += NOISE_UM * np.random.default_rng(0).standard_normal(output_um.size)
+    found = smoothed_density(voltage_v, output_um, np.linspace(-20.0, 120.0, 141))
     assert bool(found.reversible_um_per_v.any()) == bool(part)
-    approach_v = np.append(np.linspace(-20.0, 120.0, 500), np.linspace(120.0, 50.0, 300))
-    played_v = np.append(approach_v, small_v)
-    error_um = (found.model().simulate(played_v) - displacement_um(played_v))[approach_v.size :]
+    small_v = 50.0 + np.repeat([5.0, 2.0, 1.0], 200) * np.sin(np.linspace(0.0, 6.0 * np.pi, 600))
+    played_v = np.concatenate(
+        [np.linspace(-20.0, 120.0, 500), np.linspace(120.0, 50.0, 300), small_v])
+    error_um = (found.model().simulate(played_v) - displacement_um(played_v))[-small_v.size :]
     assert np.std(error_um) < most_um
