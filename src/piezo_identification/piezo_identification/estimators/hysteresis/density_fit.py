@@ -6,7 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.conditioning.creep_removal import remove_creep
+from piezo_identification.conditioning.creep_removal import (
+    remove_creep,
+    remove_creep_of_held,
+)
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
 from piezo_identification.conditioning.settling import (
@@ -182,13 +185,16 @@ def hysteresis_output_um(
         displacement_um = np.append(
             displacement_um[1:], 2.0 * displacement_um[-1] - displacement_um[-2])
         lead_s = delay_s + held_delay_s(dynamics, period_s) - period_s
-    elif _has_means(recording):
-        # The hold lags half a sample, the mean leads half a sample less half a clock period.
-        lead_s = delay_s + low_frequency_delay_s(dynamics) + 0.5 * clock_period_s
-    else:
-        lead_s = delay_s
-    slope_um_per_s = np.gradient(displacement_um, period_s)
-    return remove_creep(displacement_um + lead_s * slope_um_per_s, creep, period_s)
+        return remove_creep_of_held(
+            _earlier(displacement_um, lead_s, period_s), creep, period_s)
+    # The hold lags half a sample, the mean leads half a sample less half a clock period.
+    lead_s = delay_s + (low_frequency_delay_s(dynamics) + 0.5 * clock_period_s
+                        if _has_means(recording) else 0.0)
+    return remove_creep(_earlier(displacement_um, lead_s, period_s), creep, period_s)
+
+
+def _earlier(signal: FloatArray, lead_s: float, period_s: float) -> FloatArray:
+    return signal + lead_s * np.gradient(signal, period_s)
 
 
 def _answers_in_the_next_row(recording: Recording, dynamics: ElectricVibrationDynamics) -> bool:
