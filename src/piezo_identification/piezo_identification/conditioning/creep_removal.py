@@ -30,3 +30,41 @@ def remove_creep(signal: FloatArray, creep: CreepDynamics, sample_period_s: floa
         initial = lfilter_zi(numerator, denominator) * signal[0]
         signal = lfilter(numerator, denominator, signal, zi=initial)[0]
     return signal
+
+
+def remove_creep_of_held(
+    signal: FloatArray, creep: CreepDynamics, sample_period_s: float,
+) -> FloatArray:
+    """Return the input, held for a sample period each, to which the creep answers with a signal.
+
+    The answer at the end of the hold has the states x[n+1] = a x[n] + b u[n] and is
+    y[n] = b' x[n] + d u[n] with diagonal a. That of its inverse, a - b b' / d, is symmetric, so
+    that no digits are lost where all poles are near 1.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+    creep : CreepDynamics
+        If one of its exponentials goes backwards, as no material does, see `remove_creep`.
+    sample_period_s : float
+        Of any length.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Begins in equilibrium with the first sample.
+    """
+    rates, zeros = np.array(creep.poles_rad_per_s), np.array(creep.zeros_rad_per_s)
+    apart = rates[None, :] - rates[:, None] + np.eye(rates.size)
+    gains = np.prod((zeros[None, :] - rates[:, None]) / apart, axis=1) / rates
+    if np.any(gains < 0.0):
+        return remove_creep(signal, creep, sample_period_s)
+    gone = -np.expm1(-rates * sample_period_s)
+    at_once = 1.0 + gains @ gone
+    coupling = np.sqrt(gains * (1.0 - gone) * gone)
+    forgotten, turned = np.linalg.eigh(np.diag(gone) + np.outer(coupling, coupling) / at_once)
+    moved = signal - signal[0]
+    rest = moved / at_once
+    for rate, weight in zip(forgotten, (coupling @ turned / at_once) ** 2, strict=True):
+        rest = rest - lfilter([0.0, weight], [1.0, rate - 1.0], moved)
+    return rest + signal[0] / (1.0 + gains.sum())

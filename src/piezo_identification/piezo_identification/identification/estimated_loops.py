@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from piezo_identification.conditioning.waveforms import played
+from piezo_identification.diagnosis.residual.sensor_noise import noise_floor_um
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import hysteresis_output_um
 from piezo_identification.estimators.hysteresis.first_rise_fit import (
@@ -24,6 +25,10 @@ from piezo_identification.identification.given_hysteresis import (
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_identification.prediction.model_run import ModelRun
 from piezo_models.hysteresis.first_rise import FirstRise
+
+MOST_NOISE = 0.9
+"""Part of what loops leave beside a remanence that may count as noise: even without any error they
+then have to leave a fifth less than without it."""
 
 
 def estimate_loops(
@@ -55,14 +60,26 @@ def estimate_loops(
     cycled = _as_cycled(recordings, key, shown, linear, options)
     beside = estimate_hysteresis_of(cycled, linear, options)
     keys = keys_of_kind(recordings, "hysteresis")
-    without_um, with_um = (
-        {name: ModelRun(fitted_model(linear, estimate, rise).model, recordings[name]).error_um(())
+    without, within = (
+        {name: ModelRun(fitted_model(linear, estimate, rise).model, recordings[name])
          for name in keys}
         for estimate, rise in ((density, None), (beside, first_rise)))
-    if with_um[key] > SETTINGS.largest_error_ratio * without_um[key] or (
-            np.linalg.norm(list(with_um.values())) > np.linalg.norm(list(without_um.values()))):
+    without_um, with_um = (
+        np.linalg.norm([run.error_um(()) for run in runs.values()]) for runs in (without, within))
+    if with_um > without_um or not _is_far_better(within[key], without[key].error_um(())):
         return density, None, recordings
     return beside, first_rise, cycled
+
+
+def _is_far_better(run: ModelRun, without_um: float) -> bool:
+    """Tell whether a run leaves far less beyond its noise than another one left in all."""
+    left_um = run.error_um(())
+    noise_um = min(
+        noise_floor_um(run.measured_um - run.simulated_um(()), run.part.sample_period_s),
+        MOST_NOISE * left_um)
+    beyond_um, without_beyond_um = np.sqrt(np.maximum(
+        np.square([left_um, without_um]) - noise_um**2, 0.0))
+    return bool(beyond_um <= SETTINGS.largest_error_ratio * without_beyond_um)
 
 
 def _shown_first_rises(

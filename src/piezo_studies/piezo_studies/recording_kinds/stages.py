@@ -18,6 +18,9 @@ REST_S = 20.0
 RISE_ROWS = 400
 """Rows of that rise."""
 
+LONGEST_STEP_S = 1e-4
+"""Steps in which a stage creeps and rings within a row."""
+
 
 @dataclass(frozen=True)
 class Linear:
@@ -52,6 +55,8 @@ class Linear:
         -------
         ndarray, shape (N,)
         """
+        steps = max(1, round(period_s / LONGEST_STEP_S))
+        driving_um, period_s = np.repeat(driving_um, steps), period_s / steps
         crept_um = driving_um.copy()
         for time_s in np.logspace(-3, 4, 22):
             part = self.creep_per_decade / 3.0
@@ -67,7 +72,7 @@ class Linear:
             denominator = np.polymul([self.lag_s, 1.0], [w**-2, 2.0 * damping / w, 1.0])
             b, a, _ = cont2discrete(([part], denominator), period_s)
             answer_um += lfilter(b.ravel(), a, crept_um - crept_um[0]) + part * crept_um[0]
-        return answer_um
+        return answer_um[::steps]
 
 
 class Stage:

@@ -38,6 +38,16 @@ def test_loops_of_the_stages_lag_and_close(stage):
     assert driven_um[1750] - driven_um[1250] > 0.02 * np.ptp(driven_um)
 
 
+@pytest.mark.parametrize("stage", [PlayStage(), DuhemStage()])
+def test_a_stage_creeps_within_its_rows(stage):
+    """Points far between are those of a fast logger at the same instants."""
+    voltage_v = np.repeat([0.0, 40.0, 90.0, 20.0, 0.0], 3)
+    points_um = stage.displacement_um(voltage_v, 1.0)
+    rows = 2000
+    fine_um = stage.displacement_um(np.repeat(voltage_v, rows), 1.0 / rows)[::rows]
+    assert points_um == pytest.approx(fine_um, abs=2e-4 * np.ptp(fine_um))
+
+
 def test_a_gap_and_a_second_recording_are_written(tmp_path):
     [gap] = recordings("plays", "creep", "steps", "gap", tmp_path)
     assert len(read_recording(gap).gaps) == 1

@@ -15,6 +15,7 @@ from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import generator_edges
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.waveforms import square_wave
+from piezo_identification.diagnosis.residual.sensor_noise import noise_floor_um
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
 from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
 from piezo_identification.estimators.dynamics.fast_signals import (
@@ -43,6 +44,12 @@ MODES_OF_A_LINE = 2
 
 AT_REST = 20
 """Samples without a change of the voltage, from which a recording counts as beginning at rest."""
+
+LONGEST_LOOK = 200
+"""Samples at the end of that rest that show whether the stage still rings."""
+
+STILL = 3.0
+"""Times the noise up to which what they hold beside a parabola is no ringing."""
 
 MOST_LEFT_OUT = 0.4
 """Part of a recording that is left out at most, until its past no longer counts."""
@@ -156,7 +163,8 @@ def _first_kept(part: Recording) -> int:
     moved = np.flatnonzero(np.abs(voltage_v - voltage_v[0]) > 1e-3 * range_v)
     rest = int(moved[0]) if moved.size else voltage_v.size
     # Of a rest the end is enough: it may begin with what rings after an earlier step.
-    warm = rest - AT_REST if rest >= AT_REST else round(WARM_UP_S / part.sample_period_s)
+    is_still = rest >= AT_REST and not _moves(part, slice(max(0, rest - LONGEST_LOOK), rest))
+    warm = rest - AT_REST if is_still else round(WARM_UP_S / part.sample_period_s)
     near_v = NEAR_AN_EXTREME * range_v
     high = int(np.argmax(voltage_v >= voltage_v.max() - near_v))
     low = int(np.argmax(voltage_v <= voltage_v.min() + near_v))
@@ -164,3 +172,12 @@ def _first_kept(part: Recording) -> int:
     # The way to the second of them began where the past had left the stage.
     past = max(high, low) + round(USUAL_SETTLING_S / part.sample_period_s)
     return max(min(warm, most), past if 0 < past <= most else 0)
+
+
+def _moves(part: Recording, rest: slice) -> bool:
+    """Tell whether the displacement rings while the voltage rests, as after a step before."""
+    displacement_um = part.displacement_um[rest]
+    trend = np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3)
+    left_um = displacement_um - trend @ np.linalg.lstsq(trend, displacement_um, rcond=None)[0]
+    noise_um = noise_floor_um(part.displacement_um, part.sample_period_s)
+    return bool(np.std(left_um) > STILL * noise_um)

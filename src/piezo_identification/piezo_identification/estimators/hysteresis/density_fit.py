@@ -6,7 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.conditioning.creep_removal import remove_creep
+from piezo_identification.conditioning.creep_removal import (
+    remove_creep,
+    remove_creep_of_held,
+)
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
 from piezo_identification.conditioning.settling import (
@@ -137,11 +140,15 @@ def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
 def _segment(
     part: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics, delay_s: float,
 ) -> HysteresisSegment:
-    settled = np.arange(part.time_s.size) >= first_settled(dynamics, part.time_s)
+    used = np.arange(part.time_s.size) >= first_settled(dynamics, part.time_s)
+    good = good_samples(part)
+    if _answers_in_the_next_row(part, dynamics):
+        good = np.append(good[1:], False)
+    used &= good
     return HysteresisSegment(
         np.asarray(part.voltage_v, dtype=float),
         hysteresis_output_um(part, creep, dynamics, delay_s),
-        np.flatnonzero(settled & good_samples(part)),
+        np.flatnonzero(used),
         np.exp(-np.outer(part.time_s, creep.zeros_rad_per_s)))
 
 
@@ -173,13 +180,31 @@ def hysteresis_output_um(
             displacement_um, recording.voltage_v, dynamics, recording.sample_period_s, delay_s)
         return remove_creep(displacement_um, creep, recording.sample_period_s)
     period_s, clock_period_s = recording.sample_period_s, 1.0 / recording.sample_rate_hz
-    if period_s > 1.5 * clock_period_s:
-        # The hold lags half a sample, the mean leads half a sample less half a clock period.
-        lead_s = delay_s + low_frequency_delay_s(dynamics) + 0.5 * clock_period_s
-    else:
-        lead_s = delay_s + held_delay_s(dynamics, period_s)
-    slope_um_per_s = np.gradient(displacement_um, period_s)
-    return remove_creep(displacement_um + lead_s * slope_um_per_s, creep, recording.sample_period_s)
+    if _answers_in_the_next_row(recording, dynamics):
+        # Taken from there it keeps the corners where the voltage turns, which a slope would cut.
+        displacement_um = np.append(
+            displacement_um[1:], 2.0 * displacement_um[-1] - displacement_um[-2])
+        lead_s = delay_s + held_delay_s(dynamics, period_s) - period_s
+        return remove_creep_of_held(
+            _earlier(displacement_um, lead_s, period_s), creep, period_s)
+    # The hold lags half a sample, the mean leads half a sample less half a clock period.
+    lead_s = delay_s + (low_frequency_delay_s(dynamics) + 0.5 * clock_period_s
+                        if _has_means(recording) else 0.0)
+    return remove_creep(_earlier(displacement_um, lead_s, period_s), creep, period_s)
+
+
+def _earlier(signal: FloatArray, lead_s: float, period_s: float) -> FloatArray:
+    return signal + lead_s * np.gradient(signal, period_s)
+
+
+def _answers_in_the_next_row(recording: Recording, dynamics: ElectricVibrationDynamics) -> bool:
+    """Tell whether the slow displacement of a row is what the voltage before it has moved."""
+    return not (dynamics.is_static or _has_means(recording) or follows_fast(
+        recording.voltage_v, dynamics, recording.sample_period_s))
+
+
+def _has_means(recording: Recording) -> bool:
+    return recording.sample_period_s > 1.5 / recording.sample_rate_hz
 
 
 def _check_sign(parts: Sequence[Recording]) -> None:

@@ -33,8 +33,9 @@ class FirstRiseSettings:
         Part of the remanence by which the displacement at the lowest voltage may still change once
         the highest voltage was reached; what drifts goes on, a remanence does not.
     largest_error_ratio : float
-        A remanence is accepted if the loops fitted beside it leave less than this part of what
-        they leave without. One that drift or an unknown creep feigns explains less of them.
+        A remanence is accepted if the loops fitted beside it leave, beyond their noise, less than
+        this part of what they leave without. One that drift or an unknown creep feigns explains
+        less of them.
     """
 
     cells: int = 24

@@ -4,7 +4,10 @@
 import numpy as np
 import pytest
 
-from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
+from piezo_identification.estimators.creep.slow_creep import (
+    _Problem,
+    estimate_slow_creep,
+)
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.estimate import ROWS_OF_DECAY
 from piezo_recorder.reading.recording import Recording
@@ -45,3 +48,13 @@ def test_no_pole_is_faster_than_the_rows_tell(estimate, rows):
         assert poles == pytest.approx((SLOW_RAD_PER_S, fast_rad_per_s), rel=0.03)
     else:
         assert poles.size == 1
+
+
+def test_creep_faster_than_the_rows_explains_no_noise(recorded):
+    """Its inverse makes the noise smaller, and what the hysteresis leaves of it."""
+    voltage_v = np.repeat(LEVELS_V, 400)
+    part = recorded("noise", voltage_v, np.zeros(voltage_v.size), PERIOD_S, NOISE_UM)
+    problem = _Problem([part], 0.0)
+    without, beside = (float(np.linalg.norm(problem.residual(point))) for point in (
+        np.empty(0), np.log([0.9 / PERIOD_S, 0.9])))
+    assert beside > 0.95 * without

@@ -134,6 +134,13 @@ def test_a_model_that_begins_with_the_first_rise_gives_it(stage, loops):
     assert memory.highest_v == 60.0
 
 
+def test_noise_as_large_as_the_error_without_it_does_not_hide_it(stage, recorded):
+    noisy = recorded("noisy", HARMONICS_V, stage.displacement_um(HARMONICS_V, PERIOD_S), PERIOD_S,
+                     0.5)
+    _, first_rise, _ = estimate_loops({"hysteresis": noisy}, LinearDynamics(), GRID)
+    assert first_rise.whole_um == pytest.approx(true_remanence_um(stage, 60.0), rel=0.03)
+
+
 def test_it_is_not_taken_for_drift(recorded, stage):
     """A cycled stage that drifts upwards: the loops beside a remanence are hardly better."""
     voltage_v = np.concatenate([HARMONICS_V, HARMONICS_V])

@@ -3,7 +3,10 @@
 
 import numpy as np
 
-from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.estimators.hysteresis.density_fit import (
+    estimate_density,
+    hysteresis_output_um,
+)
 from piezo_models import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.memory import recording_of
 
@@ -27,3 +30,13 @@ def test_loops_of_plays_are_found_behind_dynamics_faster_than_the_logger():
         smoothing_weight=1e-12, translation_weight=1e-6)
     left_um = found.model().simulate(voltage_v) - hysteresis_um
     assert np.std(left_um) < 5e-4 * np.ptp(hysteresis_um)
+
+
+def test_corners_where_the_voltage_turns_are_kept(recorded):
+    """A few points far between: a slope through them would cut the corners by half a step."""
+    voltage_v = np.interp(np.arange(37), [0, 10, 18, 24, 28, 36], [0, 100, 20, 80, 40, 0])
+    measured_um = 0.1 * np.append(voltage_v[0], voltage_v[:-1])
+    output_um = hysteresis_output_um(
+        recorded("points", voltage_v, measured_um, 1.0), CreepDynamics(),
+        ElectricVibrationDynamics(4e-4, (3900.0,), (0.02,)))
+    np.testing.assert_allclose(output_um, 0.1 * voltage_v, atol=1e-6)

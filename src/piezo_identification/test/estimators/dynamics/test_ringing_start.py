@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A recording of the dynamics may begin while the stage rings from a step that is not in it."""
+
+import numpy as np
+import pytest
+
+from piezo_identification.estimators.dynamics.any_input import AT_REST, _first_kept
+from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
+
+PERIOD_S, REST_ROWS = 5e-5, 130
+
+
+@pytest.mark.parametrize("ringing_um", [0.0, 0.5])
+def test_a_rest_in_which_the_stage_rings_is_waited_out(recorded, ringing_um):
+    """It lasts far longer than the rows before the next step."""
+    voltage_v = np.append(np.zeros(REST_ROWS), np.tile(np.repeat([30.0, 0.0], 300), 40))
+    time_s = PERIOD_S * np.arange(voltage_v.size)
+    displacement_um = 0.1 * voltage_v + ringing_um * np.exp(-78.0 * time_s) * np.cos(
+        2.0 * np.pi * 620.0 * time_s)
+    first = _first_kept(recorded("in motion", voltage_v, displacement_um, PERIOD_S, 1e-3))
+    if ringing_um:
+        assert first * PERIOD_S >= WARM_UP_S
+    else:
+        # As soon as the second level was reached for long.
+        assert REST_ROWS - AT_REST <= first < 1000
