@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from piezo_common.arrays import BoolArray, FloatArray
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.joint.free_parameters import (
     changed_model,
     decay_sensitivities,
@@ -104,7 +105,7 @@ def simulated_by(dataset: Dataset, model: StageModel, new_count: int,
     -------
     Dataset
     """
-    simulated = [part.with_model(model) for part in dataset.simulated]
+    simulated = side_by_side(lambda part: part.with_model(model), dataset.simulated)
     return replace(dataset, model=model, simulated=tuple(
         part if number < new_count else RecordingBefore.of(part, later)
         for number, part in enumerate(simulated)))
@@ -258,14 +259,15 @@ class JointErrors:
                 self.dataset, changed_model(self.dataset.model, vector[: self.count]),
                 self.new_count, self.later)
             effects = self.effects_at(vector)
-            nuisance, sizes, left = [], [], []
-            for index, (part, rows) in enumerate(
-                    zip(dataset.simulated, dataset.rows, strict=True)):
-                nuisance.append(_projected_out(part, rows, effects))
-                left_um, size = self._left_beside(
-                    index, nuisance[-1], part.measured_um[rows] - part.simulate(effects, rows=rows))
-                sizes.append(size)
-                left.append(left_um)
+
+            def of_recording(index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+                part, rows = dataset.simulated[index], dataset.rows[index]
+                nuisance = _projected_out(part, rows, effects)
+                return nuisance, *self._left_beside(
+                    index, nuisance, part.measured_um[rows] - part.simulate(effects, rows=rows))
+
+            nuisance, left, sizes = (list(each) for each in zip(
+                *side_by_side(of_recording, range(len(dataset.rows))), strict=True))
             self._points = dict([*self._points.items()][-1:])
             self._points[key] = _Point(dataset, effects, nuisance, sizes, left)
         return self._points[key]
@@ -275,8 +277,8 @@ class JointErrors:
         key = vector.tobytes()
         if self._columns[0] != key:
             point = self._at(vector)
-            self._columns = key, [
-                self._of_recording(point, index, vector) for index in range(len(point.nuisance))]
+            self._columns = key, side_by_side(
+                lambda index: self._of_recording(point, index, vector), range(len(point.nuisance)))
         return self._columns[1]
 
     def _of_recording(self, point: _Point, index: int, vector: FloatArray) -> FloatArray:

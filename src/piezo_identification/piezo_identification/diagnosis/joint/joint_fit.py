@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from piezo_common.arrays import BoolArray, FloatArray
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.candidates.effect_fit import fit_effects
 from piezo_identification.diagnosis.joint.free_parameters import (
     free_sensitivities,
@@ -16,10 +17,11 @@ from piezo_identification.diagnosis.joint.free_parameters import (
 )
 from piezo_identification.diagnosis.joint.joint_errors import JointErrors, simulated_by
 from piezo_identification.diagnosis.joint.levenberg_marquardt import descend
-from piezo_identification.diagnosis.residual.dataset import Dataset, simulate_recordings
+from piezo_identification.diagnosis.residual.dataset import Dataset, dataset_of
 from piezo_identification.diagnosis.residual.noise_estimate import NoiseEstimate, estimate_noise
 from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
 from piezo_identification.diagnosis.residual.regression import Regression
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, fitted_values
 from piezo_recorder.reading.recording import Recording
@@ -130,16 +132,23 @@ class JointProblem:
         New ones that count with as many rows each as all others together.
     steps : int
         Most steps of a fit.
+    simulated : sequence of SimulatedRecording
+        The first of the new ones, where they are simulated already: after the same past, which is
+        long to seek.
     """
 
     def __init__(self, model: StageModel, new: Sequence[Recording],
                  old: Sequence[Recording], undivided: int = 0,
-                 steps: int = SETTINGS.steps) -> None:
+                 steps: int = SETTINGS.steps,
+                 simulated: Sequence[SimulatedRecording] = ()) -> None:
         self.own, self.new_count = model.effects, len(new)
         self.undivided, self.steps = undivided, steps
-        self.dataset = simulate_recordings(
-            replace(model, effects=()), [*new, *old], sensitivities=free_sensitivities,
-            undivided=undivided)
+        bare, recordings = replace(model, effects=()), [*new, *old]
+        self.dataset = self._dataset_of([
+            *(part.with_model(bare) for part in simulated),
+            *side_by_side(lambda recording: SimulatedRecording(bare, recording),
+                          recordings[len(simulated) :]),
+        ], recordings)
         self.noise = estimate_noise(self.dataset, self.own)
         self.start = self._started()
 
@@ -147,11 +156,14 @@ class JointProblem:
         """Return the same problem with another model, without effects, to begin from."""
         problem = copy(self)
         vars(problem).pop("_pieces_um", None)
-        problem.dataset = simulate_recordings(
-            model, self.dataset.recordings, sensitivities=free_sensitivities,
-            undivided=self.undivided)
+        problem.dataset = self._dataset_of(
+            [part.with_model(model) for part in self.dataset.simulated], self.dataset.recordings)
         problem.start = problem._started()
         return problem
+
+    def _dataset_of(self, simulated: Sequence[SimulatedRecording],
+                    recordings: Sequence[Recording]) -> Dataset:
+        return dataset_of(simulated, recordings, free_sensitivities, self.undivided)
 
     def against(self, model: StageModel, effects: Sequence[Effect]) -> float:
         """Return the evidence against a model and effects as they are."""
@@ -177,7 +189,8 @@ class JointProblem:
         return [list(piece_outputs_um(part, self.dataset.model)) for part in parts]
 
     def fit(self, effects: Sequence[Effect], later: Iterable[str] = (),
-            begun: JointFit | None = None, held: Sequence[Effect] = ()) -> JointFit:
+            begun: JointFit | None = None, held: Sequence[Effect] = (),
+            steps: int | None = None) -> JointFit:
         """Fit the model's parameters and those of effects.
 
         Parameters
@@ -190,6 +203,8 @@ class JointProblem:
             From whose model the fit begins, and in whose problem it goes on; by default this one.
         held : sequence of piezo_models.effects.effect.Effect
             Others that stay as they are, behind those.
+        steps : int, optional
+            Most steps; by default those of the problem.
 
         Returns
         -------
@@ -197,7 +212,7 @@ class JointProblem:
         """
         goes_on_in = None if begun is None else begun.problem
         if goes_on_in is not None and goes_on_in is not self:
-            return goes_on_in.fit(effects, later, begun, held)
+            return goes_on_in.fit(effects, later, begun, held, steps)
         came, effects = frozenset(later), tuple(effects)
         errors = JointErrors(
             self.dataset, self.start.estimation, self.start.estimation | self.start.validation,
@@ -205,7 +220,7 @@ class JointProblem:
         changes = np.zeros(errors.count) if begun is None else begun.changes
         first = errors.vector(changes, effects) if held else self._first(
             errors, changes, effects, begun, came)
-        descent = descend(errors, first, self.steps, SETTINGS.worthwhile)
+        descent = descend(errors, first, steps or self.steps, SETTINGS.worthwhile)
         found = errors.effects_at(descent.vector)
         dataset = errors.dataset_at(descent.vector)
         return JointFit(

@@ -59,7 +59,7 @@ def recording(seed, change):
         flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
 
 
-def gone_astray(self, effects, later=(), begun=None, held=()):
+def gone_astray(self, effects, later=(), begun=None, held=(), steps=None):
     """End with effects as they were guessed, beside a mode that is 1 % off."""
     changes = np.zeros(self.dataset.regressors.shape[1] - self.dataset.nuisance_count)
     changes[0] = 0.05
