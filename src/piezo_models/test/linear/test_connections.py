@@ -7,7 +7,9 @@ import control
 import numpy as np
 import pytest
 
+from piezo_models.cascade import StageModel
 from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.connections import in_parallel, in_series, matrices_of, scaled
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics, zoh
 
@@ -58,3 +60,20 @@ def test_modes_beside_each_other_share_the_displacement():
 def test_sampling_is_that_of_python_control():
     system = systems()[3] * systems()[1]
     assert_same(matrices_of(zoh(system, 0.01)), system.sample(0.01, "zoh"))
+
+
+def test_the_linear_part_of_a_model_is_checked_a_few_times_alone(monkeypatch):
+    checked, real = [], control.StateSpace.__init__
+
+    def noted(*arguments, **options):
+        checked.append(arguments)
+        real(*arguments, **options)
+
+    monkeypatch.setattr(control.StateSpace, "__init__", noted)
+    poles = tuple(10.0 ** np.arange(9))
+    StageModel(PreisachModel(0.0, 1.0, np.zeros((1, 1)), 0.0, np.ones(1)),
+               CreepDynamics(poles, tuple(1.1 * pole for pole in poles)),
+               ElectricVibrationDynamics(1e-3, (400.0,), (0.05,)),
+               effects=(VibrationMode(900.0, 0.02, 0.1),)).linear()
+    # Creep, dynamics, the mode beside them, and the whole.
+    assert len(checked) == 4

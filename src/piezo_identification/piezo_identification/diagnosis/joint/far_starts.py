@@ -73,13 +73,8 @@ def may_lead(fit: JointFit, best: JointFit) -> bool:
 
 
 def _held(problem: JointProblem, beside: JointFit, guesses: Sequence[Effect]) -> JointFit | None:
-    """Fit the model beside each guess held, and return the best.
-
-    One step tells which is: the model's parameters are close to linear. The fit that follows takes
-    more.
-    """
-    fits = [problem.fit(beside.effects, begun=beside, held=(guess,), steps=1)
-            for guess in guesses]
+    """Let the model make way for each guess held, and return the best."""
+    fits = [problem.fit(beside.effects, begun=beside, held=(guess,)) for guess in guesses]
     return _better(*fits) if fits else None
 
 

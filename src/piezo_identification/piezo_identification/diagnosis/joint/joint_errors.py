@@ -148,6 +148,8 @@ class JointErrors:
         Others, which stay as they are.
     pieces_um : sequence of sequences of (N,) array, optional
         Of `free_parameters.piece_outputs_um`, for each recording: they are the same for all fits.
+    columns : (r, n) array, optional
+        Derivatives of the displacement that are close to those everywhere: they are not computed.
 
     Attributes
     ----------
@@ -158,7 +160,8 @@ class JointErrors:
     def __init__(self, dataset: Dataset, fitted: BoolArray, good: BoolArray, new_count: int,
                  effects: Sequence[Effect], later: frozenset[str],
                  held: Sequence[Effect] = (),
-                 pieces_um: Sequence[Sequence[FloatArray]] | None = None) -> None:
+                 pieces_um: Sequence[Sequence[FloatArray]] | None = None,
+                 columns: FloatArray | None = None) -> None:
         self.dataset, self.new_count, self.later = dataset, new_count, later
         self.count = dataset.regressors.shape[1] - dataset.nuisance_count
         self._fitted = [fitted[mask] for mask in dataset.masks()]
@@ -178,6 +181,9 @@ class JointErrors:
         self._pieces_um = pieces_um
         self._points: dict[bytes, _Point] = {}
         self._columns: tuple[bytes, list[FloatArray]] = b"", []
+        self._is_given = columns is not None
+        if columns is not None:
+            self._columns = b"", [columns[mask] for mask in dataset.masks()]
 
     def vector(self, changes: FloatArray, effects: Sequence[Effect]) -> FloatArray:
         """Return the unknowns of a changed model with effects, (n,)."""
@@ -199,6 +205,12 @@ class JointErrors:
             changes = np.vstack(self._columns[1])[:, : self.count]
         return replace(point.dataset, regressors=np.hstack([nuisance, changes]),
                        nuisance_count=nuisance.shape[1])
+
+    @property
+    def columns_of_effects(self) -> FloatArray | None:
+        """Return the last derivatives by the numbers of the effects, (r, p); None before any."""
+        columns = [each[:, self.count :] for each in self._columns[1]]
+        return np.vstack(columns) if columns else None
 
     def recurrence_count(self, vector: FloatArray) -> int:
         """Return how many numbers are projected out for effects that recur."""
@@ -275,7 +287,7 @@ class JointErrors:
     def _columns_at(self, vector: FloatArray) -> list[FloatArray]:
         """Return the changes of the displacement of each recording by the unknowns."""
         key = vector.tobytes()
-        if self._columns[0] != key:
+        if self._columns[0] != key and not self._is_given:
             point = self._at(vector)
             self._columns = key, side_by_side(
                 lambda index: self._of_recording(point, index, vector), range(len(point.nuisance)))

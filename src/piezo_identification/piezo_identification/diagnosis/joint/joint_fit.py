@@ -83,6 +83,8 @@ class JointFit:
         Numbers of the effects that recordings of the identification have of their own.
     problem : JointProblem or None
         In which a fit goes on.
+    columns_of_effects : (r, p) array or None
+        Derivatives of the displacement by the fitted values of the effects.
     """
 
     regression: Regression
@@ -95,12 +97,20 @@ class JointFit:
     against: float = np.inf
     recurrence_count: int = 0
     problem: "JointProblem | None" = field(default=None, repr=False)
+    columns_of_effects: FloatArray | None = None
 
     @property
     def model(self) -> StageModel:
         """Return the model of the stage as it is now, effects and all."""
         model = self.regression.dataset.model
         return replace(model, effects=(*model.effects, *self.effects))
+
+    @property
+    def columns(self) -> FloatArray | None:
+        """Return the derivatives of the displacement by all that was fitted, (r, m + p)."""
+        dataset = self.regression.dataset
+        return None if self.columns_of_effects is None else np.hstack(
+            [dataset.regressors[:, dataset.nuisance_count :], self.columns_of_effects])
 
     @property
     def count(self) -> int:
@@ -189,8 +199,7 @@ class JointProblem:
         return [list(piece_outputs_um(part, self.dataset.model)) for part in parts]
 
     def fit(self, effects: Sequence[Effect], later: Iterable[str] = (),
-            begun: JointFit | None = None, held: Sequence[Effect] = (),
-            steps: int | None = None) -> JointFit:
+            begun: JointFit | None = None, held: Sequence[Effect] = ()) -> JointFit:
         """Fit the model's parameters and those of effects.
 
         Parameters
@@ -202,9 +211,8 @@ class JointProblem:
         begun : JointFit, optional
             From whose model the fit begins, and in whose problem it goes on; by default this one.
         held : sequence of piezo_models.effects.effect.Effect
-            Others that stay as they are, behind those.
-        steps : int, optional
-            Most steps; by default those of the problem.
+            Others that stay as they are, behind those. The fit takes one step then, with the
+            derivatives of that from which it begins: what it tells is which others may lead.
 
         Returns
         -------
@@ -212,22 +220,23 @@ class JointProblem:
         """
         goes_on_in = None if begun is None else begun.problem
         if goes_on_in is not None and goes_on_in is not self:
-            return goes_on_in.fit(effects, later, begun, held, steps)
+            return goes_on_in.fit(effects, later, begun, held)
         came, effects = frozenset(later), tuple(effects)
         errors = JointErrors(
             self.dataset, self.start.estimation, self.start.estimation | self.start.validation,
-            self.new_count, effects, came, held, self._pieces_um)
+            self.new_count, effects, came, held, self._pieces_um,
+            begun.columns if begun is not None and held else None)
         changes = np.zeros(errors.count) if begun is None else begun.changes
         first = errors.vector(changes, effects) if held else self._first(
             errors, changes, effects, begun, came)
-        descent = descend(errors, first, steps or self.steps, SETTINGS.worthwhile)
+        descent = descend(errors, first, 1 if held else self.steps, SETTINGS.worthwhile)
         found = errors.effects_at(descent.vector)
         dataset = errors.dataset_at(descent.vector)
         return JointFit(
             _reweighed(replace(self.start, dataset=dataset), found), found, came,
             errors.covariance(descent.vector), descent.has_converged,
             descent.vector[: errors.count], descent.gain, descent.value,
-            errors.recurrence_count(descent.vector), self)
+            errors.recurrence_count(descent.vector), self, errors.columns_of_effects)
 
     def _first(self, errors: JointErrors, changes: FloatArray, effects: tuple[Effect, ...],
                begun: JointFit | None, came: frozenset[str]) -> FloatArray:
