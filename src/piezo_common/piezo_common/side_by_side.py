@@ -6,6 +6,7 @@ in which the time goes hold no lock of the interpreter.
 """
 
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -15,6 +16,9 @@ Result = TypeVar("Result")
 
 MOST_THREADS = 4
 """Each holds a few copies of the longest recording."""
+
+_own = threading.local()
+"""Of each thread: whether it does an item beside others."""
 
 
 def cores() -> int:
@@ -37,13 +41,16 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
         Called with the number of each item, in their order, by the caller's thread. What it raises,
         or Ctrl-C, ends the work when the items that have begun are done.
     threads : int, optional
-        By default one for each core, but no more than `MOST_THREADS`.
+        By default one for each core, but no more than `MOST_THREADS`; within an item that is done
+        beside others one alone, as the cores are busy.
 
     Returns
     -------
     list
     """
-    threads = min(len(items), MOST_THREADS, cores()) if threads is None else threads
+    if threads is None:
+        is_beside = getattr(_own, "is_beside_others", False)
+        threads = 1 if is_beside else min(len(items), MOST_THREADS, cores())
     results = []
     if threads <= 1:
         for number, item in enumerate(items):
@@ -51,7 +58,7 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
                 report(number)
             results.append(work(item))
         return results
-    with ThreadPoolExecutor(threads) as pool:
+    with ThreadPoolExecutor(threads, initializer=_begin) as pool:
         futures = [pool.submit(work, item) for item in items]
         try:
             for number, future in enumerate(futures):
@@ -62,3 +69,7 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return results
+
+
+def _begin() -> None:
+    _own.is_beside_others = True

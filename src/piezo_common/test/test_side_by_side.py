@@ -55,6 +55,17 @@ def test_ctrl_c_leaves_what_has_not_begun(monkeypatch):
     assert len(begun) <= 2
 
 
+def test_work_within_work_takes_no_more_threads(monkeypatch):
+    monkeypatch.setattr(module, "cores", lambda: 2)
+
+    def work(item):
+        inner = side_by_side(lambda part: threading.get_ident(), range(20))
+        return set(inner) == {threading.get_ident()}
+
+    assert all(side_by_side(work, range(4)))
+    assert side_by_side(lambda item: threading.get_ident(), [0]) == [threading.get_ident()]
+
+
 def test_there_is_a_thread_for_each_core_up_to_a_limit(monkeypatch):
     for cores, most in ((1, 1), (2, 2), (64, module.MOST_THREADS)):
         monkeypatch.setattr(module, "cores", lambda cores=cores: cores)

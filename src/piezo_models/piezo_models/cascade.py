@@ -17,6 +17,7 @@ from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.first_rise import CYCLED, FirstRise
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
 from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel
+from piezo_models.linear.connections import in_series, matrices_of
 from piezo_models.linear.dynamics import (
     CreepDynamics,
     ElectricVibrationDynamics,
@@ -101,10 +102,9 @@ class StageModel:
 
     def linear(self) -> control.StateSpace:
         """Return the continuous state space from hysteresis output to displacement."""
-        system = self.creep.state_space() * self.dynamics.state_space(self.effects_at("modes"))
-        for effect in self.effects_at("linear"):
-            system = effect.state_space() * system
-        return system
+        parts = [self.dynamics.state_space(self.effects_at("modes")), self.creep.state_space(),
+                 *(effect.state_space() for effect in self.effects_at("linear"))]
+        return control.ss(*in_series(map(matrices_of, parts)))
 
     def response(self, frequency_hz: ArrayLike) -> ComplexArray:
         """Return the complex response of `linear` at the given frequencies."""

@@ -233,6 +233,16 @@ class Effect(ABC):
         whole = signal if past is None else np.concatenate([past, signal])
         return self.apply(whole, sample_period_s)[whole.size - signal.size :], whole
 
+    def acts_at_once(self, sample_period_s: float) -> bool:
+        """Tell whether every sample depends on itself and on its time alone.
+
+        Parameters
+        ----------
+        sample_period_s : float
+        """
+        del sample_period_s
+        return not self.remembers
+
     def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
         """Return the periodic signal in front of the effect that gives the wanted one behind it.
 

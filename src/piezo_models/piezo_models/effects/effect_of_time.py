@@ -39,6 +39,10 @@ class EffectOfTime(Effect):
         """Return the signal behind the effect, as `Effect.apply` describes."""
         return self.behind(signal, sample_period_s, 0)
 
+    def acts_at_once(self, sample_period_s: float) -> bool:
+        """Tell that every sample depends on itself and on its time alone."""
+        return True
+
     def advance(self, signal: FloatArray, sample_period_s: float,
                 past: Any = None) -> tuple[FloatArray, Any]:
         """Continue the signal behind the effect; the past is the number of samples."""

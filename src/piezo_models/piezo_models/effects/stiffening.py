@@ -70,12 +70,16 @@ class Stiffening(Effect):
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
         """Return the solution of the spring's equation of motion for the signal as its load."""
-        turned = self.frequency_rad_per_s * sample_period_s
         return balance(
             signal, self._parts, self.centre_um, self.half_range_um,
-            self.frequency_rad_per_s if turned < UNRESOLVED else 0.0,
+            0.0 if self.acts_at_once(sample_period_s) else self.frequency_rad_per_s,
             self.damping_ratio, sample_period_s, signal[0] if rest is None else rest,
         )
+
+    def acts_at_once(self, sample_period_s: float) -> bool:
+        """Tell whether the samples are too slow to show the mode of the spring."""
+        turned = self.frequency_rad_per_s * sample_period_s
+        return turned == 0.0 or turned >= UNRESOLVED
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:

@@ -68,6 +68,8 @@ class FirstRise:
         ndarray, shape (N,)
             In um; 0 once the voltage has been at the last of `voltages_v`.
         """
-        highest = np.maximum.accumulate(
-            np.maximum(np.asarray(voltage_v, dtype=float), highest_v))
+        voltage_v = np.asarray(voltage_v, dtype=float)
+        if highest_v >= self.voltages_v[-1]:
+            return np.zeros(voltage_v.shape)
+        highest = np.maximum.accumulate(np.maximum(voltage_v, highest_v))
         return np.interp(highest, self.voltages_v, self.remanence_um) - self.whole_um

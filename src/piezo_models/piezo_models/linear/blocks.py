@@ -6,6 +6,7 @@ the block's input and in the state at its start (Burrus 1972), and so is the sta
 """
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -24,6 +25,9 @@ FEWEST = 64 * LENGTH
 BATCH = 512
 """Blocks at a time: as many as the cache holds."""
 
+
+KEPT = 16
+"""Systems whose matrices are kept: half a megabyte each at most."""
 
 LONG = 256
 """Samples of a block of which few outputs are asked for, so that a state costs what counts."""
@@ -101,7 +105,18 @@ def _batches(blocks: FloatArray, gains: FloatArray, transposed: FloatArray, stat
 
 def _block(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, length: int,
            ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what turns input and state into next state and output, and a^length, transposed."""
+    """Return what turns input and state into next state and output, and a^length, transposed.
+
+    One system often answers many inputs.
+    """
+    return _block_of(a.tobytes(), b.tobytes(), c.tobytes(), float(direct), length)
+
+
+@lru_cache(maxsize=KEPT)
+def _block_of(a_bytes: bytes, b_bytes: bytes, c_bytes: bytes, direct: float, length: int,
+              ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    b, c = np.frombuffer(b_bytes), np.frombuffer(c_bytes)
+    a = np.frombuffer(a_bytes).reshape(b.size, b.size)
     driven, power = _sequence(a, b, length)
     outputs, _ = _sequence(np.ascontiguousarray(a.T), c, length)
     impulse = np.concatenate([[direct], b @ outputs[:, :-1]])

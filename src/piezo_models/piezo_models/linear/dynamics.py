@@ -8,16 +8,23 @@ side without the cancellation of high-order polynomials.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any
 
 import control
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
+from scipy.signal import cont2discrete
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.linear.blocks import FEWEST, run_blocks
+from piezo_models.linear.connections import (
+    Matrices,
+    in_parallel,
+    in_series,
+    matrices_of,
+    scaled,
+)
 
 Section = tuple[Any, Any, Any, Any]
 """Matrices A, B, C and D of a section of the cascade."""
@@ -47,11 +54,12 @@ class CreepDynamics:
 
     def state_space(self) -> control.StateSpace:
         """Return the continuous state space of the creep."""
-        sections = [
-            ([[-p]], [[p]], [[z / p - 1.0]], [[1.0]])
-            for p, z in zip(self.poles_rad_per_s, self.zeros_rad_per_s, strict=True)
-        ]
-        return _cascade(sections)
+        # Sections of one pole each, one after the other: the input of each is that of the first,
+        # and what those before it add.
+        poles, zeros = np.array(self.poles_rad_per_s), np.array(self.zeros_rad_per_s)
+        gains = zeros / poles - 1.0
+        return control.ss(np.tril(np.outer(poles, gains), -1) - np.diag(poles),
+                          poles[:, None], gains[None, :], [[1.0]])
 
     def response(self, frequency_hz: ArrayLike) -> ComplexArray:
         """Return the complex response at the given frequencies, in the shape of `frequency_hz`."""
@@ -155,11 +163,12 @@ class ElectricVibrationDynamics:
             lag = [([[-rate]], [[rate]], [[1.0]], [[0.0]])]
         modes = self._series_of_modes()
         if beside:
-            modes = (1.0 - sum(mode.participation for mode in beside)) * modes
-            modes = sum((mode.participation * mode.state_space() for mode in beside), modes)
-        return modes * _cascade(lag)
+            share = 1.0 - sum(mode.participation for mode in beside)
+            modes = in_parallel([scaled(share, modes), *(
+                scaled(mode.participation, matrices_of(mode.state_space())) for mode in beside)])
+        return control.ss(*in_series([_cascade(lag), modes]))
 
-    def _series_of_modes(self) -> control.StateSpace:
+    def _series_of_modes(self) -> Matrices:
         sections: list[Section] = []
         for w, zeta, antiresonance in self._modes():
             position, velocity, direct = 1.0, 0.0, 0.0
@@ -205,10 +214,10 @@ def _set_positive(instance: object, name: str) -> None:
     object.__setattr__(instance, name, values)
 
 
-def _cascade(sections: Sequence[Section]) -> control.StateSpace:
+def _cascade(sections: Sequence[Section]) -> Matrices:
     """Return the series connection, the first section first."""
-    systems = [control.ss(*matrices) for matrices in sections]
-    return reduce(lambda first, second: second * first, systems, control.ss([], [], [], [[1.0]]))
+    return in_series(
+        [(np.array(a), np.array(b), np.array(c), np.array(d)) for a, b, c, d in sections])
 
 
 def zoh(system: control.StateSpace, sample_period_s: float) -> control.StateSpace:
@@ -236,7 +245,8 @@ def zoh(system: control.StateSpace, sample_period_s: float) -> control.StateSpac
         raise ValueError(f"sample_period_s is {sample_period_s}; give a positive time")
     if system.nstates == 0:
         return control.ss(system.A, system.B, system.C, system.D, sample_period_s)
-    return system.sample(sample_period_s, method="zoh")
+    *matrices, _ = cont2discrete(matrices_of(system), sample_period_s, "zoh")
+    return control.ss(*matrices, sample_period_s)
 
 
 def zoh_response(system: control.StateSpace, frequency_hz: ArrayLike,

@@ -4,6 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, fit_one_more
 from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
 from piezo_identification.diagnosis.comparison.attempts import SAME_AS_OTHER_PARAMETERS
@@ -72,17 +73,21 @@ def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
     dict of str to (str, Fit)
         Those that do as well, the effect which each stands for, and the set with it instead.
     """
-    found = {}
-    for number, effect in enumerate(best.effects):
+    tried = [
+        (number, kind) for number, effect in enumerate(best.effects) for kind in kinds
+        if kind.is_indistinguishable_from(type(effect))
+        and kind.name not in {other.name for other in best.without(number)}]
+
+    def in_place(entry: tuple[int, type[Effect]]) -> Fit | None:
+        number, kind = entry
         others = best.without(number)
-        present = {other.name for other in others}
-        for kind in kinds:
-            if kind.is_indistinguishable_from(type(effect)) and kind.name not in present:
-                fit = fit_one_more(regression, kind, others, recording_evidence(regression, others))
-                whole = fit and fit_effects(regression, fit.effects)
-                if whole and is_indistinguishable(regression, best, whole):
-                    found[kind.name] = effect.name, whole
-    return found
+        fit = fit_one_more(regression, kind, others, recording_evidence(regression, others))
+        whole = fit and fit_effects(regression, fit.effects)
+        return whole if whole and is_indistinguishable(regression, best, whole) else None
+
+    return {kind.name: (best.effects[number].name, whole)
+            for (number, kind), whole in zip(tried, side_by_side(in_place, tried), strict=True)
+            if whole}
 
 
 def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]],
@@ -99,10 +104,14 @@ def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]
     if lack_of_fit(fixed, fixed.fit(best.effects)) < SETTINGS.much_explained * left:
         return {}
     evidence = recording_evidence(fixed, best.effects)
-    present, found = {effect.name for effect in best.effects}, {}
-    for kind in kinds:
-        if kind.name not in present and not all(map(kind.lacks_excitation, evidence)):
-            fit = fit_one_more(fixed, kind, best.effects, evidence)
-            if fit and lack_of_fit(fixed, fit) <= SETTINGS.as_good * left:
-                found[kind.name] = SAME_AS_OTHER_PARAMETERS
-    return found
+    present = {effect.name for effect in best.effects}
+
+    def does_as_well(kind: type[Effect]) -> bool:
+        if kind.name in present or all(map(kind.lacks_excitation, evidence)):
+            return False
+        fit = fit_one_more(fixed, kind, best.effects, evidence)
+        return fit is not None and lack_of_fit(fixed, fit) <= SETTINGS.as_good * left
+
+    as_well = side_by_side(does_as_well, kinds)
+    return {kind.name: SAME_AS_OTHER_PARAMETERS
+            for kind, is_enough in zip(kinds, as_well, strict=True) if is_enough}

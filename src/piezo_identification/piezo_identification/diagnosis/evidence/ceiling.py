@@ -21,6 +21,7 @@ from sklearn.preprocessing import MinMaxScaler
 from threadpoolctl import threadpool_limits
 
 from piezo_common.arrays import FloatArray
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.comparison.measures_of_fits import significance
 from piezo_identification.diagnosis.residual.dataset import SPLIT
@@ -127,9 +128,10 @@ def ceiling(regression: Regression, fit: Fit) -> Ceiling:
     whole = square_um2(fit.residual)
     # The trees' threads would wait for each other in a loop that keeps both cores busy.
     with threadpool_limits(1):
-        from_voltage, from_all = (
-            max(0.0, whole - square_um2(_unpredicted(regression, fit, features)))
-            for features in _features(regression, fit))
+        from_voltage, from_all = side_by_side(
+            lambda features: max(
+                0.0, whole - square_um2(_unpredicted(regression, fit, features))),
+            _features(regression, fit))
     predictable = max(from_voltage, from_all)
     return Ceiling(*(float(np.sqrt(square)) for square in (
         whole, predictable, from_voltage, whole - predictable, np.mean(noise_um**2))))

@@ -152,7 +152,8 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
     for effects in (*others, *_undecided(regression, found, verdict),
                     *_probable(regression, found, verdict)):
         sets.setdefault(_name(effects), effects)
-    problem = JointProblem(dataset.model, dataset.recordings, old, len(dataset.recordings))
+    problem = JointProblem(dataset.model, dataset.recordings, old, len(dataset.recordings),
+                           simulated=dataset.simulated)
     was_there = any(entry.get("came") == "before the identification"
                     for entry in verdict.get("effects", []))
     return _weighed(problem, _fit(problem, sets, was_there))

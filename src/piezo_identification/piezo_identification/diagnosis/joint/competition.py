@@ -123,7 +123,8 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     """
     if not old or is_noise(selection.regression, selection.start):
         return Competition(_of_new_recordings(selection, stated or 0.0), stated=stated or 0.0)
-    problem = JointProblem(model, new, old)
+    problem = JointProblem(
+        model, new, old, simulated=selection.regression.dataset.simulated)
     none = settled(problem, progress)
     alternatives = asked_when(
         problem, compete(problem, none, _sets(selection), progress))

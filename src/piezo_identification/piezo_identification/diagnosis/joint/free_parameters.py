@@ -9,9 +9,7 @@ together: see `piezo_models.linear.creep_errors`.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from itertools import chain
-from operator import add
 
 import control
 import numpy as np
@@ -33,6 +31,7 @@ from piezo_identification.estimators.refinement.sensitivities import (
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.connections import in_parallel, in_series, matrices_of, scaled
 from piezo_models.linear.creep_errors import creep_error_map
 from piezo_models.linear.dynamics import CreepDynamics
 
@@ -89,11 +88,12 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
     given = model if about is None else about
     lags, others = leading_lags(_behind(model), part.samples_per_mean)
     linear, delay_s = behind_lags(model.linear(), lags)
+    at_once = all(effect.acts_at_once(part.sample_period_s) for effect in others)
 
     def responses(system: control.StateSpace,
                   inputs_um: Iterable[FloatArray]) -> Iterator[FloatArray]:
         return respond_each(system, inputs_um, part.sample_period_s, part.samples_per_mean,
-                            delay_s, None if others else rows)
+                            delay_s, rows if at_once else None)
 
     if pieces_um is None or model.effects_at("voltage"):
         pieces_um = piece_outputs_um(part, given)
@@ -102,28 +102,33 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
         responses(linear, pieces_um))
     if others:
         displacement_um = part.respond(linear, part.input_um, delay_s)
-        changes_um = _through(others, part, displacement_um, changes_um, rows)
+        if at_once:
+            slope = _slope(others, part, displacement_um, rows)
+            changes_um = (slope * change_um for change_um in changes_um)
+        else:
+            changes_um = _through(others, part, displacement_um, changes_um, rows)
     return np.column_stack(list(changes_um))
 
 
 def _moved_systems(model: StageModel, about: StageModel,
                    lags: Sequence[Effect]) -> list[control.StateSpace]:
     """Return what the linear part changes by, for one width of each parameter of its own."""
-    linear, _ = behind_lags(model.linear(), lags)
+    linear = matrices_of(behind_lags(model.linear(), lags)[0])
     beside = model.effects_at("modes")
     # The model's own modes move but a part of the displacement where others are beside them.
     own_modes = replace(model, effects=tuple(
         effect for effect in model.effects if effect not in beside))
     share = 1.0 - sum(mode.participation for mode in beside)
-    of_modes = share * behind_lags(own_modes.linear(), lags)[0] if beside else linear
+    of_modes = scaled(share, matrices_of(
+        behind_lags(own_modes.linear(), lags)[0])) if beside else linear
     ahead_of_modes = 2 * len(model.creep.poles_rad_per_s) + (model.dynamics.time_constant_s > 0.0)
-    sensitivities = sensitivity_systems(model.creep, model.dynamics)
+    sensitivities = [*map(matrices_of, sensitivity_systems(model.creep, model.dynamics))]
     systems = []
     for number, weights in enumerate(_logarithms(about).T):
-        together = [weight * sensitivities[index]
-                    for index, weight in enumerate(weights) if weight != 0.0]
-        systems.append(
-            reduce(add, together) * (linear if number < ahead_of_modes else of_modes))
+        together = in_parallel([scaled(weight, sensitivities[index])
+                                for index, weight in enumerate(weights) if weight != 0.0])
+        ahead = linear if number < ahead_of_modes else of_modes
+        systems.append(control.ss(*in_series([ahead, together])))
     return systems
 
 
@@ -212,6 +217,18 @@ def _logarithms(model: StageModel) -> FloatArray:
 
 def _behind(model: StageModel) -> tuple[Effect, ...]:
     return (*model.effects_at("displacement"), *model.effects_at("sensor"))
+
+
+def _slope(effects: Sequence[Effect], part: SimulatedRecording, displacement_um: FloatArray,
+           rows: NDArray[np.intp]) -> FloatArray:
+    """Return how much each row changes behind effects that act at once, (n,)."""
+    step = SMALL * np.ptp(displacement_um)
+    ends_um = []
+    for behind_um in (displacement_um, displacement_um + step):
+        for effect in effects:
+            behind_um = effect.apply(behind_um, part.sample_period_s, part.rest_um)
+        ends_um.append(behind_um[rows])
+    return np.asarray((ends_um[1] - ends_um[0]) / step)
 
 
 def _through(effects: Sequence[Effect], part: SimulatedRecording, displacement_um: FloatArray,

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from piezo_common.arrays import BoolArray, FloatArray
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.joint.free_parameters import (
     changed_model,
     decay_sensitivities,
@@ -104,7 +105,7 @@ def simulated_by(dataset: Dataset, model: StageModel, new_count: int,
     -------
     Dataset
     """
-    simulated = [part.with_model(model) for part in dataset.simulated]
+    simulated = side_by_side(lambda part: part.with_model(model), dataset.simulated)
     return replace(dataset, model=model, simulated=tuple(
         part if number < new_count else RecordingBefore.of(part, later)
         for number, part in enumerate(simulated)))
@@ -147,6 +148,8 @@ class JointErrors:
         Others, which stay as they are.
     pieces_um : sequence of sequences of (N,) array, optional
         Of `free_parameters.piece_outputs_um`, for each recording: they are the same for all fits.
+    columns : (r, n) array, optional
+        Derivatives of the displacement that are close to those everywhere: they are not computed.
 
     Attributes
     ----------
@@ -157,7 +160,8 @@ class JointErrors:
     def __init__(self, dataset: Dataset, fitted: BoolArray, good: BoolArray, new_count: int,
                  effects: Sequence[Effect], later: frozenset[str],
                  held: Sequence[Effect] = (),
-                 pieces_um: Sequence[Sequence[FloatArray]] | None = None) -> None:
+                 pieces_um: Sequence[Sequence[FloatArray]] | None = None,
+                 columns: FloatArray | None = None) -> None:
         self.dataset, self.new_count, self.later = dataset, new_count, later
         self.count = dataset.regressors.shape[1] - dataset.nuisance_count
         self._fitted = [fitted[mask] for mask in dataset.masks()]
@@ -177,6 +181,9 @@ class JointErrors:
         self._pieces_um = pieces_um
         self._points: dict[bytes, _Point] = {}
         self._columns: tuple[bytes, list[FloatArray]] = b"", []
+        self._is_given = columns is not None
+        if columns is not None:
+            self._columns = b"", [columns[mask] for mask in dataset.masks()]
 
     def vector(self, changes: FloatArray, effects: Sequence[Effect]) -> FloatArray:
         """Return the unknowns of a changed model with effects, (n,)."""
@@ -198,6 +205,12 @@ class JointErrors:
             changes = np.vstack(self._columns[1])[:, : self.count]
         return replace(point.dataset, regressors=np.hstack([nuisance, changes]),
                        nuisance_count=nuisance.shape[1])
+
+    @property
+    def columns_of_effects(self) -> FloatArray | None:
+        """Return the last derivatives by the numbers of the effects, (r, p); None before any."""
+        columns = [each[:, self.count :] for each in self._columns[1]]
+        return np.vstack(columns) if columns else None
 
     def recurrence_count(self, vector: FloatArray) -> int:
         """Return how many numbers are projected out for effects that recur."""
@@ -258,14 +271,15 @@ class JointErrors:
                 self.dataset, changed_model(self.dataset.model, vector[: self.count]),
                 self.new_count, self.later)
             effects = self.effects_at(vector)
-            nuisance, sizes, left = [], [], []
-            for index, (part, rows) in enumerate(
-                    zip(dataset.simulated, dataset.rows, strict=True)):
-                nuisance.append(_projected_out(part, rows, effects))
-                left_um, size = self._left_beside(
-                    index, nuisance[-1], part.measured_um[rows] - part.simulate(effects, rows=rows))
-                sizes.append(size)
-                left.append(left_um)
+
+            def of_recording(index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+                part, rows = dataset.simulated[index], dataset.rows[index]
+                nuisance = _projected_out(part, rows, effects)
+                return nuisance, *self._left_beside(
+                    index, nuisance, part.measured_um[rows] - part.simulate(effects, rows=rows))
+
+            nuisance, left, sizes = (list(each) for each in zip(
+                *side_by_side(of_recording, range(len(dataset.rows))), strict=True))
             self._points = dict([*self._points.items()][-1:])
             self._points[key] = _Point(dataset, effects, nuisance, sizes, left)
         return self._points[key]
@@ -273,10 +287,10 @@ class JointErrors:
     def _columns_at(self, vector: FloatArray) -> list[FloatArray]:
         """Return the changes of the displacement of each recording by the unknowns."""
         key = vector.tobytes()
-        if self._columns[0] != key:
+        if self._columns[0] != key and not self._is_given:
             point = self._at(vector)
-            self._columns = key, [
-                self._of_recording(point, index, vector) for index in range(len(point.nuisance))]
+            self._columns = key, side_by_side(
+                lambda index: self._of_recording(point, index, vector), range(len(point.nuisance)))
         return self._columns[1]
 
     def _of_recording(self, point: _Point, index: int, vector: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from piezo_common.arrays import BoolArray, FloatArray
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.candidates.effect_fit import fit_effects
 from piezo_identification.diagnosis.joint.free_parameters import (
     free_sensitivities,
@@ -16,10 +17,11 @@ from piezo_identification.diagnosis.joint.free_parameters import (
 )
 from piezo_identification.diagnosis.joint.joint_errors import JointErrors, simulated_by
 from piezo_identification.diagnosis.joint.levenberg_marquardt import descend
-from piezo_identification.diagnosis.residual.dataset import Dataset, simulate_recordings
+from piezo_identification.diagnosis.residual.dataset import Dataset, dataset_of
 from piezo_identification.diagnosis.residual.noise_estimate import NoiseEstimate, estimate_noise
 from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
 from piezo_identification.diagnosis.residual.regression import Regression
+from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, fitted_values
 from piezo_recorder.reading.recording import Recording
@@ -81,6 +83,8 @@ class JointFit:
         Numbers of the effects that recordings of the identification have of their own.
     problem : JointProblem or None
         In which a fit goes on.
+    columns_of_effects : (r, p) array or None
+        Derivatives of the displacement by the fitted values of the effects.
     """
 
     regression: Regression
@@ -93,12 +97,20 @@ class JointFit:
     against: float = np.inf
     recurrence_count: int = 0
     problem: "JointProblem | None" = field(default=None, repr=False)
+    columns_of_effects: FloatArray | None = None
 
     @property
     def model(self) -> StageModel:
         """Return the model of the stage as it is now, effects and all."""
         model = self.regression.dataset.model
         return replace(model, effects=(*model.effects, *self.effects))
+
+    @property
+    def columns(self) -> FloatArray | None:
+        """Return the derivatives of the displacement by all that was fitted, (r, m + p)."""
+        dataset = self.regression.dataset
+        return None if self.columns_of_effects is None else np.hstack(
+            [dataset.regressors[:, dataset.nuisance_count :], self.columns_of_effects])
 
     @property
     def count(self) -> int:
@@ -130,16 +142,23 @@ class JointProblem:
         New ones that count with as many rows each as all others together.
     steps : int
         Most steps of a fit.
+    simulated : sequence of SimulatedRecording
+        The first of the new ones, where they are simulated already: after the same past, which is
+        long to seek.
     """
 
     def __init__(self, model: StageModel, new: Sequence[Recording],
                  old: Sequence[Recording], undivided: int = 0,
-                 steps: int = SETTINGS.steps) -> None:
+                 steps: int = SETTINGS.steps,
+                 simulated: Sequence[SimulatedRecording] = ()) -> None:
         self.own, self.new_count = model.effects, len(new)
         self.undivided, self.steps = undivided, steps
-        self.dataset = simulate_recordings(
-            replace(model, effects=()), [*new, *old], sensitivities=free_sensitivities,
-            undivided=undivided)
+        bare, recordings = replace(model, effects=()), [*new, *old]
+        self.dataset = self._dataset_of([
+            *(part.with_model(bare) for part in simulated),
+            *side_by_side(lambda recording: SimulatedRecording(bare, recording),
+                          recordings[len(simulated) :]),
+        ], recordings)
         self.noise = estimate_noise(self.dataset, self.own)
         self.start = self._started()
 
@@ -147,11 +166,14 @@ class JointProblem:
         """Return the same problem with another model, without effects, to begin from."""
         problem = copy(self)
         vars(problem).pop("_pieces_um", None)
-        problem.dataset = simulate_recordings(
-            model, self.dataset.recordings, sensitivities=free_sensitivities,
-            undivided=self.undivided)
+        problem.dataset = self._dataset_of(
+            [part.with_model(model) for part in self.dataset.simulated], self.dataset.recordings)
         problem.start = problem._started()
         return problem
+
+    def _dataset_of(self, simulated: Sequence[SimulatedRecording],
+                    recordings: Sequence[Recording]) -> Dataset:
+        return dataset_of(simulated, recordings, free_sensitivities, self.undivided)
 
     def against(self, model: StageModel, effects: Sequence[Effect]) -> float:
         """Return the evidence against a model and effects as they are."""
@@ -189,7 +211,8 @@ class JointProblem:
         begun : JointFit, optional
             From whose model the fit begins, and in whose problem it goes on; by default this one.
         held : sequence of piezo_models.effects.effect.Effect
-            Others that stay as they are, behind those.
+            Others that stay as they are, behind those. The fit takes one step then, with the
+            derivatives of that from which it begins: what it tells is which others may lead.
 
         Returns
         -------
@@ -201,18 +224,19 @@ class JointProblem:
         came, effects = frozenset(later), tuple(effects)
         errors = JointErrors(
             self.dataset, self.start.estimation, self.start.estimation | self.start.validation,
-            self.new_count, effects, came, held, self._pieces_um)
+            self.new_count, effects, came, held, self._pieces_um,
+            begun.columns if begun is not None and held else None)
         changes = np.zeros(errors.count) if begun is None else begun.changes
         first = errors.vector(changes, effects) if held else self._first(
             errors, changes, effects, begun, came)
-        descent = descend(errors, first, self.steps, SETTINGS.worthwhile)
+        descent = descend(errors, first, 1 if held else self.steps, SETTINGS.worthwhile)
         found = errors.effects_at(descent.vector)
         dataset = errors.dataset_at(descent.vector)
         return JointFit(
             _reweighed(replace(self.start, dataset=dataset), found), found, came,
             errors.covariance(descent.vector), descent.has_converged,
             descent.vector[: errors.count], descent.gain, descent.value,
-            errors.recurrence_count(descent.vector), self)
+            errors.recurrence_count(descent.vector), self, errors.columns_of_effects)
 
     def _first(self, errors: JointErrors, changes: FloatArray, effects: tuple[Effect, ...],
                begun: JointFit | None, came: frozenset[str]) -> FloatArray:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.residual.parameter_sensitivities import (
     nuisance_regressors,
     parameter_sensitivities,
@@ -134,12 +135,36 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
     ValueError
         If a recording cannot be used.
     """
-    simulated = tuple(SimulatedRecording(model, recording, past_v) for recording in recordings)
+    simulated = side_by_side(
+        lambda recording: SimulatedRecording(model, recording, past_v), recordings)
+    return dataset_of(simulated, recordings, sensitivities, undivided)
+
+
+def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Recording],
+               sensitivities: Sensitivities = parameter_sensitivities,
+               undivided: int = 0) -> Dataset:
+    """Split the samples of simulated recordings into rows to fit and a validation set.
+
+    Parameters
+    ----------
+    simulated : sequence of SimulatedRecording
+        At least one; all by the same model.
+    recordings : sequence of Recording
+        From which they come.
+    sensitivities : callable
+        See `simulate_recordings`.
+    undivided : int
+        See `simulate_recordings`.
+
+    Returns
+    -------
+    Dataset
+    """
+    simulated, model = tuple(simulated), simulated[0].model
     rows, stretch, for_estimation = _split(simulated, undivided)
     nuisance = [nuisance_regressors(part, used) for part, used in zip(simulated, rows, strict=True)]
-    changes = np.vstack([
-        sensitivities(part, used) for part, used in zip(simulated, rows, strict=True)
-    ])
+    changes = np.vstack(side_by_side(
+        lambda index: sensitivities(simulated[index], rows[index]), range(len(simulated))))
     nuisance_count = sum(block.shape[1] for block in nuisance)
     regressors = np.zeros((len(changes), nuisance_count + changes.shape[1]))
     row = column = 0

@@ -184,6 +184,8 @@ def mean_zoh(
         Discrete, with the state of `system` at the start of each period.
     """
     fine = zoh(system, sample_period_s / samples)
+    if samples == 1:
+        return fine
     transition, gain = np.eye(system.nstates), np.zeros_like(fine.B)
     output, direct = np.zeros_like(fine.C), np.zeros_like(fine.D)
     for _ in range(samples):

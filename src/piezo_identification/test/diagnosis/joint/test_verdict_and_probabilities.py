@@ -12,8 +12,9 @@ from piezo_identification.diagnosis.joint.free_parameters import changed_model
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
-from piezo_identification.diagnosis.joint.joint_errors import simulated_by
-from piezo_identification.diagnosis.joint.joint_fit import JointFit, JointProblem
+from piezo_identification.diagnosis.joint.joint_errors import JointErrors, simulated_by
+from piezo_identification.diagnosis.joint.joint_fit import SETTINGS, JointFit, JointProblem
+from piezo_identification.diagnosis.residual import simulated_recording
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -84,3 +85,30 @@ def test_the_verdict_follows_from_the_probabilities(
     assert sum(shares.values()) == pytest.approx(1.0)
     assert (diagnosis.verdict, next(iter(shares))) == (verdict, likeliest)
     assert (shares["something_else"] >= 0.5) is (verdict == "unexplained")
+
+
+def test_what_is_expensive_is_asked_for_seldom(monkeypatch):
+    pasts, fits, derivatives = [], [], []
+
+    def counted(owner, name, note):
+        real = getattr(owner, name)
+
+        def noted(*arguments, **options):
+            note(*arguments, **options)
+            return real(*arguments, **options)
+
+        monkeypatch.setattr(owner, name, noted)
+
+    counted(simulated_recording, "starting_past_v",
+            lambda model, part: pasts.append(part.path))
+    counted(JointProblem, "fit", lambda *arguments, **options: fits.append("held" in options))
+    counted(JointErrors, "_of_recording", lambda *arguments: derivatives.append(arguments))
+    new, old = (recording(seed, with_steps_of_its_own) for seed in (1, 2))
+    diagnosis = diagnose(MODEL, [new], identified_from=IdentificationRecordings((old,), ()))
+    assert diagnosis.verdict == "unexplained"
+    assert sorted(pasts) == ["1", "2"]
+    # Where an effect is held, the derivatives are those beside it.
+    freely = fits.count(False)
+    assert fits.count(True) > 0
+    assert freely < 40
+    assert len(derivatives) <= 2 * SETTINGS.steps * freely
