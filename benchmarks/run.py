@@ -29,7 +29,7 @@ from suite_start import first_recording_s
 from table import Measurements, show, write
 
 OUTPUT = Path(__file__).parents[1] / "runs" / "bench"
-LEVELS = (50, 200, 500)
+LEVELS = (50, 200, 500, 1000)
 HYSTERESIS_SAMPLES_PER_S = 5e7
 SIMULATED_S = 20.0
 PACED_S = 5.0
