@@ -33,8 +33,16 @@ def closed_loop(directory, simulated_s, executables=None, modules=None):
     -------
     simulated_s_per_s : float
         From the stage's first diagnostics message while it tracks to the last.
+
+    Raises
+    ------
+    ValueError
+        If it tracked for too short a time to tell.
     """
     progress = _track(directory, simulated_s, executables or {}, modules or {})
+    if len(progress) < 2:
+        raise ValueError(f"the stage tells once a second where it is, and {simulated_s:g} s of its "
+                         "own were over before it had told twice: track for longer")
     (begin_s, begin_sample), *_, (end_s, end_sample) = progress
     return (end_sample - begin_sample) / SAMPLE_RATE_HZ / (end_s - begin_s)
 

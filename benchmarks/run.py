@@ -29,9 +29,9 @@ from suite_start import first_recording_s
 from table import Measurements, show, write
 
 OUTPUT = Path(__file__).parents[1] / "runs" / "bench"
-LEVELS = (50, 200, 500)
+LEVELS = (50, 200, 500, 1000)
 HYSTERESIS_SAMPLES_PER_S = 5e7
-SIMULATED_S = 20.0
+SIMULATED_S, SIMULATED_ON_BOARD_S = 20.0, 120.0
 PACED_S = 5.0
 ONBOARD_PACED_S = 20.0
 BUSY_PROCESSES = 2
@@ -42,8 +42,10 @@ SPEED = "simulated s per s"
 ANSWERED, ON_BOARD = {"feedback": "remote"}, {"feedback": "onboard"}
 LOOPS = {
     "loop on board, stage and controller": dict(
+        simulated_s=SIMULATED_ON_BOARD_S,
         executables={"stage": LOCKSTEP, "controller": ON_BOARD}),
     "loop on board, stage, controller and recorder": dict(
+        simulated_s=SIMULATED_ON_BOARD_S,
         executables={"stage": LOCKSTEP, "controller": ON_BOARD, "recorder": {}}),
     "loop, stage and controller": dict(executables={"stage": LOCKSTEP, "controller": ANSWERED}),
     "loop, stage, controller and recorder": dict(
@@ -71,8 +73,8 @@ def hysteresis(rows):
 
 def loops(rows):
     """Add the speeds of the closed loop."""
-    speeds = {name: closed_loop(OUTPUT / "loop", SIMULATED_S, **processes)
-              for name, processes in LOOPS.items()}
+    speeds = {name: closed_loop(OUTPUT / "loop", **{"simulated_s": SIMULATED_S, **loop})
+              for name, loop in LOOPS.items()}
     for name, speed in speeds.items():
         rows[name, SPEED].append(speed)
     onboard, recorded, answered, *_, apart, together = speeds.values()

@@ -9,6 +9,7 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -59,7 +60,8 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
             results.append(work(item))
         return results
     with ThreadPoolExecutor(threads, initializer=_begin) as pool:
-        futures = [pool.submit(work, item) for item in items]
+        # Each in a copy of the caller's context, so that what ends the caller's work ends them.
+        futures = [pool.submit(copy_context().run, work, item) for item in items]
         try:
             for number, future in enumerate(futures):
                 if report is not None:

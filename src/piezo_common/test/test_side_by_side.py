@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from piezo_common import side_by_side as module
+from piezo_common.cancellation import check_cancelled, checking
 from piezo_common.side_by_side import side_by_side
 
 
@@ -31,6 +32,18 @@ def test_what_an_item_raises_reaches_the_caller(threads):
 
     with pytest.raises(ValueError, match="the fourth"):
         side_by_side(work, range(5), threads=threads)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_what_ends_the_callers_work_ends_that_of_the_items(threads):
+    class Ended(Exception):
+        pass
+
+    def end():
+        raise Ended
+
+    with checking(end), pytest.raises(Ended):
+        side_by_side(lambda item: check_cancelled(), range(3), threads=threads)
 
 
 def test_ctrl_c_leaves_what_has_not_begun(monkeypatch):

@@ -2,14 +2,24 @@
 """Kernels of the inverse Preisach hysteresis: voltages from outputs, branch by branch.
 
 On a branch one argument of the Everett function is fixed, and the cell of the other moves one way
-alone. Each target therefore searches from the cell of the last one, and solves a quadratic there.
+alone. Each target therefore searches from the cell of the last one, first as many cells further as
+that went, and solves a quadratic where it finds its cell. This guess waits for no table and no
+division, so the processor looks ahead over several targets; and the search is a part of the loop
+(`inline`), since a call for each target costs as much as the search.
 """
 
 import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_models.hysteresis.preisach_kernels import Grid, Past, Table, cell_of, with_room
+from piezo_models.hysteresis.preisach_kernels import (
+    Grid,
+    Past,
+    Table,
+    between,
+    cell_of,
+    with_room,
+)
 
 
 @njit(cache=True)
@@ -21,74 +31,56 @@ def _root(quadratic: float, linear: float, value: float) -> float:
     return min(2.0 * value / denominator, 1.0)
 
 
-@njit(cache=True)
-def _rise_to(column: FloatArray, y: float, i: int) -> float:
-    """Return the Everett function at the lower edge of row i without the corner at beta."""
-    return column[i, 0] + y * column[i, 2]
-
-
-@njit(cache=True)
-def _fall_to(row: FloatArray, x: float, j: int) -> float:
-    """Return the Everett function at the upper edge of column j without the corner at alpha."""
-    return row[j, 0] + x * row[j, 1]
-
-
-@njit(cache=True)
-def _further_cells(rest: float, way: float, most: int) -> int:
-    """Return how many whole cells lie in a rest, if each rises by `way` as the last one does."""
-    return int(rest / way) if rest < most * way else 0
-
-
-@njit(cache=True)
-def _last_row_below(column: FloatArray, y: float, corner: float, goal: float, i: int,
+@njit(cache=True, inline="always")
+def _last_row_below(near: FloatArray, far: FloatArray, y: float, goal: float, i: int,
                     guess: int) -> int:
     """Return the last row from i on at whose lower edge the function is below `goal`, or i.
 
     It is looked for at `guess` first, at growing distances from there, then by halving.
     """
-    last = column.shape[0] - 1
+    last = near.size - 2
     step = 1
-    if _rise_to(column, y, guess) + corner < goal:
+    if between(near, far, y, guess) < goal:
         low = guess
-        while low + step <= last and _rise_to(column, y, low + step) + corner < goal:
+        while low + step <= last and between(near, far, y, low + step) < goal:
             low += step
             step *= 2
         high = min(low + step - 1, last)
     else:
         low, high = i, max(guess - 1, i)
-        while high - step >= low and _rise_to(column, y, high - step + 1) + corner >= goal:
+        while high - step >= low and between(near, far, y, high - step + 1) >= goal:
             high -= step
             step *= 2
         low = max(high - step + 1, low)
     while low < high:
         middle = (low + high + 1) // 2
-        if _rise_to(column, y, middle) + corner < goal:
+        if between(near, far, y, middle) < goal:
             low = middle
         else:
             high = middle - 1
     return low
 
 
-@njit(cache=True)
-def _first_column_below(row: FloatArray, x: float, corner: float, goal: float, j: int,
+@njit(cache=True, inline="always")
+def _first_column_below(near: FloatArray, far: FloatArray, x: float, goal: float, j: int,
                         guess: int) -> int:
     """Return the first column, down from j, at whose upper edge it is below `goal`, or j."""
     step = 1
-    if _fall_to(row, x, guess) + corner < goal:
+    if between(near, far, x, guess + 1) < goal:
         high = guess
-        while high - step >= 0 and _fall_to(row, x, high - step) + corner < goal:
+        while high - step >= 0 and between(near, far, x, high - step + 1) < goal:
             high -= step
             step *= 2
         low = max(high - step + 1, 0)
     else:
         low, high = min(guess + 1, j), j
-        while low + step <= high and _fall_to(row, x, low + step - 1) + corner >= goal:
+        while low + step <= high and between(near, far, x, low + step) >= goal:
             low += step
             step *= 2
         high = min(low + step - 1, high)
     while low < high:
         middle = (low + high) // 2
-        if _fall_to(row, x, middle) + corner < goal:
+        if between(near, far, x, middle + 1) < goal:
             high = middle
         else:
             low = middle + 1
@@ -131,11 +123,12 @@ def _along_rise(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
     y = j + 1 - beta
     own_diagonal, own_reversible = diagonal[j], reversible[j]
     corner = y * (own_reversible + own_diagonal * y)
-    column = columns[j]
-    i = j + 1
+    near, far = columns[j + 1], columns[j]
+    dip = y * (1.0 - y) * own_diagonal
+    i, step = j + 1, 0
     curve = slope = below = 0.0
     # The function at the lower and at the upper edge of row i; -inf before the first search.
-    above = -np.inf if i < size else np.inf
+    above = -np.inf
     present = start_um
     while n < target_um.size:
         goal = target_um[n]
@@ -148,12 +141,13 @@ def _along_rise(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
             alpha = float(size)
         else:
             if above < target - rounding_um:
-                guess = i + _further_cells(target - below, above - below, size - 1 - i)
-                i = _last_row_below(column, y, corner, target - rounding_um, i, guess)
-                below = _rise_to(column, y, i) + corner
-                above = _rise_to(column, y, i + 1) + corner if i + 1 < size else np.inf
-                slope = column[i, 1] + reversible[i] + y * column[i, 3]
+                guess = min(i + step, size - 1)
+                found = _last_row_below(near, far, y, target - rounding_um + dip, i, guess)
+                step, i = found - i, found
+                below = between(near, far, y, i) - dip
+                above = between(near, far, y, i + 1) - dip
                 curve = diagonal[i]
+                slope = max(above - below - curve, 0.0)
             alpha = i + _root(curve, slope, max(target - below, 0.0))
         v = min(max(voltage_min + alpha * cell_width, v), limit_v)
         voltage_v[n] = v
@@ -177,8 +171,9 @@ def _along_fall(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
     x = alpha - i
     own_diagonal, own_reversible = diagonal[i], reversible[i]
     corner = x * (own_reversible + own_diagonal * x)
-    row = rows[i]
-    j = i - 1
+    near, far = rows[i], rows[i + 1]
+    dip = x * (1.0 - x) * own_diagonal
+    j, step = i - 1, 0
     curve = slope = above = 0.0
     # The function at the upper and at the lower edge of column j; -inf before the first search.
     below = -np.inf
@@ -194,12 +189,13 @@ def _along_fall(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
             beta = 0.0
         else:
             if below < target - rounding_um:
-                guess = j - _further_cells(target - above, below - above, j)
-                j = _first_column_below(row, x, corner, target - rounding_um, j, guess)
-                above = _fall_to(row, x, j) + corner
-                below = _fall_to(row, x, j - 1) + corner if j > 0 else np.inf
-                slope = row[j, 2] + reversible[j] + x * row[j, 3]
+                guess = max(j - step, 0)
+                found = _first_column_below(near, far, x, target - rounding_um + dip, j, guess)
+                step, j = j - found, found
+                above = between(near, far, x, j + 1) - dip
+                below = between(near, far, x, j) - dip
                 curve = diagonal[j]
+                slope = max(below - above - curve, 0.0)
             beta = j + 1 - _root(curve, slope, max(target - above, 0.0))
         v = max(min(voltage_min + beta * cell_width, v), limit_v)
         voltage_v[n] = v

@@ -22,30 +22,23 @@ def everett_table(density: FloatArray, reversible: FloatArray, cell_width: float
 
     Returns
     -------
-    columns, rows : (L, L, 4) array
-        `columns[j, i]` is `rows[i, j]`: a branch, on which one of the two stays, finds its
-        neighbours side by side. For cell (i, j) with i > j: the Everett function at (level i,
-        level j + 1); integral of the full squares of row i between the columns j and i; the same
-        of column j between the rows; integral of the square itself.
+    columns, rows : (L + 1, L + 1) array
+        The Everett function at pairs of levels. `columns[j, i]` is `rows[i, j]`, that of level i
+        over level j: a branch, on which one of the two stays, finds its neighbours side by side.
+        In between, off the diagonal, the function is bilinear less x (1 - x) times the triangle
+        of each of its two voltages, which lies a part x of the cell from its edge.
     diagonal : (L,) array
         Integrals of the triangles on the diagonal.
     reversible : (L,) array
         Integrals along the cells of the diagonal.
     """
     size = density.shape[0]
-    squares = np.tril(density, -1) * cell_width**2
     diagonal = np.diagonal(density) * cell_width**2 / 2
     reversible = reversible * cell_width
-    integrals = squares + np.diag(diagonal + reversible)
-    rows = np.cumsum(integrals[:, ::-1], axis=1)[:, ::-1]
-    everett = np.zeros((size + 1, size + 1))
-    everett[1:, :-1] = np.cumsum(rows, axis=0)
-    cells = np.zeros((size, size, 4))
-    cells[:, :, 0] = everett[:-1, 1:]
-    cells[:, :-1, 1] = np.cumsum(squares[:, ::-1], axis=1)[:, ::-1][:, 1:]
-    cells[1:, :, 2] = np.cumsum(squares, axis=0)[:-1]
-    cells[:, :, 3] = squares
-    return cells.transpose(1, 0, 2).copy(), cells, diagonal, reversible
+    integrals = np.tril(density, -1) * cell_width**2 + np.diag(diagonal + reversible)
+    rows = np.zeros((size + 1, size + 1))
+    rows[1:, :-1] = np.cumsum(np.cumsum(integrals[:, ::-1], axis=1)[:, ::-1], axis=0)
+    return rows.T.copy(), rows, diagonal, reversible
 
 
 @njit(cache=True)
@@ -55,7 +48,16 @@ def cell_of(position: float, size: int) -> int:
 
 
 @njit(cache=True)
-def _everett(alpha: float, beta: float, cells: FloatArray, diagonal: FloatArray,
+def between(near: FloatArray, far: FloatArray, part: float, level: int) -> float:
+    """Return the function at a level of one voltage, as a part of the way between two of the other.
+
+    It lacks the correction of the other's cell on the diagonal, where the density is a triangle.
+    """
+    return near[level] + part * (far[level] - near[level])
+
+
+@njit(cache=True)
+def _everett(alpha: float, beta: float, columns: FloatArray, diagonal: FloatArray,
              reversible: FloatArray) -> float:
     """Return the Everett function at two positions, in cells from voltage_min_v; alpha >= beta."""
     size = diagonal.size
@@ -65,11 +67,9 @@ def _everett(alpha: float, beta: float, cells: FloatArray, diagonal: FloatArray,
         return (alpha - beta) * (reversible[i] + (alpha - beta) * diagonal[i])
     x = alpha - i
     y = j + 1 - beta
-    return (
-        cells[i, j, 0]
-        + x * (cells[i, j, 1] + reversible[i] + x * diagonal[i] + y * cells[i, j, 3])
-        + y * (cells[i, j, 2] + reversible[j] + y * diagonal[j])
-    )
+    near, far = columns[j + 1], columns[j]
+    below, above = between(near, far, y, i), between(near, far, y, i + 1)
+    return (below + x * ((above - below) - (1.0 - x) * diagonal[i])) - y * (1.0 - y) * diagonal[j]
 
 
 @njit(cache=True)
@@ -89,13 +89,13 @@ def everett_values(alpha_v: FloatArray, beta_v: FloatArray, grid: Grid,
         In um; zero where `alpha_v` <= `beta_v`.
     """
     voltage_min, _, cell_width = grid
-    _, cells, diagonal, reversible = table
+    columns, _, diagonal, reversible = table
     values = np.zeros(alpha_v.size)
     for n in range(alpha_v.size):
         if alpha_v[n] > beta_v[n]:
             alpha = (alpha_v[n] - voltage_min) / cell_width
             beta = (beta_v[n] - voltage_min) / cell_width
-            values[n] = _everett(alpha, beta, cells, diagonal, reversible)
+            values[n] = _everett(alpha, beta, columns, diagonal, reversible)
     return values
 
 
@@ -159,8 +159,8 @@ def _along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: floa
     j = cell_of(beta, size)
     y = j + 1 - beta
     own_diagonal, own_reversible = diagonal[j], reversible[j]
-    y_diagonal = y * own_diagonal
-    column = columns[j]
+    corner_um = start_um - y * (1.0 - y) * own_diagonal
+    near, far = columns[j + 1], columns[j]
     present = voltage_min
     while n < voltage_v.size:
         v = min(max(voltage_v[n], voltage_min), voltage_max)
@@ -169,15 +169,12 @@ def _along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: floa
         alpha = (v - voltage_min) * scale
         i = cell_of(alpha, size)
         if i == j:
-            change = (alpha - beta) * (own_reversible + (alpha - beta) * own_diagonal)
+            output_um[n] = start_um + (alpha - beta) * (
+                own_reversible + (alpha - beta) * own_diagonal)
         else:
             x = alpha - i
-            change = (
-                column[i, 0]
-                + x * (column[i, 1] + reversible[i] + x * diagonal[i] + y * column[i, 3])
-                + y * (column[i, 2] + own_reversible + y_diagonal)
-            )
-        output_um[n] = start_um + change
+            below, above = between(near, far, y, i), between(near, far, y, i + 1)
+            output_um[n] = corner_um + (below + x * ((above - below) - (1.0 - x) * diagonal[i]))
         present = v
         n += 1
     return n, present
@@ -197,8 +194,8 @@ def _along_fall(voltage_v: FloatArray, output_um: FloatArray, n: int, alpha: flo
     i = cell_of(alpha, size)
     x = alpha - i
     own_diagonal, own_reversible = diagonal[i], reversible[i]
-    x_diagonal = x * own_diagonal
-    row = rows[i]
+    corner_um = start_um + x * (1.0 - x) * own_diagonal
+    near, far = rows[i], rows[i + 1]
     present = voltage_max
     while n < voltage_v.size:
         v = min(max(voltage_v[n], voltage_min), voltage_max)
@@ -207,15 +204,12 @@ def _along_fall(voltage_v: FloatArray, output_um: FloatArray, n: int, alpha: flo
         beta = (v - voltage_min) * scale
         j = cell_of(beta, size)
         if i == j:
-            change = (alpha - beta) * (own_reversible + (alpha - beta) * own_diagonal)
+            output_um[n] = start_um - (alpha - beta) * (
+                own_reversible + (alpha - beta) * own_diagonal)
         else:
             y = j + 1 - beta
-            change = (
-                row[j, 0]
-                + x * (row[j, 1] + own_reversible + x_diagonal + y * row[j, 3])
-                + y * (row[j, 2] + reversible[j] + y * diagonal[j])
-            )
-        output_um[n] = start_um - change
+            below, above = between(near, far, x, j), between(near, far, x, j + 1)
+            output_um[n] = corner_um - (above + y * ((below - above) - (1.0 - y) * diagonal[j]))
         present = v
         n += 1
     return n, present

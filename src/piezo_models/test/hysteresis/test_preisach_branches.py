@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.hysteresis.preisach_inversion import invert_while_room
-from piezo_models.hysteresis.preisach_kernels import simulate_while_room
+from piezo_models.hysteresis.preisach_kernels import everett_table, simulate_while_room
 from piezo_studies.baselines.relay_grid import activation_matrix
 
 laws = settings(deadline=None, max_examples=30)
@@ -87,6 +87,17 @@ def test_the_inverse_is_the_first_voltage_that_reaches_the_target():
     first = np.searchsorted(model.simulate(fine_v), rises_um)
     assert (found_v <= fine_v[first] + 1e-9).all()
     assert (found_v >= fine_v[first - 1] - 1e-9).all()
+
+
+def test_the_tables_hold_two_numbers_for_each_pair_of_levels():
+    model = random_model(40, seed=5)
+    everett_um = model.everett_um(model.levels_v[:, None], model.levels_v[None, :])
+    columns, rows, *diagonals = everett_table(
+        model.density_um_per_v2, model.reversible_um_per_v, model.cell_width_v)
+    np.testing.assert_allclose(rows, everett_um, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(columns.T, rows)
+    assert columns.flags.c_contiguous
+    assert all(diagonal.shape == (40,) for diagonal in diagonals)
 
 
 @laws

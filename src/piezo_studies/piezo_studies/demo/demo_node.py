@@ -23,7 +23,6 @@ from piezo_bringup.processes import Processes
 from piezo_client.client import Client, GoalFailed
 from piezo_common.picture_style import to_png
 from piezo_common.progress_line import ProgressLine
-from piezo_models.model_file import load_model
 from piezo_sim.plant.plant_effect import PlantConfigError
 from piezo_studies.demo.demo_command import USUAL
 from piezo_studies.demo.demo_plant import demo_plant
@@ -33,11 +32,11 @@ from piezo_studies.demo.demo_report import (
     render_report,
     report_sections,
 )
-from piezo_studies.demo.extended_model_section import ExtendedModel
+from piezo_studies.demo.extended_model_section import ExtendedModel, draw_models
 from piezo_studies.demo.operation import MONITOR, second_part
 from piezo_studies.demo.operation_section import format_operation, operation_sections
 from piezo_studies.demo.run_directory import claim_directory
-from piezo_studies.demo.session import Session
+from piezo_studies.demo.session import RunningGoal, Session
 from piezo_studies.demo.summary import (
     format_model_errors,
     format_table,
@@ -157,24 +156,31 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
             client.wait_for_nodes(NODES)
             recording = _record_diagnostic(client, processes, directory, progress)
             identified_s = time.monotonic()
-            # The diagnosis computes while the stage tracks. It uses all cores then, so the report
-            # is drawn beside the second tracking, which leaves one.
+            # The diagnosis computes while the stage tracks, and goes on while the runs are drawn.
+            # Its report is written beside the second tracking, which needs the model alone.
             with (ThreadPoolExecutor(1) as beside,
                   _diagnosing(client, processes, identified, recording, directory,
-                              progress) as diagnosed):
-                tracks = _track_all(client, processes, identified.model, directory, progress)
+                              progress) as diagnosing):
+                tracks = [*_track_all(client, processes, identified.model, directory, progress)]
                 tracked_s = time.monotonic()
-                diagnosis = diagnosed()
-                diagnosed_s = time.monotonic()
                 drawn = beside.submit(_draw_runs, identified, tracks, directory)
-                tracks_after = _track_all(client, processes, diagnosis.extended_model,
-                                          directory / "after", progress)
+                extended_model = directory / "diagnosis" / "extended_model.json"
+                if not diagnosing.wait_until(extended_model.exists):
+                    diagnosing.result()  # tells why
+                diagnosed_s = time.monotonic()
+                compared = beside.submit(draw_models, identified.model, extended_model,
+                                         _recording_of("validation", identified))
+                runs_after = [
+                    beside.submit(read_tracked_run, track) for track in _track_all(
+                        client, processes, extended_model, directory / "after", progress)]
+                diagnosis = diagnosing.result()
             tracked_again_s = time.monotonic()
             if has_second_part:
                 processes.start("monitor", MONITOR)  # it imports while the report is drawn
             progress.show("draw the report", 1.0)
             summary, sections = _report(
-                plant, directory, drawn.result(), diagnosis, tracks_after, command)
+                plant, directory, drawn.result(), diagnosis, compared.result(),
+                [run.result() for run in runs_after], command)
             summary["wall_s"] = {
                 "identification": identified_s - begin_s,  # and the recording to be diagnosed
                 "tracking": tracked_s - identified_s,
@@ -210,47 +216,36 @@ def _write_page(directory, plant, command, sections):
 
 
 def _identify(client, processes, plant, directory, progress):
+    """Identify, and bring the stage to rest while the model is estimated."""
     def show(feedback):
         progress.show(f"identify, {feedback.stage}", feedback.fraction, feedback.seconds_left)
 
     with _blaming(processes, "identification"):
-        return client.identify(directory, on_feedback=show, **plant.declared)
+        goal = RunningGoal(client, "identify", show, directory=directory, **plant.declared)
+        if goal.wait_until(lambda: goal.stage.startswith("estimate")):
+            _rest(client, processes)
+        return goal.result()
 
 
 def _record_diagnostic(client, processes, directory, progress):
-    """Rest, run the diagnostic experiment, and return the path of its recording."""
+    """Run the diagnostic experiment, and return the path of its recording."""
     def show(feedback):
         progress.show(f"diagnose, {feedback.stage}", feedback.fraction, feedback.seconds_left)
 
-    _rest(client, processes)
     with _blaming(processes, "identification"):
         return client.run_experiment("diagnostic", directory, on_feedback=show).recording
 
 
 @contextmanager
 def _diagnosing(client, processes, identified, recording, directory, progress):
-    """Let the diagnosis begin; give what waits for its end and returns its result."""
-    waits = False
-
+    """Let the diagnosis begin, and give it as it runs."""
     def show(feedback):
-        if waits:
-            progress.show(f"diagnose, {feedback.stage}", feedback.fraction, feedback.seconds_left)
+        progress.show(f"diagnose, {feedback.stage}", feedback.fraction, feedback.seconds_left)
 
     with _blaming(processes, "identification"):
-        goal = client.send(
-            "diagnose", show, model=identified.model, recordings=[recording],
-            directory=directory / "diagnosis", holdout=_recording_of("validation", identified))
-        ended = goal.get_result_async()
-
-        def result():
-            nonlocal waits
-            waits = True
-            message = client.wait(ended).result
-            if not message.success:
-                raise GoalFailed("diagnose", message)
-            return message
-
-        yield result
+        yield RunningGoal(
+            client, "diagnose", show, directory=directory / "diagnosis", model=identified.model,
+            recordings=[recording], holdout=_recording_of("validation", identified))
 
 
 def _rest(client, processes):
@@ -263,10 +258,9 @@ def _recording_of(experiment, identified):
 
 
 def _track_all(client, processes, model, directory, progress):
-    """Track every trajectory in every mode; return the paths of the recordings."""
+    """Track every trajectory in every mode; give the path of each recording once it is made."""
     begin_s = time.monotonic()
     runs = [(*trajectory, mode) for trajectory in TRAJECTORIES for mode in MODES]
-    tracks = []
     for number, (frequency_hz, amplitude_um, mode) in enumerate(runs):
         def show(run_fraction, number=number, frequency_hz=frequency_hz, mode=mode):
             fraction = (number + run_fraction) / len(runs)
@@ -279,10 +273,10 @@ def _track_all(client, processes, model, directory, progress):
                      "amplitude_um": [amplitude_um], "centre_um": CENTRE_UM}
         _rest(client, processes)
         with _blaming(processes, "controller"):
-            tracks.append(client.track(
+            run = client.track(
                 reference, model, mode, DURATION_S, directory / f"{frequency_hz:g}_hz",
-                on_feedback=lambda feedback, show=show: show(feedback.fraction)).recording)
-    return tracks
+                on_feedback=lambda feedback, show=show: show(feedback.fraction))
+        yield run.recording
 
 
 def _draw_runs(identified, tracks, directory):
@@ -291,9 +285,8 @@ def _draw_runs(identified, tracks, directory):
         _recording_of(name, identified) for name in SHOWN_EXPERIMENTS], tracks, directory)
 
 
-def _report(plant, directory, drawn, diagnosis, tracks_after, command):
+def _report(plant, directory, drawn, diagnosis, compared, runs_after, command):
     """Write the report; return the summary, and the sections of the report."""
-    runs_after = [read_tracked_run(track) for track in tracks_after]
     verdict = json.loads(diagnosis.verdict_json)
     summary = {
         "plant": plant.name,
@@ -301,8 +294,7 @@ def _report(plant, directory, drawn, diagnosis, tracks_after, command):
         "diagnosis": {key: verdict[key] for key in ("verdict", "effects", "before", "after")},
         "tracking_after": [summarise_run(run, directory) for run in runs_after],
     }
-    extended = ExtendedModel(
-        diagnosis.sentence, verdict, load_model(diagnosis.extended_model).model, runs_after)
+    extended = ExtendedModel(diagnosis.sentence, verdict, compared, runs_after)
     (directory / "tracking.png").write_bytes(to_png(
         draw_errors(summary["tracking"], summary["tracking_after"])))
     sections = report_sections(summary, drawn, extended)

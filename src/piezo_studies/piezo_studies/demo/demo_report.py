@@ -39,15 +39,11 @@ class DrawnRuns:
     errors : dict of str to float
         Of the model on unseen data, by name.
     runs : list of TrackedRun
-    model : piezo_models.cascade.StageModel
-    validation : Recording
     sections : list of Section
     """
 
     errors: dict
     runs: list
-    model: object
-    validation: object
     sections: list
 
 
@@ -76,7 +72,7 @@ def draw_runs(errors, model, recordings, tracks, directory):
 
 def drawn_runs(errors, model, recordings, runs, directory):
     """Draw runs and recordings that have been read; see `draw_runs`."""
-    return DrawnRuns(errors, runs, model, recordings["validation"], [
+    return DrawnRuns(errors, runs, [
         _identification_section(errors, model, recordings, directory),
         *(_frequency_section(frequency_hz, [run for run in runs
                                             if run.frequency_hz == frequency_hz])
@@ -97,7 +93,7 @@ def report_sections(summary, drawn, extended):
     """
     return [
         _errors_section(summary), *drawn.sections,
-        *extended_model_sections(summary, drawn.runs, drawn.model, drawn.validation, extended),
+        *extended_model_sections(summary, drawn.runs, extended),
         _measures_section(summary),
     ]
 

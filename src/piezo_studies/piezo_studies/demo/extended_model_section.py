@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from piezo_common.report_page import Section, pictured
 from piezo_identification.prediction import predict
 from piezo_models.effects import known_effects
+from piezo_models.model_file import load_model
+from piezo_recorder.reading.reader import read_recording
 from piezo_studies.demo import extension_pictures
 from piezo_studies.demo.summary import model_error_rows, tracking_error_rows
 
@@ -20,19 +22,51 @@ class ExtendedModel:
         The verdict in words.
     verdict : dict
         The content of ``verdict.json``.
-    model : piezo_models.cascade.StageModel
-        Extended.
+    pictures : tuple
+        Of `draw_models`.
     runs : list of TrackedRun
         Tracked with it.
     """
 
     sentence: str
     verdict: dict
-    model: object
+    pictures: tuple
     runs: list
 
 
-def extended_model_sections(summary, runs, model, validation, extended):
+def draw_models(model, extended_model, validation):
+    """Draw a model and the extended one.
+
+    Parameters
+    ----------
+    model, extended_model : path-like
+    validation : path-like
+        Recording on which they are compared.
+
+    Returns
+    -------
+    tuple of Picture
+    """
+    return drawn_models(load_model(model).model, load_model(extended_model).model,
+                        read_recording(validation))
+
+
+def drawn_models(model, extended_model, validation):
+    """Draw models and a recording that have been read; see `draw_models`."""
+    before, after = (predict(each, validation) for each in (model, extended_model))
+    sample_period_s = 1.0 / validation.sample_rate_hz
+    return (
+        pictured("Model error before and after",
+                 extension_pictures.draw_model_errors(before, after, sample_period_s),
+                 "Spectrum of measured minus simulated displacement on the validation recording, "
+                 "and the sensor's noise.", closer=True),
+        pictured("Response before and after", extension_pictures.draw_responses(
+                     model, extended_model, sample_period_s),
+                 "From the hysteresis' output to the displacement, without and with what was "
+                 "added.", closer=True))
+
+
+def extended_model_sections(summary, runs, extended):
     """Return the sections of the report.
 
     Parameters
@@ -41,14 +75,10 @@ def extended_model_sections(summary, runs, model, validation, extended):
         With ``diagnosis`` and ``tracking_after``.
     runs : list of TrackedRun
         Tracked with the model as it was.
-    model : piezo_models.cascade.StageModel
-        As it was.
-    validation : Recording
-        On which the models are compared.
     extended : ExtendedModel
     """
     return (_effects_section(extended.sentence, extended.verdict["effects"]),
-            _model_section(summary, model, validation, extended),
+            _model_section(summary, extended),
             _tracking_section(summary, runs, extended))
 
 
@@ -72,22 +102,12 @@ def _effects_section(sentence, effects):
         rows if len(rows) > 1 else ())
 
 
-def _model_section(summary, model, validation, extended):
-    before, after = (predict(each, validation) for each in (model, extended.model))
-    sample_period_s = 1.0 / validation.sample_rate_hz
+def _model_section(summary, extended):
     return Section(
         "The model before and after",
         ("Errors on the validation recording, which neither the identification nor the diagnosis "
          "fitted.",),
-        model_error_rows(summary),
-        (pictured("Model error before and after",
-                  extension_pictures.draw_model_errors(before, after, sample_period_s),
-                  "Spectrum of measured minus simulated displacement on the validation recording, "
-                  "and the sensor's noise.", closer=True),
-         pictured("Response before and after", extension_pictures.draw_responses(
-                      model, extended.model, sample_period_s),
-                  "From the hysteresis' output to the displacement, without and with what was "
-                  "added.", closer=True)))
+        model_error_rows(summary), extended.pictures)
 
 
 def _tracking_section(summary, runs, extended):

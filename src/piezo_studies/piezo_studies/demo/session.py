@@ -1,7 +1,62 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the demo's second part asks of the running nodes."""
+"""What the demo asks of running nodes beside or between its runs."""
+
+from piezo_client.client import ALIVE_PERIOD_S, GoalFailed
 
 START_TIMEOUT_S = 60.0
+
+
+class RunningGoal:
+    """A goal that goes on beside others of the same client.
+
+    Parameters
+    ----------
+    client : piezo_client.client.Client
+    name : str
+        Of the action.
+    show : callable
+        Called with each feedback message while this goal alone is waited for.
+    **fields
+        Of the goal.
+
+    Attributes
+    ----------
+    stage : str
+        Of the last feedback.
+    """
+
+    def __init__(self, client, name, show, **fields):
+        self._client, self._name, self._show = client, name, show
+        self._waits, self.stage = False, ""
+        self._ended = client.send(name, self._tell, **fields).get_result_async()
+
+    def _tell(self, feedback):
+        self.stage = feedback.stage
+        if self._waits:
+            self._show(feedback)
+
+    def wait_until(self, condition):
+        """Wait until a condition holds; return whether it does, as the goal may end before."""
+        self._waits = True
+        while not self._client.spin_until(
+                lambda: condition() or self._ended.done(), ALIVE_PERIOD_S):
+            self._client.check()
+        self._waits = False
+        return condition()
+
+    def result(self):
+        """Return the result of the action, once it has ended.
+
+        Raises
+        ------
+        GoalFailed
+            If it failed.
+        """
+        self.wait_until(self._ended.done)
+        message = self._ended.result().result
+        if not message.success:
+            raise GoalFailed(self._name, message)
+        return message
 
 
 class Session:

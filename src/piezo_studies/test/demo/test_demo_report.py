@@ -19,7 +19,7 @@ from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 from piezo_studies.demo.demo_plant import demo_plant
 from piezo_studies.demo.demo_report import drawn_runs, render_report, report_sections
-from piezo_studies.demo.extended_model_section import ExtendedModel
+from piezo_studies.demo.extended_model_section import ExtendedModel, drawn_models
 from piezo_studies.demo.operation_section import format_operation, operation_sections
 from piezo_studies.demo.square_wave_response import CLEARANCE, square_wave_response
 from piezo_studies.demo.summary import summarise, summarise_run
@@ -96,14 +96,16 @@ def drawn(model, recordings, tracking_recordings, tmp_path_factory, picture_faul
     summary = {
         **summarise(runs, {"e_y_percent": 0.0412}, directory), "diagnosis": verdict,
         "tracking_after": [summarise_run(run, directory) for run in runs_after]}
-    extended = ExtendedModel("The model lacks a mode.", verdict,
-                             replace(model, effects=(MODE,)), runs_after)
     pages = []
-    faults = picture_faults(lambda: pages.append(render_report(
-        demo_plant("beam"), "demo --output <here>", [
-            *report_sections(summary, drawn_runs(
-                summary["identification"], model, recordings, runs, directory), extended),
-            *operation_sections(OPERATION)])))
+
+    def draw():
+        first = drawn_runs(summary["identification"], model, recordings, runs, directory)
+        models = drawn_models(model, replace(model, effects=(MODE,)), recordings["validation"])
+        extended = ExtendedModel("The model lacks a mode.", verdict, models, runs_after)
+        pages.append(render_report(demo_plant("beam"), "demo --output <here>", [
+            *report_sections(summary, first, extended), *operation_sections(OPERATION)]))
+
+    faults = picture_faults(draw)
     return pages[0], faults
 
 

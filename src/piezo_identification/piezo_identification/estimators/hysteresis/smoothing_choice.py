@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.waveforms import turning_points
 from piezo_identification.estimators.hysteresis.equations import (
     Equations,
@@ -189,11 +190,12 @@ class _Trials:
     def misfits(self, penalties: Penalties) -> FloatArray:
         """Sum of the squared errors of each fold."""
         if penalties not in self._misfits:
-            result = []
-            for index, (fitted, unseen) in enumerate(zip(self._fitted, self._unseen, strict=True)):
-                unknowns, _, self._forces[index] = fitted.solve(penalties, self._forces[index])
-                result.append(self._unseen_misfit(unseen, unknowns))
-            self._misfits[penalties] = np.array(result)
+            def misfit(index: int) -> float:
+                unknowns, _, self._forces[index] = self._fitted[index].solve(
+                    penalties, self._forces[index])
+                return self._unseen_misfit(self._unseen[index], unknowns)
+
+            self._misfits[penalties] = np.array(side_by_side(misfit, range(len(self._fitted))))
         return self._misfits[penalties]
 
     def best(self, candidates: Iterable[Penalties]) -> Penalties:

@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The smoothing that is chosen, beside the best there is, on a hysteresis of plays."""
 
+import threading
+
 import numpy as np
 import pytest
 
+from piezo_common import side_by_side
+from piezo_identification.estimators.hysteresis.equations import Equations, HysteresisSegment
 from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
+from piezo_identification.estimators.hysteresis.smoothing_choice import choose_penalties
 
 RADII_V = np.linspace(0.0, 90.0, 181)
 WEIGHTS_UM_PER_V = np.append(0.3, 0.4 * np.diff(1.0 - np.exp(-((RADII_V / 30.0) ** 1.3))))
@@ -66,3 +71,23 @@ def test_a_transient_that_lies_in_one_part_does_not_decide_the_smoothing(measure
     decay = np.exp(-np.outer(np.arange(VOLTAGE_V.size), [1.0 / 40.0, 1.0 / 900.0]))
     with_start = estimate_of(measured_um + decay @ [0.5, -0.2], transients=decay)
     assert error_of(with_start) < 1.2 * error_of(estimate_of(measured_um))
+
+
+def test_folds_are_fitted_side_by_side_and_choose_the_same(measured_um, monkeypatch):
+    size = VOLTAGE_V.size
+    segment = HysteresisSegment(VOLTAGE_V, measured_um, np.arange(size), np.empty((size, 0)))
+    solve, threads, choices = Equations.solve, [], []
+
+    def noted(*arguments):
+        threads[-1].add(threading.get_ident())
+        return solve(*arguments)
+
+    monkeypatch.setattr(Equations, "solve", noted)
+    for cores in (1, 2):
+        threads.append(set())
+        monkeypatch.setattr(side_by_side, "cores", lambda cores=cores: cores)
+        choices.append(choose_penalties([segment], np.linspace(0.0, 100.0, 9)))
+    own = {threading.get_ident()}
+    assert threads[0] == own and threads[1] > own
+    assert choices[0].penalties == choices[1].penalties
+    np.testing.assert_array_equal(choices[0].forces, choices[1].forces)

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The demo's goals beside each other, under a client that plays the nodes."""
+
+from types import SimpleNamespace
+
+import pytest
+from rclpy.task import Future
+
+from piezo_client.client import GoalFailed
+from piezo_studies.demo.session import RunningGoal
+
+
+class Client:
+    """Tells steps of a goal, one each time somebody waits."""
+
+    def __init__(self, *steps):
+        self._steps, self._ended = iter(steps), Future()
+
+    def send(self, name, on_feedback, **fields):
+        self._tell = on_feedback
+        return SimpleNamespace(get_result_async=lambda: self._ended)
+
+    def spin_until(self, condition, timeout_s):
+        while not condition():
+            step = next(self._steps)
+            if isinstance(step, str):
+                self._tell(SimpleNamespace(stage=step))
+            else:
+                step(self._ended)
+        return True
+
+
+def ending(success):
+    return lambda ended: ended.set_result(
+        SimpleNamespace(result=SimpleNamespace(success=success, message="no recording")))
+
+
+def test_a_file_of_a_diagnosis_is_there_before_the_diagnosis_has_ended(tmp_path):
+    model, shown = tmp_path / "extended_model.json", []
+    client = Client("effect 1", lambda ended: model.touch(), "write the report", ending(True))
+    goal = RunningGoal(client, "diagnose", lambda feedback: shown.append(feedback.stage))
+    assert goal.wait_until(model.exists)
+    assert (shown, goal.stage) == (["effect 1"], "effect 1")
+    client.spin_until(lambda: goal.stage == "write the report", 0.0)
+    assert shown == ["effect 1"]  # whoever waits for another goal tells of that one
+    assert goal.result().success
+
+
+def test_a_goal_that_ends_before_has_failed():
+    goal = RunningGoal(Client("effect 1", ending(False)), "diagnose", lambda feedback: None)
+    assert not goal.wait_until(lambda: False)
+    with pytest.raises(GoalFailed, match="diagnose: no recording"):
+        goal.result()
