@@ -43,6 +43,8 @@ class Needs:
     followed : float
         Part of a jump that the displacement has done in the first row behind it, from which on
         the rows are too slow to show the dynamics.
+    filtered_rows : int
+        Rows of a broadband recording, those with most motion, that are looked at for dynamics.
     taps : int
         Rows of the past that a linear filter may use to show dynamics under a broadband voltage.
     long_taps, rows_per_long_tap : int
@@ -65,6 +67,7 @@ class Needs:
     rows_per_branch: int = 20
     rows_per_ringing: float = 5.0
     followed: float = 0.9
+    filtered_rows: int = 20_000
     taps: int = 30
     long_taps: int = 1000
     rows_per_long_tap: int = 20
@@ -315,8 +318,12 @@ def rows_per_ringing(response: FloatArray) -> float:
 
 def _explained(voltage_v: FloatArray, displacement_um: FloatArray) -> float:
     """Return what a linear filter leaves, over what a curve of the voltage alone leaves."""
-    size = min(len(voltage_v), 20_000)
-    x, y = voltage_v[:size] / np.abs(voltage_v).max(), displacement_um[:size]
+    size = min(len(voltage_v), NEEDS.filtered_rows)
+    # A chirp begins so slowly that the displacement follows it at once: look where most happens.
+    way_um = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(displacement_um)))])
+    first = int(np.argmax(way_um[size - 1 :] - way_um[: way_um.size - size + 1]))
+    x = voltage_v[first : first + size] / np.abs(voltage_v).max()
+    y = displacement_um[first : first + size]
     past = np.column_stack([x[NEEDS.taps - lag : size - lag] for lag in range(NEEDS.taps + 1)])
     y = y[NEEDS.taps :]
     now = past[:, 0]
