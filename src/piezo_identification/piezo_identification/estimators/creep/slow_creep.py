@@ -339,24 +339,19 @@ class _Part:
     def without_creep(self, rates: FloatArray, gains: FloatArray) -> FloatArray:
         """Bins of the displacement passed through the exact inverse of the creep for held input."""
         steps = [_exponential(rate, self._period_s, self._mean_samples) for rate in rates]
-        # The held output h gives h + sum g (h + (x - h) m); x decays to h.
-        numerator, denominator = np.array([1.0]), np.array([1.0])
-        for decay, _ in steps:
-            denominator = np.convolve(denominator, [1.0, -decay])
-        forward = denominator.copy()
-        for index, (gain, (decay, mean)) in enumerate(zip(gains, steps, strict=True)):
-            others = np.array([1.0])
-            for other, (its_decay, _) in enumerate(steps):
-                if other != index:
-                    others = np.convolve(others, [1.0, -its_decay])
-            # From h to h + (x - h) m with x[n] = a x[n-1] + (1 - a) h[n-1].
-            own = np.array([1.0 - mean, mean - decay])
-            forward = forward + gain * np.convolve(others, own)
-        numerator = denominator
+        decay, mean = np.array(steps).reshape(-1, 2).T
+        # The held output h gives h + sum g (h + (x - h) m); x decays to h. Its inverse is a sum of
+        # exponentials, too. One filter of high order would lose all digits: all poles are near 1.
+        at_once = 1.0 + gains @ (1.0 - mean)
+        coupling = np.sqrt(gains * mean * (1.0 - decay))
+        forgotten, turned = np.linalg.eigh(
+            np.diag(1.0 - decay) + np.outer(coupling, coupling) / at_once)
         start = self._displacement_um[0]
         still = self._displacement_um - start
-        return self.means(
-            lfilter(numerator, forward, still) + start * numerator.sum() / forward.sum())
+        rest = still.copy()
+        for rate, weight in zip(forgotten, (turned.T @ coupling)**2 / at_once, strict=True):
+            rest -= lfilter([0.0, weight], [1.0, rate - 1.0], still)
+        return self.means(rest / at_once + start / (1.0 + gains.sum()))
 
     def decays(self, zeros: FloatArray) -> FloatArray:
         """Bins of what is left of the creep from before, shape (bins, zeros)."""
