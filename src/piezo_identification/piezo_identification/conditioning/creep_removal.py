@@ -5,7 +5,7 @@ import numpy as np
 from scipy.signal import lfilter, lfilter_zi
 
 from piezo_common.arrays import FloatArray
-from piezo_models.linear.dynamics import CreepDynamics
+from piezo_models.linear.dynamics import CreepDynamics, zoh
 
 
 def remove_creep(signal: FloatArray, creep: CreepDynamics, sample_period_s: float) -> FloatArray:
@@ -30,3 +30,37 @@ def remove_creep(signal: FloatArray, creep: CreepDynamics, sample_period_s: floa
         initial = lfilter_zi(numerator, denominator) * signal[0]
         signal = lfilter(numerator, denominator, signal, zi=initial)[0]
     return signal
+
+
+def remove_held_creep(
+    signal: FloatArray, creep: CreepDynamics, sample_period_s: float,
+) -> FloatArray:
+    """Pass a signal through the inverse of the creep of an input that is held between samples.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+        At the end of each hold.
+    creep : CreepDynamics
+        May be faster than the samples.
+    sample_period_s : float
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        What was held up to each sample; begins in equilibrium with the first one.
+    """
+    if not creep.poles_rad_per_s:
+        return signal
+    system = zoh(creep.state_space(), sample_period_s)
+    at_rest = np.linalg.solve(np.eye(system.nstates) - system.A, system.B[:, 0])
+    output, at_once = system.C[0], system.D[0, 0]
+    held = np.empty(signal.size)
+    held[0] = signal[0] / (output @ at_rest + at_once)
+    state = held[0] * at_rest
+    for number in range(1, signal.size):
+        decayed = system.A @ state
+        held[number] = (signal[number] - output @ decayed) / (
+            output @ system.B[:, 0] + at_once)
+        state = decayed + system.B[:, 0] * held[number]
+    return held

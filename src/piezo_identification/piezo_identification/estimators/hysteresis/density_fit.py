@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.conditioning.creep_removal import remove_creep
+from piezo_identification.conditioning.creep_removal import remove_creep, remove_held_creep
 from piezo_identification.conditioning.outlier_samples import good_samples
+from piezo_identification.conditioning.row_alignment import is_point_by_point
 from piezo_identification.conditioning.segments import Recordings, played_segments
 from piezo_identification.conditioning.settling import (
     first_settled,
@@ -30,6 +31,9 @@ LEVELS = 70
 
 FEWEST_LEVELS = 4
 """Levels from which a density is sought; fewer show a line only."""
+
+SETTLED_SHARE = 0.1
+"""Part of a row that dynamics and delay may last where a point of a loop is read at rest."""
 
 LARGE_STEP_SHARE = 0.9
 """A level is as high as this share of the voltage's changes from sample to sample is at most."""
@@ -138,6 +142,8 @@ def _segment(
     part: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics, delay_s: float,
 ) -> HysteresisSegment:
     settled = np.arange(part.time_s.size) >= first_settled(dynamics, part.time_s)
+    if _comes_to_rest(part, dynamics, delay_s):
+        settled[-1] = False
     return HysteresisSegment(
         np.asarray(part.voltage_v, dtype=float),
         hysteresis_output_um(part, creep, dynamics, delay_s),
@@ -163,9 +169,13 @@ def hysteresis_output_um(
     Returns
     -------
     ndarray, shape (N,)
-        But for the decaying trace of the creep's initial state.
+        But for the decaying trace of the creep's initial state. Of points of a static loop, the
+        last is not known, as it would be read at the end of its hold.
     """
     displacement_um = recording.displacement_um
+    if _comes_to_rest(recording, dynamics, delay_s):
+        held_um = remove_held_creep(displacement_um, creep, recording.sample_period_s)
+        return np.append(held_um[1:], 2.0 * held_um[-1] - held_um[-2])
     if dynamics.is_static and delay_s == 0.0:
         return remove_creep(displacement_um, creep, recording.sample_period_s)
     if follows_fast(recording.voltage_v, dynamics, recording.sample_period_s):
@@ -180,6 +190,16 @@ def hysteresis_output_um(
         lead_s = delay_s + held_delay_s(dynamics, period_s)
     slope_um_per_s = np.gradient(displacement_um, period_s)
     return remove_creep(displacement_um + lead_s * slope_um_per_s, creep, recording.sample_period_s)
+
+
+def _comes_to_rest(
+    recording: Recording, dynamics: ElectricVibrationDynamics, delay_s: float,
+) -> bool:
+    """Tell whether rows are points of a loop, each held until the stage is at rest."""
+    if dynamics.is_static or not is_point_by_point(recording):
+        return False
+    late_s = delay_s + low_frequency_delay_s(dynamics)
+    return bool(late_s < SETTLED_SHARE * recording.sample_period_s)
 
 
 def _check_sign(parts: Sequence[Recording]) -> None:
