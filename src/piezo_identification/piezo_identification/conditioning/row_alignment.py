@@ -13,11 +13,25 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.conditioning.waveforms import played, samples_per_mean
+from piezo_identification.conditioning.waveforms import (
+    SLOWEST_FAST_ROWS_S,
+    played,
+    samples_per_mean,
+)
 from piezo_recorder.reading.recording import Recording
 
 LATEST_READING = 1.5
 """Sample periods after its voltage at which a row may have been read."""
+
+POINT_STEP = 0.01
+"""Part of the voltage's range by which it changes from row to row where rows are points of a loop,
+each read when the stage has come to rest: a row more or less then opens or closes the loop."""
+
+CLEARLY_READ = 0.25
+"""Part of a jump by which what slow rows read of it may differ from none, or from all of it."""
+
+HELD = 0.02
+"""Part of the range within which a voltage is held from one row to the next."""
 
 JUMP = 0.1
 """Part of the range by which the voltage jumps from one sample to the next."""
@@ -122,6 +136,50 @@ def read_as(recording: Recording, read_at_samples: float) -> float:
     """
     is_means = read_at_samples != 0.0 and samples_per_mean(played(recording)) > 1
     return 0.0 if is_means else read_at_samples
+
+
+def is_point_by_point(recording: Recording) -> bool:
+    """Tell whether rows are points of a static loop: slow, and each a step from the one before."""
+    part = played(recording)
+    steps_v = np.abs(np.diff(part.voltage_v))
+    return bool(part.sample_period_s > SLOWEST_FAST_ROWS_S
+                and np.median(steps_v) > POINT_STEP * np.ptp(part.voltage_v))
+
+
+def reading_at_jumps(recording: Recording) -> float | None:
+    """Tell from its jumps when slow rows are read: with their voltage, or at the end of the hold.
+
+    A stage answers within a slow row. The row in which the voltage jumps holds the displacement
+    from before if it is read first, and that from behind the jump if it is read at its end, or if
+    the voltage was measured with it.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    float or None
+        0 or 1; None where nothing jumps, rows are fast, means or missing, or show a part of it.
+    """
+    if recording.gaps:
+        return None
+    part = played(recording)
+    if part.sample_period_s <= SLOWEST_FAST_ROWS_S or samples_per_mean(part) > 1:
+        return None
+    steps_v = np.diff(part.voltage_v)
+    jumps = np.flatnonzero(np.abs(steps_v) > JUMP * np.ptp(part.voltage_v))
+    # Held on both sides, so that it is no row of a ramp.
+    held = np.abs(steps_v) < HELD * np.ptp(part.voltage_v)
+    jumps = jumps[(jumps > 0) & (jumps + 1 < steps_v.size)]
+    jumps = jumps[held[jumps - 1] & held[jumps + 1]]
+    if not jumps.size:
+        return None
+    moved_um = np.diff(part.displacement_um)
+    at_once, later = steps_v[jumps] @ moved_um[jumps], steps_v[jumps] @ moved_um[jumps + 1]
+    share = at_once / (at_once + later) if at_once + later else 0.5
+    nearest = float(np.round(share))
+    return nearest if nearest in (0.0, 1.0) and abs(share - nearest) < CLEARLY_READ else None
 
 
 def _at(signal: FloatArray, instants: FloatArray) -> FloatArray:

@@ -148,11 +148,11 @@ def identify(
             fast[0] if fast and isinstance(fast[0], FrequencyResponse) else fast,
             of_kind(said, "hysteresis"), method, order, stages.part(0.0, 0.6))
         stages.begin("hysteresis", 0.6)
-        for loops in of_kind(said, "hysteresis"):
-            tell_implausible(refuse_impossible_loops(
-                loops, linear.creep, linear.slow_dynamics, linear.slow_delay_s), tell)
         read_at = found_readings(said, linear)
         recordings = aligned(said, read_at)
+        for loops in of_kind(recordings, "hysteresis"):
+            tell_implausible(refuse_impossible_loops(
+                loops, linear.creep, linear.slow_dynamics, linear.slow_delay_s), tell)
         estimate, first_rise, cycled = estimate_loops(recordings, linear, density)
         if of_kind(said, "hysteresis") and method == METHODS[0] and not isinstance(
                 dynamics, FrequencyResponse):

@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 
 from piezo_identification.conditioning.recording_start import square_part
-from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
+from piezo_identification.conditioning.row_alignment import (
+    is_point_by_point,
+    read_as,
+    reading_at_jumps,
+    rows_read_at_start,
+)
 from piezo_identification.conditioning.settling import (
     SlowDynamics,
     slow_delay_s,
@@ -69,8 +74,8 @@ class LinearDynamics:
     read_at_samples : float
         Instant at which the rows of the dynamics' recording were found to be read, in sample
         periods after their voltage.
-    creep_is_read_alike : bool
-        Whether the rows of the creep are read at that instant too. Another logger may have them.
+    creep_read_at_samples : float
+        Instant at which the rows of the creep are read, which may be of another logger.
     estimates : dict of str to Estimate
         By what they were made from: creep, dynamics.
     uncertainties : dict of str to dict
@@ -84,7 +89,7 @@ class LinearDynamics:
     delay_s: float = 0.0
     effects: tuple[Effect, ...] = ()
     read_at_samples: float = 0.0
-    creep_is_read_alike: bool = True
+    creep_read_at_samples: float = 0.0
     estimates: dict[str, Estimate] = field(default_factory=dict)
     uncertainties: dict[str, dict[str, Any]] = field(default_factory=dict)
     effect_deviations: tuple[dict[str, float], ...] = ()
@@ -106,10 +111,10 @@ class LinearDynamics:
         """Delay of slow signals beside those dynamics."""
         return slow_delay_s(self.dynamics, self.all_effects)
 
-    def with_creep(self, estimate: Estimate, is_read_alike: bool) -> "LinearDynamics":
+    def with_creep(self, estimate: Estimate, read_at_samples: float) -> "LinearDynamics":
         """Estimate the model anew with the creep of a recording."""
         return replace(
-            self, creep=estimate.model, creep_is_read_alike=is_read_alike,
+            self, creep=estimate.model, creep_read_at_samples=read_at_samples,
             estimates=self.estimates | {"creep": estimate},
             uncertainties=self.uncertainties | {"creep": estimate.standard_deviations},
         )
@@ -149,7 +154,8 @@ class LinearDynamics:
         return replace(
             self.with_dynamics(estimate), creep=creep, dynamics=model.dynamics,
             delay_s=model.delay_s if is_late else 0.0,
-            effect_deviations=({"delay_s": deviations["delay_s"]},) if is_late else (),
+            effect_deviations=estimate.effect_deviations + (
+                ({"delay_s": deviations["delay_s"]},) if is_late else ()),
             uncertainties=self.uncertainties | spread | {"dynamics": deviations["dynamics"]},
         )
 
@@ -257,10 +263,12 @@ def with_lag_in_front(
 def creep_of(
     recordings: Sequence[Recording], found: LinearDynamics, is_dynamics_known: bool,
     pair_count: int | None,
-) -> tuple[Estimate, bool]:
-    """Estimate the creep, its rows read as the dynamics' unless as given leaves clearly less.
+) -> tuple[Estimate, float]:
+    """Estimate the creep, its rows read as its jumps tell, else as those of the dynamics.
 
-    What is a small shift of fast rows smears the steps of slow ones, if it is wrong.
+    Without dynamics, a jump acts at once. What is a small shift of fast rows smears the steps of
+    slow ones, if it is wrong: where jumps do not tell, rows are read as given if that leaves
+    clearly less.
 
     Parameters
     ----------
@@ -274,17 +282,23 @@ def creep_of(
     Returns
     -------
     estimate : Estimate
-    is_read_alike : bool
-        Whether the rows are read as those of the dynamics.
+    read_at_samples : float
+        Instant at which the rows are read, in sample periods after their voltage.
     """
     tried = []
-    for read_at in {found.read_at_samples, 0.0}:
+    for read_at in _creep_readings(recordings, found):
         aligned = [rows_read_at_start(each, read_as(each, read_at)) for each in recordings]
         estimate = _creep_of_aligned(aligned, found, is_dynamics_known, pair_count)
         is_alike = read_at == found.read_at_samples
         tried.append((
-            estimate.residual_rms / (1.0 if is_alike else CLEARLY_LESS), estimate, is_alike))
+            estimate.residual_rms / (1.0 if is_alike else CLEARLY_LESS), estimate, read_at))
     return min(tried, key=lambda entry: entry[0])[1:]
+
+
+def _creep_readings(recordings: Sequence[Recording], found: LinearDynamics) -> set[float]:
+    told = [] if found.dynamics.is_static else [reading_at_jumps(each) for each in recordings]
+    clear = {each for each in told if each is not None}
+    return clear if len(clear) == 1 and None not in told else {found.read_at_samples, 0.0}
 
 
 def _creep_of_aligned(
@@ -298,10 +312,24 @@ def _creep_of_aligned(
     return estimate_slow_creep(recordings, dynamics, pair_count)
 
 
+def loop_readings(hysteresis: Sequence[Recording], found: LinearDynamics) -> set[float]:
+    """Return the instants at which rows of loops may be read, in sample periods.
+
+    They are read with their voltage, as those of the dynamics, or as their jumps tell. Points of a
+    static loop are read when the stage has come to rest at their voltage. Without dynamics, a stage
+    does at once what its voltage says, so that these are alike.
+    """
+    readings = {0.0, *(read_as(each, found.read_at_samples) for each in hysteresis)}
+    if found.dynamics.is_static:
+        return readings
+    readings |= {reading_at_jumps(each) or 0.0 for each in hysteresis}
+    return readings | ({1.0} if any(map(is_point_by_point, hysteresis)) else set())
+
+
 def aligned_density(
     hysteresis: Sequence[Recording], found: LinearDynamics, before: DensityEstimate | None = None,
 ) -> tuple[DensityEstimate, float]:
-    """Estimate the density, its recordings read as the dynamics' if that explains them better.
+    """Estimate the density, its recordings read at the instant that explains them best.
 
     Parameters
     ----------
@@ -319,7 +347,7 @@ def aligned_density(
     tried = []
     smoothing = before.smoothing_weight if before is not None else None
     translation = before.translation_weight if before is not None else None
-    for read_at in {0.0, *(read_as(each, found.read_at_samples) for each in hysteresis)}:
+    for read_at in loop_readings(hysteresis, found):
         aligned = [rows_read_at_start(each, read_as(each, read_at)) for each in hysteresis]
         density = estimate_density(
             aligned, found.creep, found.slow_dynamics, smoothing_weight=smoothing,

@@ -14,7 +14,11 @@ from piezo_identification.conditioning.row_alignment import (
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.identification.given_data import Data, of_kind
-from piezo_identification.identification.linear_dynamics import LinearDynamics, aligned_density
+from piezo_identification.identification.linear_dynamics import (
+    LinearDynamics,
+    aligned_density,
+    loop_readings,
+)
 from piezo_identification.prediction.model_run import ModelRun
 from piezo_identification.prediction.row_reading import read_as_explained
 from piezo_models.cascade import StageModel
@@ -28,7 +32,8 @@ def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> di
     """Tell when the rows of every recording are read: as those of the dynamics.
 
     Creep and loops may be of another logger. Creep is read as its estimate was, loops as the
-    dynamics only if that explains them better.
+    dynamics only if that explains them better. So are points of a static loop at the end of their
+    hold.
 
     Parameters
     ----------
@@ -42,10 +47,9 @@ def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> di
     """
     loops_read_at = linear.read_at_samples
     loops = of_kind(recordings, "hysteresis")
-    if loops and any(read_as(each, loops_read_at) for each in loops):
+    if loops and loop_readings(loops, linear) != {0.0}:
         loops_read_at = aligned_density(loops, linear)[1]
-    read_at = {"creep": linear.read_at_samples if linear.creep_is_read_alike else 0.0,
-               "hysteresis": loops_read_at}
+    read_at = {"creep": linear.creep_read_at_samples, "hysteresis": loops_read_at}
     return {name: 0.0 if isinstance(data, FrequencyResponse)
             else read_as(data, read_at.get(name.split()[0], linear.read_at_samples))
             for name, data in recordings.items()}

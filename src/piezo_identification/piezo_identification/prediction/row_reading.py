@@ -3,7 +3,11 @@
 
 from collections.abc import Sequence
 
-from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
+from piezo_identification.conditioning.row_alignment import (
+    read_as,
+    reading_at_jumps,
+    rows_read_at_start,
+)
 from piezo_identification.prediction.model_run import ModelRun, conditioned
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
@@ -49,7 +53,8 @@ def read_as_explained(
     model : StageModel
     recording : Recording
     read_at_samples : sequence of float
-        Instants, in sample periods after the voltage of a row changed; 0 is always tried.
+        Instants, in sample periods after the voltage of a row changed; 0, and what jumps tell, are
+        always tried.
 
     Returns
     -------
@@ -62,6 +67,7 @@ def read_as_explained(
         If the recording has gaps, or is too short.
     """
     instants = {read_as(recording, instant) for instant in read_at_samples}
+    instants |= {reading_at_jumps(recording) or 0.0}
     if instants <= {0.0}:
         return recording, 0.0
     tried = [(rows_read_at_start(recording, instant), instant)
@@ -90,4 +96,4 @@ def rows_sentence(path: object, read_at_samples: float) -> str:
     if read_at_samples == 0.0:
         return ""
     return (f"{path}: rows are taken to be read {read_at_samples:.4g} sample periods after their "
-            "voltage, as those that the model was identified from")
+            "voltage, which the model explains better")

@@ -43,6 +43,10 @@ class Needs:
     followed : float
         Part of a jump that the displacement has done in the first row behind it, from which on
         the rows are too slow to show the dynamics.
+    steep_s, steep : float
+        Time within which cycles that cross this part of their swing are steps.
+    filtered_rows : int
+        Rows of a broadband recording, those with most motion, that are looked at for dynamics.
     taps : int
         Rows of the past that a linear filter may use to show dynamics under a broadband voltage.
     long_taps, rows_per_long_tap : int
@@ -65,6 +69,9 @@ class Needs:
     rows_per_branch: int = 20
     rows_per_ringing: float = 5.0
     followed: float = 0.9
+    steep_s: float = 2e-3
+    steep: float = 0.5
+    filtered_rows: int = 20_000
     taps: int = 30
     long_taps: int = 1000
     rows_per_long_tap: int = 20
@@ -239,7 +246,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
                                "rows in a period, and may be something faster, folded: record at "
                                "least ten times faster than the highest mode")
         return Suitability("yes", f"steps that ring or lag over several rows, {rate}")
-    if waveform.kind not in BROADBAND:
+    if waveform.kind not in BROADBAND and not _is_steep(check):
         jumps = waveform.jumps.size
         if jumps:
             return Suitability("partly", f"{jumps} jump{'s' if jumps > 1 else ''} among slow "
@@ -251,6 +258,15 @@ def _dynamics(check: RecordingCheck) -> Suitability:
                            "voltage at once")
     return Suitability("yes", f"{waveform.kind} that the displacement follows with dynamics, "
                        f"{rate}")
+
+
+def _is_steep(check: RecordingCheck) -> bool:
+    """Tell whether cycles cross most of the swing at once, as steps behind an amplifier do."""
+    if check.waveform.kind != "cycles" or check.waveform.jumps.size:
+        return False
+    rows = max(1, round(NEEDS.steep_s / check.sample_period_s))
+    crossed_v = np.abs(check.voltage_v[rows:] - check.voltage_v[:-rows])
+    return bool(crossed_v.max(initial=0.0) > NEEDS.steep * check.swing_v)
 
 
 def _validation(check: RecordingCheck) -> Suitability:
@@ -315,8 +331,12 @@ def rows_per_ringing(response: FloatArray) -> float:
 
 def _explained(voltage_v: FloatArray, displacement_um: FloatArray) -> float:
     """Return what a linear filter leaves, over what a curve of the voltage alone leaves."""
-    size = min(len(voltage_v), 20_000)
-    x, y = voltage_v[:size] / np.abs(voltage_v).max(), displacement_um[:size]
+    size = min(len(voltage_v), NEEDS.filtered_rows)
+    # A chirp begins so slowly that the displacement follows it at once: look where most happens.
+    way_um = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(displacement_um)))])
+    first = int(np.argmax(way_um[size - 1 :] - way_um[: way_um.size - size + 1]))
+    x = voltage_v[first : first + size] / np.abs(voltage_v).max()
+    y = displacement_um[first : first + size]
     past = np.column_stack([x[NEEDS.taps - lag : size - lag] for lag in range(NEEDS.taps + 1)])
     y = y[NEEDS.taps :]
     now = past[:, 0]

@@ -46,6 +46,11 @@ class KindSettings:
     full_cycle : float
         Part of the swing that most ways between reversals take, from which on they are cycles: in
         noise they are far shorter.
+    random_branches : float
+        Spread of the times between reversals, over their median, from which on ways over the whole
+        swing are noise of two levels.
+    most_cycles : int
+        Reversals up to which such ways may be cycles of any times.
     steady_order, grown : float
         Rank correlation of the ways between reversals with their order, and ratio of the last of
         them to the first, or its inverse, from which on their amplitude grows or shrinks.
@@ -76,6 +81,8 @@ class KindSettings:
     one_tone: float = 0.9
     even_branches: float = 0.15
     full_cycle: float = 0.6
+    random_branches: float = 1.0
+    most_cycles: int = 50
     steady_order: float = 0.9
     grown: float = 1.3
     jump: float = 0.05
@@ -222,10 +229,11 @@ def _repeat(voltage_v: FloatArray) -> int:
     found = np.flatnonzero(rest > SETTINGS.repeated)
     if not found.size:
         return 0
-    # The top of the first peak.
+    # The top of the first peak, which two periods alone do not come down from.
     first = int(found[0])
-    end = first + int(np.argmax(rest[first:] < SETTINGS.repeated)) or rest.size
-    return int(low[0]) + first + int(np.argmax(rest[first : max(end, first + 1)]))
+    beyond = np.flatnonzero(rest[first:] < SETTINGS.repeated)
+    end = first + int(beyond[0]) if beyond.size else rest.size
+    return int(low[0]) + first + int(np.argmax(rest[first:end]))
 
 
 def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArray,
@@ -261,7 +269,9 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
         return "cycles", (f"{slope_v:.4g} V/s in steps, {branch_s:.4g} s between reversals{again}")
     spread = np.ptp(np.quantile(branches_s, [0.1, 0.9])) if branches_s.size else 0.0
     full = heights.size > 0 and float(np.median(heights)) > SETTINGS.full_cycle
-    if full or spread <= SETTINGS.even_branches * branch_s:
+    telegraph = (branches_s.size > SETTINGS.most_cycles
+                 and spread > SETTINGS.random_branches * branch_s)
+    if full and not telegraph or spread <= SETTINGS.even_branches * branch_s:
         return "cycles", f"{branch_s:.4g} s between reversals, of no single sine{again}"
     if period or sparse < SETTINGS.sparse:
         return "multisine", f"up to {band_hz:.4g} Hz{again}"
@@ -270,7 +280,8 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
 
 def _swings_of_tone(voltage_v: FloatArray, frequency: float) -> FloatArray:
     """Return the swing of each whole period of a tone, of which the frequency is that of rows."""
-    rows = max(1, round(1.0 / frequency))
+    # One swing alone has no line but that of rest.
+    rows = max(1, round(1.0 / frequency)) if frequency else voltage_v.size
     whole = voltage_v[: voltage_v.size // rows * rows].reshape(-1, rows)
     return np.ptp(whole, axis=1)
 

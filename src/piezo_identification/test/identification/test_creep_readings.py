@@ -4,7 +4,9 @@
 import numpy as np
 import pytest
 
+from piezo_identification.conditioning.row_alignment import reading_at_jumps
 from piezo_identification.identification.linear_dynamics import LinearDynamics, creep_of
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 PERIOD_S, NOISE_UM = 0.05, 2e-3
 RATES, GAINS = np.array([0.03, 0.2, 1.5, 8.0]), np.array([0.01, 0.012, 0.012, 0.01])
@@ -25,12 +27,26 @@ def crept_um(read_at):
 
 
 @pytest.mark.parametrize("read_at", [0.0, 1.0])
+@pytest.mark.parametrize("of_dynamics", [0.0, 0.26, 1.0])
+def test_jumps_tell_when_slow_rows_are_read_whatever_those_of_the_dynamics_do(
+        recorded, read_at, of_dynamics):
+    """A voltage that is measured with the displacement jumps in the same row."""
+    recording = recorded("creep", 10.0 * LEVEL_UM, crept_um(read_at), PERIOD_S, NOISE_UM)
+    assert reading_at_jumps(recording) == read_at
+    ramp_v = np.linspace(0.0, 80.0, 2000)
+    assert reading_at_jumps(recorded("ramp", ramp_v, 0.1 * ramp_v, PERIOD_S, NOISE_UM)) is None
+    fast = ElectricVibrationDynamics(3e-4)
+    found = LinearDynamics(dynamics=fast, read_at_samples=of_dynamics)
+    assert creep_of([recording], found, True, 1)[1] == read_at
+
+
+@pytest.mark.parametrize("read_at", [0.0, 1.0])
 def test_creep_that_another_logger_recorded_is_not_shifted(recorded, read_at):
     """The dynamics' rows seem to be read 0.48 of their short period late, or are at their end."""
     found = LinearDynamics(read_at_samples=read_at or 0.48)
     recording = recorded("creep", 10.0 * LEVEL_UM, crept_um(read_at), PERIOD_S, NOISE_UM)
-    estimate, is_read_alike = creep_of([recording], found, False, None)
-    assert is_read_alike == bool(read_at)
+    estimate, found_at = creep_of([recording], found, False, None)
+    assert found_at == read_at
     frequency_hz = np.geomspace(5e-3, 2.0, 20)
     rate = 2j * np.pi * frequency_hz[:, None]
     truth = 1.0 + np.sum(GAINS * RATES / (rate + RATES), axis=1)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete, dlsim
+from scipy.signal import chirp, cont2discrete, dlsim, lfilter
 
 from piezo_identification.commands.check_command import main
 from piezo_identification.experiments import catalogue as experiments
@@ -83,6 +83,28 @@ def test_a_mode_that_rings_for_long_over_fast_rows_is_dynamics(read, kind):
     assert suitability_for(check, "dynamics").verdict == "yes"
     at_once = check_recording(read(voltage_v, 0.2 * voltage_v + noise_um, period_s))
     assert suitability_for(at_once, "dynamics").verdict == "no"
+
+
+def test_a_chirp_that_begins_slowly_is_dynamics_where_its_mode_rings(read):
+    period_s = 5e-5
+    time_s = period_s * np.arange(80_000)
+    voltage_v = 50.0 + 5.0 * chirp(time_s, 1.0, time_s[-1], 4000.0, method="logarithmic")
+    noise_um = 0.02 * np.random.default_rng(4).normal(size=time_s.size)
+    ringing_um = vibrating(voltage_v - voltage_v[0], period_s, 700.0, 0.01) + noise_um
+    check = check_recording(read(voltage_v, ringing_um, period_s))
+    assert suitability_for(check, "dynamics").verdict == "yes"
+
+
+def test_steps_measured_behind_an_amplifier_are_dynamics(read):
+    """The amplifier takes some rows, so that no level follows the other at once."""
+    period_s, random = 5e-5, np.random.default_rng(4)
+    time_s = period_s * np.arange(20_000)
+    steps_v = np.where((23.7 * time_s) % 1.0 < 0.5, 30.0, 70.0)
+    voltage_v = lfilter([0.1], [1.0, -0.9], steps_v, zi=[0.9 * 30.0])[0]
+    ringing_um = vibrating(voltage_v, period_s) + 0.005 * random.normal(size=time_s.size)
+    voltage_v += 0.01 * random.normal(size=time_s.size)
+    check = check_recording(read(voltage_v, ringing_um, period_s))
+    assert suitability_for(check, "dynamics").verdict == "yes"
 
 
 def test_noise_and_drift_are_measured(read):

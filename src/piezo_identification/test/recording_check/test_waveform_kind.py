@@ -46,6 +46,8 @@ MAKERS = {
         2 * np.pi * TIME_S + random.uniform(0, 6)),
     "multisine": multisine,
     "noise": lambda random: lfilter([1.0], [1.0, -0.9], random.normal(size=TIME_S.size)),
+    "noise of two levels behind an amplifier": lambda random: lfilter(
+        [0.5], [1.0, -0.5], np.repeat(random.choice([-1.0, 1.0], TIME_S.size // 5), 5)),
     "chirp": lambda random: chirp(TIME_S, 0.5, TIME_S[-1], 60.0, phi=random.uniform(0, 360)),
 }
 
@@ -68,6 +70,8 @@ def test_jumps_period_and_time_between_reversals_are_measured():
     sine = waveform_of(np.sin(2 * np.pi * TIME_S / 0.8), PERIOD_S)
     assert sine.branch_s == pytest.approx(0.4, rel=0.01)
     assert sine.period == 800
+    twice = waveform_of(sawtooth(2 * np.pi * TIME_S / 10.0, 0.5), PERIOD_S)
+    assert twice.period == 10_000
     swept = waveform_of(chirp(TIME_S, 2.0, TIME_S[-1], 40.0), PERIOD_S)
     low, high = (float(word) for word in swept.text.removesuffix(" Hz").split(" to "))
     assert low == pytest.approx(2.0, rel=0.5) and high == pytest.approx(40.0, rel=0.1)
@@ -99,3 +103,9 @@ def test_a_sine_with_short_steps_is_no_square_wave():
     voltage_v = 40.0 * time_s * np.sin(2.0 * np.pi * 5.0 * time_s) + 4.0 * np.repeat(
         random.normal(size=3000), 5)
     assert waveform_of(voltage_v, 1e-4).kind == "cycles"
+
+
+def test_points_of_a_single_loop_have_a_kind():
+    points_v = np.concatenate([np.linspace(0.0, 100.0, 21), np.linspace(95.0, 0.0, 20)])
+    assert waveform_of(points_v, 2.0).kind == "triangle"
+    assert waveform_of(50.0 - 50.0 * np.cos(np.pi * points_v / 50.0), 2.0).kind != "constant"

@@ -10,6 +10,7 @@ from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.reading.tables.table import Table, listing
 from piezo_recorder.reading.units import (
     SIGNALS,
+    is_unit,
     name_and_unit,
     scale_of,
     signal_of_unit,
@@ -128,8 +129,7 @@ def guessed_labels(table: Table, signal: str, labels: Iterable[str]) -> list[str
 
 
 def _score(table: Table, signal: str, label: str) -> int:
-    name, unit = name_and_unit(label)
-    unit = table.units.get(label) or unit
+    name, unit = name_and_unit(label)[0], _unit(table, label)
     of = signal_of_unit(unit) if unit else None
     if unit and of != signal:
         return 0
@@ -140,6 +140,12 @@ def _score(table: Table, signal: str, label: str) -> int:
         return score + OF_WORD
     last = name.rpartition(".")[2].strip().lower()
     return score + OF_LETTER if last in LETTERS[signal] else score
+
+
+def _unit(table: Table, label: str) -> str:
+    """Unit of a column; beside units alone, ``s`` is seconds and no way."""
+    unit = table.units.get(label) or name_and_unit(label)[1]
+    return unit or (label if all(map(is_unit, table.columns)) else "")
 
 
 def _only(table: Table, signal: str, best: list[str]) -> str:
@@ -162,7 +168,7 @@ def _only(table: Table, signal: str, best: list[str]) -> str:
 
 
 def _source(table: Table, signal: str, label: str, wish: SignalColumn | None) -> SignalSource:
-    unit = (wish.unit if wish else "") or table.units.get(label) or name_and_unit(label)[1]
+    unit = (wish.unit if wish else "") or _unit(table, label)
     factor = wish.factor if wish else 1.0
     if unit and (wish and wish.unit or signal_of_unit(unit) == signal):
         return SignalSource(label, factor * scale_of(signal, unit))

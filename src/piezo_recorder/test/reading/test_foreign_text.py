@@ -72,10 +72,11 @@ def rows(delimiter=",", scales=(1.0, 1.0, 1.0)):
         for row in zip(TIME_S, VOLTAGE_V, DISPLACEMENT_UM, strict=True))
 
 
-@pytest.mark.parametrize("header", ["# ms\tV\tum\n", "ms\tV\tnm\n", "[ms]\t[V]\t[um]\n"])
+@pytest.mark.parametrize("header", [
+    "# ms\tV\tum\n", "ms\tV\tnm\n", "[ms]\t[V]\t[um]\n", "s\tV\tµm\n"])
 def test_units_alone_tell_the_columns(tmp_path, header):
-    scale = 1e3 if "nm" in header else 1.0
-    recording = read_recording(write(tmp_path, header + rows("\t", (1e3, 1.0, scale))))
+    time, way = 1e3 if "ms" in header else 1.0, 1e3 if "nm" in header else 1.0
+    recording = read_recording(write(tmp_path, header + rows("\t", (time, 1.0, way))))
     assert recording.notes == []
     assert recording.sample_period_s == pytest.approx(1e-3)
     np.testing.assert_allclose(recording.voltage_v, VOLTAGE_V)

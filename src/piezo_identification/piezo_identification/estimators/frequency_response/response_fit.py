@@ -29,11 +29,13 @@ from piezo_identification.estimators.frequency_response.response_model import (
 from piezo_identification.estimators.frequency_response.response_standing import (
     FASTEST,
     lack_of_standing,
+    without_idle,
 )
 from piezo_identification.estimators.frequency_response.vector_fitting import (
     residues_error,
     vector_fit,
 )
+from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 MOST_STATES = 20
@@ -62,6 +64,20 @@ QUICK_EVALUATIONS = 12
 
 BEAM = 2
 """Orders with as many modes that are followed further: the best may not lead to the best."""
+
+LAGGING_DAMPING, LAGGING_STARTS = 0.7, 4
+"""Damping ratio, and number of frequencies over the upper band, of modes that ring no more: an
+amplifier of second order is none of the resonances."""
+
+SIDE_DAMPINGS, SIDE_PARTS = (1e-3, 0.4), (-2.0, 3.0)
+"""Damping ratios of a mode beside others, and parts of the displacement that it adds: those of the
+effect ``vibration_mode``."""
+
+MODE_FIELDS = ("frequency_rad_per_s", "damping_ratio", "participation")
+"""Of a mode beside others, in the order in which the vector holds them."""
+
+MOST_LEFT_OUT = 8
+"""Refused orders from which what they do not need is left out."""
 
 DELAYS = 9
 """Delays from which the fit is tried, up to a period of the highest frequency that is strong."""
@@ -136,30 +152,39 @@ def _estimate(
     spread = np.sqrt(np.diag(parameter_covariance(best.jacobian, best.residual)))
     ascending = _ascending(best.vector, chosen)
     vector, spread = best.vector[ascending], spread[ascending]
+    # The parts of modes beside others, at the end, are no logarithms.
+    logarithms = slice(1, vector.size - chosen.beside)
+    spread[logarithms] *= np.exp(vector[logarithms])
+    model = fit.model(vector, chosen)
+    deviations = fit.fields(spread[1:], spread[0], chosen)
     return Estimate(
-        fit.model(vector, chosen),
-        fit.fields(np.exp(vector[1:]) * spread[1:], spread[0], chosen), chosen,
-        tuple(entry.trial for entry in fits.values()), None not in astuple(order),
+        model, {name: deviations[name] for name in ("gain", "delay_s", "creep", "dynamics")},
+        chosen, tuple(entry.trial for entry in fits.values()), None not in astuple(order),
+        effects=model.beside, effect_deviations=tuple(deviations["beside"]),
     )
 
 
 def _ascending(vector: FloatArray, order: ResponseOrder) -> FloatArray:
     """List the indices that put the components of every kind into the order of frequency."""
-    head, poles, zeros, lag, modes, dampings, antiresonances, their_dampings = np.split(
-        np.arange(vector.size), np.cumsum([
-            2, order.creep_pairs, order.creep_pairs, 1, order.modes, order.modes,
-            order.antiresonances]))
+    (head, poles, zeros, lag, modes, dampings, antiresonances, their_dampings, side, side_dampings,
+     parts) = np.split(np.arange(vector.size), np.cumsum([
+         2, order.creep_pairs, order.creep_pairs, 1, order.modes, order.modes,
+         *2 * [order.antiresonances], *2 * [order.beside]]))
     by_mode, by_antiresonance = np.argsort(vector[modes]), np.argsort(vector[antiresonances])
+    by_side = np.argsort(vector[side])
     return np.concatenate([
         head, poles[np.argsort(vector[poles])], zeros[np.argsort(vector[zeros])], lag,
         modes[by_mode], dampings[by_mode], antiresonances[by_antiresonance],
-        their_dampings[by_antiresonance],
+        their_dampings[by_antiresonance], side[by_side], side_dampings[by_side], parts[by_side],
     ])
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """Parameters of one order: the delay over its longest, and logarithms of the others."""
+    """Parameters of one order: the delay over its longest, and logarithms of the others.
+
+    Parts of modes beside others come last, as they are.
+    """
 
     vector: FloatArray
     residual: FloatArray
@@ -225,7 +250,71 @@ class _ResponseFit:
             if wanted.modes is None and without_gain == PATIENCE:
                 break
         self._begin_again_from_smaller_orders(fits)
+        if wanted.modes is None and wanted.antiresonances is None:
+            self._set_side_by_side(fits, most_states)
+        self._leave_out_idle(fits, wanted)
+        self._begin_again_from_smaller_orders(fits)
         return fits
+
+    def _leave_out_idle(self, fits: dict[ResponseOrder, _Fit], wanted: ResponseOrder) -> None:
+        """Begin smaller orders from the best refused ones, without what these do not need.
+
+        A beam that follows few orders may not pass by them.
+        """
+        refused = [order for order in fits if fits[order].trial.refusal]
+        best = sorted(refused, key=lambda order: fits[order].trial.information)[:MOST_LEFT_OUT]
+        for order in best:
+            while True:
+                fit = fits[order]
+                covariance = parameter_covariance(fit.jacobian, fit.residual)
+                start, smaller = without_idle(fit.vector, order, covariance, self.rate[-1])
+                if smaller == order or not wanted.grants(smaller):
+                    break
+                again = self.solve(smaller, start)
+                if smaller in fits and fits[smaller].cost <= again.cost:
+                    break
+                fits[smaller], order = again, smaller
+
+    def _set_side_by_side(self, fits: dict[ResponseOrder, _Fit], most_states: int) -> None:
+        """Add modes beside one in series, one by one, and then one that only lags to all.
+
+        Modes that add up have their zeros anywhere, those that follow each other on the left.
+        """
+        pairs = min(fits, key=lambda order: fits[order].trial.information).creep_pairs
+        order = ResponseOrder(pairs, 1, 0)
+        without_gain = 0
+        while order in fits and without_gain < PATIENCE:
+            grown = replace(order, beside=order.beside + 1)
+            if grown.states > most_states or grown.beside >= self.resonances.size:
+                break
+            fits[grown] = self._best_mode_beside(order, fits[order], grown)
+            gain = fits[order].trial.information - fits[grown].trial.information
+            without_gain = 0 if gain > 0.0 else without_gain + 1
+            order = grown
+        for found in [found for found in fits if found.beside]:
+            lagging = replace(found, modes=2)
+            if lagging.states <= most_states:
+                fits[lagging] = self._best_further_mode(found, fits[found].vector, lagging)
+
+    def _best_mode_beside(self, order: ResponseOrder, fit: _Fit, grown: ResponseOrder) -> _Fit:
+        """Fit with one more mode beside the others, begun at the resonance that explains most."""
+        rest, parts = np.split(fit.vector, [fit.vector.size - order.beside])
+        head, frequencies, dampings = np.split(rest, rest.size - order.beside * np.array([2, 1]))
+        starts = []
+        for pole in self.resonances:
+            damping = np.clip(-pole.real / abs(pole), *SIDE_DAMPINGS)
+
+            def start(part: float, w: float = abs(pole), zeta: float = damping) -> FloatArray:
+                return np.concatenate([
+                    head, frequencies, [np.log(w)], dampings, [np.log(zeta)], parts, [part]])
+
+            slope = self._jacobian(start(0.0), grown)[:, -1]
+            part = float(np.clip(-slope @ fit.residual / (slope @ slope), *SIDE_PARTS))
+            left = fit.residual + part * slope
+            starts.append((float(left @ left), start(part)))
+        starts.sort(key=lambda entry: entry[0])
+        return min((self.solve(grown, vector) for _, vector in starts[:BEAM]),
+                   key=lambda entry: entry.cost)
 
     def _begin_again_from_smaller_orders(self, fits: dict[ResponseOrder, _Fit]) -> None:
         """Begin orders that leave more than a smaller one from that one."""
@@ -289,7 +378,8 @@ class _ResponseFit:
         Begun too where the mode adds nothing: above the band, or with an antiresonance upon it.
         """
         parts = np.split(vector, 2 + np.cumsum([
-            2 * order.creep_pairs + 1, order.modes, order.modes, order.antiresonances]))
+            2 * order.creep_pairs + 1, order.modes, order.modes,
+            *2 * [order.antiresonances]]))
         has_zero = grown.antiresonances > order.antiresonances
         # Just beside the mode: that side of it on which the antiresonance lies is not known.
         starts: list[tuple[float, float, list[float]]] = [
@@ -297,12 +387,15 @@ class _ResponseFit:
             for pole in self.resonances for place in ((0.95, 1.05) if has_zero else (1.0,))]
         idle = float(np.sqrt(self.rate[0] * self.rate[-1])) if has_zero else (
             0.9 * FASTEST * self.rate[-1])
-        starts.append((idle, 0.7, [idle] * has_zero))
+        starts.append((idle, LAGGING_DAMPING, [idle] * has_zero))
+        if not has_zero:
+            lagging = np.geomspace(0.1 * self.rate[-1], self.rate[-1], LAGGING_STARTS)
+            starts += [(frequency, LAGGING_DAMPING, []) for frequency in lagging.tolist()]
         quick = []
         for frequency, damping, zero in starts:
             start = np.concatenate([
                 parts[0], parts[1], [np.log(frequency)], parts[2], [np.log(damping)],
-                parts[3], np.log(zero), parts[4], np.log([damping] * len(zero)),
+                parts[3], np.log(zero), parts[4], np.log([damping] * len(zero)), parts[5],
             ])
             quick.append(self.solve(grown, start, QUICK_EVALUATIONS))
         return self.solve(grown, min(quick, key=lambda fit: fit.cost).vector)
@@ -332,6 +425,8 @@ class _ResponseFit:
         limits += [[-fastest, -np.log(self.rate[0])]]
         limits += order.modes * [band] + order.modes * [damping]
         limits += order.antiresonances * [band] + order.antiresonances * [damping]
+        limits += order.beside * [band] + order.beside * [np.log(SIDE_DAMPINGS)]
+        limits += order.beside * [SIDE_PARTS]
         return np.array(limits).T
 
     def _residual(self, vector: FloatArray, order: ResponseOrder) -> FloatArray:
@@ -352,30 +447,60 @@ class _ResponseFit:
         by_antiresonance = _quadratic_slopes(
             s, model.dynamics.antiresonance_frequencies_rad_per_s,
             model.dynamics.antiresonance_damping_ratios)
-        slopes = np.hstack([
-            -s * self.longest_delay_s, np.ones_like(s), -poles / (s + poles), zeros / (s + zeros),
-            -lag / (1.0 + lag), *(-slope for slope in by_mode), *by_antiresonance,
-        ]) * model.response(self.measured.frequency_hz)[:, None]
-        return np.vstack([slopes.real, slopes.imag])
+        whole = model.response(self.measured.frequency_hz)[:, None]
+        series = whole
+        if model.beside:
+            series = replace(model, beside=()).response(self.measured.frequency_hz)[:, None]
+        in_series = np.hstack([*(-slope for slope in by_mode), *by_antiresonance])
+        slopes = [
+            np.hstack([-s * self.longest_delay_s, np.ones_like(s), -poles / (s + poles),
+                       zeros / (s + zeros), -lag / (1.0 + lag)]) * whole,
+            in_series * series * (1.0 - sum(mode.participation for mode in model.beside)),
+            *self._slopes_beside(model, series),
+        ]
+        columns = np.hstack(slopes)
+        return np.vstack([columns.real, columns.imag])
+
+    def _slopes_beside(self, model: ResponseModel, series: ComplexArray) -> list[ComplexArray]:
+        """Differentiate by frequencies, dampings and parts of the modes beside those in series."""
+        if not model.beside:
+            return []
+        s = 1j * self.rate[:, None]
+        frequencies, dampings, parts = (tuple(numbers) for numbers in zip(
+            *map(astuple, model.beside), strict=True))
+        alone = replace(model, dynamics=replace(
+            model.dynamics, mode_frequencies_rad_per_s=(), damping_ratios=(),
+            antiresonance_frequencies_rad_per_s=(), antiresonance_damping_ratios=()), beside=())
+        before = alone.response(self.measured.frequency_hz)[:, None]
+        ratio = s / np.array(frequencies)
+        own = before / (ratio**2 + 2.0 * np.array(dampings) * ratio + 1.0)
+        return [*(-slope * own * np.array(parts)
+                  for slope in _quadratic_slopes(s, frequencies, dampings)), own - series]
 
     def model(self, vector: FloatArray, order: ResponseOrder) -> ResponseModel:
         """Model with these parameters."""
-        fields = self.fields(np.exp(vector[1:]), vector[0], order)
+        positive, parts = np.split(vector[1:], [vector.size - 1 - order.beside])
+        fields = self.fields(np.append(np.exp(positive), parts), vector[0], order)
         return ResponseModel(
             fields["gain"], fields["delay_s"], CreepDynamics(**fields["creep"]),
             ElectricVibrationDynamics(**fields["dynamics"]),
+            tuple(VibrationMode(**mode) for mode in fields["beside"]),
         )
 
     def fields(
         self, values: FloatArray, delay: float, order: ResponseOrder,
     ) -> dict[str, Any]:
         """Fields of a model, or their standard deviations, from one number for each parameter."""
-        gain, poles, zeros, rest = np.split(values, np.cumsum([1, *2 * [order.creep_pairs]]))
+        gain, poles, zeros, rest, *side = np.split(values, np.cumsum([
+            1, *2 * [order.creep_pairs], 1 + 2 * (order.modes + order.antiresonances),
+            *2 * [order.beside]]))
         return {
             "gain": float(gain[0]), "delay_s": float(delay * self.longest_delay_s),
             "creep": {"poles_rad_per_s": tuple(poles.tolist()),
                       "zeros_rad_per_s": tuple(zeros.tolist())},
             "dynamics": split_dynamics_vector(rest, order.modes, order.antiresonances),
+            "beside": [dict(zip(MODE_FIELDS, map(float, numbers), strict=True))
+                       for numbers in zip(*side, strict=True)],
         }
 
 

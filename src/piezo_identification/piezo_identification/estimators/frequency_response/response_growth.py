@@ -16,7 +16,7 @@ CANCELLED_DAMPING = 0.3
 
 def holds(large: ResponseOrder, small: ResponseOrder) -> bool:
     """Tell whether every model of the smaller order is a limit of those of the larger one."""
-    return all((one or 0) >= (other or 0) for one, other in (
+    return large.beside == small.beside and all((one or 0) >= (other or 0) for one, other in (
         (large.creep_pairs, small.creep_pairs), (large.modes, small.modes),
         (large.antiresonances, small.antiresonances)))
 
@@ -27,13 +27,13 @@ def embedded(
     """Return the vector of a larger order that makes what one of a smaller order makes.
 
     Further creep pairs cancel themselves; a further mode has an antiresonance upon it, or lies far
-    above the band, as does a further antiresonance.
+    above the band, as does a further antiresonance. Modes beside others are as many in both.
 
     Parameters
     ----------
     vector : ndarray, shape (P,)
         Delay, logarithms of gain, creep poles, creep zeros, lag, modes, dampings, antiresonances
-        and their dampings.
+        and their dampings; then frequencies, dampings and parts of modes beside others.
     small, large : ResponseOrder
     rate_rad_per_s : ndarray, shape (N,)
         Measured frequencies, increasing.
@@ -43,8 +43,8 @@ def embedded(
     ndarray, shape (Q,)
     """
     pairs, modes, zeros = small.creep_pairs or 0, small.modes or 0, small.antiresonances or 0
-    head, p, z, lag, w, zeta, wz, zetaz = np.split(
-        vector, np.cumsum([2, pairs, pairs, 1, modes, modes, zeros]))
+    head, p, z, lag, w, zeta, wz, zetaz, beside = np.split(
+        vector, np.cumsum([2, pairs, pairs, 1, modes, modes, zeros, zeros]))
     middle = np.sqrt(rate_rad_per_s[0] * rate_rad_per_s[-1])
     count = (large.creep_pairs or 0) - pairs
     creep = np.log(np.geomspace(rate_rad_per_s[0], middle, count + 2)[1:-1])
@@ -61,4 +61,5 @@ def embedded(
 
     (more_w, more_zeta), (more_wz, more_zetaz) = further(further_modes), further(further_zeros)
     return np.concatenate([
-        head, p, creep, z, creep, lag, w, more_w, zeta, more_zeta, wz, more_wz, zetaz, more_zetaz])
+        head, p, creep, z, creep, lag, w, more_w, zeta, more_zeta, wz, more_wz, zetaz, more_zetaz,
+        beside])

@@ -14,7 +14,10 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     _ResponseFit,
     estimate_from_response,
 )
+from piezo_identification.estimators.frequency_response.response_standing import without_idle
 from piezo_identification.estimators.frequency_response.vector_fitting import vector_fit
+from piezo_identification.identification.linear_dynamics import LinearDynamics
+from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 FREQUENCY_HZ = np.geomspace(1.0, 2000.0, 200)
@@ -75,10 +78,13 @@ def test_standard_deviations_are_those_of_repeated_draws():
     assert np.sqrt(np.mean(np.square(normalised), axis=0)) == pytest.approx(1.0, abs=0.5)
 
 
-def test_the_jacobian_is_that_of_the_response():
+@pytest.mark.parametrize("order, further, parts", [
+    (ResponseOrder(1, 1, 1), (), ()),
+    (ResponseOrder(1, 1, 1, 2), (3300.0, 5000.0, 0.02, 0.04), (0.3, -0.2))])
+def test_the_jacobian_is_that_of_the_response(order, further, parts):
     fit = _ResponseFit(measured(0))
-    vector = np.concatenate([[0.5], np.log([0.6, 20.0, 26.0, 3e-4, 2300.0, 0.02, 2400.0, 0.03])])
-    order = ResponseOrder(1, 1, 1)
+    vector = np.concatenate([[0.5], np.log([
+        0.6, 20.0, 26.0, 3e-4, 2300.0, 0.02, 2400.0, 0.03, *further]), parts])
     for column, step in zip(
         fit._jacobian(vector, order).T, 1e-6 * np.eye(vector.size), strict=True
     ):
@@ -112,6 +118,52 @@ def test_the_error_never_grows_with_the_order(seed):
                     astuple(small.order), astuple(large.order), strict=True)):
                 assert large.residual_rms < (1.0 + 1e-3) * small.residual_rms, (
                     str(small.order), str(large.order))
+
+
+def side_by_side(*modes, series=(4000.0,)):
+    """Modes that add up, the last of them against the others: zeros in the right half plane."""
+    return ResponseModel(
+        0.25, 6e-5, CreepDynamics(),
+        ElectricVibrationDynamics(1e-4, series, (0.012,) * len(series)),
+        tuple(VibrationMode(*mode) for mode in modes))
+
+
+def test_modes_that_add_up_are_found_where_zeros_lie_in_the_right_half_plane():
+    truth = side_by_side((7400.0, 0.02, -0.6))
+    assert truth.linear().zeros().real.max() > 0.0
+    estimate = estimate_from_response(measured(4, model=truth), most_states=5)
+    assert str(estimate.order) == "0+1-0+1"
+    assert estimate.model.error(measured(4, 0.0, truth)) < 2e-3
+    (mode,), (deviations,) = estimate.effects, estimate.effect_deviations
+    assert abs(mode.participation + 0.6) < 4.0 * deviations["participation"]
+    assert abs(mode.frequency_rad_per_s - 7400.0) < 4.0 * deviations["frequency_rad_per_s"]
+    found = LinearDynamics().with_response(estimate)
+    assert [effect.name for effect in found.all_effects] == ["vibration_mode", "delay"]
+    assert [set(each) for each in found.effect_deviations] == [set(deviations), {"delay_s"}]
+
+
+@pytest.mark.long
+def test_an_amplifier_of_second_order_is_a_mode_that_only_lags():
+    truth = ResponseModel(0.25, 0.0, CreepDynamics(), ElectricVibrationDynamics(
+        3e-5, (4000.0, 7400.0, 9400.0), (0.012, 0.02, 0.8), (5700.0,), (0.02,)))
+    estimate = estimate_from_response(measured(4, 3e-4, truth), most_states=8)
+    assert str(estimate.order) == "0+3-1"
+    assert estimate.model.error(measured(4, 0.0, truth)) < 2e-3
+
+
+@pytest.mark.parametrize("vector, order, kept", [
+    ([0.0, 1.0, 2.0, 8.0, 9.0, -3.0, -4.0, 8.5, 30.0, -3.0, -5.0], ResponseOrder(0, 2, 2),
+     [0, 1, 2, 3, 4, 5, 6, 7, 9]),
+    ([0.0, 1.0, 2.0, 8.0, -3.0, 8.5, 8.6, -3.0, -4.0, 0.3, 1e-4], ResponseOrder(0, 1, 0, 2),
+     [0, 1, 2, 3, 4, 5, 7, 9]),
+    ([0.0, 1.0, 2.0, 30.0, -3.0, 8.0, -4.0], ResponseOrder(0, 1, 1), range(7))])
+def test_what_is_idle_is_left_out(vector, order, kept):
+    """A zero above the band, a mode that moves nothing; not a mode whose zero would stay alone."""
+    vector = np.array(vector)
+    smaller, found = without_idle(vector, order, 1e-6 * np.eye(vector.size), np.exp(10.0))
+    np.testing.assert_array_equal(smaller, vector[list(kept)])
+    assert (found == order) == (smaller.size == vector.size)
+    assert smaller.size == 3 + 2 * (found.modes + found.antiresonances) + 3 * found.beside
 
 
 @pytest.mark.long
