@@ -143,7 +143,7 @@ def _score(table: Table, signal: str, label: str) -> int:
 
 
 def _unit(table: Table, label: str) -> str:
-    """Unit of a column; beside units alone, ``s`` is seconds and no way."""
+    """Return the unit of a column; beside units alone, ``s`` is seconds and no way."""
     unit = table.units.get(label) or name_and_unit(label)[1]
     return unit or (label if all(map(is_unit, table.columns)) else "")
 
