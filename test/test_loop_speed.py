@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The benchmark of the closed loop takes its speed from what the stage tells while it tracks."""
+"""The benchmark of the closed loop: what the stage tells makes its speed, and no run is refused."""
 
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
@@ -11,17 +12,22 @@ OWN_MODULES = "loop_speed", "processes", "stage_model"
 
 
 @pytest.fixture
-def speed_of(monkeypatch, tmp_path):
+def loop_speed(monkeypatch):
     monkeypatch.syspath_prepend(BENCHMARKS)
     import loop_speed
 
+    yield loop_speed
+    for name in OWN_MODULES:
+        sys.modules.pop(name)
+
+
+@pytest.fixture
+def speed_of(loop_speed, monkeypatch, tmp_path):
     def speed_of(progress):
         monkeypatch.setattr(loop_speed, "_track", lambda *arguments: progress)
         return loop_speed.closed_loop(tmp_path, 20.0)
 
-    yield speed_of
-    for name in OWN_MODULES:
-        sys.modules.pop(name)
+    return speed_of
 
 
 def test_the_speed_is_that_between_the_first_and_the_last_message(speed_of):
@@ -32,3 +38,12 @@ def test_the_speed_is_that_between_the_first_and_the_last_message(speed_of):
 def test_a_loop_that_is_over_before_the_stage_told_twice_is_refused(speed_of, progress):
     with pytest.raises(ValueError, match="track for longer"):
         speed_of(progress)
+
+
+def test_round_trips_are_timed_however_many_answers_are_late(loop_speed, monkeypatch, tmp_path):
+    def track(directory, duration_s, executables, modules):
+        assert executables["controller"]["max_late_percent"] == 100.0
+        np.save(modules["model_stage_node"]["round_trips_file"], np.arange(502.0))
+
+    monkeypatch.setattr(loop_speed, "_track", track)
+    assert loop_speed.tick_round_trips(tmp_path, 5.0).tolist() == [500.0, 501.0]
