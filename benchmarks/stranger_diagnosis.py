@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Time the diagnosis of a stage that shares no form with the model: python stranger_diagnosis.py.
+
+The stage is that of generalised plays of `piezo_studies.recording_kinds`. The model is identified
+once, and kept in the folder; its recordings are asked with up to 50,000 rows each.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from piezo_identification.commands.identify_command import main as identify
+from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.joint.identification_recordings import (
+    IdentificationRecordings,
+)
+from piezo_models.model_file import load_model
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+from piezo_studies.recording_kinds.stages import PlayStage
+from piezo_studies.recording_kinds.trials import NOISE, recorded
+from piezo_studies.recording_kinds.waveforms import KINDS, Played, validation
+
+WAVEFORMS = {"creep": KINDS["creep"]["square wave"], "dynamics": KINDS["dynamics"]["steps"],
+             "hysteresis": KINDS["hysteresis"]["nested triangles"], "validation": validation}
+"""Of the identification."""
+
+PERIOD_S, LEVEL_S, LEVELS_V = 5e-5, 0.02, (5.0, 95.0)
+REPEATS = {"creep": 10, "dynamics": 3, "hysteresis": 10, "validation": 4}
+"""Rows of each of them that are asked, for one row from which the model is identified."""
+
+GAP_UM, CLIPPED_V, WALK = 0.12, (8.0, 74.0), 1.4e-3
+
+
+def as_it_was(voltage_v, displacement_um):
+    """Return the displacement of the stage as it was identified."""
+    return displacement_um
+
+
+def with_play(voltage_v, displacement_um):
+    """Follow the displacement with a play."""
+    behind_um, last = np.empty_like(displacement_um), displacement_um[0]
+    for n, place in enumerate(displacement_um):
+        behind_um[n] = last = min(max(last, place - 0.5 * GAP_UM), place + 0.5 * GAP_UM)
+    return behind_um
+
+
+def with_wandering_gain(voltage_v, displacement_um):
+    """Multiply by a random walk: no effect on the list does that."""
+    steps = np.random.default_rng(5).normal(scale=WALK, size=displacement_um.size // 400 + 2)
+    return displacement_um * (1.0 + np.interp(
+        np.arange(displacement_um.size) / 400.0, np.arange(steps.size), np.cumsum(steps)))
+
+
+CASES = {"none": as_it_was, "play": with_play, "wandering gain": with_wandering_gain,
+         "clipped": as_it_was}
+
+
+def recording(path, played, behind=as_it_was, seed=0):
+    """Record the stage under a voltage, with noise.
+
+    Parameters
+    ----------
+    path : str
+    played : Played
+    behind : callable
+        One of `CASES`.
+    seed : int
+        Of the noise.
+
+    Returns
+    -------
+    Recording
+    """
+    displacement_um = behind(played.voltage_v, PlayStage().displacement_um(
+        played.voltage_v, played.period_s))
+    count = displacement_um.size
+    noise_um = NOISE * np.ptp(displacement_um) * np.random.default_rng(seed).normal(size=count)
+    return Recording(
+        path=path, sample_rate_hz=1.0 / played.period_s, sample_index=np.arange(count),
+        sample_periods_s=np.full(count, played.period_s), voltage_v=played.voltage_v,
+        displacement_um=displacement_um + noise_um,
+        flags=np.full(count, Flag.PLAYING, dtype=np.uint32))
+
+
+def identified(folder):
+    """Return the model of the stage, identified from short recordings unless the folder has it.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    StageModel
+    """
+    path = folder / "model.json"
+    if not path.exists():
+        given = [
+            argument for name, waveform in WAVEFORMS.items()
+            for argument in (
+                f"--{name}", str(recorded("plays", name, waveform(), "plain", folder)))]
+        identify([*given, "--output", str(path), "--no-report"])
+    return load_model(path).model
+
+
+def old_recordings():
+    """Return longer recordings of what the model was identified from."""
+    found = []
+    for seed, (name, waveform) in enumerate(WAVEFORMS.items()):
+        played, repeats = waveform(), REPEATS[name]
+        longer = Played(played.period_s / repeats, np.repeat(played.voltage_v, repeats))
+        found.append(recording(name, longer, seed=seed))
+    return found
+
+
+def main():
+    """Diagnose the cases that are asked for, and print verdict, processor and wall time."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("case", nargs="*", help=f"of {', '.join(CASES)}; by default all")
+    parser.add_argument("--samples", type=int, default=200_000)
+    parser.add_argument("--folder", type=Path, default=Path("runs/stranger"))
+    options = parser.parse_args()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    model = identified(options.folder)
+    known = IdentificationRecordings(tuple(old_recordings()), ())
+    rows = round(LEVEL_S / PERIOD_S)
+    for case in options.case or CASES:
+        levels_v = np.random.default_rng(100).uniform(*LEVELS_V, -(-options.samples // rows))
+        voltage_v = np.repeat(levels_v, rows)[: options.samples]
+        reached_v = np.clip(voltage_v, *CLIPPED_V) if case == "clipped" else voltage_v
+        new = recording(case, Played(PERIOD_S, reached_v), CASES[case], 50)
+        new.voltage_v[:] = voltage_v
+        begun_s, used_s = time.perf_counter(), time.process_time()
+        found = diagnose(model, [new], identified_from=known)
+        print(f"{case}, {options.samples:,} rows: {found.verdict} "
+              f"{[effect['name'] for effect in found.effects]}, "
+              f"{time.process_time() - used_s:.1f} s of a processor, "
+              f"{time.perf_counter() - begun_s:.1f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
