@@ -199,6 +199,8 @@ def _split(simulated: Sequence[SimulatedRecording], undivided: int,
             chunks = budget // SPLIT.chunk
             room = settled.size // chunks
             shift = np.random.default_rng(0).integers(0, room - SPLIT.chunk + 1, chunks)
+            # The beginning alone shows how far the creep had come.
+            shift[0] = 0
             starts = part.begin + np.arange(chunks) * room + shift
             chosen = (starts[:, None] + np.arange(SPLIT.chunk)).ravel()
         else:
