@@ -52,6 +52,18 @@ def between(near: FloatArray, far: FloatArray, part: float, level: int) -> float
     """Return the function at a level of one voltage, as a part of the way between two of the other.
 
     It lacks the correction of the other's cell on the diagonal, where the density is a triangle.
+
+    Parameters
+    ----------
+    near, far : ndarray, shape (n + 1,)
+        The Everett function over the levels of the one voltage, um, at two levels of the other.
+    part : float
+        Of the way from `near` to `far`.
+    level : int
+
+    Returns
+    -------
+    float
     """
     return near[level] + part * (far[level] - near[level])
 
