@@ -111,8 +111,9 @@ def parameter_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) ->
     for surface in _surfaces(model):
         multiplied = _times(replace(model.hysteresis, offset_um=0.0), surface)
         columns.append(part.respond(linear, part.hysteresis_output_um(multiplied), at=rows))
-    more_reversible_um = part.hysteresis_output_um(_traded(model.hysteresis, 1.0))
-    columns.append(part.respond(linear, more_reversible_um - part.hysteresis_um, at=rows))
+    reversible_um, given_um = map(
+        part.hysteresis_output_um, (_traded(model.hysteresis, 1.0), model.hysteresis))
+    columns.append(part.respond(linear, reversible_um - given_um, at=rows))
     return np.column_stack(columns) @ _width_map(model)
 
 
