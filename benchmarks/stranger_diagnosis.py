@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Time the diagnosis of a stage that shares no form with the model: python stranger_diagnosis.py.
+"""Time the diagnosis of a stage that shares no form with the model.
 
-The stage is that of generalised plays of `piezo_studies.recording_kinds`. The model is identified
-once, and kept in the folder; its recordings are asked with up to 50,000 rows each.
+`python stranger_diagnosis.py [CASE...]` takes the stage of generalised plays of
+`piezo_studies.recording_kinds`. The model is identified once, and kept in the folder. The
+recordings of its identification are fitted, too, with up to 50,000 rows each.
 """
 
 import argparse
@@ -28,10 +29,18 @@ WAVEFORMS = {"creep": KINDS["creep"]["square wave"], "dynamics": KINDS["dynamics
 """Of the identification."""
 
 PERIOD_S, LEVEL_S, LEVELS_V = 5e-5, 0.02, (5.0, 95.0)
+"""Period of the rows that are diagnosed, how long each level of the voltage lasts, and between
+which the levels are drawn."""
+
 REPEATS = {"creep": 10, "dynamics": 3, "hysteresis": 10, "validation": 4}
 """Rows of each of them that are asked, for one row from which the model is identified."""
 
-GAP_UM, CLIPPED_V, WALK = 0.12, (8.0, 74.0), 1.4e-3
+GAP_UM = 0.12
+"""Of the play."""
+CLIPPED_V = 8.0, 74.0
+"""Between which an amplifier clips the voltage."""
+WALK_SAMPLES, WALK = 400, 1.4e-3
+"""After how many samples the gain takes another step, and the standard deviation of the steps."""
 
 
 def as_it_was(voltage_v, displacement_um):
@@ -49,9 +58,9 @@ def with_play(voltage_v, displacement_um):
 
 def with_wandering_gain(voltage_v, displacement_um):
     """Multiply by a random walk: no effect on the list does that."""
-    steps = np.random.default_rng(5).normal(scale=WALK, size=displacement_um.size // 400 + 2)
-    return displacement_um * (1.0 + np.interp(
-        np.arange(displacement_um.size) / 400.0, np.arange(steps.size), np.cumsum(steps)))
+    passed = np.arange(displacement_um.size) / WALK_SAMPLES
+    steps = np.random.default_rng(5).normal(scale=WALK, size=int(passed[-1]) + 2)
+    return displacement_um * (1.0 + np.interp(passed, np.arange(steps.size), np.cumsum(steps)))
 
 
 CASES = {"none": as_it_was, "play": with_play, "wandering gain": with_wandering_gain,

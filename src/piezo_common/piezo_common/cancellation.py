@@ -10,7 +10,9 @@ _check: ContextVar[Callable[[], object]] = ContextVar("check", default=lambda: N
 
 @contextmanager
 def checking(check: Callable[[], object]) -> Iterator[None]:
-    """Let `check_cancelled` call a function while the context lasts, in this thread.
+    """Let `check_cancelled` call a function while the context lasts.
+
+    It does so in this thread, and in those to which `side_by_side` gives a part of the work.
 
     Parameters
     ----------

@@ -18,8 +18,8 @@ Result = TypeVar("Result")
 MOST_THREADS = 4
 """Each holds a few copies of the longest recording."""
 
-_own = threading.local()
-"""Of each thread: whether it does an item beside others."""
+_this_thread = threading.local()
+"""Has `is_beside_others` in threads that do one item while others do the next."""
 
 
 def cores() -> int:
@@ -50,7 +50,7 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
     list
     """
     if threads is None:
-        is_beside = getattr(_own, "is_beside_others", False)
+        is_beside = getattr(_this_thread, "is_beside_others", False)
         threads = 1 if is_beside else min(len(items), MOST_THREADS, cores())
     results = []
     if threads <= 1:
@@ -59,7 +59,7 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
                 report(number)
             results.append(work(item))
         return results
-    with ThreadPoolExecutor(threads, initializer=_begin) as pool:
+    with ThreadPoolExecutor(threads, initializer=_mark) as pool:
         # Each in a copy of the caller's context, so that what ends the caller's work ends them.
         futures = [pool.submit(copy_context().run, work, item) for item in items]
         try:
@@ -73,5 +73,6 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
     return results
 
 
-def _begin() -> None:
-    _own.is_beside_others = True
+def _mark() -> None:
+    """Mark the thread as one of several, so that its own work takes no more of them."""
+    _this_thread.is_beside_others = True

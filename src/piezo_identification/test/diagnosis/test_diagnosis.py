@@ -9,6 +9,7 @@ from piezo_identification.commands.diagnose_command import main
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.comparison.measures_of_fits import significance
 from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.joint.free_parameters import changed_model, free_sensitivities
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.noise_estimate import residual_um
@@ -24,10 +25,12 @@ from piezo_identification.diagnosis.residual.regression import (
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.prediction import predict
+from piezo_identification.prediction.model_run import ModelRun
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
+from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model, save_model
@@ -184,6 +187,23 @@ def test_parameter_sensitivities_are_the_derivatives_by_the_parameters(plant, re
     )
     linear = columns @ changes
     assert np.abs(moved - still - linear).max() < 0.02 * np.abs(linear).max()
+
+
+@pytest.mark.parametrize(("derivatives", "changed"), [
+    (parameter_sensitivities, perturbed), (free_sensitivities, changed_model)])
+def test_derivatives_of_a_stage_that_was_never_cycled(
+    plant, record, monkeypatch, derivatives, changed,
+):
+    monkeypatch.setattr(ModelRun, "highest_v", -20.0)
+    rising = replace(plant, first_rise=FirstRise((-20.0, 120.0), (0.0, 4.0)))
+    part = SimulatedRecording(rising, record(noise_um=0.0))
+    assert np.ptp(part.simulate() - part.with_model(plant).simulate()) > 1.0
+    rows = np.arange(part.begin, part.time_s.size, 37)
+    columns = derivatives(part, rows)
+    changes = 1e-3 * np.abs(np.random.default_rng(0).normal(size=columns.shape[1]))
+    moved = part.with_model(changed(rising, changes)).simulate()[rows]
+    linear = columns @ changes
+    assert np.abs(moved - part.simulate()[rows] - linear).max() < 0.02 * np.abs(linear).max()
 
 
 def test_what_is_not_reversible_cannot_be_made_irreversible(plant, record):

@@ -77,7 +77,7 @@ class Stiffening(Effect):
         )
 
     def acts_at_once(self, sample_period_s: float) -> bool:
-        """Tell whether the samples are too slow to show the mode of the spring."""
+        """Tell whether the spring has no mode, or one that is too fast for the samples."""
         turned = self.frequency_rad_per_s * sample_period_s
         return turned == 0.0 or turned >= UNRESOLVED
 

@@ -124,6 +124,7 @@ def _along_rise(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
     own_diagonal, own_reversible = diagonal[j], reversible[j]
     corner = y * (own_reversible + own_diagonal * y)
     near, far = columns[j + 1], columns[j]
+    # By so much the function lies below the straight line between these two.
     dip = y * (1.0 - y) * own_diagonal
     i, step = j + 1, 0
     curve = slope = below = 0.0
@@ -172,6 +173,7 @@ def _along_fall(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
     own_diagonal, own_reversible = diagonal[i], reversible[i]
     corner = x * (own_reversible + own_diagonal * x)
     near, far = rows[i], rows[i + 1]
+    # By so much the function lies below the straight line between these two.
     dip = x * (1.0 - x) * own_diagonal
     j, step = i - 1, 0
     curve = slope = above = 0.0

@@ -49,21 +49,10 @@ def cell_of(position: float, size: int) -> int:
 
 @njit(cache=True)
 def between(near: FloatArray, far: FloatArray, part: float, level: int) -> float:
-    """Return the function at a level of one voltage, as a part of the way between two of the other.
+    """Interpolate the Everett function between two levels of one voltage, at a level of the other.
 
-    It lacks the correction of the other's cell on the diagonal, where the density is a triangle.
-
-    Parameters
-    ----------
-    near, far : ndarray, shape (n + 1,)
-        The Everett function over the levels of the one voltage, um, at two levels of the other.
-    part : float
-        Of the way from `near` to `far`.
-    level : int
-
-    Returns
-    -------
-    float
+    Where the one lies a part x of its cell from `near`, the function is less than that by x (1 - x)
+    times the triangle of this cell on the diagonal.
     """
     return near[level] + part * (far[level] - near[level])
 

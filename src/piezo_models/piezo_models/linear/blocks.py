@@ -25,7 +25,6 @@ FEWEST = 64 * LENGTH
 BATCH = 512
 """Blocks at a time: as many as the cache holds."""
 
-
 KEPT = 16
 """Systems whose matrices are kept: half a megabyte each at most."""
 
@@ -107,7 +106,7 @@ def _block(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, length: i
            ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return what turns input and state into next state and output, and a^length, transposed.
 
-    One system often answers many inputs.
+    It is kept, since one system often answers many inputs: nobody may change it.
     """
     return _block_of(a.tobytes(), b.tobytes(), c.tobytes(), float(direct), length)
 

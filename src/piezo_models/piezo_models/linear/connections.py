@@ -22,11 +22,6 @@ def matrices_of(system: control.StateSpace) -> Matrices:
     return system.A, system.B, system.C, system.D
 
 
-def unit() -> Matrices:
-    """Return the system that passes its input on."""
-    return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
-
-
 def in_series(systems: Iterable[Matrices]) -> Matrices:
     """Return the series connection, the first system first; of none, what passes its input on.
 
@@ -38,7 +33,7 @@ def in_series(systems: Iterable[Matrices]) -> Matrices:
     -------
     tuple of array
     """
-    return reduce(_followed_by, systems, unit())
+    return reduce(_followed_by, systems, _passing_on())
 
 
 def in_parallel(systems: Sequence[Matrices]) -> Matrices:
@@ -59,6 +54,10 @@ def scaled(gain: float, system: Matrices) -> Matrices:
     """Return a system whose input is multiplied by a gain."""
     a, b, c, d = system
     return a, gain * b, c, gain * d
+
+
+def _passing_on() -> Matrices:
+    return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
 
 
 def _followed_by(first: Matrices, second: Matrices) -> Matrices:

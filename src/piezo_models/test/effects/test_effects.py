@@ -253,6 +253,20 @@ def test_what_an_effect_applies_is_what_it_does_in_parts():
                 np.concatenate(behind), effect.apply(signal, PERIOD_S), rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("period_s", [PERIOD_S, 1.0])
+def test_a_sample_changes_no_other_behind_effects_that_act_at_once(period_s):
+    signal, changed = wave(), wave()
+    changed[700] += 3.0
+    at_once = [effect for effect in EXAMPLES if effect.acts_at_once(period_s)]
+    for effect in at_once:
+        behind = [np.delete(effect.apply(each, period_s), 700) for each in (signal, changed)]
+        np.testing.assert_array_equal(*behind, err_msg=effect.name)
+    assert {effect.name for effect in at_once} == {
+        "thermal_drift", "gain_drift", "sensor_nonlinearity", "periodic_disturbance",
+        "voltage_clipping", "voltage_steps", "sensor_steps", "outliers",
+        *(["stiffening"] if period_s == 1.0 else [])}
+
+
 @pytest.mark.parametrize("effect", [
     effect for effect in EXAMPLES if effect.place in ("voltage", "displacement", "sensor")
     and effect.name != "stiffening"], ids=lambda effect: effect.name)

@@ -126,12 +126,16 @@ def ceiling(regression: Regression, fit: Fit) -> Ceiling:
         return float(np.mean((residual * regression.tolerance_um)[held_out] ** 2))
 
     whole = square_um2(fit.residual)
-    # The trees' threads would wait for each other in a loop that keeps both cores busy.
-    with threadpool_limits(1):
-        from_voltage, from_all = side_by_side(
-            lambda features: max(
-                0.0, whole - square_um2(_unpredicted(regression, fit, features))),
-            _features(regression, fit))
+
+    def predicted_um2(features: FloatArray) -> float:
+        # The trees' threads would wait for each other in a loop that keeps all cores busy. Their
+        # limit holds for the thread that sets it.
+        with threadpool_limits(1, user_api="openmp"):
+            return max(0.0, whole - square_um2(_unpredicted(regression, fit, features)))
+
+    # That of the linear algebra holds for the process: two threads would not set it back in turn.
+    with threadpool_limits(1, user_api="blas"):
+        from_voltage, from_all = side_by_side(predicted_um2, _features(regression, fit))
     predictable = max(from_voltage, from_all)
     return Ceiling(*(float(np.sqrt(square)) for square in (
         whole, predictable, from_voltage, whole - predictable, np.mean(noise_um**2))))

@@ -121,10 +121,12 @@ def drawn_errors_um(dataset: Dataset) -> Iterator[FloatArray]:
     dataset : Dataset
     """
     linear, hysteresis = dataset.model.linear(), dataset.model.hysteresis
+    given_um = [part.hysteresis_output_um(hysteresis) for part in dataset.simulated]
     for erring in _erring(hysteresis):
         yield np.concatenate([
-            part.respond(linear, part.hysteresis_output_um(erring) - part.hysteresis_um, at=rows)
-            for part, rows in zip(dataset.simulated, dataset.rows, strict=True)])
+            part.respond(linear, part.hysteresis_output_um(erring) - without_um, at=rows)
+            for part, rows, without_um in zip(
+                dataset.simulated, dataset.rows, given_um, strict=True)])
 
 
 def _erring(hysteresis: PreisachModel) -> Iterator[PreisachModel]:

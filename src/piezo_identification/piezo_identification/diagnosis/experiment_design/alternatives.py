@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Alternative explanations of recordings, each with its parameters and how far these are known."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -321,7 +321,8 @@ def _probable(regression: Regression, found: Effects,
     return sets
 
 
-def sensitivities(simulate: Any, effects: tuple[Effect, ...]) -> FloatArray:
+def sensitivities(simulate: Callable[..., FloatArray],
+                  effects: tuple[Effect, ...]) -> FloatArray:
     """Return the change of a simulation with each fitted number of some effects.
 
     Parameters

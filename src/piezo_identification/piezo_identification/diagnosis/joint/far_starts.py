@@ -73,7 +73,7 @@ def may_lead(fit: JointFit, best: JointFit) -> bool:
 
 
 def _held(problem: JointProblem, beside: JointFit, guesses: Sequence[Effect]) -> JointFit | None:
-    """Let the model make way for each guess held, and return the best."""
+    """Fit the model by one step beside each guess, which stays as it is, and return the best."""
     fits = [problem.fit(beside.effects, begun=beside, held=(guess,)) for guess in guesses]
     return _better(*fits) if fits else None
 

@@ -221,30 +221,32 @@ def _behind(model: StageModel) -> tuple[Effect, ...]:
 
 def _slope(effects: Sequence[Effect], part: SimulatedRecording, displacement_um: FloatArray,
            rows: NDArray[np.intp]) -> FloatArray:
-    """Return how much each row changes behind effects that act at once, (n,)."""
-    step = SMALL * np.ptp(displacement_um)
-    ends_um = []
-    for behind_um in (displacement_um, displacement_um + step):
-        for effect in effects:
-            behind_um = effect.apply(behind_um, part.sample_period_s, part.rest_um)
-        ends_um.append(behind_um[rows])
-    return np.asarray((ends_um[1] - ends_um[0]) / step)
+    """Return the slopes of effects that act at once, where the displacement is, (n,)."""
+    step_um = SMALL * np.ptp(displacement_um)
+    unmoved_um, moved_um = (
+        _behind_effects(effects, part, ahead_um, part.rest_um)[rows]
+        for ahead_um in (displacement_um, displacement_um + step_um))
+    return np.asarray((moved_um - unmoved_um) / step_um)
 
 
 def _through(effects: Sequence[Effect], part: SimulatedRecording, displacement_um: FloatArray,
              changes_um: Iterable[FloatArray], rows: NDArray[np.intp]) -> Iterator[FloatArray]:
     """Yield what small changes of the displacement become behind effects, each (n,)."""
-    def behind(signal_um: FloatArray, rest_um: float) -> FloatArray:
-        for effect in effects:
-            signal_um = effect.apply(signal_um, part.sample_period_s, rest_um)
-        return signal_um[rows]
-
-    unchanged_um = behind(displacement_um, part.rest_um)
+    unchanged_um = _behind_effects(effects, part, displacement_um, part.rest_um)[rows]
     travel_um = np.ptp(displacement_um)
     for change_um in changes_um:
         step = SMALL * travel_um / max(np.abs(change_um).max(), SMALL)
-        moved_um = behind(displacement_um + step * change_um, part.rest_um + step * change_um[0])
-        yield (moved_um - unchanged_um) / step
+        moved_um = _behind_effects(effects, part, displacement_um + step * change_um,
+                                   part.rest_um + step * change_um[0])
+        yield (moved_um[rows] - unchanged_um) / step
+
+
+def _behind_effects(effects: Sequence[Effect], part: SimulatedRecording, signal_um: FloatArray,
+                    rest_um: float) -> FloatArray:
+    """Return what a displacement becomes behind effects, one after the other, (N,)."""
+    for effect in effects:
+        signal_um = effect.apply(signal_um, part.sample_period_s, rest_um)
+    return signal_um
 
 
 def _pieces(hysteresis: PreisachModel) -> list[PreisachModel]:

@@ -149,7 +149,8 @@ class JointErrors:
     pieces_um : sequence of sequences of (N,) array, optional
         Of `free_parameters.piece_outputs_um`, for each recording: they are the same for all fits.
     columns : (r, n) array, optional
-        Derivatives of the displacement that are close to those everywhere: they are not computed.
+        Derivatives of the displacement by the unknowns, in um, that stand for those everywhere;
+        by default they are computed.
 
     Attributes
     ----------
@@ -181,7 +182,7 @@ class JointErrors:
         self._pieces_um = pieces_um
         self._points: dict[bytes, _Point] = {}
         self._columns: tuple[bytes, list[FloatArray]] = b"", []
-        self._is_given = columns is not None
+        self._columns_are_given = columns is not None
         if columns is not None:
             self._columns = b"", [columns[mask] for mask in dataset.masks()]
 
@@ -208,7 +209,7 @@ class JointErrors:
 
     @property
     def columns_of_effects(self) -> FloatArray | None:
-        """Return the last derivatives by the numbers of the effects, (r, p); None before any."""
+        """Return the last derivatives by the effects' numbers, in um, (r, p); None before any."""
         columns = [each[:, self.count :] for each in self._columns[1]]
         return np.vstack(columns) if columns else None
 
@@ -287,7 +288,7 @@ class JointErrors:
     def _columns_at(self, vector: FloatArray) -> list[FloatArray]:
         """Return the changes of the displacement of each recording by the unknowns."""
         key = vector.tobytes()
-        if self._columns[0] != key and not self._is_given:
+        if self._columns[0] != key and not self._columns_are_given:
             point = self._at(vector)
             self._columns = key, side_by_side(
                 lambda index: self._of_recording(point, index, vector), range(len(point.nuisance)))

@@ -84,7 +84,7 @@ class JointFit:
     problem : JointProblem or None
         In which a fit goes on.
     columns_of_effects : (r, p) array or None
-        Derivatives of the displacement by the fitted values of the effects.
+        Derivatives of the displacement by the fitted values of the effects, in um.
     """
 
     regression: Regression
@@ -107,7 +107,10 @@ class JointFit:
 
     @property
     def columns(self) -> FloatArray | None:
-        """Return the derivatives of the displacement by all that was fitted, (r, m + p)."""
+        """Return the derivatives of the displacement by all that was fitted, in um.
+
+        Of shape (r, m + p), those by the m changes of the model first; None where none are known.
+        """
         dataset = self.regression.dataset
         return None if self.columns_of_effects is None else np.hstack(
             [dataset.regressors[:, dataset.nuisance_count :], self.columns_of_effects])
@@ -143,8 +146,8 @@ class JointProblem:
     steps : int
         Most steps of a fit.
     simulated : sequence of SimulatedRecording
-        The first of the new ones, where they are simulated already: after the same past, which is
-        long to seek.
+        The first of the new recordings, where they are simulated already: their past, which takes
+        long to find, is not sought again.
     """
 
     def __init__(self, model: StageModel, new: Sequence[Recording],
@@ -211,8 +214,8 @@ class JointProblem:
         begun : JointFit, optional
             From whose model the fit begins, and in whose problem it goes on; by default this one.
         held : sequence of piezo_models.effects.effect.Effect
-            Others that stay as they are, behind those. The fit takes one step then, with the
-            derivatives of that from which it begins: what it tells is which others may lead.
+            Others that stay as they are, behind those. The fit then takes one step alone, with the
+            derivatives of the fit from which it begins: enough to tell which of them may lead.
 
         Returns
         -------

@@ -26,8 +26,8 @@ class SplitSettings:
     Attributes
     ----------
     most_rows : int
-        Samples that are used, in chunks spread evenly over longer recordings: so that a fit of a
-        million samples takes seconds.
+        Samples that are used, in chunks spread evenly over longer recordings, at least one of each:
+        so that a fit of a million samples takes seconds.
     chunk : int
         Neighbouring samples that stay together: slow and fast errors both show.
     stretches : int
@@ -196,7 +196,7 @@ def _split(simulated: Sequence[SimulatedRecording], undivided: int,
         settled = np.arange(part.begin, part.time_s.size)
         if settled.size > budget:
             # Chunks that do not keep step with a periodic waveform.
-            chunks = budget // SPLIT.chunk
+            chunks = max(1, budget // SPLIT.chunk)
             room = settled.size // chunks
             shift = np.random.default_rng(0).integers(0, room - SPLIT.chunk + 1, chunks)
             # The beginning alone shows how far the creep had come.

@@ -35,7 +35,8 @@ class PriorWidths:
     near_diagonal : tuple of (float, float)
         Further factors of the density, about its diagonal: the span over which each decays, as a
         part of the voltage's range, and its width. An identification turns through small spans on
-        its way to large ones, and knows least of them.
+        its way to large ones, and knows least of them. Chosen on seed 304 of
+        `piezo_studies.diagnosis_calibration`.
     """
 
     dynamics_and_density: float = 0.005
@@ -111,8 +112,9 @@ def parameter_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) ->
     for surface in _surfaces(model):
         multiplied = _times(replace(model.hysteresis, offset_um=0.0), surface)
         columns.append(part.respond(linear, part.hysteresis_output_um(multiplied), at=rows))
-    more_reversible_um = part.hysteresis_output_um(_traded(model.hysteresis, 1.0))
-    columns.append(part.respond(linear, more_reversible_um - part.hysteresis_um, at=rows))
+    reversible_um, given_um = map(
+        part.hysteresis_output_um, (_traded(model.hysteresis, 1.0), model.hysteresis))
+    columns.append(part.respond(linear, reversible_um - given_um, at=rows))
     return np.column_stack(columns) @ _width_map(model)
 
 
@@ -168,7 +170,10 @@ def _width_map(model: StageModel) -> FloatArray:
 
 
 def _surfaces(model: StageModel) -> FloatArray:
-    """Return surfaces by which the density is multiplied, for a change of one logarithm."""
+    """Return what is added to the factor of each cell, for a change of each parameter by one.
+
+    Those about the diagonal are scaled so that all have the same prior width.
+    """
     size = len(model.hysteresis.density_um_per_v2)
     rising, falling = np.indices((size, size))
     near = [width / WIDTHS.dynamics_and_density

@@ -165,8 +165,11 @@ class SimulatedRecording:
         return self._response(*linear_part, rows)
 
     def hysteresis_output_um(self, hysteresis: PreisachModel) -> FloatArray:
-        """Return the output of another hysteresis at the same voltages, (N,)."""
-        return self._hysteresis(hysteresis, self._amplified_v)[0]
+        """Return the output of another hysteresis at the same voltages, in um, (N,).
+
+        A first rise adds nothing to it: so outputs of parts of a hysteresis sum to that of it.
+        """
+        return self._cycled_um(hysteresis, self._amplified_v)[self._samples_before :]
 
     def respond(self, system: control.StateSpace, input_um: FloatArray, delay_s: float = 0.0,
                 at: NDArray[np.intp] | None = None) -> FloatArray:
@@ -211,12 +214,16 @@ class SimulatedRecording:
     def _hysteresis(self, hysteresis: PreisachModel,
                     amplified_v: FloatArray) -> tuple[FloatArray, float]:
         """Return the output while the waveform plays, and at the first sample of the recording."""
-        memory = hysteresis.memory()
-        hysteresis.simulate(self.past_v, memory)
-        output_um = hysteresis.simulate(amplified_v, memory)
+        output_um = self._cycled_um(hysteresis, amplified_v)
         if self.model.first_rise is not None:
             output_um += self.model.first_rise.simulate(amplified_v, self._highest_v)
         return output_um[self._samples_before :], output_um[0]
+
+    def _cycled_um(self, hysteresis: PreisachModel, amplified_v: FloatArray) -> FloatArray:
+        """Return the output of a stage that was cycled, from the first sample of the recording."""
+        memory = hysteresis.memory()
+        hysteresis.simulate(self.past_v, memory)
+        return hysteresis.simulate(amplified_v, memory)
 
     def _with_creep(self, hysteresis_um: FloatArray, amplified_v: FloatArray) -> FloatArray:
         """Input of the linear part: the output of the hysteresis with its creep."""

@@ -5,7 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
+from piezo_identification.diagnosis.evidence import ceiling as module
 from piezo_identification.diagnosis.evidence.ceiling import ceiling
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.regression import (
@@ -54,3 +56,15 @@ def test_hum_is_predicted_from_the_past_and_not_from_the_voltage(ceiling_beside,
     assert found.predictable_um == pytest.approx(added_um.std(), rel=0.1)
     assert found.from_voltage_um < 0.5 * found.predictable_um
     assert np.hypot(found.predictable_um, found.random_um) == pytest.approx(found.left_um)
+
+
+def test_a_learner_takes_one_thread_beside_the_other(ceiling_beside, monkeypatch):
+    taken = []
+
+    def learn_nothing(regression, fit, features):
+        taken.extend(library["num_threads"] for library in threadpool_info())
+        return fit.residual
+
+    monkeypatch.setattr(module, "_unpredicted", learn_nothing)
+    ceiling_beside(0.0)
+    assert set(taken) == {1}
