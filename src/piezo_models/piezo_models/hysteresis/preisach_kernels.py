@@ -53,6 +53,19 @@ def between(near: FloatArray, far: FloatArray, part: float, level: int) -> float
 
     Where the one lies a part x of its cell from `near`, the function is less than that by x (1 - x)
     times the triangle of this cell on the diagonal.
+
+    Parameters
+    ----------
+    near, far : ndarray, shape (n + 1,)
+        The function over the levels of the other voltage, um, at the two levels of the one.
+    part : float
+        Of the way from `near` to `far`.
+    level : int
+
+    Returns
+    -------
+    float
+        In um.
     """
     return near[level] + part * (far[level] - near[level])
 
