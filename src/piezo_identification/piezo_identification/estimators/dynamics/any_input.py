@@ -46,10 +46,10 @@ AT_REST = 20
 """Samples without a change of the voltage, from which a recording counts as beginning at rest."""
 
 LONGEST_LOOK = 200
-"""Samples at the end of that rest that show whether the stage still rings."""
+"""Samples at the end of that rest, at most, that show whether the stage still rings."""
 
 STILL = 3.0
-"""Times the noise up to which what they hold beside a parabola is no ringing."""
+"""Times the sensor's noise up to which these samples, less the best parabola, show no ringing."""
 
 MOST_LEFT_OUT = 0.4
 """Part of a recording that is left out at most, until its past no longer counts."""
@@ -163,7 +163,7 @@ def _first_kept(part: Recording) -> int:
     moved = np.flatnonzero(np.abs(voltage_v - voltage_v[0]) > 1e-3 * range_v)
     rest = int(moved[0]) if moved.size else voltage_v.size
     # Of a rest the end is enough: it may begin with what rings after an earlier step.
-    is_still = rest >= AT_REST and not _moves(part, slice(max(0, rest - LONGEST_LOOK), rest))
+    is_still = rest >= AT_REST and not _rings(part, slice(max(0, rest - LONGEST_LOOK), rest))
     warm = rest - AT_REST if is_still else round(WARM_UP_S / part.sample_period_s)
     near_v = NEAR_AN_EXTREME * range_v
     high = int(np.argmax(voltage_v >= voltage_v.max() - near_v))
@@ -174,7 +174,7 @@ def _first_kept(part: Recording) -> int:
     return max(min(warm, most), past if 0 < past <= most else 0)
 
 
-def _moves(part: Recording, rest: slice) -> bool:
+def _rings(part: Recording, rest: slice) -> bool:
     """Tell whether the displacement rings while the voltage rests, as after a step before."""
     displacement_um = part.displacement_um[rest]
     trend = np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3)
