@@ -4,7 +4,11 @@
 import numpy as np
 import pytest
 
+from piezo_identification.conditioning.generator_edges import generator_edges
+from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
+from piezo_identification.estimators.dynamics.fast_signals import joined_signals
+from piezo_identification.estimators.dynamics.generator_signals import with_edges_between
 from piezo_identification.identification.identify import identify
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
@@ -83,3 +87,15 @@ def test_the_dynamics_under_a_free_running_generator_are_adequate():
     adequacy = identify(dynamics=recording).adequacy["dynamics"]
     assert adequacy["verdict"] == "adequate"
     assert adequacy["ratio"] < 1.05
+
+
+def test_the_period_is_found_where_only_later_edges_are_fitted():
+    """The period then turns about another instant than the mean of all edges."""
+    edges = edges_s(411.3719, 0.43, 120.317)
+    recording = record(edges, 2.6 * PERIOD_S)
+    wave = square_wave(recording)
+    timed = with_edges_between(
+        joined_signals([recording], [wave.level], [6000], CreepDynamics()),
+        [generator_edges(wave)])
+    off = timed.early[wave.steps] - (wave.steps - edges / PERIOD_S)
+    assert np.ptp(off) < 3e-3
