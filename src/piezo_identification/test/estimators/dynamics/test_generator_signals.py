@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A stage in plain numpy under a generator that runs freely: exact steps at any instant."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -99,3 +101,20 @@ def test_the_period_is_found_where_only_later_edges_are_fitted():
         [generator_edges(wave)])
     off = timed.early[wave.steps] - (wave.steps - edges / PERIOD_S)
     assert np.ptp(off) < 3e-3
+
+
+def test_a_first_level_that_the_stage_does_not_come_back_to_makes_no_modes():
+    """The first step is then higher than all others, and rings on for longer than they do."""
+    edges = edges_s(602.625, 0.5, 120.317)
+    upward, other = record(edges), record(edges, seed=4)
+    higher_um = 1.0 - step_answer(np.arange(COUNT) * PERIOD_S - edges[0])
+    downward = replace(
+        other, voltage_v=70.0 - other.voltage_v,
+        displacement_um=13.0 - other.displacement_um - higher_um)
+    estimate = estimate_dynamics_any([upward, downward], CreepDynamics())
+    found = [*estimate.model.mode_frequencies_rad_per_s, *(
+        effect.frequency_rad_per_s for effect in estimate.effects
+        if effect.name == "vibration_mode")]
+    np.testing.assert_allclose(
+        np.sort(found), [2.0 * np.pi * hertz for hertz, _, _ in MODES], rtol=1e-3)
+    assert estimate.residual_rms < 1.02 * 13.0 * NOISE
