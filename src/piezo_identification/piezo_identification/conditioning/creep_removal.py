@@ -37,15 +37,14 @@ def remove_creep_of_held(
 ) -> FloatArray:
     """Return the input, held for a sample period each, to which the creep answers with a signal.
 
-    The answer at the end of the hold has the states x[n+1] = a x[n] + b u[n] and is
-    y[n] = b' x[n] + d u[n] with diagonal a. That of its inverse, a - b b' / d, is symmetric, so
-    that no digits are lost where all poles are near 1.
+    Each sample of the signal is the answer at the end of its hold.
 
     Parameters
     ----------
     signal : ndarray, shape (N,)
     creep : CreepDynamics
-        If one of its exponentials goes backwards, as no material does, see `remove_creep`.
+        If one of its exponentials goes backwards, as no material does, or two of its poles are
+        equal, `remove_creep` does it.
     sample_period_s : float
         Of any length.
 
@@ -56,15 +55,47 @@ def remove_creep_of_held(
     """
     rates, zeros = np.array(creep.poles_rad_per_s), np.array(creep.zeros_rad_per_s)
     apart = rates[None, :] - rates[:, None] + np.eye(rates.size)
+    if not np.all(apart):
+        return remove_creep(signal, creep, sample_period_s)
     gains = np.prod((zeros[None, :] - rates[:, None]) / apart, axis=1) / rates
     if np.any(gains < 0.0):
         return remove_creep(signal, creep, sample_period_s)
+    decays = np.exp(-rates * sample_period_s)
+    return input_of_creep(signal, rates, gains, sample_period_s, decays)
+
+
+def input_of_creep(
+    signal: FloatArray, rates: FloatArray, gains: FloatArray, sample_period_s: float,
+    unanswered: FloatArray,
+) -> FloatArray:
+    """Return the input, held for a sample period each, of a signal that exponentials crept behind.
+
+    An exponential has come to x when a hold of h begins, and answers in it with x m + h (1 - m).
+    With the states x[n+1] = a x[n] + b h[n] the signal is y[n] = b' x[n] + d h[n], with diagonal a.
+    That of the inverse, a - b b' / d, is symmetric, so that it is a sum of exponentials, too. One
+    filter of high order would lose all digits, as all poles are near 1.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+    rates, gains : ndarray, shape (P,)
+        Of creep 1 + sum g p / (s + p): rates p in rad/s, and gains g, none of them negative.
+    sample_period_s : float
+    unanswered : ndarray, shape (P,)
+        Part m of a step of the input by which each is still behind in the signal of that sample.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Begins in equilibrium with the first sample.
+    """
     gone = -np.expm1(-rates * sample_period_s)
-    at_once = 1.0 + gains @ gone
-    coupling = np.sqrt(gains * (1.0 - gone) * gone)
+    at_once = 1.0 + gains @ (1.0 - unanswered)
+    coupling = np.sqrt(gains * unanswered * gone)
     forgotten, turned = np.linalg.eigh(np.diag(gone) + np.outer(coupling, coupling) / at_once)
     moved = signal - signal[0]
-    rest = moved / at_once
-    for rate, weight in zip(forgotten, (coupling @ turned / at_once) ** 2, strict=True):
-        rest = rest - lfilter([0.0, weight], [1.0, rate - 1.0], moved)
-    return rest + signal[0] / (1.0 + gains.sum())
+    rest = moved.copy()
+    for rate, weight in zip(forgotten, (coupling @ turned) ** 2 / at_once, strict=True):
+        rest -= lfilter([0.0, weight], [1.0, rate - 1.0], moved)
+    held: FloatArray = rest / at_once + signal[0] / (1.0 + gains.sum())
+    return held

@@ -25,10 +25,12 @@ LATEST_READING = 1.5
 
 POINT_STEP = 0.01
 """Part of the voltage's range by which it changes from row to row where rows are points of a loop,
-each read when the stage has come to rest: a row more or less then opens or closes the loop."""
+each read when the stage has come to rest. Whether such a displacement belongs to its own voltage or
+to the one before decides how wide the loop is."""
 
 CLEARLY_READ = 0.25
-"""Part of a jump by which what slow rows read of it may differ from none, or from all of it."""
+"""Part of a jump's displacement by which what the row of the jump shows of it may differ from none,
+or from all of it, for that to tell when the row is read."""
 
 HELD = 0.02
 """Part of the range within which a voltage is held from one row to the next."""
@@ -139,19 +141,30 @@ def read_as(recording: Recording, read_at_samples: float) -> float:
 
 
 def is_point_by_point(recording: Recording) -> bool:
-    """Tell whether rows are points of a static loop: slow, and each a step from the one before."""
+    """Tell whether rows are points of a static loop: slow, and most of them steps of the voltage.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Returns
+    -------
+    bool
+    """
     part = played(recording)
     steps_v = np.abs(np.diff(part.voltage_v))
+    is_step = steps_v > POINT_STEP * np.ptp(part.voltage_v)
     return bool(part.sample_period_s > SLOWEST_FAST_ROWS_S
-                and np.median(steps_v) > POINT_STEP * np.ptp(part.voltage_v))
+                and np.count_nonzero(is_step) > 0.5 * is_step.size)
 
 
 def reading_at_jumps(recording: Recording) -> float | None:
     """Tell from its jumps when slow rows are read: with their voltage, or at the end of the hold.
 
     A stage answers within a slow row. The row in which the voltage jumps holds the displacement
-    from before if it is read first, and that from behind the jump if it is read at its end, or if
-    the voltage was measured with it.
+    from before the jump if it is read with its voltage. It holds that from after the jump if it is
+    read at the end of its hold, or if the voltage was measured together with the displacement.
+    Jumps count whose voltage is held for a row before and a row after them.
 
     Parameters
     ----------
@@ -160,7 +173,8 @@ def reading_at_jumps(recording: Recording) -> float | None:
     Returns
     -------
     float or None
-        0 or 1; None where nothing jumps, rows are fast, means or missing, or show a part of it.
+        0 with their voltage, 1 at the end of the hold; None where no jump counts, rows are fast,
+        means over several samples or missing, or the row of the jump shows only a part of it.
     """
     if recording.gaps:
         return None
@@ -178,8 +192,7 @@ def reading_at_jumps(recording: Recording) -> float | None:
     moved_um = np.diff(part.displacement_um)
     at_once, later = steps_v[jumps] @ moved_um[jumps], steps_v[jumps] @ moved_um[jumps + 1]
     share = at_once / (at_once + later) if at_once + later else 0.5
-    nearest = float(np.round(share))
-    return nearest if nearest in (0.0, 1.0) and abs(share - nearest) < CLEARLY_READ else None
+    return next((read_at for read_at in (0.0, 1.0) if abs(share - read_at) < CLEARLY_READ), None)
 
 
 def _at(signal: FloatArray, instants: FloatArray) -> FloatArray:

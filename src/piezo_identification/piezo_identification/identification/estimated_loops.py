@@ -27,8 +27,8 @@ from piezo_identification.prediction.model_run import ModelRun
 from piezo_models.hysteresis.first_rise import FirstRise
 
 MOST_NOISE = 0.9
-"""Part of what loops leave beside a remanence that may count as noise: even without any error they
-then have to leave a fifth less than without it."""
+"""Part of what loops leave beside a remanence that may count as noise. Where noise is all that they
+leave, this asks them still to leave a fifth less than loops without the remanence do."""
 
 
 def estimate_loops(

@@ -266,9 +266,9 @@ def creep_of(
 ) -> tuple[Estimate, float]:
     """Estimate the creep, its rows read as its jumps tell, else as those of the dynamics.
 
-    Without dynamics, a jump acts at once. What is a small shift of fast rows smears the steps of
-    slow ones, if it is wrong: where jumps do not tell, rows are read as given if that leaves
-    clearly less.
+    Where jumps do not tell, rows are read with their voltage instead if that leaves clearly less: a
+    small shift of fast rows smears the steps of slow ones if it is wrong. Jumps are not asked while
+    there are no dynamics, as a model without them answers a jump at once.
 
     Parameters
     ----------
@@ -296,6 +296,7 @@ def creep_of(
 
 
 def _creep_readings(recordings: Sequence[Recording], found: LinearDynamics) -> set[float]:
+    """Return the instant that the jumps of all recordings agree upon, else those to be tried."""
     told = [] if found.dynamics.is_static else [reading_at_jumps(each) for each in recordings]
     clear = {each for each in told if each is not None}
     return clear if len(clear) == 1 and None not in told else {found.read_at_samples, 0.0}
@@ -315,15 +316,26 @@ def _creep_of_aligned(
 def loop_readings(hysteresis: Sequence[Recording], found: LinearDynamics) -> set[float]:
     """Return the instants at which rows of loops may be read, in sample periods.
 
-    They are read with their voltage, as those of the dynamics, or as their jumps tell. Points of a
-    static loop are read when the stage has come to rest at their voltage. Without dynamics, a stage
-    does at once what its voltage says, so that these are alike.
+    They may be read with their voltage, as the rows of the dynamics are, or as their jumps tell.
+    Points of a static loop may be read at the end of their hold, too, when the stage has come to
+    rest. Jumps and points are not asked while there are no dynamics: a model without them answers
+    at once, and would be the same at both ends of the hold.
+
+    Parameters
+    ----------
+    hysteresis : sequence of Recording
+    found : LinearDynamics
+
+    Returns
+    -------
+    set of float
+        0 is always one of them.
     """
     readings = {0.0, *(read_as(each, found.read_at_samples) for each in hysteresis)}
     if found.dynamics.is_static:
         return readings
     readings |= {reading_at_jumps(each) or 0.0 for each in hysteresis}
-    return readings | ({1.0} if any(map(is_point_by_point, hysteresis)) else set())
+    return readings | {read_as(each, 1.0) for each in hysteresis if is_point_by_point(each)}
 
 
 def aligned_density(

@@ -29,11 +29,10 @@ SHORT_S = 1e-2
 
 
 def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> dict[str, float]:
-    """Tell when the rows of every recording are read: as those of the dynamics.
+    """Tell when the rows of every recording are read.
 
-    Creep and loops may be of another logger. Creep is read as its estimate was, loops as the
-    dynamics only if that explains them better. So are points of a static loop at the end of their
-    hold.
+    They are read as those of the dynamics, but for creep and loops, which may be of another logger.
+    Creep is read as its estimate was, loops at the one of `loop_readings` that explains them best.
 
     Parameters
     ----------

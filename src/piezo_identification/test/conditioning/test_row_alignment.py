@@ -6,6 +6,8 @@ import pytest
 
 from piezo_identification.conditioning.row_alignment import (
     away_from_jumps,
+    is_point_by_point,
+    reading_at_jumps,
     remaining_delay,
     rows_read_at_start,
 )
@@ -74,3 +76,37 @@ def test_steps_between_which_nothing_moves_tell_no_delay():
         moved_um + noise_um, 0.2 * voltage_v, PERIOD_S, np.ones((voltage_v.size, 1)),
         away_from_jumps(voltage_v))
     assert abs(delay_s) <= 3.0 * deviation_s
+
+
+JUMPS_V = np.repeat([0.0, 10.0, 0.0, 10.0], 5)
+
+
+@pytest.mark.parametrize(("shown", "found"), [
+    (-0.1, 0.0), (0.1, 0.0), (0.5, None), (0.9, 1.0), (1.1, 1.0), (3.0, None)])
+def test_jumps_tell_an_instant_only_where_their_row_shows_none_or_all_of_them(shown, found):
+    jumps = np.flatnonzero(np.diff(JUMPS_V)) + 1
+    displacement_um = JUMPS_V.copy()
+    displacement_um[jumps] -= (1.0 - shown) * (JUMPS_V[jumps] - JUMPS_V[jumps - 1])
+    read_at = reading_at_jumps(slow(JUMPS_V, displacement_um))
+    assert str(read_at) == str(found), "0 and not -0, which would be printed"
+
+
+@pytest.mark.parametrize("voltage_v", [
+    pytest.param(np.zeros(1), id="one row"), pytest.param(np.zeros(20), id="no change"),
+    pytest.param(np.array([0.0, 10.0, 0.0]), id="nothing held"),
+    pytest.param(np.arange(300.0), id="a ramp")])
+def test_rows_that_show_no_jump_and_no_points_tell_nothing(voltage_v):
+    recording = slow(voltage_v, np.zeros(voltage_v.size))
+    assert reading_at_jumps(recording) is None
+    assert is_point_by_point(recording) == (voltage_v.size == 3)
+
+
+def test_jumps_that_move_nothing_tell_nothing():
+    assert reading_at_jumps(slow(JUMPS_V, np.zeros(JUMPS_V.size))) is None
+
+
+def slow(voltage_v, displacement_um):
+    size = voltage_v.size
+    return Recording(
+        "slow logger", 20.0, np.arange(size), np.full(size, 0.05), voltage_v, displacement_um,
+        np.full(size, Flag.PLAYING, dtype=np.uint32))

@@ -121,7 +121,8 @@ def noise_floor_um(residual_um: FloatArray, sample_period_s: float) -> float:
     frequency_hz, density = welch(residual_um, 1.0 / sample_period_s, nperseg=segment,
                                   average="median")
     upper = np.flatnonzero(frequency_hz > 0.5 * frequency_hz[-1])[:-1]
-    quietest = min(np.median(density[part]) for part in np.array_split(upper, SETTINGS.high_bands))
+    bands = min(SETTINGS.high_bands, max(upper.size, 1))
+    quietest = min(np.median(density[part]) for part in np.array_split(upper, bands))
     return float(np.sqrt(quietest * 0.5 / sample_period_s))
 
 

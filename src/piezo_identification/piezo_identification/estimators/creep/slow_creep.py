@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
 from scipy.sparse import csr_array
 
 from piezo_common.arrays import FloatArray
 from piezo_common.cancellation import check_cancelled
+from piezo_identification.conditioning.creep_removal import input_of_creep
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
 from piezo_identification.conditioning.waveforms import samples_per_mean
@@ -349,20 +349,9 @@ class _Part:
 
     def without_creep(self, rates: FloatArray, gains: FloatArray) -> FloatArray:
         """Bins of the displacement passed through the exact inverse of the creep for held input."""
-        steps = [_exponential(rate, self._period_s, self._mean_samples) for rate in rates]
-        decay, mean = np.array(steps).reshape(-1, 2).T
-        # The held output h gives h + sum g (h + (x - h) m); x decays to h. Its inverse is a sum of
-        # exponentials, too. One filter of high order would lose all digits: all poles are near 1.
-        at_once = 1.0 + gains @ (1.0 - mean)
-        coupling = np.sqrt(gains * mean * (1.0 - decay))
-        forgotten, turned = np.linalg.eigh(
-            np.diag(1.0 - decay) + np.outer(coupling, coupling) / at_once)
-        start = self._displacement_um[0]
-        still = self._displacement_um - start
-        rest = still.copy()
-        for rate, weight in zip(forgotten, (turned.T @ coupling)**2 / at_once, strict=True):
-            rest -= lfilter([0.0, weight], [1.0, rate - 1.0], still)
-        return self.means(rest / at_once + start / (1.0 + gains.sum()))
+        return self.means(input_of_creep(
+            self._displacement_um, rates, gains, self._period_s,
+            _unanswered(rates, self._period_s, self._mean_samples)))
 
     def decays(self, zeros: FloatArray) -> FloatArray:
         """Bins of what is left of the creep from before, shape (bins, zeros)."""
@@ -376,13 +365,15 @@ def _passed(voltage_v: FloatArray, levels_v: FloatArray) -> list[FloatArray]:
             if highest_v[0] < level_v <= highest_v[-1]]
 
 
-def _exponential(rate: float, period_s: float, mean_samples: int) -> tuple[float, float]:
-    """Decay over a sample, and its mean over the clock samples of which a displacement is made."""
-    decay = float(np.exp(-rate * period_s))
+def _unanswered(rates: FloatArray, period_s: float, mean_samples: int) -> FloatArray:
+    """Return the part of a step by which exponentials are behind at the end of its row.
+
+    Of a displacement that is a mean over several clock samples, it is the mean over these.
+    """
     if mean_samples == 1:
-        return decay, decay
-    step = np.expm1(-rate * period_s / mean_samples)
-    return decay, float(np.expm1(-rate * period_s) / (mean_samples * step))
+        return np.exp(-rates * period_s)
+    return np.expm1(-rates * period_s) / (
+        mean_samples * np.expm1(-rates * period_s / mean_samples))
 
 
 def _used(voltage_v: FloatArray, range_v: float, skipped: int) -> NDArray[np.bool_]:

@@ -43,13 +43,15 @@ MODES_OF_A_LINE = 2
 """Vibration modes with which a line is compared with a hysteresis."""
 
 AT_REST = 20
-"""Samples without a change of the voltage, from which a recording counts as beginning at rest."""
+"""Samples without a change of the voltage, from which a recording counts as beginning at rest; and
+so many at the end of a visit of a level tell where it ended."""
 
 LONGEST_LOOK = 200
-"""Samples at the end of that rest that show whether the stage still rings."""
+"""Samples at the end of that rest, at most, that show whether the stage still rings."""
 
 STILL = 3.0
-"""Times the noise up to which what they hold beside a parabola is no ringing."""
+"""Times the sensor's noise up to which these samples, less the best parabola, show no ringing, and
+up to which the ends of visits of a level are the same."""
 
 MOST_LEFT_OUT = 0.4
 """Part of a recording that is left out at most, until its past no longer counts."""
@@ -163,18 +165,37 @@ def _first_kept(part: Recording) -> int:
     moved = np.flatnonzero(np.abs(voltage_v - voltage_v[0]) > 1e-3 * range_v)
     rest = int(moved[0]) if moved.size else voltage_v.size
     # Of a rest the end is enough: it may begin with what rings after an earlier step.
-    is_still = rest >= AT_REST and not _moves(part, slice(max(0, rest - LONGEST_LOOK), rest))
+    is_still = rest >= AT_REST and not _rings(part, slice(max(0, rest - LONGEST_LOOK), rest))
     warm = rest - AT_REST if is_still else round(WARM_UP_S / part.sample_period_s)
     near_v = NEAR_AN_EXTREME * range_v
     high = int(np.argmax(voltage_v >= voltage_v.max() - near_v))
     low = int(np.argmax(voltage_v <= voltage_v.min() + near_v))
     most = int(MOST_LEFT_OUT * voltage_v.size)
-    # The way to the second of them began where the past had left the stage.
-    past = max(high, low) + round(USUAL_SETTLING_S / part.sample_period_s)
-    return max(min(warm, most), past if 0 < past <= most else 0)
+    first = min(warm, most)
+    # The way to the second of them began where the past had left the stage. A first step of
+    # another height than the later ones leaves all that rings in motion.
+    reached = max(high, low)
+    if reached + round(USUAL_SETTLING_S / part.sample_period_s) <= most:
+        settling_s = USUAL_SETTLING_S if _comes_back(part) else WARM_UP_S
+        first = max(first, min(reached + round(settling_s / part.sample_period_s), most))
+    return first
 
 
-def _moves(part: Recording, rest: slice) -> bool:
+def _comes_back(part: Recording) -> bool:
+    """Tell whether a square wave ends the later visits of its first level where the first ended.
+
+    A stage that rings for longer than a visit does not seem to: that costs some rows only. Any
+    other voltage counts as one that does.
+    """
+    if not _has_two_levels(part):
+        return True
+    ends_um = [np.mean(part.displacement_um[max(0, step - AT_REST) : step])
+               for step in square_wave(part).steps[::2]]
+    noise_um = noise_floor_um(part.displacement_um, part.sample_period_s)
+    return bool(np.abs(np.mean(ends_um) - ends_um[0]) <= STILL * noise_um)
+
+
+def _rings(part: Recording, rest: slice) -> bool:
     """Tell whether the displacement rings while the voltage rests, as after a step before."""
     displacement_um = part.displacement_um[rest]
     trend = np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3)

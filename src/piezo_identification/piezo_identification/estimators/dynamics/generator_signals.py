@@ -55,8 +55,7 @@ def with_edges_between(
     timed = replace(
         signals, early=np.concatenate([each.early for each in found]),
         phase_room=max(each.phase_room for each in found))
-    # The instant of the first recording is a delay, which is fitted anyhow.
-    record, left = _fitted_edges(timed.record(), np.delete(directions, INSTANT, axis=1))
+    record, left = _fitted_edges(timed.record(), directions)
     return replace(timed, early=record.input.early) if left < sampled.cost else signals
 
 
@@ -68,6 +67,8 @@ def _fitted_edges(record: FastRecord, directions: FloatArray) -> tuple[FastRecor
         moved = edge_responses(record.input, directions, whole.poles, whole.residues, whole.delay)
         columns = np.column_stack([moved[record.kept], record.fixed])
         by = np.linalg.lstsq(columns, whole.residual, rcond=None)[0][: directions.shape[1]]
+        # The instant of the first recording is a delay, which is left to the fit of the poles.
+        by[INSTANT] = 0.0
         record = replace(record, input=moved_edges(record.input, directions @ by))
         free = record.thinned(ROWS_OF_SEARCH).fit_free(free.vector, free.delay)
     return record, free.cost

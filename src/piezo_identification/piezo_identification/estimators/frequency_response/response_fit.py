@@ -66,8 +66,8 @@ BEAM = 2
 """Orders with as many modes that are followed further: the best may not lead to the best."""
 
 LAGGING_DAMPING, LAGGING_STARTS = 0.7, 4
-"""Damping ratio, and number of frequencies over the upper band, of modes that ring no more: an
-amplifier of second order is none of the resonances."""
+"""Damping ratio, and number of frequencies over the upper decade of the band, of modes that do not
+ring, to begin with: that of an amplifier of second order is none of the resonances."""
 
 SIDE_DAMPINGS, SIDE_PARTS = (1e-3, 0.4), (-2.0, 3.0)
 """Damping ratios of a mode beside others, and parts of the displacement that it adds: those of the
@@ -259,7 +259,7 @@ class _ResponseFit:
     def _leave_out_idle(self, fits: dict[ResponseOrder, _Fit], wanted: ResponseOrder) -> None:
         """Begin smaller orders from the best refused ones, without what these do not need.
 
-        A beam that follows few orders may not pass by them.
+        The search follows few orders, and may not have come to these.
         """
         refused = [order for order in fits if fits[order].trial.refusal]
         best = sorted(refused, key=lambda order: fits[order].trial.information)[:MOST_LEFT_OUT]
@@ -276,9 +276,11 @@ class _ResponseFit:
                 fits[smaller], order = again, smaller
 
     def _set_side_by_side(self, fits: dict[ResponseOrder, _Fit], most_states: int) -> None:
-        """Add modes beside one in series, one by one, and then one that only lags to all.
+        """Add modes beside one in series, one by one; then a second one in series to each of these.
 
-        Modes that add up have their zeros anywhere, those that follow each other on the left.
+        Modes that add up have zeros anywhere in the plane, modes that follow each other only in its
+        left half. The second mode in series may be that of an amplifier, which lags and does not
+        ring.
         """
         pairs = min(fits, key=lambda order: fits[order].trial.information).creep_pairs
         order = ResponseOrder(pairs, 1, 0)

@@ -179,31 +179,38 @@ def hysteresis_output_um(
         displacement_um = remove_dynamics(
             displacement_um, recording.voltage_v, dynamics, recording.sample_period_s, delay_s)
         return remove_creep(displacement_um, creep, recording.sample_period_s)
-    period_s, clock_period_s = recording.sample_period_s, 1.0 / recording.sample_rate_hz
+    period_s = recording.sample_period_s
     if _answers_in_the_next_row(recording, dynamics):
-        # Taken from there it keeps the corners where the voltage turns, which a slope would cut.
-        displacement_um = np.append(
-            displacement_um[1:], 2.0 * displacement_um[-1] - displacement_um[-2])
+        # Of all rows, as the first shows where the creep begins.
+        held_um = remove_creep_of_held(displacement_um, creep, period_s)
+        # The next row keeps the corners where the voltage turns; a shift along the slope of this
+        # one would cut them.
+        held_um = np.append(held_um[1:], 2.0 * held_um[-1] - held_um[-2])
         lead_s = delay_s + held_delay_s(dynamics, period_s) - period_s
-        return remove_creep_of_held(
-            _earlier(displacement_um, lead_s, period_s), creep, period_s)
-    # The hold lags half a sample, the mean leads half a sample less half a clock period.
-    lead_s = delay_s + (low_frequency_delay_s(dynamics) + 0.5 * clock_period_s
-                        if _has_means(recording) else 0.0)
+        return _earlier(held_um, lead_s, period_s)
+    lead_s = delay_s
+    if _has_means(recording):
+        # The hold lags half a sample, the mean leads half a sample less half a clock period.
+        lead_s += low_frequency_delay_s(dynamics) + 0.5 / recording.sample_rate_hz
     return remove_creep(_earlier(displacement_um, lead_s, period_s), creep, period_s)
 
 
 def _earlier(signal: FloatArray, lead_s: float, period_s: float) -> FloatArray:
+    """Move a signal ahead in time by less than a sample period, along its slope."""
     return signal + lead_s * np.gradient(signal, period_s)
 
 
 def _answers_in_the_next_row(recording: Recording, dynamics: ElectricVibrationDynamics) -> bool:
-    """Tell whether the slow displacement of a row is what the voltage before it has moved."""
+    """Tell whether the displacement of a row is the answer to the voltage of the row before.
+
+    It is where rows are read at an instant, and the stage has time to answer between them.
+    """
     return not (dynamics.is_static or _has_means(recording) or follows_fast(
         recording.voltage_v, dynamics, recording.sample_period_s))
 
 
 def _has_means(recording: Recording) -> bool:
+    """Tell whether displacements are means over several samples of the clock."""
     return recording.sample_period_s > 1.5 / recording.sample_rate_hz
 
 

@@ -11,6 +11,11 @@ def test_the_noise_floor_is_not_raised_by_slow_structure_or_a_tone(noise):
     assert subject.noise_floor_um(signal, 25e-6) == pytest.approx(0.009, rel=0.05)
 
 
+@pytest.mark.parametrize("rows", [8, 12, 16])
+def test_few_rows_have_a_noise_floor_too(noise, rows):
+    assert 0.0 < subject.noise_floor_um(noise[:rows], 2.0) < 5.0
+
+
 def test_the_noise_is_seen_at_rest_and_between_repeats(noise):
     voltage_v = np.repeat([0.0, 50.0, 20.0, 70.0], 10_000)
     assert subject.noise_from_rest_um(0.009 * noise + voltage_v, voltage_v) == pytest.approx(

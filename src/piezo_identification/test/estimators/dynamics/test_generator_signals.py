@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A stage in plain numpy under a generator that runs freely: exact steps at any instant."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from piezo_identification.conditioning.generator_edges import generator_edges
+from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
+from piezo_identification.estimators.dynamics.fast_signals import joined_signals
+from piezo_identification.estimators.dynamics.generator_signals import with_edges_between
 from piezo_identification.identification.identify import identify
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
@@ -83,3 +89,32 @@ def test_the_dynamics_under_a_free_running_generator_are_adequate():
     adequacy = identify(dynamics=recording).adequacy["dynamics"]
     assert adequacy["verdict"] == "adequate"
     assert adequacy["ratio"] < 1.05
+
+
+def test_the_period_is_found_where_only_later_edges_are_fitted():
+    """The period then turns about another instant than the mean of all edges."""
+    edges = edges_s(411.3719, 0.43, 120.317)
+    recording = record(edges, 2.6 * PERIOD_S)
+    wave = square_wave(recording)
+    timed = with_edges_between(
+        joined_signals([recording], [wave.level], [6000], CreepDynamics()),
+        [generator_edges(wave)])
+    off = timed.early[wave.steps] - (wave.steps - edges / PERIOD_S)
+    assert np.ptp(off) < 3e-3
+
+
+def test_a_first_level_that_the_stage_does_not_come_back_to_makes_no_modes():
+    """The first step is then higher than all others, and rings on for longer than they do."""
+    edges = edges_s(602.625, 0.5, 120.317)
+    upward, other = record(edges), record(edges, seed=4)
+    higher_um = 1.0 - step_answer(np.arange(COUNT) * PERIOD_S - edges[0])
+    downward = replace(
+        other, voltage_v=70.0 - other.voltage_v,
+        displacement_um=13.0 - other.displacement_um - higher_um)
+    estimate = estimate_dynamics_any([upward, downward], CreepDynamics())
+    found = [*estimate.model.mode_frequencies_rad_per_s, *(
+        effect.frequency_rad_per_s for effect in estimate.effects
+        if effect.name == "vibration_mode")]
+    np.testing.assert_allclose(
+        np.sort(found), [2.0 * np.pi * hertz for hertz, _, _ in MODES], rtol=1e-3)
+    assert estimate.residual_rms < 1.02 * 13.0 * NOISE
