@@ -85,6 +85,11 @@ class StageMonitor:
         """Tell whether it still learns what is usual, and raises no alarm."""
         return self._monitor.is_learning
 
+    @property
+    def watched_until_s(self) -> float:
+        """Return the time of the sample clock until which the model has followed the stage."""
+        return 0.0 if self._next is None else self._next / self.sample_rate_hz
+
     def take(self, first_sample: int, sample_period_s: float, voltage_v: FloatArray,
              displacement_um: FloatArray, flags: int) -> list[Suspicion]:
         """Take the next block of samples; return the alarms that it raises.

@@ -165,6 +165,7 @@ class MonitorNode(LifecycleNode):
         values: dict[str, object] = {"model": self._model_path}
         if self._monitor is not None:
             values["lost_samples"] = self._monitor.lost_samples
+            values["watched_until_s"] = f"{self._monitor.watched_until_s:.3f}"
         if (first := self._first) is not None:
             values |= {
                 "since_s": f"{first.since_s:.3f}", "suspected_s": f"{first.at_s:.3f}",

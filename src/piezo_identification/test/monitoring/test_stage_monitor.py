@@ -135,6 +135,7 @@ def test_a_gap_is_counted_and_what_is_usual_learned_anew(plant, monitor, changed
     assert not monitor.is_learning
     fed(monitor, voltage_v[14_080:14_160], displacement_um[14_080:14_160], 14_080)
     assert monitor.is_learning and monitor.lost_samples == 80
+    assert monitor.watched_until_s == 14_160 / monitor.sample_rate_hz
     assert monitor.samples_since(0.0) == 0
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from piezo_client.model_offers import accept_extended_model, offered_model
 from piezo_studies.demo.changed_plants import with_faster_mode, with_sensor_lag, write_plant
+from piezo_studies.demo.session import MEETINGS
 
 # Moves the modes: 20 um at 50 Hz and some more near each of the first two.
 REFERENCE = {"kind": "multi_frequency", "frequency_hz": [50.0, 400.0, 750.0],
@@ -105,12 +106,13 @@ def monitor_a_change(session, plant, model, directory):
     RuntimeError
         If the monitor offers nothing.
     """
-    change_s = len(session.rest_v) + CHANGE_AFTER_S
+    change_s = (MEETINGS + 1) * session.rest_s + CHANGE_AFTER_S
     content = with_faster_mode(plant, FASTER, change_s)
     if content is None:
         return None
     directory.mkdir(parents=True, exist_ok=True)
     session.restart_stage(write_plant(content, directory / "plant.yaml"))
+    session.let_monitor_follow()
     session.track(REFERENCE, model, CHANGING_S, directory / "changing")
     offer = offered_model(session.client, OFFER_TIMEOUT_S)
     if offer is None:

@@ -1,9 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the demo asks of running nodes beside or between its runs."""
 
+from diagnostic_msgs.msg import DiagnosticArray
+
 from piezo_client.client import ALIVE_PERIOD_S, GoalFailed
+from piezo_ros.quality import DIAGNOSTICS_DEPTH
 
 START_TIMEOUT_S = 60.0
+
+MEETINGS = 3
+"""Rests on a new stage while the monitor meets it."""
+MEETING_S = 10.0
+"""After each, for which it is waited for."""
 
 
 class RunningGoal:
@@ -82,6 +90,11 @@ class Session:
         self._processes, self._stage_parameters = processes, stage_parameters
         self._is_active, self._show = is_active, show
 
+    @property
+    def rest_s(self):
+        """Return how long a rest takes: a sample more, in which the stage goes to its voltage."""
+        return len(self.rest_v) + 1.0
+
     def restart_stage(self, plant):
         """End the stage, and start it on a plant file; return once it is active.
 
@@ -97,10 +110,46 @@ class Session:
             raise RuntimeError(f"the stage on {plant} was not active within "
                                f"{START_TIMEOUT_S:g} s; see {self._processes.log('stage')}")
 
+    def let_monitor_follow(self):
+        """Rest `MEETINGS` times on a new stage, and wait until the monitor follows it.
+
+        The monitor meets a stage, and the model of the controller, some time after these start, and
+        a run in lockstep may be over by then.
+
+        Raises
+        ------
+        RuntimeError
+            If it does not follow.
+        """
+        told_s = [-1.0]
+
+        def hear(message):
+            told_s.extend(
+                float(entry.value) for status in message.status for entry in status.values
+                if entry.key == "watched_until_s")
+
+        subscription = self.client.node.create_subscription(
+            DiagnosticArray, "/diagnostics", hear, DIAGNOSTICS_DEPTH)
+        try:
+            follows = False
+            for number in range(1, MEETINGS + 1):
+                self._rest()
+                end_s = number * self.rest_s
+                follows = follows or self.client.spin_until(
+                    lambda end_s=end_s: end_s <= told_s[-1] < end_s + 1.0, MEETING_S)
+        finally:
+            self.client.node.destroy_subscription(subscription)
+        if not follows:
+            raise RuntimeError(
+                f"the monitor does not follow the stage; see {self._processes.log('monitor')}")
+
+    def _rest(self):
+        self.client.goal("play_waveform", voltage_v=self.rest_v, sample_period_s=1.0, repeats=1)
+
     def track(self, reference, model, duration_s, directory):
         """Rest, track a reference by the composite control, and return the result of the action."""
         self._show(f"track beside the monitor, {directory.name}")
-        self.client.goal("play_waveform", voltage_v=self.rest_v, sample_period_s=1.0, repeats=1)
+        self._rest()
         return self.client.track(reference, model, "composite", duration_s, directory)
 
     def decide(self, model, recording, directory, longest_s):

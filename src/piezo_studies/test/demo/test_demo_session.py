@@ -4,10 +4,11 @@
 from types import SimpleNamespace
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.task import Future
 
 from piezo_client.client import GoalFailed
-from piezo_studies.demo.session import RunningGoal
+from piezo_studies.demo.session import MEETINGS, RunningGoal, Session
 
 
 class Client:
@@ -51,3 +52,39 @@ def test_a_goal_that_ends_before_has_failed():
     assert not goal.wait_until(lambda: False)
     with pytest.raises(GoalFailed, match="diagnose: no recording"):
         goal.result()
+
+
+class Resting:
+    """A client of a stage that rests for 3 s each time, and of a monitor that meets it late."""
+
+    def __init__(self, met_after):
+        self.rests, self._met_after = 0, met_after
+        self.node = SimpleNamespace(
+            create_subscription=lambda kind, topic, hear, quality: setattr(self, "_hear", hear),
+            destroy_subscription=lambda subscription: None)
+
+    def goal(self, name, **fields):
+        self.rests += 1
+
+    def spin_until(self, condition, timeout_s):
+        # Of a stage before, whose clock was further on.
+        watched_s = 3.0 * self.rests if self.rests > self._met_after else 500.0
+        told = KeyValue(key="watched_until_s", value=f"{watched_s + 0.001:.3f}")
+        self._hear(DiagnosticArray(status=[DiagnosticStatus(values=[told])]))
+        return condition()
+
+
+def session_of(client):
+    processes = SimpleNamespace(log=lambda name: f"{name}.log")
+    return Session(client, processes, {}, [1.0, 1.0], lambda: True, lambda step: None)
+
+
+def test_a_monitor_that_misses_a_rest_is_met_at_the_next():
+    client = Resting(met_after=1)
+    session_of(client).let_monitor_follow()
+    assert client.rests == MEETINGS  # the clock of the stage is the same in any case
+
+
+def test_a_monitor_that_never_follows_is_told():
+    with pytest.raises(RuntimeError, match="does not follow the stage; see monitor.log"):
+        session_of(Resting(met_after=MEETINGS)).let_monitor_follow()
