@@ -43,7 +43,8 @@ def test_experiment_is_recorded_as_designed(suite, tmp_path, name):
     noise_um = recording.displacement_um[at] - truth.displacement_um
     assert 0.0 < noise_um.std() < 0.02  # 0.009 um RMS and 16 bits
 
-    assert told
+    if designed.voltage_v.size * designed.repeats * designed.sample_period_s > 3.0:
+        assert told  # what is told of a shorter run may come behind its result
     assert all(feedback.stage.startswith(f"{name}: ") for feedback in told)
     fractions = [feedback.fraction for feedback in told]
     assert fractions == sorted(fractions)

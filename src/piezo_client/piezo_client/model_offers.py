@@ -3,17 +3,48 @@
 
 from pathlib import Path
 
+from diagnostic_msgs.msg import DiagnosticArray
 from piezo_interfaces.msg import ExtendedModel
 from piezo_interfaces.srv import AcceptExtendedModel
 
 from piezo_client.client import Client, GoalFailed
 from piezo_client.paths import AnyPath
 from piezo_client.results import OfferedModel
-from piezo_ros.quality import DESCRIPTION
+from piezo_ros.quality import DESCRIPTION, DIAGNOSTICS_DEPTH
 
 SERVICE = "controller/accept_extended_model"
 LATCHED_S = 2.0
 """In which what a node told before is heard."""
+
+
+def monitor_follows(client: Client, from_s: float, to_s: float, wait_s: float) -> bool:
+    """Tell whether the monitor has watched the stage up to a time of its sample clock.
+
+    Parameters
+    ----------
+    client : Client
+    from_s, to_s : float
+        Between which the time lies: the monitor may still watch a stage before, whose clock is
+        another.
+    wait_s : float
+        How long to wait for the monitor to tell so.
+
+    Returns
+    -------
+    bool
+    """
+    told_s: list[float] = []
+
+    def hear(message: DiagnosticArray) -> None:
+        told_s.extend(float(entry.value) for status in message.status for entry in status.values
+                      if entry.key == "watched_until_s")
+
+    subscription = client.node.create_subscription(
+        DiagnosticArray, "/diagnostics", hear, DIAGNOSTICS_DEPTH)
+    try:
+        return client.spin_until(lambda: bool(told_s) and from_s <= told_s[-1] < to_s, wait_s)
+    finally:
+        client.node.destroy_subscription(subscription)
 
 
 def offered_model(client: Client, wait_s: float = LATCHED_S) -> OfferedModel | None:

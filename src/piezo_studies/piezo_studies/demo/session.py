@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the demo asks of running nodes beside or between its runs."""
 
-from diagnostic_msgs.msg import DiagnosticArray
-
 from piezo_client.client import ALIVE_PERIOD_S, GoalFailed
-from piezo_ros.quality import DIAGNOSTICS_DEPTH
+from piezo_client.model_offers import monitor_follows
 
 START_TIMEOUT_S = 60.0
 
@@ -121,24 +119,11 @@ class Session:
         RuntimeError
             If it does not follow.
         """
-        told_s = [-1.0]
-
-        def hear(message):
-            told_s.extend(
-                float(entry.value) for status in message.status for entry in status.values
-                if entry.key == "watched_until_s")
-
-        subscription = self.client.node.create_subscription(
-            DiagnosticArray, "/diagnostics", hear, DIAGNOSTICS_DEPTH)
-        try:
-            follows = False
-            for number in range(1, MEETINGS + 1):
-                self._rest()
-                end_s = number * self.rest_s
-                follows = follows or self.client.spin_until(
-                    lambda end_s=end_s: end_s <= told_s[-1] < end_s + 1.0, MEETING_S)
-        finally:
-            self.client.node.destroy_subscription(subscription)
+        follows = False
+        for number in range(1, MEETINGS + 1):
+            self._rest()
+            end_s = number * self.rest_s
+            follows = follows or monitor_follows(self.client, end_s, end_s + 1.0, MEETING_S)
         if not follows:
             raise RuntimeError(
                 f"the monitor does not follow the stage; see {self._processes.log('monitor')}")
