@@ -36,7 +36,7 @@ from piezo_studies.demo.extended_model_section import ExtendedModel, draw_models
 from piezo_studies.demo.operation import MONITOR, second_part
 from piezo_studies.demo.operation_section import format_operation, operation_sections
 from piezo_studies.demo.run_directory import claim_directory
-from piezo_studies.demo.session import RunningGoal, Session
+from piezo_studies.demo.session import RunningGoal, Session, rest
 from piezo_studies.demo.summary import (
     format_model_errors,
     format_table,
@@ -250,7 +250,7 @@ def _diagnosing(client, processes, identified, recording, directory, progress):
 
 def _rest(client, processes):
     with _blaming(processes, "stage"):
-        client.goal("play_waveform", voltage_v=REST_VOLTAGE_V, sample_period_s=1.0, repeats=1)
+        rest(client, REST_VOLTAGE_V)
 
 
 def _recording_of(experiment, identified):

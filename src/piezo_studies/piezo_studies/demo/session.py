@@ -12,6 +12,11 @@ MEETING_S = 10.0
 """After each, for which it is waited for."""
 
 
+def rest(client, voltage_v):
+    """Have the stage play voltages of a second each, until it is at rest."""
+    client.goal("play_waveform", voltage_v=voltage_v, sample_period_s=1.0, repeats=1)
+
+
 class RunningGoal:
     """A goal that goes on beside others of the same client.
 
@@ -121,20 +126,17 @@ class Session:
         """
         follows = False
         for number in range(1, MEETINGS + 1):
-            self._rest()
+            rest(self.client, self.rest_v)
             end_s = number * self.rest_s
             follows = follows or monitor_follows(self.client, end_s, end_s + 1.0, MEETING_S)
         if not follows:
             raise RuntimeError(
                 f"the monitor does not follow the stage; see {self._processes.log('monitor')}")
 
-    def _rest(self):
-        self.client.goal("play_waveform", voltage_v=self.rest_v, sample_period_s=1.0, repeats=1)
-
     def track(self, reference, model, duration_s, directory):
         """Rest, track a reference by the composite control, and return the result of the action."""
         self._show(f"track beside the monitor, {directory.name}")
-        self._rest()
+        rest(self.client, self.rest_v)
         return self.client.track(reference, model, "composite", duration_s, directory)
 
     def decide(self, model, recording, directory, longest_s):

@@ -74,7 +74,7 @@ SIDE_DAMPINGS, SIDE_PARTS = (1e-3, 0.4), (-2.0, 3.0)
 effect ``vibration_mode``."""
 
 MODE_FIELDS = ("frequency_rad_per_s", "damping_ratio", "participation")
-"""Of a mode beside others, in the order in which the vector holds them."""
+"""A mode beside others has these numbers, in the order in which the vector holds them."""
 
 MOST_LEFT_OUT = 8
 """Refused orders from which what they do not need is left out."""
