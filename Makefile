@@ -70,8 +70,9 @@ changes: setup ## change the stage while a model watches it; writes a table of d
 	@$(in_environment) .venv/bin/python -m piezo_studies.changes_in_operation
 
 CASES ?= 260
+EXPERIMENTS ?= 0
 diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite
-	@./run piezo_studies diagnose_suite --cases $(CASES) --seed $(SEED) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
+	@./run piezo_studies diagnose_suite --cases $(CASES) --seed $(SEED) --experiments $(EXPERIMENTS) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 calibration: setup ## diagnose 500 short recordings of a seed; writes their calibration to docs/diagnosis.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_calibration --cases 500 --seed 305 --page docs/diagnosis.md

@@ -138,6 +138,11 @@ def summary(results):
     }
 
 
+def without_experiments(result):
+    """Return the result of a case as it was before any proposed recording was made."""
+    return {**result, **result.get("before_experiments", {})}
+
+
 def _percent(part, whole):
     return 100.0 * part / whole if whole else None
 
@@ -150,10 +155,14 @@ def as_text(document):
         named = ", ".join(f"{name} {count}" for name, count in
                           sorted(counts.items(), key=lambda item: -item[1]))
         lines.append(f"  {row:26s} {named}")
-    lines.append("outcomes")
-    for group, counts in document["outcomes"].items():
-        text = ", ".join(f"{name} {count}" for name, count in counts.items())
-        lines.append(f"  {group:26s} {text}")
+    for title, outcomes in (("outcomes before any experiment", document.get("outcomes_before")),
+                            ("outcomes", document["outcomes"])):
+        if outcomes is None:
+            continue
+        lines.append(title)
+        for group, counts in outcomes.items():
+            text = ", ".join(f"{name} {count}" for name, count in counts.items())
+            lines.append(f"  {group:26s} {text}")
     lines.append("figures")
     for name, value in document["figures"].items():
         shown = "-" if value is None else f"{value:.4g}"

@@ -19,6 +19,9 @@ FAST_HZ, SLOW_HZ = 40_000.0, 1000.0
 LEAST_CLOCK_HZ = 10_000.0
 """No stage is slower, whatever the logger: what happens between its samples shows in them."""
 
+STAGE_LIMITS = StageLimits(0.0, 100.0, 1.8e6)
+"""Within which a stage plays what is proposed."""
+
 LOWEST_V, LEVELS_SPAN_V = 5.0, 90.0
 MOST_CHANGE_V = 45.0
 """No sample changes more; the stage node allows 50 V."""
@@ -138,3 +141,28 @@ def record(plant, experiment, seed):
         sample_periods_s=np.full(voltage_v.size, period_s),
         voltage_v=voltage_v, displacement_um=measured_um, flags=flags,
     )
+
+
+def play_proposed(plant, experiment, seed):
+    """Play a proposed experiment as the stage does: at its clock, with means of held values.
+
+    Parameters
+    ----------
+    plant : PlantConfig
+    experiment : piezo_identification.experiments.catalogue.Experiment
+    seed : int
+        Of everything random in the plant.
+
+    Returns
+    -------
+    Recording
+    """
+    clock_hz = STAGE_LIMITS.sample_rate_hz
+    held = round(experiment.sample_period_s * clock_hz)
+    voltage_v, flags = commanded(experiment)
+    clock = Surroundings(1.0 / clock_hz, REST_V, seed)
+    measured_um = respond(plant, np.repeat(voltage_v, held), clock, 1)
+    return Recording(
+        experiment.name, clock_hz, held * np.arange(voltage_v.size),
+        np.full(voltage_v.size, experiment.sample_period_s), voltage_v,
+        measured_um.reshape(-1, held).mean(axis=1), flags)

@@ -9,6 +9,7 @@ import numpy as np
 
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
 from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.experiment_design.decide import decide
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
@@ -73,7 +74,7 @@ def clean_model(seed, plant):
     return identified_model(draw_plant((seed, plant)), 1000 * seed + plant)
 
 
-def run_case(case, clean):
+def run_case(case, clean, experiments=0):
     """Record a drawn case, diagnose it, and return what was found.
 
     Parameters
@@ -81,6 +82,8 @@ def run_case(case, clean):
     case : Case
     clean : (IdentifiedModel, tuple of Recording)
         Of the plant without effects; see `identified_model`.
+    experiments : int
+        So many proposed recordings may be made where alternatives remain.
 
     Returns
     -------
@@ -103,9 +106,8 @@ def run_case(case, clean):
     if drawn and not case.later:
         known, identified_from = identified_model(hidden, seed % 2**20)
     recording = records.record(hidden, experiment, seed)
-    diagnosis = diagnose(
-        known.model, [recording], identified_from=IdentificationRecordings(identified_from, ()),
-        stated=stated_error(known))
+    diagnoses = _diagnoses(known, identified_from, recording, hidden, seed, experiments)
+    diagnosis = diagnoses[-1]
     # With the same noise and no effect: what perfect knowledge of the effects would leave.
     perfect_um = _least_error_um(model.model, records.record(plant, experiment, seed))
     noise = noise_um(plant)
@@ -128,9 +130,9 @@ def run_case(case, clean):
         "model": "identified before" if case.later else "identified with the effects",
         "contributions": contributions,
         "in_model": [effect.name for effect in known.model.effects],
-        "verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
-        "effects": [entry["name"] for entry in diagnosis.effects],
-        "not_decidable": sorted(diagnosis.not_decidable),
+        "experiments": len(diagnoses) - 1,
+        **_told(diagnosis),
+        "before_experiments": _told(diagnoses[0]),
         "estimates": [each for effect in drawn for each in estimates(
             effect.cause, effect.effect, diagnosis.effects)],
         "lacking_over_noise": _lacking_um(diagnosis) / noise,
@@ -138,6 +140,25 @@ def run_case(case, clean):
         "before_um": diagnosis.before["rms_um"], "after_um": diagnosis.after["rms_um"],
         "perfect_um": perfect_um,
     }
+
+
+def _diagnoses(known, identified_from, recording, hidden, seed, experiments):
+    """Return the diagnosis of a recording, and one with each recording that was then proposed."""
+    old, stated = IdentificationRecordings(identified_from, ()), stated_error(known)
+    if not experiments:
+        return [diagnose(known.model, [recording], identified_from=old, stated=stated)]
+    seeds = iter(range(seed + 1, seed + 1 + experiments))
+    steps = decide(
+        known.model, [recording],
+        lambda proposal, report: records.play_proposed(hidden, proposal.experiment, next(seeds)),
+        experiments, records.STAGE_LIMITS, identified_from=old, stated=stated)
+    return [step.diagnosis for step in steps]
+
+
+def _told(diagnosis):
+    return {"verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
+            "effects": [entry["name"] for entry in diagnosis.effects],
+            "not_decidable": sorted(diagnosis.not_decidable)}
 
 
 def _least_error_um(model, recording):

@@ -10,13 +10,20 @@ from piezo_studies.diagnosis_benchmark.calibration import calibrate
 from piezo_studies.diagnosis_benchmark.calibration_section import write_section
 from piezo_studies.diagnosis_benchmark.cases import draw_cases, draw_cases_all_along
 from piezo_studies.diagnosis_benchmark.coverage import coverage
-from piezo_studies.diagnosis_benchmark.outcome import as_text, refused, summary
+from piezo_studies.diagnosis_benchmark.kept_results import KeptResults
+from piezo_studies.diagnosis_benchmark.outcome import (
+    as_text,
+    refused,
+    summary,
+    without_experiments,
+)
 from piezo_studies.diagnosis_benchmark.run_case import clean_model, run_case
 
 CONNECT_S = 10
 
 
-def run_suite(client, count, seed, progress=None, all_along=False):
+def run_suite(client, count, seed, progress=None, all_along=False, experiments=0, first=None,
+              kept=None):
     """Run the suite; its result does not depend on where it runs.
 
     Parameters
@@ -28,26 +35,39 @@ def run_suite(client, count, seed, progress=None, all_along=False):
         Called with the number of cases done.
     all_along : bool
         Draw single effects alone that were there when the model was identified.
+    experiments : int
+        So many proposed recordings may be made in each case.
+    first : int, optional
+        Only so many of the cases are run, in the order in which they are drawn; by default all.
+    kept : KeptResults, optional
+        Where every result is kept at once, and from which the run goes on; by default nowhere.
 
     Returns
     -------
     dict
     """
-    cases = (draw_cases_all_along if all_along else draw_cases)(count, seed)
+    cases = (draw_cases_all_along if all_along else draw_cases)(count, seed)[:first]
+    results = {} if kept is None else kept.results()
+    missing = [case for case in cases if case.number not in results]
     models = {
         plant: client.submit(clean_model, seed, plant, pure=False)
-        for plant in sorted({case.plant for case in cases})
+        for plant in sorted({case.plant for case in missing})
     }
-    running = [client.submit(run_case, case, models[case.plant], pure=False) for case in cases]
-    for done, _ in enumerate(as_completed(running), start=1):
+    running = {client.submit(run_case, case, models[case.plant], experiments, pure=False): case
+               for case in missing}
+    for future in as_completed(running):
+        case = running[future]
+        results[case.number] = _result(case, future)
+        if kept is not None:
+            kept.add(results[case.number])
         if progress is not None:
-            progress(done)
-    results = [
-        _result(case, future) for case, future in zip(cases, running, strict=True)
-    ]
-    return {"seed": seed, "cases": count, "all_along": all_along, **summary(results),
-            "calibration": calibrate(results).document(), "coverage": coverage(results),
-            "results": results}
+            progress(len(results))
+    ordered = [results[case.number] for case in cases]
+    before = summary([without_experiments(result) for result in ordered])["outcomes"]
+    return {"seed": seed, "cases": count, "all_along": all_along, "experiments": experiments,
+            **summary(ordered), **({"outcomes_before": before} if experiments else {}),
+            "calibration": calibrate(ordered).document(), "coverage": coverage(ordered),
+            "results": ordered}
 
 
 def _result(case, future):
@@ -60,9 +80,12 @@ def _result(case, future):
 def diagnose_cases(options):
     """Run the suite of the options; the exit status is 0 whatever the figures are."""
     line = ProgressLine()
+    asked = min(options.first or options.cases, options.cases)
+    conditions = {"cases": options.cases, "seed": options.seed, "all_along": options.all_along,
+                  "experiments": options.experiments}
 
     def show(done):
-        line.show("cases", done / options.cases)
+        line.show("cases", done / asked)
 
     try:
         if options.scheduler:
@@ -72,11 +95,14 @@ def diagnose_cases(options):
     except OSError as error:
         raise ValueError(f"no scheduler at {options.scheduler}: {error}") from None
     with client:
-        document = run_suite(client, options.cases, options.seed, show, options.all_along)
+        options.output.mkdir(parents=True, exist_ok=True)
+        document = run_suite(client, progress=show, first=options.first, count=options.cases,
+                             seed=options.seed, all_along=options.all_along,
+                             experiments=options.experiments,
+                             kept=KeptResults(options.output / "cases.jsonl", conditions))
         if client.cluster is not None:
             client.cluster.close()
     line.clear()
-    options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / "table.json"
     path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     print(as_text(document))
@@ -87,5 +113,5 @@ def diagnose_cases(options):
           f"{intervals['right']} of {intervals['intervals']}")
     if options.page is not None:
         write_section(options.page, document)
-    print(f"{options.cases} cases of seed {options.seed}: {path}")
+    print(f"{asked} cases of seed {options.seed}: {path}")
     return 0

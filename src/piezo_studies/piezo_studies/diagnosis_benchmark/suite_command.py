@@ -18,10 +18,15 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1, help="of everything random (%(default)s)")
     parser.add_argument("--all-along", action="store_true",
                         help="single effects alone that were there when the model was identified")
+    parser.add_argument("--experiments", type=int, default=0,
+                        help="proposed recordings that may be made in each case (%(default)s)")
+    parser.add_argument("--first", type=int, metavar="N",
+                        help="run the first N of the cases alone; the order samples them")
     parser.add_argument("--scheduler", metavar="ADDRESS",
                         help="of a Dask scheduler, as tcp://host:8786; local processes by default")
     parser.add_argument("--output", type=Path, default=Path("runs/diagnose-suite"),
-                        help="directory of table.json (%(default)s)")
+                        help="directory of table.json, and of the results that are kept, from "
+                             "which a run goes on (%(default)s)")
     parser.add_argument("--page", type=Path,
                         help="page whose section on calibration is written anew, such as "
                              "docs/diagnosis.md")
@@ -30,7 +35,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 COMMAND = Command(
     "diagnose_suite", "Run the cases through Dask, print the confusion table and write it.",
     _add_options, "piezo_studies.diagnosis_benchmark.run_suite:diagnose_cases",
-    interrupted="table.json, if it is there, is of an earlier run")
+    interrupted="what is done is kept; the same command goes on")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -9,11 +9,8 @@ from piezo_identification.diagnosis.experiment_design.decide import decide
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
-from piezo_identification.experiments.stage_limits import StageLimits
-from piezo_recorder.reading.recording import Recording
-from piezo_sim.plant.plant_effect import Surroundings
 from piezo_studies.diagnosis_benchmark import records
-from piezo_studies.diagnosis_benchmark.effect_draws import draw_effect, respond
+from piezo_studies.diagnosis_benchmark.effect_draws import draw_effect
 from piezo_studies.diagnosis_benchmark.plants import draw_plant
 from piezo_studies.diagnosis_benchmark.run_case import clean_model
 
@@ -25,7 +22,6 @@ TWINS = {"delay": False, "sensor_lag": False, "creep": True, "thermal_drift": Tr
 ORDER = ("delay", "sensor_lag", "stiffening", "sensor_nonlinearity", "creep", "thermal_drift",
          "vibration_mode", "slew_limit")
 """In which `main` tries them; the number of each is its seed."""
-LIMITS = StageLimits(0.0, 100.0, 1.8e6)
 OVER_NOISE = 6.0
 """Contribution to the first recording over the noise: clear, and far from overwhelming."""
 
@@ -59,11 +55,11 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
     def play(proposal, report):
         nonlocal count
         count += 1
-        return _played(drawn.plant, proposal.experiment, seed + count)
+        return records.play_proposed(drawn.plant, proposal.experiment, seed + count)
 
     identified, identified_from = clean
     first = records.record(drawn.plant, experiment, seed)
-    steps = decide(identified.model, [first], play, budget, LIMITS,
+    steps = decide(identified.model, [first], play, budget, records.STAGE_LIMITS,
                    identified_from=IdentificationRecordings(identified_from, ()))
     return {"cause": cause, "steps": [
         {"verdict": step.diagnosis.verdict,
@@ -72,18 +68,6 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
          "probabilities": step.probabilities, "is_decided": step.is_decided,
          "proposed": None if step.proposal is None else step.proposal.document()}
         for step in steps]}
-
-
-def _played(plant, experiment, seed):
-    """Play an experiment as the stage does: at its clock, with means where values are held."""
-    held = round(experiment.sample_period_s * LIMITS.sample_rate_hz)
-    voltage_v, flags = records.commanded(experiment)
-    clock = Surroundings(1.0 / LIMITS.sample_rate_hz, records.REST_V, seed)
-    measured_um = respond(plant, np.repeat(voltage_v, held), clock, 1)
-    return Recording(
-        experiment.name, LIMITS.sample_rate_hz, held * np.arange(voltage_v.size),
-        np.full(voltage_v.size, experiment.sample_period_s), voltage_v,
-        measured_um.reshape(-1, held).mean(axis=1), flags)
 
 
 def main(arguments=None):

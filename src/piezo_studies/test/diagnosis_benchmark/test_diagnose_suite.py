@@ -11,6 +11,7 @@ from distributed import Client
 
 from piezo_studies.diagnosis_benchmark import run_suite as command
 from piezo_studies.diagnosis_benchmark.cases import draw_cases
+from piezo_studies.diagnosis_benchmark.kept_results import KeptResults
 from piezo_studies.diagnosis_benchmark.outcome import as_text, outcome, refused, summary
 from piezo_studies.diagnosis_benchmark.suite_command import main
 
@@ -128,7 +129,7 @@ def test_the_table_is_the_same_in_this_process_and_on_a_cluster(scheduler):
 
 
 def test_a_case_that_is_refused_does_not_end_the_suite(monkeypatch):
-    def refuse(case, model):
+    def refuse(case, model, experiments):
         raise ValueError(f"case {case.number} cannot be diagnosed")
 
     monkeypatch.setattr(command, "run_case", refuse)
@@ -137,6 +138,41 @@ def test_a_case_that_is_refused_does_not_end_the_suite(monkeypatch):
         table = command.run_suite(client, COUNT, SEED)
     assert [entry["error"] for entry in table["results"]] == [
         f"case {number} cannot be diagnosed" for number in range(COUNT)]
+
+
+def told(case, clean, experiments):
+    """Stand in for `run_case`: name a delay, and a sensor's lag before any experiment."""
+    last = result([("delay", 9.0, 2.0)], ["delay"])
+    before = {"verdict": "explained", "effects": ["sensor_lag"], "not_decidable": ["delay"]}
+    return {**last, "number": case.number, "experiments": experiments,
+            "before_experiments": before if experiments else {}}
+
+
+@pytest.fixture
+def cluster(monkeypatch):
+    monkeypatch.setattr(command, "run_case", told)
+    monkeypatch.setattr(command, "clean_model", lambda seed, plant: None)
+    with Client(processes=False, n_workers=1, dashboard_address=None) as client:
+        yield client
+
+
+def test_a_run_goes_on_from_what_is_kept_under_the_same_conditions(cluster, tmp_path):
+    path, conditions = tmp_path / "cases.jsonl", {"seed": SEED}
+    done = []
+    command.run_suite(cluster, 5, SEED, done.append, first=2, kept=KeptResults(path, conditions))
+    whole = command.run_suite(cluster, 5, SEED, done.append, kept=KeptResults(path, conditions))
+    assert done == [1, 2, 3, 4, 5]
+    assert [entry["number"] for entry in whole["results"]] == list(range(5))
+    assert whole == command.run_suite(cluster, 5, SEED)
+    assert KeptResults(path, {"seed": SEED + 1}).results() == {}
+
+
+def test_outcomes_before_the_experiments_are_told_beside_those_after_them(cluster):
+    table = command.run_suite(cluster, 3, SEED, experiments=1)
+    assert table["outcomes"]["clear"] == {"right": 3}
+    assert table["outcomes_before"]["clear"] == {"not decidable": 3}
+    assert "before any experiment" in as_text(table)
+    assert "before any experiment" not in as_text(command.run_suite(cluster, 3, SEED))
 
 
 def test_a_scheduler_that_is_not_there_is_told_in_one_line(capsys, monkeypatch):

@@ -6,7 +6,7 @@ import pytest
 
 from piezo_identification.diagnosis.experiment_design.decide import decide
 from piezo_identification.experiments.catalogue import Experiment
-from piezo_studies.diagnosis_benchmark import twin_decisions
+from piezo_studies.diagnosis_benchmark import records, twin_decisions
 from piezo_studies.diagnosis_benchmark.plants import draw_plant
 from piezo_studies.diagnosis_benchmark.run_case import clean_model
 
@@ -14,8 +14,8 @@ from piezo_studies.diagnosis_benchmark.run_case import clean_model
 def test_held_values_are_measured_as_means_at_the_clock():
     plant = draw_plant((77, 0))
     held = Experiment("held", np.repeat([20.0, 40.0], 5), 1e-3, 1, "")
-    recording = twin_decisions._played(plant, held, 1)
-    assert recording.sample_rate_hz == twin_decisions.LIMITS.sample_rate_hz
+    recording = records.play_proposed(plant, held, 1)
+    assert recording.sample_rate_hz == records.STAGE_LIMITS.sample_rate_hz
     assert set(np.diff(recording.sample_index)) == {40}
     assert recording.playing.sum() == 10
 
