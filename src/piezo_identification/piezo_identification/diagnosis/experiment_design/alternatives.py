@@ -16,11 +16,11 @@ from piezo_identification.diagnosis.joint.far_starts import may_lead
 from piezo_identification.diagnosis.joint.joint_fit import JointFit, JointProblem
 from piezo_identification.diagnosis.joint.model_weights import (
     HeldOut,
-    determined_numbers,
     expected_widths,
     held_out_of,
     probabilities_of,
 )
+from piezo_identification.diagnosis.joint.probabilities import penalty_of
 from piezo_identification.diagnosis.residual.regression import (
     SETTINGS,
     Regression,
@@ -237,9 +237,9 @@ def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit]) -> Alternati
     left = {name: held_out_of(fit) for name, fit in fitted.items()}
     least_um = [SETTINGS.model_tolerance * np.ptp(part.measured_um)
                 for part in problem.dataset.simulated]
-    determined = [_determined(problem, fit, roots[name]) for name, fit in fitted.items()]
+    penalties = [_penalty(problem, fit, left[name]) for name, fit in fitted.items()]
     chances = dict(zip(fitted, probabilities_of(
-        list(left.values()), determined, least_um).tolist(), strict=True))
+        list(left.values()), penalties, least_um).tolist(), strict=True))
     alternatives = sorted(
         (Alternative(name, fit.effects[own:], fit, chances[name], roots[name])
          for name, fit in fitted.items() if chances[name] >= LEAST_PROBABLE),
@@ -270,11 +270,11 @@ def _fitted(problem: JointProblem, effects: Effects, was_there: bool,
     return problem.fit((*own, *effects), later, begun)
 
 
-def _determined(problem: JointProblem, fit: JointFit, root: FloatArray) -> float:
-    """Return how many fitted numbers of the effects the recordings determine."""
-    widths = expected_widths(fit.effects, problem.dataset.extent)
-    of_effects = root[len(root) - widths.size :, len(root) - widths.size :]
-    return determined_numbers(of_effects.T @ of_effects, widths)
+def _penalty(problem: JointProblem, fit: JointFit, left: Sequence[HeldOut]) -> float:
+    """Return what the fitted numbers of the effects cost."""
+    return penalty_of(
+        left, [part.independent for part in left], fit.covariance,
+        expected_widths(fit.effects, problem.dataset.extent), fit.recurrence_count)
 
 
 def _name(effects: Sequence[Effect]) -> str:

@@ -5,9 +5,8 @@ No alternative is exactly right, and errors of the model may resemble the differ
 that goes is told by how much their ratio of likelihoods depends on which stretches are held out:
 the probabilities are means over a Bayesian bootstrap of the stretches (pseudo-BMA+: Yao, Vehtari,
 Simpson and Gelman, Using stacking to average Bayesian predictive distributions, Bayesian Analysis
-13, 2018). A fitted number costs half of the logarithm of the count of errors, as far as the
-recordings determine it (MacKay, Bayesian interpolation, Neural Computation 4, 1992): one that they
-tell nothing of explains nothing either.
+13, 2018). A fitted number costs as much as the recordings narrow it (MacKay, Bayesian
+interpolation, Neural Computation 4, 1992): one that they tell nothing of explains nothing either.
 """
 
 from collections.abc import Sequence
@@ -64,16 +63,16 @@ def held_out_of(fit: JointFit) -> list[HeldOut]:
                 fit.left_um(), regression.dataset.masks(), strict=True)]
 
 
-def probabilities_of(left: Sequence[Sequence[HeldOut]], determined: Sequence[float],
-                     least_um: Sequence[float]) -> FloatArray:
+def probabilities_of(left: Sequence[Sequence[HeldOut]], penalties: ArrayLike,
+                     least_um: ArrayLike) -> FloatArray:
     """Return the probability of each alternative.
 
     Parameters
     ----------
     left : sequence of sequences of HeldOut
         Of each alternative, its recordings.
-    determined : (n,) array
-        Fitted numbers of each that the recordings determine.
+    penalties : (n,) array
+        What the fitted numbers of each cost; see `occam_penalty`.
     least_um : (R,) array
         Accuracy that a good model has in each recording. Its errors are alike within a stretch: so
         what an alternative explains of them counts once for each stretch, however many rows show
@@ -85,7 +84,6 @@ def probabilities_of(left: Sequence[Sequence[HeldOut]], determined: Sequence[flo
     """
     recordings = list(zip(*left, strict=True))
     independent = np.array([max(part.independent for part in parts) for parts in recordings])
-    penalties = 0.5 * np.asarray(determined) * np.log(max(np.sum(independent), 2.0))
     stretches = np.array([np.unique(parts[0].stretch).size for parts in recordings])
     alike = np.maximum(1.0, independent / stretches)
     return shares_of(left, penalties, np.asarray(least_um) * np.sqrt(alike), independent)
@@ -121,28 +119,6 @@ def shares_of(left: Sequence[Sequence[HeldOut]], penalties: ArrayLike, least_um:
             counts = weights @ np.bincount(places, minlength=numbers.size)
             logarithms[:, index] -= 0.5 * samples * np.log(squares / counts + accuracy_um**2)
     return np.asarray(softmax(logarithms, axis=1).mean(axis=0))
-
-
-def determined_numbers(information: FloatArray, widths: FloatArray) -> float:
-    """Return how many of some numbers are determined by recordings, rather than by their widths.
-
-    Parameters
-    ----------
-    information : (p, p) array
-        Inverse of the covariance of the numbers by the recordings.
-    widths : (p,) array
-        In which they are expected.
-
-    Returns
-    -------
-    float
-        From 0 to p.
-    """
-    if not widths.size:
-        return 0.0
-    over_prior = np.linalg.eigvalsh(information * np.outer(widths, widths))
-    over_prior = np.maximum(over_prior, 0.0)
-    return float(np.sum(over_prior / (1.0 + over_prior)))
 
 
 def expected_widths(effects: Sequence[Effect], extent: Extent | None = None) -> FloatArray:
