@@ -8,16 +8,18 @@ the density are drawn, and an estimate that is linear about the optimum,
 
     change of the effects = (G' G)^-1 G' e,
 
-tells what each of them does to the effects, with G the derivatives that the regressors leave. The
-drawn errors e are as large as makes them leave, beside white noise, what the fit leaves. An error
-is common to all cells of one span, since an identification averages over loops of one span, and
-its cells are too wide for what a density does near its diagonal wherever that is.
+tells what each of them does to the effects, with G the derivatives that the regressors leave. How
+large the errors e are follows from how much more of what the fit leaves has their shapes than it
+would by chance. An error is common to all cells of one span, since an identification averages over
+loops of one span, and its cells are too wide for what a density does near its diagonal wherever
+that is.
 """
 
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import orth
 from scipy.stats import norm
 
 from piezo_common.arrays import FloatArray
@@ -142,8 +144,10 @@ def _erring(hysteresis: PreisachModel) -> Iterator[PreisachModel]:
 def noise_and_errors(left: FloatArray, errors: FloatArray) -> tuple[float, float]:
     """Return the variance of white noise, and how large drawn errors are, by what a fit leaves.
 
-    The mean square of what is left is the sum of both, and so is that of means over neighbours, in
-    which white noise is less. Where that difference is within its scatter, the errors may still be
+    Half of the drawn errors span the shapes that errors of the density have in these rows. What is
+    left has more power in these shapes than elsewhere by as much as such errors are there, and the
+    other half of them tells how much more they would have. Means over neighbours are compared, in
+    which white noise is less. Where the difference is within its scatter, the errors may still be
     there: the size is the mean of those that are possible, which are normal about the estimate and
     not negative.
 
@@ -159,18 +163,45 @@ def noise_and_errors(left: FloatArray, errors: FloatArray) -> tuple[float, float
     size : float
         Of the squares of the drawn errors.
     """
-    count = len(left) // BLOCK
-
-    def squares(columns: FloatArray) -> FloatArray:
-        means = columns[: count * BLOCK].reshape(count, BLOCK, -1).mean(axis=1)
-        return np.array([np.mean(columns**2), np.mean(means**2)])
-
-    total, of_errors = squares(left), squares(errors)
-    excess = of_errors[1] - of_errors[0] / BLOCK
-    if excess <= 0.0 or total[1] <= 0.0:
-        return float(total[0]), 0.0
-    size = (total[1] - total[0] / BLOCK) / excess
-    deviation = total[1] * np.sqrt(2.0 / count) / excess
+    means = block_means(np.column_stack([left, errors]))
+    half = min(errors.shape[1], len(means)) // 2
+    if not half:
+        return float(np.mean(left**2)), 0.0
+    shapes = orth(means[:, 1 : 1 + half])
+    within, beyond = powers(means, shapes)
+    expected = np.mean((within - beyond)[1 + half :])
+    total = float(np.mean(left**2))
+    if expected <= 0.0 or within[0] <= 0.0:
+        return total, 0.0
+    size = (within[0] - beyond[0]) / expected
+    deviation = within[0] * np.sqrt(2.0 / shapes.shape[1]) / expected
     over = size / deviation
     size += deviation * np.exp(norm.logpdf(over) - norm.logcdf(over))
-    return float(max(0.0, total[0] - size * of_errors[0])), float(size)
+    return max(0.0, total - size * float(np.mean(errors**2))), float(size)
+
+
+def block_means(columns: FloatArray) -> FloatArray:
+    """Return the means of columns, (n, m), over blocks of neighbouring rows."""
+    count = len(columns) // BLOCK
+    means: FloatArray = columns[: count * BLOCK].reshape(count, BLOCK, columns.shape[1]).mean(axis=1)
+    return means
+
+
+def powers(columns: FloatArray, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean square of columns, (n, m), in each of some shapes, and in all others.
+
+    Parameters
+    ----------
+    columns : (n, m) array
+    shapes : (n, k) array
+        Orthonormal, with k less than n.
+
+    Returns
+    -------
+    within, beyond : (m,) array
+        The same for white noise.
+    """
+    count, number = shapes.shape
+    within = np.sum((shapes.T @ columns) ** 2, axis=0)
+    beyond = np.sum(columns**2, axis=0) - within
+    return within / number, beyond / (count - number)

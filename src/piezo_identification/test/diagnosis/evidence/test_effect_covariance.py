@@ -104,6 +104,21 @@ def test_white_noise_and_errors_that_neighbours_share_are_told_apart():
     assert np.mean(told, axis=0) == pytest.approx((1.0, 0.04), rel=0.15)
 
 
+def test_what_is_left_in_other_shapes_tells_nothing_of_the_errors():
+    random = np.random.default_rng(5)
+    errors, noise = waves(random, 200), random.normal(size=2000)
+    other = np.cos(np.outer(np.arange(2000) / 2000, np.pi * np.arange(60, 90)))
+    disturbance = 0.2 * other @ random.normal(size=30)
+    _, alone = noise_and_errors(noise, errors)
+    _, beside = noise_and_errors(noise + disturbance, errors)
+    assert beside * np.mean(errors**2) < 0.1 * np.mean(disturbance**2)
+    assert beside < 4.0 * alone
+
+
+def test_a_recording_of_few_rows_tells_no_size():
+    assert noise_and_errors(np.ones(9), np.ones((9, 4))) == (1.0, 0.0)
+
+
 def test_of_white_noise_alone_the_size_is_what_it_may_be():
     random = np.random.default_rng(4)
     errors = waves(random, 200)
