@@ -164,13 +164,12 @@ def noise_and_errors(left: FloatArray, errors: FloatArray) -> tuple[float, float
         Of the squares of the drawn errors.
     """
     means = block_means(np.column_stack([left, errors]))
-    half = min(errors.shape[1], len(means)) // 2
-    if not half:
-        return float(np.mean(left**2)), 0.0
+    half, total = min(errors.shape[1], len(means)) // 2, float(np.mean(left**2))
     shapes = orth(means[:, 1 : 1 + half])
+    if not shapes.size:
+        return total, 0.0  # the rows are too few, or there is no density
     within, beyond = powers(means, shapes)
     expected = np.mean((within - beyond)[1 + half :])
-    total = float(np.mean(left**2))
     if expected <= 0.0 or within[0] <= 0.0:
         return total, 0.0
     size = (within[0] - beyond[0]) / expected
@@ -183,8 +182,8 @@ def noise_and_errors(left: FloatArray, errors: FloatArray) -> tuple[float, float
 def block_means(columns: FloatArray) -> FloatArray:
     """Return the means of columns, (n, m), over blocks of neighbouring rows."""
     count = len(columns) // BLOCK
-    means: FloatArray = columns[: count * BLOCK].reshape(count, BLOCK, columns.shape[1]).mean(axis=1)
-    return means
+    blocks = columns[: count * BLOCK].reshape(count, BLOCK, columns.shape[1])
+    return np.asarray(blocks.mean(axis=1))
 
 
 def powers(columns: FloatArray, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -115,8 +115,9 @@ def test_what_is_left_in_other_shapes_tells_nothing_of_the_errors():
     assert beside < 4.0 * alone
 
 
-def test_a_recording_of_few_rows_tells_no_size():
-    assert noise_and_errors(np.ones(9), np.ones((9, 4))) == (1.0, 0.0)
+@pytest.mark.parametrize("errors", [np.ones((9, 4)), np.zeros((90, 4)), np.ones((90, 1))])
+def test_few_rows_or_a_stage_without_hysteresis_tell_no_size(errors):
+    assert noise_and_errors(np.ones(len(errors)), errors) == (1.0, 0.0)
 
 
 def test_of_white_noise_alone_the_size_is_what_it_may_be():
