@@ -2,9 +2,11 @@
 """Where an effect that no model is told of stands in the chain of a plant."""
 
 import dataclasses
+from collections.abc import Sequence
 
 from piezo_sim.effects.current_limit import CurrentLimit
 from piezo_sim.effects.depolarisation import Depolarisation
+from piezo_sim.effects.guide_spring import GuideSpring
 from piezo_sim.effects.hardening_spring import HardeningSpring
 from piezo_sim.effects.intermittent_contact import IntermittentContact
 from piezo_sim.effects.loaded_mode import LoadedMode
@@ -26,7 +28,8 @@ from piezo_sim.plant.sensor import DisplacementSensor
 def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
     """Put an undeclared effect where it belongs in the chain of a plant.
 
-    A `LoadedMode` takes the place of the mode whose frequency is nearest.
+    A `LoadedMode` takes the place of the mode whose frequency is nearest; a `GuideSpring` comes
+    behind it.
 
     Parameters
     ----------
@@ -50,10 +53,9 @@ def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
         modes = [i for i in linear if isinstance(stage[i], VibrationMode)]
         stage.insert(modes[-1] + 1, effect)
     elif isinstance(effect, LoadedMode):
-        frequencies = {mode.frequency_rad_per_s: i for i in linear
-                       if isinstance(mode := stage[i], VibrationMode)}
-        nearest = min(frequencies, key=lambda w: abs(w - effect.frequency_rad_per_s))
-        stage[frequencies[nearest]] = effect
+        stage[_nearest_mode(stage, effect.frequency_rad_per_s)] = effect
+    elif isinstance(effect, GuideSpring):
+        stage.insert(_nearest_mode(stage, effect.frequency_rad_per_s) + 1, effect)
     elif isinstance(effect, SoftBacklash | SwitchedHeat | ThermalDrift):
         stage.append(effect)
     else:
@@ -62,3 +64,10 @@ def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
         sensor.insert(converter, effect)
         return dataclasses.replace(plant, sensor=tuple(sensor))
     return dataclasses.replace(plant, stage=tuple(stage))
+
+
+def _nearest_mode(stage: Sequence[Effect], frequency_rad_per_s: float) -> int:
+    """Return the place of the mode whose frequency is nearest."""
+    frequencies = {mode.frequency_rad_per_s: place for place, mode in enumerate(stage)
+                   if isinstance(mode, VibrationMode)}
+    return frequencies[min(frequencies, key=lambda w: abs(w - frequency_rad_per_s))]

@@ -32,6 +32,7 @@ from piezo_sim.effects.depolarisation import Depolarisation
 from piezo_sim.effects.distributed_lag import DistributedLag
 from piezo_sim.effects.distributed_line import DistributedLine
 from piezo_sim.effects.generalised_plays import GeneralisedPlays
+from piezo_sim.effects.guide_spring import GuideSpring
 from piezo_sim.effects.hardening_spring import HardeningSpring
 from piezo_sim.effects.intermittent_contact import IntermittentContact
 from piezo_sim.effects.loaded_mode import LoadedMode
@@ -82,6 +83,7 @@ EFFECTS = {
         CurrentLimit,
         SoftSaturation,
         SwitchingDelay,
+        GuideSpring,
         HardeningSpring,
         SoftBacklash,
         Spikes,

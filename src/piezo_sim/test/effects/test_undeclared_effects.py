@@ -10,12 +10,14 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from scipy.special import gammainc
 
 from piezo_sim.effects.current_limit import CurrentLimit
 from piezo_sim.effects.depolarisation import Depolarisation
 from piezo_sim.effects.distributed_lag import DistributedLag
+from piezo_sim.effects.guide_spring import GuideSpring
 from piezo_sim.effects.hardening_spring import HardeningSpring
 from piezo_sim.effects.intermittent_contact import IntermittentContact
 from piezo_sim.effects.loaded_mode import LoadedMode
@@ -59,6 +61,7 @@ EXAMPLES = [
     Depolarisation(0.05, 500.0),
     LoadedMode(4909.0, 0.081992, 0.2, 0.0, 0.05),
     SwitchedHeat(1.0, 0.5, 0.05),
+    GuideSpring(4909.0, 0.08, 5.0, 200.0),
 ]
 every_effect = pytest.mark.parametrize("effect", EXAMPLES, ids=lambda effect: effect.name)
 unhurried = settings(deadline=None)  # the first example may compile
@@ -340,6 +343,34 @@ def test_spring_balances_the_cubic_force():
     assert played(spring, free_um) == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.parametrize(("period_s", "within"), [(2.5e-5, 2e-3), (4e-4, 5e-2)])
+def test_a_guide_swings_by_duffings_equation(period_s, within):
+    """Against an integrator of the whole equation; samples are straight between each other."""
+    w, damping_ratio, relaxed_um, length_um = 2000.0, 0.05, 5.0, 40.0
+    spring = GuideSpring(w, damping_ratio, relaxed_um, length_um)
+    time_s = period_s * np.arange(round(0.02 / period_s))
+
+    def drive_um(t):
+        return 30.0 * np.sin(700.0 * t)
+
+    def speeds(t, state, cube):
+        y, v = state
+        e = y - relaxed_um
+        return v, w * w * (drive_um(t) - relaxed_um - e - cube * e**3) - 2 * damping_ratio * w * v
+
+    def solved(cube, first_um):
+        return solve_ivp(speeds, (0.0, time_s[-1]), (first_um, 0.0), t_eval=time_s, args=(cube,),
+                         rtol=1e-10, atol=1e-10).y[0]
+
+    runner = spring.start(dataclasses.replace(SURROUNDINGS, sample_period_s=period_s))
+    first_um = runner.rest(0.0)
+    samples = solved(0.0, 0.0)[1:]
+    linear_um = samples.copy()
+    runner.apply(samples)
+    expected = solved(1.0 / length_um**2, first_um)[1:]
+    assert np.std(samples - expected) < within * np.std(linear_um - expected)
+
+
 @unhurried
 @given(
     st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=8),
@@ -469,6 +500,9 @@ def test_plant_of_the_demonstration_is_the_default_one_with_two_effects_more():
         (SwitchingDelay, {"reference_speed_v_per_s": 0.0}),
         (SwitchingDelay, {"averaging_time_s": 0.0}),
         (HardeningSpring, {"hardening_length_um": 0.0}),
+        (GuideSpring, {"hardening_length_um": 0.0}),
+        (GuideSpring, {"damping_ratio": 0.0}),
+        (GuideSpring, {"frequency_rad_per_s": -1.0}),
         (SoftBacklash, {"half_gap_um": 0.0}),
         (Spikes, {"rate_per_s": 0.0}),
         (Spikes, {"height_spread": -1.0}),

@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from piezo_sim.effects.current_limit import CurrentLimit
 from piezo_sim.effects.depolarisation import Depolarisation
 from piezo_sim.effects.distributed_lag import DistributedLag
-from piezo_sim.effects.hardening_spring import HardeningSpring
+from piezo_sim.effects.guide_spring import GuideSpring
 from piezo_sim.effects.intermittent_contact import IntermittentContact
 from piezo_sim.effects.logarithmic_creep import LogarithmicCreep
 from piezo_sim.effects.mains_hum import MainsHum
@@ -31,6 +31,7 @@ from piezo_sim.effects.switching_delay import SwitchingDelay
 from piezo_sim.effects.thermal_drift import ThermalDrift
 from piezo_sim.effects.transducer_curve import TransducerCurve
 from piezo_sim.effects.transport_delay import TransportDelay
+from piezo_sim.plant.linear_effects import VibrationMode
 from piezo_sim.plant.plant import Plant
 from piezo_sim.plant.plant_effect import Effect, Surroundings
 from piezo_sim.plant.plant_file import PlantConfig
@@ -75,6 +76,7 @@ class _Record:
     sample_period_s: float
     rest_voltage_v: float
     clock_samples: int
+    modes: tuple[VibrationMode, ...]
 
     @property
     def duration_s(self) -> float:
@@ -179,7 +181,10 @@ def _rate_dependent_hysteresis(random, record) -> Family:
 def _stiffening(random, record) -> Family:
     relaxed_um = record.position_um(random.uniform(0.0, 0.3))
     range_um = float(np.ptp(record.displacement_um))
-    return lambda strength: HardeningSpring(relaxed_um, range_um / strength)
+    # The guide carries what the sensor sees, so its spring is that of the last mode.
+    mode = record.modes[-1]
+    return lambda strength: GuideSpring(
+        mode.frequency_rad_per_s, mode.damping_ratio, relaxed_um, range_um / strength)
 
 
 def _backlash(random, record) -> Family:
@@ -329,6 +334,7 @@ def draw_effect(
         surroundings.sample_period_s,
         surroundings.rest_voltage_v,
         clock_samples,
+        tuple(effect for effect in plant.stage if isinstance(effect, VibrationMode)),
     )
     family = recipe.family(np.random.default_rng([seed, *cause.encode()]), record)
     noise_um = next(e.noise_rms_um for e in plant.sensor if isinstance(e, DisplacementSensor))
