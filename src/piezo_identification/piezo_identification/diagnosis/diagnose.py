@@ -51,6 +51,7 @@ from piezo_identification.diagnosis.residual.regression import Fit, Regression, 
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.prediction import PastSearchSettings
 from piezo_models.cascade import StageModel
+from piezo_models.effects import known_effects
 from piezo_recorder.reading.recording import Recording
 
 if TYPE_CHECKING:
@@ -393,4 +394,9 @@ def _not_decidable(selection: Selection, decision: Decision,
     for name, found in selection.indistinguishable.items():
         if name not in named and found in named:
             reasons[name] = f"the data does not tell it from {found}"
+    kinds = known_effects()
+    for found in sorted(named & kinds.keys()):
+        for name in kinds[found].same_without_dynamics:
+            if name not in named:
+                reasons.setdefault(name, f"where it acts at once, it is the same as {found}")
     return reasons

@@ -175,6 +175,9 @@ class Effect(ABC):
     indistinguishable_from : tuple of str
         Names of effects that do much the same to most recordings. Where the diagnosis finds one of
         two, it also tries the other in its place. One of the two is enough to name the other.
+    same_without_dynamics : tuple of str
+        Names of effects of which a form that acts at once does exactly the same. Their candidates
+        are of another form, so a diagnosis that finds this one lists them.
     """
 
     name: ClassVar[str]
@@ -187,6 +190,7 @@ class Effect(ABC):
     experiment: ClassVar[str]
     distortion: ClassVar[frozenset[str] | None] = None
     indistinguishable_from: ClassVar[tuple[str, ...]] = ()
+    same_without_dynamics: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def apply(self, signal: FloatArray, sample_period_s: float,

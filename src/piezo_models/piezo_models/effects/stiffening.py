@@ -97,20 +97,21 @@ class Stiffening(Effect):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with least squares for each mode of the model, and for a spring that acts at once.
+        """Begin with least squares for each mode of the model.
 
         The spring's equation is linear in its parts where the displacement is the measured one.
+        One without a mode would do what a curved sensor does, and nothing could tell the two apart:
+        it is tried only where the model has no mode.
         """
         low, high = evidence.displacement_um.min(), evidence.displacement_um.max()
         if low == high:
             return []
         dynamics = evidence.dynamics
-        modes = zip(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True)
-        # Faster than the samples a mode follows at once.
-        slow_modes = [mode for mode in modes if mode[0] * evidence.sample_period_s <= 1.0]
+        modes = list(zip(
+            dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True))
         measured_um = evidence.displacement_um + evidence.residual_um
         starts = []
-        for mode in (*slow_modes, (0.0, 1.0)):
+        for mode in modes or [(0.0, 1.0)]:
             shape = cls(0.0, 0.0, 0.0, 0.5 * (low + high), 0.5 * (high - low), *mode)
             gains, _ = evidence.reduction(-shape.yields(measured_um, evidence.sample_period_s))
             linear_um, square_um, cubic_um, quartic_um = gains.tolist()
