@@ -29,6 +29,7 @@ from piezo_stage_driver.node.stage_services import StageServices
 from piezo_stage_driver.node.stage_settings import StageSettings
 from piezo_stage_driver.node.waveform_goals import WaveformGoals
 from piezo_stage_driver.safety.guards import StopLatch
+from piezo_stage_driver.safety.sample_kernels import compile_kernels
 from piezo_stage_driver.safety.transitions import State
 
 WATCH_PERIOD_S = 0.1
@@ -90,6 +91,7 @@ class StageNode(LifecycleNode):
                 backend = cast(StageBackend, self._reports.tick_times)
             supervisor = self.settings.create_supervisor(backend, self._latch)
             compile_law()
+            compile_kernels()
         except ValueError as error:
             self.get_logger().error(f"cannot configure: {error}")
             return TransitionCallbackReturn.FAILURE

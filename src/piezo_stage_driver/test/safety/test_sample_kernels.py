@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What every tick calls is compiled before the first tick."""
+
+import subprocess
+import sys
+
+PROGRAM = """
+import numpy as np
+from piezo_stage_driver.engine.stage_engine import StageEngine
+from piezo_stage_driver.safety import sample_kernels as kernels
+from piezo_stage_driver.safety.guards import SensorNoise, SensorRange, SensorResponse
+from piezo_stage_driver.safety.limits import VoltageLimits
+
+
+class Backend:
+    sample_rate_hz = 40_000.0
+
+    def exchange(self, voltage_v):
+        return np.zeros(len(voltage_v))
+
+
+def compiled():
+    return [len(kernel.signatures) for kernel in (
+        kernels.hold_within, kernels.extremes, kernels.tick_means, kernels.fourth_difference)]
+
+
+kernels.compile_kernels()
+before = compiled()
+engine = StageEngine(Backend(), VoltageLimits(0.0, 100.0, 1e6), sensor_guards=(
+    SensorRange(-1.0, 1.0), SensorResponse(), SensorNoise(1.0)))
+engine.advance()
+print(before, compiled())
+"""
+
+
+def test_first_tick_compiles_nothing():
+    # In a process of its own: what other tests have compiled stays compiled in this one.
+    told = subprocess.run([sys.executable, "-c", PROGRAM], check=True, text=True,
+                          capture_output=True).stdout
+    assert told == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
