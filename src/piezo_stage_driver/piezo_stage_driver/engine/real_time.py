@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Let a process keep a clock's pace: priority, memory that stays, and no pause of Python's own."""
 
+import contextlib
 import ctypes
 import gc
 import os
 import resource
 import sys
+import threading
 
 # Of sys/mman.h: what is mapped now and later, each page from its first use on.
 MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
@@ -34,7 +36,7 @@ class RealTime:
     def __init__(self, priority: int) -> None:
         self._priority = priority
         self._switch_interval_s = sys.getswitchinterval()
-        self._raised: list[int] = []
+        self._raised: set[int] = set()
         self._locked = self._begun = False
         self.told = "not asked for"
 
@@ -55,7 +57,17 @@ class RealTime:
     def raise_loop(self) -> None:
         """Raise the priority of the thread that calls, above that of the others."""
         if self._raised:
+            self._raised.add(threading.get_native_id())
             _set_priority(0, self._priority)
+
+    def raise_new_threads(self) -> None:
+        """Raise the threads that have come since, where the system allows it.
+
+        Called now and then from another thread than the loop's: the executor and the middleware
+        start some of theirs once they have something to do.
+        """
+        if self._raised:
+            self._raise_threads()
 
     def end(self) -> None:
         """Give back what `begin` took, unless that is done."""
@@ -63,11 +75,9 @@ class RealTime:
             return
         self._begun = False
         for thread in self._raised:
-            try:
+            with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
                 os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
-            except ProcessLookupError:
-                pass  # a thread that has ended meanwhile
-        self._raised = []
+        self._raised = set()
         if self._locked:
             ctypes.CDLL(None).munlockall()
             self._locked = False
@@ -75,10 +85,12 @@ class RealTime:
         sys.setswitchinterval(self._switch_interval_s)
 
     def _raise_threads(self) -> str:
+        present = set(map(int, os.listdir("/proc/self/task")))
         try:
-            for thread in map(int, os.listdir("/proc/self/task")):
-                _set_priority(thread, max(self._priority - 1, 1))
-                self._raised.append(thread)
+            for thread in present - self._raised:
+                with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+                    _set_priority(thread, max(self._priority - 1, 1))
+                    self._raised.add(thread)
         except OSError as error:
             return (f"the priority is not raised ({error.strerror}): let the user have one of "
                     f"{self._priority} (rtprio in /etc/security/limits.conf)")

@@ -99,8 +99,9 @@ class StageLoop:
         return 0.0
 
     def watch(self) -> None:
-        """Look, from another thread than the one that ticks, whether the backend hangs."""
+        """Look after the loop from another thread: what came since, whether the backend hangs."""
         self.supervisor.watch()
+        self.real_time.raise_new_threads()
         if self.supervisor.hangs:
             self._begin_own_rest()
 

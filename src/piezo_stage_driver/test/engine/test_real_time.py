@@ -50,6 +50,34 @@ def test_every_thread_is_raised_and_the_loop_above_them_until_the_end(system):
         assert sys.getswitchinterval() == pytest.approx(0.005)
 
 
+def test_thread_that_comes_later_is_raised_too_and_the_loop_stays_above(system, monkeypatch):
+    real, loop, later = RealTime(40), threading.get_native_id(), 4_000_000
+    threads = [loop]
+    monkeypatch.setattr(os, "listdir", lambda path: list(map(str, threads)))
+    real.begin()
+    real.raise_loop()
+    system["priorities"].clear()
+    threads.append(later)
+    real.raise_new_threads()
+    assert system["priorities"] == {later: (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 39)}
+    real.end()
+    assert system["priorities"][later] == (os.SCHED_OTHER, 0)
+    system["priorities"].clear()
+    real.raise_new_threads()
+    assert not system["priorities"]
+
+
+def test_thread_that_ends_meanwhile_is_no_refusal(system, monkeypatch):
+    def end(thread, policy, parameter):
+        raise ProcessLookupError(3, "No such process")
+
+    monkeypatch.setattr(os, "sched_setscheduler", end)
+    real = RealTime(40)
+    real.begin()
+    assert real.told == "granted"
+    real.end()
+
+
 def test_no_priority_asks_the_system_for_nothing(system):
     real = RealTime(0)
     real.begin()
