@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Who finds this process, how soon others miss it, and how soon what got lost comes again."""
+"""What the middleware does for this process: who finds it, and who waits for what it sends."""
 
 import os
 from pathlib import Path
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+PUBLICATION_MODE = "RMW_FASTRTPS_PUBLICATION_MODE"
 # As participant.xml says: how long others wait for a sign of life, and how often one is given.
 LEASE_S = 3.0
 ANNOUNCEMENT_S = 0.5
@@ -24,3 +25,13 @@ def prepare_discovery() -> None:
     """
     os.environ.setdefault(RANGE, "LOCALHOST")
     os.environ.setdefault(PROFILES, str(Path(__file__).with_name("participant.xml")))
+
+
+def deliver_in_background() -> None:
+    """Let a thread of the middleware send what this process publishes; call it before ROS starts.
+
+    To hand a message over takes a lock that the reader's process holds as well. Where that process
+    gets no core, a writer that hands over by itself waits for it, for milliseconds, and keeps
+    Python's interpreter meanwhile. What the environment says already is left as it is.
+    """
+    os.environ.setdefault(PUBLICATION_MODE, "ASYNCHRONOUS")

@@ -4,9 +4,11 @@
 import argparse
 import importlib
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from types import FrameType
 
@@ -61,6 +63,23 @@ def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
         else:
             kept.append(argument)
     return kept
+
+
+def arguments_set(name: str, value: str, arguments: Sequence[str]) -> bool:
+    """Tell whether arguments, or a parameter file that they name, give a parameter this value.
+
+    For what must be known before there is a node. It does not look for which node they give it.
+
+    Parameters
+    ----------
+    name, value : str
+        Of the parameter.
+    arguments : sequence of str
+        Of the command line.
+    """
+    files = [Path(file) for option, file in pairwise(arguments) if option == "--params-file"]
+    texts = [file.read_text("utf-8", "replace") for file in files if file.is_file()]
+    return any(re.search(rf"\b{name}:=?\s*['\"]?{value}\b", text) for text in (*arguments, *texts))
 
 
 def _leave(number: int, frame: FrameType | None) -> None:

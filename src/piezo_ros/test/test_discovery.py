@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the middleware is told about signs of life and about what got lost."""
+"""What the middleware is told about signs of life, about what got lost, and about who sends."""
 
 import os
 import subprocess
@@ -27,8 +27,8 @@ def seconds(name):
                for part in entry)
 
 
-def told_by_the_middleware(profiles):
-    environment = {**os.environ, discovery.PROFILES: str(profiles)}
+def told_by_the_middleware(profiles, **changes):
+    environment = {**os.environ, discovery.PROFILES: str(profiles), **changes}
     return subprocess.run(
         [sys.executable, "-c", NODE], env=environment, check=True, text=True, timeout=300.0,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT).stdout
@@ -46,3 +46,17 @@ def test_the_middleware_takes_all_of_the_profiles(tmp_path):
     wrong = tmp_path / "wrong.xml"
     wrong.write_text(PROFILES.read_text().replace("heartbeatPeriod", "heartbeatPeriode"))
     assert "heartbeatPeriode" in told_by_the_middleware(wrong)
+
+
+def test_the_middleware_is_asked_to_send_by_a_thread_of_its_own(monkeypatch):
+    monkeypatch.setattr(os, "environ", {**os.environ})
+    os.environ.pop(discovery.PUBLICATION_MODE, None)
+    discovery.deliver_in_background()
+    mode = os.environ[discovery.PUBLICATION_MODE]
+    # It says where it does not know what it is asked for.
+    assert told_by_the_middleware(PROFILES, **{discovery.PUBLICATION_MODE: mode}) == ""
+    unknown = {discovery.PUBLICATION_MODE: mode.lower()}
+    assert "Using default SYNCHRONOUS" in told_by_the_middleware(PROFILES, **unknown)
+    os.environ[discovery.PUBLICATION_MODE] = "SYNCHRONOUS"
+    discovery.deliver_in_background()
+    assert os.environ[discovery.PUBLICATION_MODE] == "SYNCHRONOUS"

@@ -6,7 +6,7 @@ import sys
 import pytest
 from rclpy.utilities import remove_ros_args
 
-from piezo_ros.starting import node_entry, without_ros_arguments
+from piezo_ros.starting import arguments_set, node_entry, without_ros_arguments
 
 
 @pytest.mark.parametrize("arguments", [
@@ -26,3 +26,21 @@ def test_help_and_typos_import_no_node(arguments, status, capsys):
     told = capsys.readouterr()
     assert "--ros-args" in told.out + told.err
     assert "no_such_package" not in sys.modules
+
+
+@pytest.mark.parametrize(("given", "expected"), [
+    (["-p", "timing:=lockstep"], True), (["-p", "stage:timing:='lockstep'"], True), ([], False),
+    (["-p", "timing:=paced", "-p", "lockstep_timeout_s:=2.0"], False)])
+def test_arguments_tell_what_a_parameter_is_set_to(given, expected):
+    assert arguments_set("timing", "lockstep", ["stage", "--ros-args", *given]) is expected
+
+
+@pytest.mark.parametrize(("text", "expected"), [
+    ("/**:\n  ros__parameters:\n    timing: lockstep\n", True),
+    ("stage:\n  ros__parameters: {timing: 'lockstep'}\n", True),
+    ("stage:\n  ros__parameters: {timing: paced, lockstep_timeout_s: 2.0}\n", False)])
+def test_parameter_files_tell_what_a_parameter_is_set_to(text, expected, tmp_path):
+    file = tmp_path / "parameters.yaml"
+    file.write_text(text)
+    arguments = ["stage", "--ros-args", "--params-file", str(file), "--params-file", "missing.yaml"]
+    assert arguments_set("timing", "lockstep", arguments) is expected

@@ -12,12 +12,11 @@ from rclpy.publisher import Publisher
 
 from piezo_common.arrays import FloatArray
 from piezo_ros.parameters import declare
-from piezo_ros.spinning import run_node
 from piezo_sim.paced import PacedStage
 from piezo_sim.simulated_stage import SimulatedStage
 from piezo_stage_driver.backends.backend import StageBackend
 from piezo_stage_driver.engine.blocks import Block
-from piezo_stage_driver.node.stage_node import StageNode
+from piezo_stage_driver.node.stage_node import StageNode, run_stage
 
 GROUND_TRUTH_SAMPLES = 4000
 
@@ -88,4 +87,4 @@ def create_simulated_stage(node: SimulatedStageNode) -> StageBackend:
 
 def main(args: list[str] | None = None) -> None:
     """Run the node ``stage`` over the simulated stage."""
-    run_node(SimulatedStageNode, args)
+    run_stage(SimulatedStageNode, args)

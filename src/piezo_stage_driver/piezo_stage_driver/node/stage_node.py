@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The stage as a lifecycle node: one interface over every backend."""
 
+import sys
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -11,10 +12,12 @@ from rclpy.lifecycle.node import LifecycleState
 
 from piezo_models.feedback_law.running_law import compile_law
 from piezo_ros.clock_guard import keep_clock
+from piezo_ros.discovery import deliver_in_background
 from piezo_ros.parameters import declare
 from piezo_ros.presence import ClientWatch
 from piezo_ros.quality import FEEDBACK
 from piezo_ros.spinning import autostart, run_node
+from piezo_ros.starting import arguments_set
 from piezo_stage_driver.backends.backend import BackendFault, StageBackend
 from piezo_stage_driver.backends.registry import check_backend, create_backend
 from piezo_stage_driver.engine.answer_latency import AnswerLatency
@@ -207,9 +210,25 @@ class StageNode(LifecycleNode):
         return self.count_publishers(self._feedback_topic) <= 1
 
 
+def run_stage(create_node: Callable[[], StageNode], args: list[str] | None = None) -> None:
+    """Run a stage node; see ``run_node``.
+
+    No reader keeps the ticks of a paced stage waiting. In lockstep they wait for their readers
+    anyhow, and a thread that delivers would cost time in every tick.
+
+    Parameters
+    ----------
+    create_node : callable
+    args : list of str, optional
+    """
+    if not arguments_set("timing", "lockstep", sys.argv if args is None else args):
+        deliver_in_background()
+    run_node(create_node, args)
+
+
 def main(args: list[str] | None = None) -> None:
     """Run the node ``stage`` over the backend that its parameters name."""
-    run_node(_create, args)
+    run_stage(_create, args)
 
 
 def _create() -> StageNode:
