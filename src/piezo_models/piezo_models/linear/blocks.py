@@ -10,8 +10,8 @@ from functools import lru_cache
 
 import numpy as np
 from numba import njit
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.linalg import toeplitz
 
 from piezo_common.arrays import FloatArray
 
@@ -25,8 +25,8 @@ FEWEST = 64 * LENGTH
 BATCH = 512
 """Blocks at a time: as many as the cache holds."""
 
-KEPT = 16
-"""Systems whose matrices are kept: half a megabyte each at most."""
+KEPT = 64
+"""Systems whose matrices are kept, 0.1 MB each: a fit asks its recordings for some dozens."""
 
 LONG = 256
 """Samples of a block of which few outputs are asked for, so that a state costs what counts."""
@@ -53,7 +53,9 @@ def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, sampl
     int
         A multiple of `LENGTH`.
     """
-    gains, outputs, answers, transposed = _block(a, b, c, direct, LENGTH)
+    gains, outputs, impulse, transposed = _block(a, b, c, direct, LENGTH)
+    answers = np.ascontiguousarray(
+        sliding_window_view(np.concatenate([np.zeros(LENGTH - 1), impulse]), LENGTH)[::-1])
     done = samples.size // LENGTH * LENGTH
     behind = output[:done].reshape(-1, LENGTH)
     for begin, batch, states in _batches(samples[:done].reshape(-1, LENGTH), gains, transposed,
@@ -82,15 +84,12 @@ def blocks_at(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, sample
     -------
     (n,) array
     """
-    gains, outputs, answers, transposed = _block(a, b, c, direct, LONG)
-    numbers, places = np.divmod(at, LONG)
-    output = np.empty(at.size)
+    gains, outputs, impulse, transposed = _block(a, b, c, direct, LONG)
+    output, latest_first = np.empty(at.size), impulse[::-1].copy()
     for begin, batch, states in _batches(samples.reshape(-1, LONG), gains, transposed, state):
-        asked = slice(*np.searchsorted(numbers, [begin, begin + BATCH]))
-        blocks, which = np.unique(numbers[asked] - begin, return_inverse=True)
-        if blocks.size:
-            behind = batch[blocks] @ answers + states[blocks] @ outputs
-            output[asked] = behind[which, places[asked]]
+        asked = slice(*np.searchsorted(at, [begin * LONG, (begin + BATCH) * LONG]))
+        _answer(batch.reshape(-1), states, latest_first, outputs, at[asked] - begin * LONG,
+                output[asked])
     return output
 
 
@@ -104,9 +103,10 @@ def _batches(blocks: FloatArray, gains: FloatArray, transposed: FloatArray, stat
 
 def _block(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, length: int,
            ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what turns input and state into next state and output, and a^length, transposed.
+    """Return what turns input into state and state into output, the impulse response and a^length.
 
-    It is kept, since one system often answers many inputs: nobody may change it.
+    The last is transposed. It is kept, since one system often answers many inputs: nobody may
+    change it.
     """
     return _block_of(a.tobytes(), b.tobytes(), c.tobytes(), float(direct), length)
 
@@ -119,8 +119,7 @@ def _block_of(a_bytes: bytes, b_bytes: bytes, c_bytes: bytes, direct: float, len
     driven, power = _sequence(a, b, length)
     outputs, _ = _sequence(np.ascontiguousarray(a.T), c, length)
     impulse = np.concatenate([[direct], b @ outputs[:, :-1]])
-    answers = toeplitz(np.where(np.arange(length) == 0, direct, 0.0), impulse)
-    return (np.ascontiguousarray(driven[:, ::-1].T), outputs, answers,
+    return (np.ascontiguousarray(driven[:, ::-1].T), outputs, impulse,
             np.ascontiguousarray(power.T))
 
 
@@ -130,6 +129,21 @@ def _sequence(a: FloatArray, vector: FloatArray, length: int) -> tuple[FloatArra
     while columns.shape[1] < length:
         columns, power = np.hstack([columns, power @ columns]), power @ power
     return columns, power
+
+
+@njit(cache=True, nogil=True)
+def _answer(samples: FloatArray, states: FloatArray, latest_first: FloatArray,
+            outputs: FloatArray, at: NDArray[np.intp], output: FloatArray) -> None:
+    """Write the output at some samples of whole blocks, given the states at their starts."""
+    length = latest_first.size
+    for k in range(at.size):
+        block, place = divmod(at[k], length)
+        answer = 0.0
+        for i in range(place + 1):
+            answer += samples[block * length + i] * latest_first[length - 1 - place + i]
+        for j in range(states.shape[1]):
+            answer += states[block, j] * outputs[j, place]
+        output[k] = answer
 
 
 @njit(cache=True, nogil=True)

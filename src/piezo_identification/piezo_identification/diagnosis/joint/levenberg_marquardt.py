@@ -82,12 +82,13 @@ def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: fl
         residual, jacobian = objective.linearised(vector)
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
             return Descent(vector, value, 0.0, True)
-        step, promise = _step(objective, vector, residual, jacobian, damping=0.0)
+        triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residual]), mode="r"))
+        step, promise = _step(objective, vector, triangle, damping=0.0)
         if promise < worthwhile:
             return Descent(vector, value, promise, True)
         while True:
             if damping:
-                step, promise = _step(objective, vector, residual, jacobian, damping)
+                step, promise = _step(objective, vector, triangle, damping)
             tried = np.clip(vector + step, objective.low, objective.high)
             now = objective.value(tried)
             if now < value or damping > MOST_DAMPING:
@@ -101,13 +102,16 @@ def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: fl
     return Descent(vector, value, gain, gain < worthwhile)
 
 
-def _step(objective: Objective, vector: FloatArray, residual: FloatArray, jacobian: FloatArray,
+def _step(objective: Objective, vector: FloatArray, triangle: FloatArray,
           damping: float) -> tuple[FloatArray, float]:
-    """Return the best step of the linearised residuals within the bounds, and what it promises."""
-    triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residual]), mode="r"))
+    """Return the best step of the linearised residuals within the bounds, and what it promises.
+
+    The residuals and their derivatives are as long as the recordings; the triangle of their QR
+    factors tells the same.
+    """
     columns, target = triangle[:, :-1], triangle[:, -1]
     # Marquardt's scaling: each unknown is damped by what it changes.
-    damped = np.sqrt(damping) * np.diag(np.linalg.norm(jacobian, axis=0))
+    damped = np.sqrt(damping) * np.diag(np.linalg.norm(columns, axis=0))
     low = np.maximum(objective.low - vector, -objective.longest)
     high = np.minimum(objective.high - vector, objective.longest)
     within = np.maximum(high, low + np.finfo(float).eps)

@@ -4,7 +4,7 @@
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Self
 
 import control
@@ -52,6 +52,9 @@ class SimulationSettings:
     kept_outputs: int = 6
 
 
+KEPT = 32
+"""Linear parts that are kept: a fit asks all its recordings for the same few."""
+
 SETTINGS = SimulationSettings()
 
 
@@ -79,8 +82,6 @@ class SimulatedRecording:
         First sample at which the start has settled.
     hysteresis_um, input_um : (N,) array
         Output of the hysteresis, and the same with its creep: the input of the linear part.
-    rest_um : float
-        Displacement at which the stage rested before.
 
     Raises
     ------
@@ -187,12 +188,16 @@ class SimulatedRecording:
 
     def _simulate_linear(self) -> None:
         """Simulate the linear part without more effects, and forget what others gave."""
-        for name in ("_linear", "drive_um"):
+        for name in ("rest_um", "drive_um"):
             vars(self).pop(name, None)
         self._outputs: dict[tuple, FloatArray] = {}
         self._ahead: dict[tuple, FloatArray] = {}
+
+    @cached_property
+    def rest_um(self) -> float:
+        """Return the displacement at which the stage rested before."""
         moved_um = self.hysteresis_um[0] - self._rest_input_um
-        self.rest_um = self._output((), (), ())[0] - moved_um
+        return float(self._output((), (), ())[0] - moved_um)
 
     @cached_property
     def repeated_period(self) -> int | None:
@@ -205,11 +210,6 @@ class SimulatedRecording:
         lag = type(self.model.dynamics)(self.model.dynamics.time_constant_s)
         without_modes = replace(self.model, dynamics=lag, effects=self.model.effects_at("linear"))
         return self.respond(without_modes.linear(), self.input_um)
-
-    @cached_property
-    def _linear(self) -> control.StateSpace:
-        """Return the linear part of the model as it is."""
-        return self.model.linear()
 
     def _hysteresis(self, hysteresis: PreisachModel,
                     amplified_v: FloatArray) -> tuple[FloatArray, float]:
@@ -280,7 +280,11 @@ class SimulatedRecording:
             amplified_v = self.model.amplified(voltage_v, self.sample_period_s)
             hysteresis_um, _ = self._hysteresis(self.model.hysteresis, amplified_v)
             input_um = self._with_creep(hysteresis_um, amplified_v)
-        linear = self._linear if not in_series else replace(
-            self.model, effects=(*self.model.effects, *in_series)).linear()
-        system, delay_s = behind_lags(linear, lags)
+        system, delay_s = behind_lags(_linear_part(self.model, in_series), lags)
         return self.respond(system, input_um, delay_s, at)
+
+
+@lru_cache(maxsize=KEPT)
+def _linear_part(model: StageModel, more: tuple[Effect, ...]) -> control.StateSpace:
+    """Return the linear part of a model with more effects; nobody may change it."""
+    return replace(model, effects=(*model.effects, *more)).linear()

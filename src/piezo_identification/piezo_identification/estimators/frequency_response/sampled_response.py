@@ -2,6 +2,7 @@
 """Response of the linear part at the samples of a recording, with lags shorter than a sample."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
 from itertools import takewhile
 
 import control
@@ -12,8 +13,12 @@ from piezo_common.arrays import FloatArray
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
+from piezo_models.linear.connections import matrices_of
 from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh
 from piezo_models.linear.outputs_at import simulate_linear_at
+
+KEPT = 256
+"""Sampled systems that are kept: a fit asks all its recordings for the responses of some dozens."""
 
 
 def leading_lags(
@@ -116,11 +121,8 @@ def respond_each(
     ------
     (N,) or (n,) array
     """
-    late = 0
-    if delay_s != 0.0:
-        discrete, late = delayed_zoh(system, sample_period_s, delay_s)
-    else:
-        discrete = mean_zoh(system, sample_period_s, samples)
+    discrete, late = _sampled(*(matrix.tobytes() for matrix in matrices_of(system)),
+                              sample_period_s, samples, delay_s)
     held = equilibrium_state(system)
     for input_um in inputs_um:
         delayed, early = min(max(late, 0), input_um.size), max(-late, 0)
@@ -133,6 +135,21 @@ def respond_each(
             yield simulate_linear(discrete, played_um, input_um[0] * held)[early:]
         else:
             yield simulate_linear_at(discrete, played_um, input_um[0] * held, at + early)
+
+
+@lru_cache(maxsize=KEPT)
+def _sampled(a: bytes, b: bytes, c: bytes, d: bytes, sample_period_s: float, samples: int,
+             delay_s: float) -> tuple[control.StateSpace, int]:
+    """Return the discrete system of some matrices, and the sample periods that it comes late.
+
+    It is kept, since one system often answers many recordings: nobody may change it.
+    """
+    gains, weights, direct = (np.frombuffer(matrix) for matrix in (b, c, d))
+    system = control.ss(np.frombuffer(a).reshape(gains.size, gains.size), gains[:, None],
+                        weights[None, :], direct[:, None])
+    if delay_s != 0.0:
+        return delayed_zoh(system, sample_period_s, delay_s)
+    return mean_zoh(system, sample_period_s, samples), 0
 
 
 def delayed_zoh(
@@ -186,9 +203,21 @@ def mean_zoh(
     fine = zoh(system, sample_period_s / samples)
     if samples == 1:
         return fine
-    transition, gain = np.eye(system.nstates), np.zeros_like(fine.B)
-    output, direct = np.zeros_like(fine.C), np.zeros_like(fine.D)
-    for _ in range(samples):
-        output, direct = output + fine.C @ transition, direct + fine.C @ gain + fine.D
-        transition, gain = fine.A @ transition, fine.A @ gain + fine.B
-    return control.ss(transition, gain, output / samples, direct / samples, sample_period_s)
+    # The held input stands behind the states: so a power tells of both.
+    states = system.nstates
+    step = np.block([[fine.A, fine.B], [np.zeros((1, states)), np.ones((1, 1))]])
+    power, summed = _power_and_sum(step, samples)
+    output = np.hstack([fine.C, fine.D]) @ summed / samples
+    return control.ss(power[:states, :states], power[:states, states:], output[:, :states],
+                      output[:, states:], sample_period_s)
+
+
+def _power_and_sum(step: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return a power of a matrix, and the sum of all lower ones, by doublings."""
+    none = np.eye(len(step))
+    power, summed = none, np.zeros_like(step)
+    for digit in f"{count:b}":
+        power, summed = power @ power, summed + power @ summed
+        if digit == "1":
+            power, summed = power @ step, none + step @ summed
+    return power, summed

@@ -28,12 +28,13 @@ def finely(system, levels_um):
     return respond(system, np.repeat(levels_um, FINE), PERIOD_S / FINE, 1)
 
 
-def test_the_mean_of_held_periods_is_that_of_the_samples_in_them(plant):
+@pytest.mark.parametrize("count", [2, 7, 40])
+def test_the_mean_of_held_periods_is_that_of_the_samples_in_them(plant, count):
     system = plant.linear()
     held = np.random.default_rng(0).normal(size=50)
-    samples = simulate_linear(zoh(system, 25e-6), np.repeat(held, 40))
-    means = simulate_linear(mean_zoh(system, 1e-3, 40), held)
-    np.testing.assert_allclose(means, samples.reshape(-1, 40).mean(axis=1), atol=1e-9)
+    samples = simulate_linear(zoh(system, 25e-6), np.repeat(held, count))
+    means = simulate_linear(mean_zoh(system, count * 25e-6, count), held)
+    np.testing.assert_allclose(means, samples.reshape(-1, count).mean(axis=1), atol=1e-9)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.13e-3, 1e-3, 2.67e-3, 1.0])
