@@ -33,7 +33,7 @@ from piezo_studies.demo.demo_report import (
     report_sections,
 )
 from piezo_studies.demo.extended_model_section import ExtendedModel, draw_models
-from piezo_studies.demo.operation import MONITOR, second_part
+from piezo_studies.demo.operation import second_part, start_changing_stage
 from piezo_studies.demo.operation_section import format_operation, operation_sections
 from piezo_studies.demo.run_directory import claim_directory
 from piezo_studies.demo.session import RunningGoal, Session, rest
@@ -175,8 +175,10 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
                         client, processes, extended_model, directory / "after", progress)]
                 diagnosis = diagnosing.result()
             tracked_again_s = time.monotonic()
-            if has_second_part:
-                processes.start("monitor", MONITOR)  # it imports while the report is drawn
+            session = Session(client, processes, NODES["stage"], REST_VOLTAGE_V,
+                              client.stage_is_active, lambda step: progress.show(step, 1.0))
+            if has_second_part:  # its nodes start while the report is drawn
+                change_s = start_changing_stage(session, plant.plant, directory)
             progress.show("draw the report", 1.0)
             summary, sections = _report(
                 plant, directory, drawn.result(), diagnosis, compared.result(),
@@ -193,11 +195,9 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
             tell(summary)
             if has_second_part:
                 begin_s = time.monotonic()
-                session = Session(client, processes, NODES["stage"], REST_VOLTAGE_V,
-                                  client.stage_is_active, lambda step: progress.show(step, 1.0))
                 with _blaming(processes, "identification"):
                     summary["operation"] = second_part(
-                        session, plant.plant, diagnosis.extended_model, directory)
+                        session, plant.plant, change_s, diagnosis.extended_model, directory)
                 summary["wall_s"]["second_part"] = time.monotonic() - begin_s
                 _write_summary(summary, directory)
                 _write_page(directory, plant, command,

@@ -84,34 +84,55 @@ class Decided:
     report: str
 
 
-def monitor_a_change(session, plant, model, directory):
-    """Track while a mode becomes faster, and accept the model that the monitor then offers.
+def start_changing_stage(session, plant, directory):
+    """Start the stage on which a mode becomes faster, and the monitor; both take their time.
 
     Parameters
     ----------
     session : Session
     plant : str
-    model : path-like
-        That is watched.
     directory : Path
-        Gets plant file and recordings.
+        Of the second part; its folder ``monitor`` gets the plant file.
 
     Returns
     -------
-    Monitored or None
-        None for a plant without a mode that could change.
+    float or None
+        Stage time of the change; None for a plant without a mode that could change, which is not
+        started.
+    """
+    change_s = (MEETINGS + 1) * session.rest_s + CHANGE_AFTER_S
+    content = with_faster_mode(plant, FASTER, change_s)
+    if content is None:
+        return None
+    session.start_stage(write_plant(content, Path(directory, "monitor", "plant.yaml")))
+    session.start_monitor(MONITOR)
+    return change_s
+
+
+def monitor_a_change(session, change_s, model, directory):
+    """Track while a mode becomes faster, and accept the model that the monitor then offers.
+
+    Parameters
+    ----------
+    session : Session
+        In which `start_changing_stage` has started the stage.
+    change_s : float
+        What that returned.
+    model : path-like
+        That is watched.
+    directory : Path
+        Gets the recordings.
+
+    Returns
+    -------
+    Monitored
 
     Raises
     ------
     RuntimeError
         If the monitor offers nothing.
     """
-    change_s = (MEETINGS + 1) * session.rest_s + CHANGE_AFTER_S
-    content = with_faster_mode(plant, FASTER, change_s)
-    if content is None:
-        return None
-    directory.mkdir(parents=True, exist_ok=True)
-    session.restart_stage(write_plant(content, directory / "plant.yaml"))
+    session.wait_for_stage()
     session.let_monitor_follow()
     session.track(REFERENCE, model, CHANGING_S, directory / "changing")
     offer = offered_model(session.client, OFFER_TIMEOUT_S)
@@ -142,7 +163,8 @@ def decide_a_cause(session, plant, model, directory):
     Decided
     """
     directory.mkdir(parents=True, exist_ok=True)
-    session.restart_stage(write_plant(with_sensor_lag(plant, LAG_S), directory / "plant.yaml"))
+    session.start_stage(write_plant(with_sensor_lag(plant, LAG_S), directory / "plant.yaml"))
+    session.wait_for_stage()
     scanned = session.track(SCAN, model, SCAN_S, directory / "scan")
     result = session.decide(model, scanned.recording, directory / "diagnosis", LONGEST_S)
     verdict = json.loads(result.verdict_json)
@@ -159,13 +181,15 @@ def _proposal(path):
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
-def second_part(session, plant, model, directory):
+def second_part(session, plant, change_s, model, directory):
     """Run both; return what came of them, as the part of the summary that tells it.
 
     Parameters
     ----------
     session : Session
     plant : str
+    change_s : float or None
+        Of `start_changing_stage`.
     model : path-like
         Extended by the first part.
     directory : Path
@@ -175,6 +199,7 @@ def second_part(session, plant, model, directory):
     dict
         ``monitor`` (or None) and ``decision``.
     """
-    watched = monitor_a_change(session, plant, model, Path(directory, "monitor"))
+    watched = None if change_s is None else monitor_a_change(
+        session, change_s, model, Path(directory, "monitor"))
     decided = decide_a_cause(session, plant, model, Path(directory, "decision"))
     return {"monitor": None if watched is None else asdict(watched), "decision": asdict(decided)}

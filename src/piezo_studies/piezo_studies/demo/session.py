@@ -98,8 +98,13 @@ class Session:
         """Return how long a rest takes: a sample more, in which the stage goes to its voltage."""
         return len(self.rest_v) + 1.0
 
-    def restart_stage(self, plant):
-        """End the stage, and start it on a plant file; return once it is active.
+    def start_stage(self, plant):
+        """End the stage, and start it on a plant file; see `wait_for_stage`."""
+        self._processes.stop(["stage"])
+        self._processes.start("stage", {**self._stage_parameters, "plant": plant})
+
+    def wait_for_stage(self):
+        """Wait until the stage that was started is active.
 
         Raises
         ------
@@ -107,24 +112,28 @@ class Session:
             If it is not active in time.
         """
         self._show("start the stage on another plant")
-        self._processes.stop(["stage"])
-        self._processes.start("stage", {**self._stage_parameters, "plant": plant})
         if not self.client.spin_until(self._is_active, START_TIMEOUT_S):
-            raise RuntimeError(f"the stage on {plant} was not active within "
-                               f"{START_TIMEOUT_S:g} s; see {self._processes.log('stage')}")
+            raise RuntimeError(f"the stage was not active within {START_TIMEOUT_S:g} s; "
+                               f"see {self._processes.log('stage')}")
+
+    def start_monitor(self, parameters):
+        """Start the monitor; after the stage, so that it meets no other stage before."""
+        self._processes.start("monitor", parameters)
 
     def let_monitor_follow(self):
-        """Rest `MEETINGS` times on a new stage, and wait until the monitor follows it.
+        """Wait for the monitor, rest `MEETINGS` times, and wait until it follows the stage.
 
         The monitor meets a stage, and the model of the controller, some time after these start, and
-        a run in lockstep may be over by then.
+        a run in lockstep may be over by then. Samples may still be lost on the way to it.
 
         Raises
         ------
         RuntimeError
             If it does not follow.
         """
+        self._show("wait for the monitor")
         follows = False
+        monitor_follows(self.client, 0.0, 1.0, START_TIMEOUT_S)
         for number in range(1, MEETINGS + 1):
             rest(self.client, self.rest_v)
             end_s = number * self.rest_s

@@ -8,7 +8,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.task import Future
 
 from piezo_client.client import GoalFailed
-from piezo_studies.demo.session import MEETINGS, RunningGoal, Session
+from piezo_studies.demo.session import (
+    MEETINGS,
+    START_TIMEOUT_S,
+    RunningGoal,
+    Session,
+)
 
 
 class Client:
@@ -58,7 +63,7 @@ class Resting:
     """A client of a stage that rests for 3 s each time, and of a monitor that meets it late."""
 
     def __init__(self, met_after):
-        self.rests, self._met_after = 0, met_after
+        self.rests, self._met_after, self.waits = 0, met_after, []
         self.node = SimpleNamespace(
             create_subscription=lambda kind, topic, hear, quality: setattr(self, "_hear", hear),
             destroy_subscription=lambda subscription: None)
@@ -67,8 +72,11 @@ class Resting:
         self.rests += 1
 
     def spin_until(self, condition, timeout_s):
+        self.waits.append((self.rests, timeout_s))
         # Of a stage before, whose clock was further on.
         watched_s = 3.0 * self.rests if self.rests > self._met_after else 500.0
+        if not self.rests:
+            watched_s = 0.0
         told = KeyValue(key="watched_until_s", value=f"{watched_s + 0.001:.3f}")
         self._hear(DiagnosticArray(status=[DiagnosticStatus(values=[told])]))
         return condition()
@@ -83,6 +91,12 @@ def test_a_monitor_that_misses_a_rest_is_met_at_the_next():
     client = Resting(met_after=1)
     session_of(client).let_monitor_follow()
     assert client.rests == MEETINGS  # the clock of the stage is the same in any case
+
+
+def test_a_monitor_that_starts_is_waited_for_before_the_stage_rests():
+    client = Resting(met_after=0)
+    session_of(client).let_monitor_follow()
+    assert client.waits[0] == (0, START_TIMEOUT_S)
 
 
 def test_a_monitor_that_never_follows_is_told():
