@@ -163,7 +163,7 @@ class SimulatedRecording:
         # Where a fit differentiates, never one sum by all samples and the other by some.
         if in_turn or not any(linear_part):
             return self._behind(linear_part, in_turn)[rows]
-        return self._response(*linear_part, rows)
+        return self._output(*linear_part, rows)
 
     def hysteresis_output_um(self, hysteresis: PreisachModel) -> FloatArray:
         """Return the output of another hysteresis at the same voltages, in um, (N,).
@@ -257,12 +257,12 @@ class SimulatedRecording:
         return last.apply(ahead_um, self.sample_period_s, self.rest_um)
 
     def _output(self, on_voltage: tuple[Effect, ...], in_series: tuple[Effect, ...],
-                lags: tuple[Effect, ...]) -> FloatArray:
+                lags: tuple[Effect, ...], at: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the output of the linear part and the lags behind it, kept for the next time."""
-        key = on_voltage, in_series, lags
+        key = on_voltage, in_series, lags, None if at is None else at.tobytes()
         output = self._outputs.get(key)
         if output is None:
-            output = self._response(on_voltage, in_series, lags)
+            output = self._response(on_voltage, in_series, lags, at)
             # A fit tries many; the first and the last few are worth the memory.
             for old in list(self._outputs)[1 : -SETTINGS.kept_outputs]:
                 self._outputs.pop(old, None)  # another fit beside this one may have been first

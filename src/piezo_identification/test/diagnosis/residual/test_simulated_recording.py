@@ -77,6 +77,13 @@ def test_rows_are_those_of_the_whole_simulation(recording, effects):
     np.testing.assert_allclose(some_um, recording.simulate(effects)[rows], rtol=0.0, atol=1e-8)
 
 
+def test_the_same_rows_are_simulated_once(recording):
+    rows = np.arange(9)
+    some_um = recording.simulate((MODE,), rows=rows)
+    assert recording.simulate((MODE,), rows=rows.copy()) is some_um
+    assert recording.simulate((MODE,), rows=rows + 1) is not some_um
+
+
 @pytest.mark.parametrize("change", [
     lambda model: replace(model, dynamics=replace(model.dynamics, time_constant_s=6e-4)),
     lambda model: replace(model, hysteresis=replace(
