@@ -38,6 +38,7 @@ from piezo_identification.diagnosis.joint.competition import (
     Competition,
     beside_alternative,
     compare_models,
+    led_by_the_most_probable,
     probabilities_of_named,
 )
 from piezo_identification.diagnosis.joint.identification_recordings import (
@@ -189,6 +190,7 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     except KeyboardInterrupt:
         selection = replace(selection, interrupted=True)
         competition = compare_models(model, given.recordings, [], selection, stated, report)
+    selection = led_by_the_most_probable(selection, competition)
     decision, found, believed = decide(selection, validation, competition)
     predictable = ceiling_of(found, decision)
     told = tell(model, given, found, believed, decision, predictable)

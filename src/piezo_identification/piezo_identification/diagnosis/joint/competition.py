@@ -153,6 +153,41 @@ def _sets(selection: Selection) -> list[tuple[Effect, ...]]:
     return [selection.end.effects, *(fit.effects for fit in selection.alternatives[:MOST_OTHERS])]
 
 
+def led_by_the_most_probable(selection: Selection, competition: Competition) -> Selection:
+    """Return a selection that begins with the most probable of the sets that are like its best.
+
+    The comparison of sets charges every fitted number alike; the probabilities know how far the
+    recordings determine it. Nothing changes where the effects that are believed were there all
+    along.
+
+    Parameters
+    ----------
+    selection : Selection
+        Of effects that explain the new recordings alone.
+    competition : Competition
+
+    Returns
+    -------
+    Selection
+    """
+    if competition.best is not None and not competition.best.since:
+        return selection
+    first = _names(selection.end)
+    fits = [selection.end, *(
+        fit for fit in selection.alternatives
+        if first - _names(fit) and _names(fit) - first)]
+    best = max(fits, key=lambda fit: competition.probabilities.get(_label(fit), 0.0))
+    if not first or best is selection.end:
+        return selection
+    instead = min(_names(best) - first)
+    alike = {name: found if found in _names(best) else instead
+             for name, found in selection.indistinguishable.items()}
+    alike |= dict.fromkeys(first - _names(best), instead)
+    others = tuple(fit for fit in (selection.end, *selection.alternatives) if fit is not best)
+    return replace(selection, end=best, alternatives=others, indistinguishable={
+        name: found for name, found in alike.items() if name not in _names(best)})
+
+
 def probabilities_of_named(competition: Competition, regression: Regression, fit: Fit,
                            refused: Iterable[str]) -> dict[str, float]:
     """Return the probabilities where a fit to the new recordings alone is named.
@@ -191,6 +226,10 @@ def probabilities_of_named(competition: Competition, regression: Regression, fit
 def _label(fit: Fit) -> str:
     """Return the names of the effects of a fit, joined by +, or none."""
     return "+".join(sorted(effect.name for effect in fit.effects)) or NONE
+
+
+def _names(fit: Fit) -> set[str]:
+    return {effect.name for effect in fit.effects}
 
 
 def _passing_um(noise_um: FloatArray, least_um: FloatArray) -> FloatArray:

@@ -8,14 +8,21 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
+from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.joint.alternatives import _turn_of, settled
+from piezo_identification.diagnosis.joint.competition import (
+    Competition,
+    led_by_the_most_probable,
+)
 from piezo_identification.diagnosis.joint.free_parameters import changed_model, free_sensitivities
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
 from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
@@ -166,3 +173,24 @@ def test_progress_of_a_model_that_does_not_settle_ends_before_effects_compete():
     compete = _turn_of(progress, 0)
     compete("", 0.0)
     assert len(told) > 2 and told == sorted(told)
+
+
+def fit_of(*effects):
+    return SimpleNamespace(effects=effects)
+
+
+def test_the_most_probable_of_sets_that_are_alike_is_named():
+    delay, lag = fit_of(Delay(1e-4)), fit_of(SensorLag(1e-4, 0.25))
+    both = fit_of(Delay(1e-4), SensorLag(1e-4, 0.25))
+    compared = Selection(None, fit_of(), delay, [], {"sensor_lag": "delay", "creep": "delay"}, {},
+                         (lag, both))
+    # A larger set has not convinced, however probable it is.
+    told = led_by_the_most_probable(
+        compared, Competition({"delay+sensor_lag": 0.5, "sensor_lag": 0.3, "delay": 0.2}))
+    assert told.end is lag and told.alternatives == (delay, both)
+    assert told.indistinguishable == {"delay": "sensor_lag", "creep": "sensor_lag"}
+    assert led_by_the_most_probable(
+        compared, Competition({"delay": 0.6, "sensor_lag": 0.4})) is compared
+    along = SimpleNamespace(since=False, names=("delay",))
+    assert led_by_the_most_probable(
+        compared, Competition({"sensor_lag": 0.6, "delay": 0.4}, along)) is compared
