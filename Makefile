@@ -5,7 +5,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds diagnose-suite calibration docs api clean
+.PHONY: help setup demo test style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds diagnose-suite twins calibration docs api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -73,6 +73,9 @@ CASES ?= 260
 EXPERIMENTS ?= 0
 diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite
 	@./run piezo_studies diagnose_suite --cases $(CASES) --seed $(SEED) --experiments $(EXPERIMENTS) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
+
+twins: setup ## decide between effects that resemble each other, by one recording each
+	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_benchmark.twin_decisions --seed 91
 
 calibration: setup ## diagnose 500 short recordings of a seed; writes their calibration to docs/diagnosis.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_calibration --cases 500 --seed 306 --page docs/diagnosis.md

@@ -27,6 +27,7 @@ COVERED = {
     "make reproduce": "src/piezo_studies/test/thesis/test_reproduction.py",
     "make measured": "src/piezo_studies/test/measured_devices/test_measured_command.py",
     "make diagnose-suite": "src/piezo_studies/test/diagnosis_benchmark/test_diagnose_suite.py",
+    "make twins": "src/piezo_studies/test/diagnosis_benchmark/test_twin_decisions.py",
     "make calibration": "src/piezo_studies/test/diagnosis_calibration/test_small_cases.py",
     "make docs": "test/test_error_table.py",
     "make style": "test/test_style.py",
