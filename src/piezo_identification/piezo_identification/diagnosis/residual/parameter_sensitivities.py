@@ -109,9 +109,13 @@ def parameter_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) ->
         part.respond(sensitivity * linear, part.input_um, at=rows)
         for sensitivity in sensitivity_systems(model.creep, model.dynamics)
     ]
-    for surface in _surfaces(model):
-        multiplied = _times(replace(model.hysteresis, offset_um=0.0), surface)
-        columns.append(part.respond(linear, part.hysteresis_output_um(multiplied), at=rows))
+    without_offset = replace(model.hysteresis, offset_um=0.0)
+    unchanged = np.zeros(len(without_offset.density_um_per_v2))
+    multiplied = [_times(without_offset, surface, np.diagonal(surface))
+                  for surface in _smooth_surfaces(model)]
+    multiplied += [_times(without_offset, surface, unchanged) for surface in _near_surfaces(model)]
+    for hysteresis in multiplied:
+        columns.append(part.respond(linear, part.hysteresis_output_um(hysteresis), at=rows))
     reversible_um, given_um = map(
         part.hysteresis_output_um, (_traded(model.hysteresis, 1.0), model.hysteresis))
     columns.append(part.respond(linear, reversible_um - given_um, at=rows))
@@ -149,8 +153,12 @@ def perturbed(model: StageModel, changes: FloatArray) -> StageModel:
         factors(dynamics.damping_ratios), factors(dynamics.antiresonance_frequencies_rad_per_s),
         factors(dynamics.antiresonance_damping_ratios),
     )
-    surface = 1.0 + np.tensordot(changes[used:-1], _surfaces(model), axes=1)
-    hysteresis = _times(model.hysteresis, np.maximum(surface, 0.0))
+    near = _near_surfaces(model)
+    smooth = 1.0 + np.tensordot(
+        changes[used : -1 - len(near)], _smooth_surfaces(model), axes=1)
+    surface = smooth + np.tensordot(changes[-1 - len(near) : -1], near, axes=1)
+    hysteresis = _times(model.hysteresis, np.maximum(surface, 0.0),
+                        np.maximum(np.diagonal(smooth), 0.0))
     hysteresis = _traded(hysteresis, changes[-1])
     return replace(model, creep=creep, dynamics=dynamics, hysteresis=hysteresis)
 
@@ -161,7 +169,8 @@ def _width_map(model: StageModel) -> FloatArray:
     dynamics = model.dynamics
     others = (
         (dynamics.time_constant_s > 0.0) + 2 * len(dynamics.mode_frequencies_rad_per_s)
-        + 2 * len(dynamics.antiresonance_frequencies_rad_per_s) + len(_surfaces(model)) + 1
+        + 2 * len(dynamics.antiresonance_frequencies_rad_per_s) 
+        + len(_smooth_surfaces(model)) + len(WIDTHS.near_diagonal) + 1
     )
     widths = WIDTHS.dynamics_and_density * np.eye(2 * pairs + others)
     widths[-1, -1] = WIDTHS.reversible
@@ -169,17 +178,22 @@ def _width_map(model: StageModel) -> FloatArray:
     return widths
 
 
-def _surfaces(model: StageModel) -> FloatArray:
-    """Return what is added to the factor of each cell, for a change of each parameter by one.
+def _smooth_surfaces(model: StageModel) -> FloatArray:
+    """Return what is added to the factor of each cell, for a change of each knot by one."""
+    size = len(model.hysteresis.density_um_per_v2)
+    return factor_surfaces(size, WIDTHS.middle_knots, WIDTHS.span_knots)
 
-    Those about the diagonal are scaled so that all have the same prior width.
+
+def _near_surfaces(model: StageModel) -> FloatArray:
+    """Return the same for changes about the diagonal, scaled so that all have one prior width.
+
+    They are errors of the density, and leave the reversible part as it is.
     """
     size = len(model.hysteresis.density_um_per_v2)
     rising, falling = np.indices((size, size))
-    near = [width / WIDTHS.dynamics_and_density
-            * np.tril(np.exp((falling - rising) / (span * size)))
-            for span, width in WIDTHS.near_diagonal]
-    return np.concatenate([factor_surfaces(size, WIDTHS.middle_knots, WIDTHS.span_knots), near])
+    return np.array([
+        width / WIDTHS.dynamics_and_density * np.tril(np.exp((falling - rising) / (span * size)))
+        for span, width in WIDTHS.near_diagonal])
 
 
 def _traded(hysteresis: PreisachModel, part: float) -> PreisachModel:
@@ -199,9 +213,9 @@ def _traded(hysteresis: PreisachModel, part: float) -> PreisachModel:
     )
 
 
-def _times(hysteresis: PreisachModel, surface: FloatArray) -> PreisachModel:
-    """Multiply the density of the hysteresis, and its reversible part on the diagonal."""
+def _times(hysteresis: PreisachModel, surface: FloatArray,
+           diagonal: FloatArray) -> PreisachModel:
+    """Multiply the density of the hysteresis by a surface, and its reversible part on a line."""
     return replace(
         hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * surface,
-        reversible_um_per_v=hysteresis.reversible_um_per_v * np.diagonal(surface),
-    )
+        reversible_um_per_v=hysteresis.reversible_um_per_v * diagonal)
