@@ -169,7 +169,7 @@ def _width_map(model: StageModel) -> FloatArray:
     dynamics = model.dynamics
     others = (
         (dynamics.time_constant_s > 0.0) + 2 * len(dynamics.mode_frequencies_rad_per_s)
-        + 2 * len(dynamics.antiresonance_frequencies_rad_per_s) 
+        + 2 * len(dynamics.antiresonance_frequencies_rad_per_s)
         + len(_smooth_surfaces(model)) + len(WIDTHS.near_diagonal) + 1
     )
     widths = WIDTHS.dynamics_and_density * np.eye(2 * pairs + others)
