@@ -165,7 +165,8 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
 
     The first is fitted before the others, which then end where they can no longer lead. One that
     has all of its effects and more begins from it; one that ends behind the best is fitted from the
-    model of that once more, because another optimum may be closer to there.
+    model of that once more, because another optimum may be closer to there. Where no set is
+    possible, the model alone is left.
     """
     found, *others = sets.values()
     first = _gone_on(problem, _fitted(problem, found, was_there))
@@ -189,10 +190,11 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
 
     fits = dict(zip(sets, side_by_side(again, fitted), strict=True))
     extent = problem.dataset.extent
-    return without_idle({
-        name: fit for name, fit in fits.items()
-        if name == NONE or not any(effect.impossible(extent) for effect in fit.effects)},
-        len(problem.own))
+    possible = {name: fit for name, fit in fits.items()
+                if name == NONE or not any(effect.impossible(extent) for effect in fit.effects)}
+    if not possible:
+        possible = {NONE: _gone_on(problem, _fitted(problem, (), was_there))}
+    return without_idle(possible, len(problem.own))
 
 
 def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:

@@ -54,6 +54,8 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     names = tuple(sorted(effect.name for effect in best.effects))
     unnamed = diagnosis.probabilities.get(SOMETHING_ELSE, 0.0)
     listed = sum(alternatives.probabilities.values())
+    if not names and unnamed >= PROBABILITIES.believed:
+        return diagnosis  # nothing on the list decides, and it names what explains a part
     chances = {name: (1.0 - unnamed) * share / listed
                for name, share in alternatives.probabilities.items()} | {SOMETHING_ELSE: unnamed}
     competitor = Competitor(names, bool(best.fit.later), best.fit, (), ())

@@ -5,7 +5,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from piezo_identification.diagnosis.experiment_design.alternatives import without_idle
+from piezo_identification.diagnosis.experiment_design.alternatives import (
+    find_alternatives,
+    without_idle,
+)
 from piezo_identification.diagnosis.residual.dataset import simulate_recordings
 from piezo_identification.diagnosis.residual.regression import first_regression
 from piezo_identification.experiments import catalogue as experiments
@@ -31,3 +34,10 @@ def test_a_set_with_an_effect_that_changes_nothing_is_the_set_without_it(
     # Where the smaller set did not compete, the larger one stands for it.
     alone = {"delay+sensor_lag": fits["delay+sensor_lag"]}
     assert without_idle(alone, 0) == alone
+
+
+def test_the_model_alone_is_left_where_no_stage_can_have_what_was_found(regression, monkeypatch):
+    monkeypatch.setattr(SensorLag, "impossible", lambda self, extent: "too slow for any sensor")
+    entry = {"name": "sensor_lag", "came": "not asked", "parameters": {"time_constant_s": 5e-5}}
+    found = find_alternatives(regression, {"effects": [entry]})
+    assert found.probabilities == {"none": 1.0}
