@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Recordings of a plant: the designed experiments, and what a lab plays otherwise."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -166,3 +167,20 @@ def play_proposed(plant, experiment, seed):
         experiment.name, clock_hz, held * np.arange(voltage_v.size),
         np.full(voltage_v.size, experiment.sample_period_s), voltage_v,
         measured_um.reshape(-1, held).mean(axis=1), flags)
+
+
+def player_of_proposals(plant, seed):
+    """Return what plays each proposal of a decision on a plant; see `decide.decide`.
+
+    Parameters
+    ----------
+    plant : PlantConfig
+    seed : int
+        Of everything random in the recording before; each further one has the next.
+
+    Returns
+    -------
+    callable
+    """
+    seeds = itertools.count(seed + 1)
+    return lambda proposal, progress: play_proposed(plant, proposal.experiment, next(seeds))

@@ -147,11 +147,9 @@ def _diagnoses(known, identified_from, recording, hidden, seed, experiments):
     old, stated = IdentificationRecordings(identified_from, ()), stated_error(known)
     if not experiments:
         return [diagnose(known.model, [recording], identified_from=old, stated=stated)]
-    seeds = iter(range(seed + 1, seed + 1 + experiments))
     steps = decide(
-        known.model, [recording],
-        lambda proposal, report: records.play_proposed(hidden, proposal.experiment, next(seeds)),
-        experiments, records.STAGE_LIMITS, identified_from=old, stated=stated)
+        known.model, [recording], records.player_of_proposals(hidden, seed), experiments,
+        records.STAGE_LIMITS, identified_from=old, stated=stated)
     return [step.diagnosis for step in steps]
 
 

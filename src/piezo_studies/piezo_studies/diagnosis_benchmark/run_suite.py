@@ -47,7 +47,8 @@ def run_suite(client, count, seed, progress=None, all_along=False, experiments=0
     dict
     """
     cases = (draw_cases_all_along if all_along else draw_cases)(count, seed)[:first]
-    results = {} if kept is None else kept.results()
+    there = {} if kept is None else kept.results()
+    results = {case.number: there[case.number] for case in cases if case.number in there}
     missing = [case for case in cases if case.number not in results]
     models = {
         plant: client.submit(clean_model, seed, plant, pure=False)

@@ -50,16 +50,10 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
     voltage_v, _ = records.commanded(experiment)
     drawn = draw_effect(cause, plant, voltage_v, records.surroundings(experiment, seed), over_noise,
                         seed, records.clock_samples(experiment))
-    count = 0
-
-    def play(proposal, report):
-        nonlocal count
-        count += 1
-        return records.play_proposed(drawn.plant, proposal.experiment, seed + count)
-
     identified, identified_from = clean
     first = records.record(drawn.plant, experiment, seed)
-    steps = decide(identified.model, [first], play, budget, records.STAGE_LIMITS,
+    steps = decide(identified.model, [first], records.player_of_proposals(drawn.plant, seed),
+                   budget, records.STAGE_LIMITS,
                    identified_from=IdentificationRecordings(identified_from, ()))
     return {"cause": cause, "steps": [
         {"verdict": step.diagnosis.verdict,

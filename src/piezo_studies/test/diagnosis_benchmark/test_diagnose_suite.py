@@ -167,6 +167,13 @@ def test_a_run_goes_on_from_what_is_kept_under_the_same_conditions(cluster, tmp_
     assert KeptResults(path, {"seed": SEED + 1}).results() == {}
 
 
+def test_cases_that_are_kept_beyond_those_asked_for_are_no_progress(cluster, tmp_path):
+    kept, done = KeptResults(tmp_path / "cases.jsonl", {}), []
+    kept.add({"number": 4})
+    table = command.run_suite(cluster, 5, SEED, done.append, first=2, kept=kept)
+    assert done == [1, 2] and len(table["results"]) == 2
+
+
 def test_outcomes_before_the_experiments_are_told_beside_those_after_them(cluster):
     table = command.run_suite(cluster, 3, SEED, experiments=1)
     assert table["outcomes"]["clear"] == {"right": 3}
