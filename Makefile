@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 SHELL := bash
-export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # The matrices are small: more threads only wait for each other.
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds diagnose-suite twins calibration docs api clean
+.PHONY: help setup demo test test-repeat mutants style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds other-makes diagnose-suite twins calibration docs api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -19,11 +18,20 @@ demo: ## identify and control the simulated stage, or that of PLANT (beam); repo
 test: setup ## check the style, then run the unit and the integration tests
 	@$(in_environment) tools/style && tools/tests
 
-style: setup ## check the style alone: code, docstrings, types, spelling, prose
+style: setup ## check code, docstrings, layers, types and spelling
 	@tools/style
 
 quick: setup ## run the numerics of the unit tests, in less than a minute
 	@$(in_environment) tools/tests quick
+
+RUNS ?= 10
+BUSY ?= 5
+test-repeat: setup ## run the tests RUNS times, the last BUSY beside two busy processes; prints a table
+	@tools/ten_runs $(RUNS) $(BUSY)
+
+MUTANTS ?= 20
+mutants: setup ## change the guards, the laws and the recorder; count what the unit tests let pass
+	@$(in_environment) .venv/bin/python benchmarks/mutation_check.py --mutants $(MUTANTS)
 
 long: setup ## run the tests of many draws, and all unit tests under three BLAS kernels
 	@$(in_environment) tools/tests long
@@ -34,9 +42,9 @@ coverage: setup ## print how much of each module the unit tests run
 kernels: setup ## compare the demo's figures under three BLAS kernels; in runs/kernels
 	@$(in_environment) .venv/bin/python benchmarks/demo_by_kernel.py
 
-SECONDS_OF_SOAK ?= 3600
+SECONDS_OF_SOAK ?= 900
 SEED ?= 1
-soak: setup ## run random goals and faults for SECONDS_OF_SOAK, drawn from SEED; in runs/soak
+soak: setup ## kill and stop nodes in runs for SECONDS_OF_SOAK, drawn from SEED; in runs/soak
 	@$(in_environment) .venv/bin/python benchmarks/soak.py --seconds $(SECONDS_OF_SOAK) --seed $(SEED)
 
 bench: setup ## measure speed and accuracy beside peers
@@ -62,6 +70,10 @@ recipe: setup ## record the simulated stage in shorter ways; writes the tables o
 
 recording-kinds: setup ## identify from every kind of recording of two foreign stages, for CPU_MINUTES; prints a table
 	@$(in_environment) .venv/bin/python -m piezo_studies.recording_kinds $(if $(CPU_MINUTES),--cpu-minutes $(CPU_MINUTES))
+
+MAKES_SEED ?= 0
+other-makes: setup ## identify six stages of other makes from files, drawn from MAKES_SEED; in runs/other-makes
+	@$(in_environment) .venv/bin/python -m piezo_studies.other_makes --seed $(MAKES_SEED)
 
 published-reference: setup ## follow a published reference by its preview; writes docs/published_reference.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.published_reference

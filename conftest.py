@@ -26,14 +26,16 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+from piezo_ros.discovery import prepare_discovery
+
 LONG = bool(os.environ.get("LONG_TESTS"))
 DOCS = Path(__file__).parent / "docs"
 OF_THE_SUITE = {
     "test_client_library", "test_diagnose_action", "test_diagnose_experiments", "test_examples",
     "test_experiments_recorded", "test_general_references", "test_identify_and_track",
     "test_impossible_transitions", "test_long_streams", "test_node_parameters", "test_probe",
-    "test_run_supervision", "test_stage_faults", "test_stage_tracking", "test_stage_waveforms",
-    "test_two_stages",
+    "test_run_supervision", "test_security", "test_stage_faults", "test_stage_tracking",
+    "test_stage_waveforms", "test_two_stages",
 }
 """Files that use the fixture ``suite`` or what is identified on it: both are made once."""
 # A test that draws does not watch the clock.
@@ -111,7 +113,8 @@ def pytest_collection_modifyitems(config, items):
 def domain_of_our_own():
     """Return the number of a ROS domain that nobody else on this machine uses now."""
     with claimed_domain() as number:
-        os.environ.update(ROS_DOMAIN_ID=str(number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+        os.environ["ROS_DOMAIN_ID"] = str(number)
+        prepare_discovery()  # also for nodes that tests make by rclpy alone
         yield number
 
 

@@ -20,7 +20,8 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
-from piezo_studies.recording_kinds.stages import PlayStage
+from piezo_studies.recording_kinds.stages import displacement_um as displacement_of_stage
+from piezo_studies.recording_kinds.stages import play_stage
 from piezo_studies.recording_kinds.trials import NOISE, recorded
 from piezo_studies.recording_kinds.waveforms import KINDS, Played, validation
 
@@ -83,8 +84,8 @@ def recording(path, played, behind=as_it_was, seed=0):
     -------
     Recording
     """
-    displacement_um = behind(played.voltage_v, PlayStage().displacement_um(
-        played.voltage_v, played.period_s))
+    displacement_um = behind(played.voltage_v, displacement_of_stage(
+        play_stage(), played.voltage_v, played.period_s))
     count = displacement_um.size
     noise_um = NOISE * np.ptp(displacement_um) * np.random.default_rng(seed).normal(size=count)
     return Recording(

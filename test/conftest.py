@@ -2,9 +2,11 @@
 """Start the real nodes as processes, and talk to them as any client would."""
 
 import array
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from itertools import count, pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,13 +17,11 @@ from piezo_interfaces.srv import LoadFeedforward, StartRecording, StartTracking,
 from std_srvs.srv import Trigger
 
 from piezo_bringup.forked_processes import ForkedProcesses
-from piezo_bringup.processes import USUAL_NODES, Processes, clean_shared_memory
+from piezo_bringup.processes import USUAL_NODES, Processes
 from piezo_client import client as client_module
 from piezo_client import overview, rejections
 from piezo_client.client import Client, GoalFailed
 from piezo_client.stage import Stage
-from piezo_identification.experiments.probing import probe_file
-from piezo_identification.experiments.stage_limits import USUAL_LIMITS
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -29,12 +29,13 @@ from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import RecordingError
 from piezo_ros.quality import FEEDBACK, SAMPLES
 
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+from endless_probe import write_endless_probe
+
 TIMEOUT_S = 300.0
 PATIENT = {"lockstep_timeout_s": 60.0, "exchange_timeout_s": 60.0,
            "emergency_stop_timeout_s": 60.0}
 """Parameters of a stage that does not take a busy computer for a client or backend that hangs."""
-ENDLESS_S = 100_000.0
-"""Of stage time: days of a paced stage, and more than an hour of one in lockstep."""
 NEAR_CELLS = 50
 
 
@@ -285,7 +286,7 @@ def patient_clients():
         patch.setattr(client_module, "CALL_TIMEOUT_S", TIMEOUT_S)
         for module in overview, rejections:
             patch.setattr(module, "DIAGNOSTICS_S", TIMEOUT_S)
-        patch.setattr(client_module, "MOST_ASKS", round(TIMEOUT_S / client_module.LOST_RESPONSE_S))
+        patch.setattr(client_module, "ACCEPTANCE_TIMEOUT_S", TIMEOUT_S)
         yield
 
 
@@ -338,33 +339,14 @@ class Nodes:
 
 @pytest.fixture(scope="session", autouse=True)
 def domain(domain_of_our_own):
-    """A ROS domain of our own, without what killed nodes have left."""
-    clean_shared_memory()
+    """A ROS domain of our own."""
     return domain_of_our_own
 
 
 @pytest.fixture
 def endless(tmp_path):
     """Directory whose probe lets experiments last longer than a test asks, on any machine."""
-    tones = {"arc_s": 0.5, "tones_s": ENDLESS_S, "tones": [[100.0, 0.1]]}
-    held_s = {"sample_period_s": 1e-3}
-    document = probe_file.ProbeDocument.model_validate({
-        "format": probe_file.FORMAT, "version": float(probe_file.VERSION),
-        "limits": {name: getattr(USUAL_LIMITS, name) for name in probe_file.OF_THE_LIMITS},
-        "stage": {
-            "step_v": 10.0, "signal_to_noise": 100.0, "rest_level_um": 0.0, "noise_rms_um": 0.01,
-            "gain_um_per_v": 1.0, "lag_s": 0.0, "settling_s": 0.01, "modes": [],
-            "creep_share_per_decade": 0.0, "creep_time_s": 0.0, "creep_ended": True},
-        "range": {"voltage_min_v": USUAL_LIMITS.voltage_min_v,
-                  "voltage_max_v": USUAL_LIMITS.voltage_max_v},
-        "experiments": {
-            "creep": {"swing_v": 20.0, "period_s": 1.0, **held_s},
-            "dynamics": {"swing_v": 20.0, "period_s": 0.02, "duration_s": ENDLESS_S},
-            "hysteresis": {"level_count": 2, "harmonic_period_s": 1.0, **held_s},
-            "validation": tones, "multisine": tones, "relay": {"oscillation_s": ENDLESS_S}},
-        "expected": {"creep_percent": 0.0, "dynamics_percent": 0.0, "hysteresis_percent": 0.0,
-                     "model_percent": 0.0, "remarks": []}})
-    probe_file.save_probe(tmp_path / probe_file.NAME, document)
+    write_endless_probe(tmp_path)
     return tmp_path
 
 
@@ -428,7 +410,7 @@ def serving(request):
 
 @pytest.fixture(scope="session")
 def whole_suite(tmp_path_factory, domain):
-    nodes = Nodes(tmp_path_factory.mktemp("suite"), Processes)
+    nodes = Nodes(tmp_path_factory.mktemp("suite"))
     try:
         yield nodes.start("recorder", "identification", "controller", namespace="/left")
     finally:

@@ -3,9 +3,12 @@
 
 import queue
 import threading
+import time
+from types import SimpleNamespace
 
 import pytest
 import rclpy
+from builtin_interfaces.msg import Time
 from lifecycle_msgs.srv import ChangeState, GetState
 from piezo_interfaces.action import PlayWaveform
 from piezo_interfaces.srv import LoadFeedforward, StopRecording
@@ -14,8 +17,11 @@ from rclpy.experimental import EventsExecutor
 
 from piezo_client import client as client_module
 from piezo_client.client import Client, ServiceFailed
+from piezo_ros.deadlines import set_deadline, why_too_late
+from piezo_ros.late_responses import create_late_service
 from piezo_ros.requests import calls
 from piezo_ros.requests.calls import ActionCaller, CallFailed, call_service, number_request
+from piezo_ros.requests.servers import Waiting, server_of
 from piezo_ros.stage_runs import described_stage
 
 TIMEOUT_S = 300.0
@@ -108,7 +114,6 @@ def soon(monkeypatch):
     """Let a lost answer be noticed soon."""
     monkeypatch.setattr(calls, "RESEND_S", 0.2)
     monkeypatch.setattr(client_module, "LOST_RESPONSE_S", 0.2)
-    monkeypatch.setattr(client_module, "MOST_ASKS", 1000)
 
 
 def assert_repeated_under_one_number(requests):
@@ -122,7 +127,7 @@ def test_numbered_request_is_sent_again_under_its_number_by_a_node(spinning, for
     asking = spinning("asking")
     client = asking.make(
         asking.node.create_client, LoadFeedforward, "load_feedforward")
-    assert call_service(client, LoadFeedforward.Request(append=True)).success
+    assert call_service(asking.node, client, LoadFeedforward.Request(append=True)).success
     assert_repeated_under_one_number(forgetful)
 
 
@@ -136,7 +141,7 @@ def test_request_that_must_not_act_twice_is_never_sent_twice(
         forgetful, soon, namespace, monkeypatch):
     monkeypatch.setattr(client_module, "CALL_TIMEOUT_S", 3.0)
     with Client(namespace, "asking") as client:
-        with pytest.raises(ServiceFailed, match="did not answer within 3 s"):
+        with pytest.raises(ServiceFailed, match="/server did not answer .* within 3 s"):
             client.call(ChangeState, "stage/change_state")
         assert client.spin_until(lambda: forgetful, TIMEOUT_S)
     assert len(forgetful) == 1
@@ -151,7 +156,7 @@ def test_stop_of_a_recording_is_asked_for_again_by_a_client(forgetful, soon, nam
 def test_stop_of_a_recording_is_asked_for_again_by_a_node(spinning, forgetful, soon):
     asking = spinning("asking")
     client = asking.make(asking.node.create_client, StopRecording, "recorder/stop_recording")
-    assert call_service(client, StopRecording.Request(last_sample=7)).success
+    assert call_service(asking.node, client, StopRecording.Request(last_sample=7)).success
     assert_asked_again_for(forgetful, 7)
 
 
@@ -268,6 +273,58 @@ def outcome_of(work):
     return thread, failures
 
 
+@pytest.fixture
+def hesitant(spinning):
+    """A server that gets round to a request only after its client gave it up; what it got, did."""
+    server, got, acted = spinning("server"), queue.SimpleQueue(), []
+    service = server.make(create_late_service, server.node, LoadFeedforward, "load_feedforward",
+                          lambda request, late: acted.append(request))
+    callback = service.callback
+
+    def hesitate(request, response):
+        while not why_too_late(request):
+            time.sleep(0.01)
+        answer = callback(request, response)
+        got.put(request)
+        return answer
+
+    service.callback = hesitate
+    return got, acted
+
+
+def test_request_is_not_acted_upon_after_its_client_gave_it_up(spinning, hesitant):
+    got, acted = hesitant
+    asking = spinning("asking")
+    client = asking.make(asking.node.create_client, LoadFeedforward, "load_feedforward")
+    with pytest.raises(CallFailed, match="/server did not answer|gave this request up"):
+        call_service(asking.node, client, LoadFeedforward.Request(), timeout_s=0.5)
+    assert got.get(timeout=TIMEOUT_S)
+    assert not acted
+
+
+def test_request_without_a_deadline_may_always_act():
+    assert not why_too_late(LoadFeedforward.Request())
+    request = LoadFeedforward.Request(deadline=Time(sec=1))
+    assert "gave this request up" in why_too_late(request)
+    set_deadline(request, 100.0)
+    assert request.deadline == Time(sec=1)
+
+
+def test_node_that_waits_names_the_one_that_it_waits_for(spinning, monkeypatch):
+    server, asking = spinning("server"), spinning("asking")
+    server.make(server.node.create_service, GetState, "stage/get_state", None)
+    words = []
+    monkeypatch.setattr(asking.node, "get_logger", lambda: SimpleNamespace(warning=words.append))
+    while not server_of(asking.node, "stage/get_state"):
+        pass
+    waiting = Waiting(asking.node, "stage/get_state")
+    for waited_s in (1.0, 4.9, 5.1, 5.2, 10.1):
+        waiting.look(waited_s)
+    namespace = asking.node.get_namespace()
+    assert words == [f"{namespace}/server has not answered stage/get_state for {waited_s} s: "
+                     "waiting" for waited_s in (5, 10)]
+
+
 def test_call_ends_when_the_node_that_serves_is_gone(spinning):
     asked = threading.Event()
     server, asking = spinning("server"), spinning("asking")
@@ -281,7 +338,8 @@ def test_call_ends_when_the_node_that_serves_is_gone(spinning):
     service.send_response = lambda *_: None
     client = asking.make(
         asking.node.create_client, LoadFeedforward, "load_feedforward")
-    thread, failures = outcome_of(lambda: call_service(client, LoadFeedforward.Request()))
+    thread, failures = outcome_of(
+        lambda: call_service(asking.node, client, LoadFeedforward.Request()))
     assert asked.wait(TIMEOUT_S)
     server.close()
     thread.join(TIMEOUT_S)

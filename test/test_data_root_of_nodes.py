@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where identification and controller write: under their data root, whatever a goal names."""
+"""What identification and controller read and write: files under their data root."""
 
 import os
+import resource
 import subprocess
 from pathlib import Path
 
 import pytest
+from piezo_interfaces.srv import AcceptExtendedModel
 
 from piezo_client.client import GoalFailed
 from piezo_client.references import harmonic
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
+from piezo_ros.memory import machine_bytes
 
 ROOT = Path(__file__).parents[1]
+OUTSIDE = "is outside"
 REFERENCE = harmonic(100.0, 5.0, 50.0)
 
 
@@ -51,6 +55,55 @@ def test_goals_that_write_elsewhere_are_refused_and_leave_nothing(rooted, root, 
         assert "data_root" in str(refused.value)
         assert str(refused.value).isprintable()
     assert not [*tmp_path.iterdir()]
+
+
+def test_goals_that_read_what_is_no_bounded_file_of_the_root_are_refused(rooted, root, tmp_path):
+    (tmp_path / "model.json").write_text((root / "model.json").read_text())
+    (root / "elsewhere.json").symlink_to(tmp_path / "model.json")
+    (root / "zero.json").symlink_to("/dev/zero")
+    os.mkfifo(root / "pipe")
+    for folder in "bag", "runs":
+        (root / folder).mkdir(exist_ok=True)
+    (root / "bag" / "metadata.yaml").symlink_to("/dev/zero")
+    with open(root / "sparse", "wb") as file:
+        file.truncate(2 * 2**30)
+    model = root / "model.json"
+    wrong = {tmp_path / "model.json": OUTSIDE, root / "elsewhere.json": OUTSIDE,
+             "/dev/zero": OUTSIDE, root / "zero.json": OUTSIDE, root / "pipe": "is a pipe",
+             root / "runs": "is a directory", root / "sparse": "more than the"}
+
+    def refused(name, *arguments, **options):
+        with pytest.raises(GoalFailed) as failed:
+            getattr(rooted, name)(*arguments, root, **options)
+        assert str(failed.value).isprintable()
+        return str(failed.value)
+
+    def refused_as_data(path):
+        return [refused("diagnose", model, [path]),
+                refused("track", {"kind": "file", "file": str(path)}, model, "feedforward", 0.1)]
+
+    for path, reason in wrong.items():
+        accepted = rooted.call(AcceptExtendedModel, "controller/accept_extended_model",
+                               model=str(model), extended_model=str(path))
+        assert not accepted.success
+        said = [accepted.message, refused("track", REFERENCE, path, "open_loop", 0.1),
+                refused("track", REFERENCE, model, "composite", 0.1, controller=path),
+                refused("diagnose", path, [model])]
+        if reason in (OUTSIDE, "is a pipe"):  # recordings may be directories, and large
+            said += refused_as_data(path)
+        assert [text for text in said if reason not in text] == []
+    refused_as_data(root / "sparse")
+    assert OUTSIDE in refused("diagnose", model, [root / "bag"])
+
+
+def test_nodes_have_a_limit_of_memory_and_end_before_the_stage(rooted):
+    stage, *others = (rooted.processes.process(name).pid for name in (
+        "stage", "recorder", "identification", "controller"))
+    scores = [int(Path(f"/proc/{pid}/oom_score_adj").read_text()) for pid in (stage, *others)]
+    assert all(score > scores[0] for score in scores[1:])
+    for pid in others:
+        soft, _ = resource.prlimit(pid, resource.RLIMIT_DATA)
+        assert soft == machine_bytes() // 2
 
 
 def test_relative_paths_of_a_goal_are_of_the_data_root(rooted, root, monkeypatch):

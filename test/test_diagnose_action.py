@@ -36,17 +36,24 @@ def files(plain_model, save_csv, tmp_path_factory):
     return paths
 
 
-def test_the_missing_effect_is_named_and_the_model_extended(suite, files, tmp_path):
+@pytest.fixture(scope="module")
+def diagnosed(whole_suite, files, tmp_path_factory):
+    """What the node told on its way, and its result."""
     told = []
-    result = suite.diagnose(files["model"], [files["data"]], tmp_path / "diagnosis",
-                            files["holdout"], on_feedback=told.append)
+    return told, whole_suite.diagnose(
+        files["model"], [files["data"]], tmp_path_factory.mktemp("of_node") / "diagnosis",
+        files["holdout"], on_feedback=told.append)
+
+
+def test_the_missing_effect_is_named_and_the_model_extended(diagnosed, files):
+    told, result = diagnosed
     assert (result.success, result.verdict, result.effects) == (
         True, "explained", ["vibration_mode"])
     assert "lacks vibration_mode" in result.sentence
     found, = load_model(result.extended_model).model.effects
     assert found.frequency_rad_per_s == pytest.approx(MODE.frequency_rad_per_s, rel=1e-3)
     verdict = json.loads(result.verdict_json)
-    assert verdict == json.loads((tmp_path / "diagnosis" / "verdict.json").read_text())
+    assert verdict == json.loads(Path(result.report).with_name("verdict.json").read_text())
     assert verdict["holdout"]["source"] == str(files["holdout"])
     assert verdict["before"] == {"rms_um": result.before_rms_um,
                                  "e_y_percent": result.before_e_y_percent}
@@ -61,8 +68,8 @@ def test_the_missing_effect_is_named_and_the_model_extended(suite, files, tmp_pa
     assert {"read the recordings", "effect 1: delay"} <= {feedback.stage for feedback in told}
 
 
-def test_a_script_finds_that_the_extended_model_lacks_nothing(suite, files, tmp_path):
-    own = suite.diagnose(files["model"], [files["data"]], tmp_path / "first").extended_model
+def test_a_script_finds_that_the_extended_model_lacks_nothing(suite, files, diagnosed, tmp_path):
+    own = diagnosed[1].extended_model
     with Stage("/left") as stage:
         found = suite.beside(
             stage.diagnose, own, [files["data"]], tmp_path / "second", files["holdout"])

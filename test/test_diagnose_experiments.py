@@ -35,6 +35,7 @@ def files(plain_model, save_csv, tmp_path_factory):
     return {"model": str(model), "recordings": [str(data)]}
 
 
+@pytest.mark.long
 def test_what_decides_is_played_recorded_and_diagnosed(suite, files, tmp_path):
     told = []
     result = suite.goal("diagnose", on_feedback=told.append, directory=str(tmp_path),

@@ -21,7 +21,7 @@ PAGES = sorted(path for path in [*ROOT.glob("*.md"), *ROOT.glob("test/README.md"
                                  *ROOT.glob("docs/**/*.md")] if path.name != "errors.md")
 COVERED = {
     "make demo": "src/piezo_studies/test/demo/test_demo_summary.py",
-    "make test": "test/test_layering.py",
+    "make test": "test/test_package_manifests.py",
     "make setup": "test/test_documented_commands.py",
     "make bench": "src/piezo_identification/test/test_simulation_study.py",
     "make reproduce": "src/piezo_studies/test/thesis/test_reproduction.py",
@@ -30,12 +30,14 @@ COVERED = {
     "make twins": "src/piezo_studies/test/diagnosis_benchmark/test_twin_decisions.py",
     "make calibration": "src/piezo_studies/test/diagnosis_calibration/test_small_cases.py",
     "make docs": "test/test_error_table.py",
-    "make style": "test/test_style.py",
-    "make api": "test/test_docstrings.py",
+    "make style": "test/test_package_manifests.py",
+    "make api": "test/test_package_manifests.py",
     "make long": "test/test_bad_input.py",
     "make quick": "test/test_kernels.py",
     "make kernels": "test/test_kernels.py",
-    "make coverage": "test/test_style.py",
+    "make mutants": "test/test_mutation_check.py",
+    "make test-repeat": "test/test_documented_commands.py",
+    "make coverage": "test/test_kernels.py",
 }
 # Of programs that are not ours, or that need a device.
 NOT_OURS = ("source ", "pip install", "pre-commit ", "ros2 bag", "ros2 lifecycle", "ros2 param",

@@ -24,14 +24,3 @@ def test_table_tells_type_unit_range_and_meaning(tool):
             "is written. |\n") in tool["table_of"]("calibration")
     assert ("| `hysteresis.density_um_per_v2` | list of lists of numbers | um/V^2 | >= 0, 1 or "
             "more entries |") in tool["table_of"]("model")
-
-
-def test_page_without_a_section_is_refused(tool):
-    with pytest.raises(ValueError, match="give it one for each of fields of model"):
-        tool["page"]("# Files\n")
-
-
-def test_every_field_has_a_meaning(tool):
-    for name in tool["DOCUMENTS"]:
-        for row in tool["table_of"](name).splitlines()[2:]:
-            assert row.split(" | ")[-1].strip(" |"), row

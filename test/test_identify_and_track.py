@@ -158,7 +158,7 @@ def other_version(model, tmp_path_factory):
 
 
 @pytest.mark.parametrize(("fields", "sentence"), [
-    ({"model": "/no/model.json"}, "the model '/no/model.json'.*: No such file.*identify the stage"),
+    ({"model": "/no/model.json"}, "the model '/no/model.json'.*No such file.*identify the stage"),
     ({"model": "other_version"}, "version.* 99"),
     ({"mode": "closed"}, "unknown mode 'closed': use one of open_loop, pid, pi, feedforward, "),
     ({"duration_s": 0.0}, "duration_s is 0: give more than 0"),

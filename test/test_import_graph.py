@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The picture of the rooms shows what the sources import; no two packages import each other."""
+"""The list of the rooms is that of the sources, and no further rooms import each other."""
 
 import importlib.util
 import sys
-from itertools import combinations
 from pathlib import Path
 
 import pytest
@@ -36,10 +35,6 @@ def test_list_of_the_picture_is_that_of_the_sources(imports):
     assert ("piezo_models/effects", "piezo_models/linear") in listed
 
 
-def test_packages_import_in_no_circle(imports):
-    assert graph.circles(graph.between_packages(imports)) == []
-
-
 def test_no_further_rooms_import_each_other(imports):
     in_circles = graph.circles(imports)
     assert sum(map(len, in_circles)) <= ROOMS_IN_CIRCLES, in_circles
@@ -48,38 +43,6 @@ def test_no_further_rooms_import_each_other(imports):
 def test_rooms_of_the_identification_import_in_no_circle(imports):
     assert not [room for circle in graph.circles(imports) for room in circle
                 if graph.package_of(room) == "piezo_identification"]
-
-
-def test_every_package_of_the_picture_stands_above_those_that_it_imports(imports):
-    row_of = {package: number for number, row in enumerate(graph.ROWS) for package in row}
-    rooms = graph.rooms_of(ROOT / "src")
-    assert {graph.package_of(room) for room in rooms} == set(row_of)
-    for above, below in graph.between_packages(imports):
-        assert row_of[above] > row_of[below], f"move {above} above {below} in ROWS"
-
-
-def test_frames_of_the_picture_do_not_overlap_and_fit_its_width(imports):
-    rooms = graph.rooms_of(ROOT / "src")
-    for row in graph.ROWS:
-        spans = []
-        for package, middle in row.items():
-            frame = graph.Frame(package, [room for room in rooms
-                                          if graph.package_of(room) == package], imports)
-            spans.append((middle - frame.width / 2, middle + frame.width / 2))
-        assert min(span[0] for span in spans) >= 0.0
-        assert max(span[1] for span in spans) <= graph.WIDTH
-        for one, other in combinations(sorted(spans), 2):
-            assert one[1] < other[0]
-
-
-def test_picture_is_drawn_with_every_room(imports, tmp_path, monkeypatch):
-    monkeypatch.setattr(graph, "PICTURE", tmp_path / "rooms.svg")
-    rooms = graph.rooms_of(ROOT / "src")
-    graph.draw(imports, rooms)
-    text = graph.PICTURE.read_text()
-    for room in rooms:
-        name = room.rpartition("/")[2].replace("_", " ").split()[0] if "/" in room else room
-        assert f"<!-- {name}" in text, room
 
 
 def module(path, text=""):

@@ -34,6 +34,7 @@ def test_goal_of_an_hour_tells_that_it_is_planned_then_plays_and_is_cancelled(
     assert suite.play([0.0]).success
 
 
+@pytest.mark.long
 def test_stream_that_goes_out_of_reach_ends_at_rest_within_the_limits_and_tells_when(
         suite, model, tmp_path):
     # What is checked before the run ends at 20 s; the way steps beyond the range at 20.2 s.

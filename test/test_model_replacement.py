@@ -47,7 +47,8 @@ def files(near_model, tmp_path_factory):
     return directory, models
 
 
-@pytest.fixture(scope="module", params=["lockstep", "paced"])
+@pytest.fixture(scope="module", params=[
+    "lockstep", pytest.param("paced", marks=pytest.mark.long)])
 def stage(request, nodes, files):
     """A stage whose controller uploads its feedback."""
     return nodes.start(

@@ -5,17 +5,26 @@ import os
 import re
 import signal
 import subprocess
+from dataclasses import fields
 from pathlib import Path
+from typing import get_type_hints
 
+import numpy as np
 import pytest
+import yaml
 from ament_index_python.packages import get_package_prefix
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 
 from piezo_bringup.processes import EXECUTABLES
+from piezo_controller.tracking.feedbacks import FeedbackSettings
+from piezo_identification.experiments.catalogue import EXPERIMENTS, named_experiment
+from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_stage_driver.node.stage_settings import StageSettings
 
 CALIBRATION = (Path(__file__).parents[1]
                / "src/piezo_stage_driver/config/nidaqmx_calibration.yaml")
+HARDWARE = Path(__file__).parents[1] / "src/piezo_bringup/config/hardware.yaml"
 # Of rclpy itself.
 NOT_OURS = {"use_sim_time", "start_type_description_service"}
 
@@ -72,14 +81,30 @@ def test_bad_parameter_ends_the_node_at_start_with_one_clear_line(node, argument
     assert "Traceback" not in ended.stderr
 
 
-def test_stage_that_waits_unconfigured_says_how_to_go_on():
+def test_stage_with_the_profile_for_hardware_waits_unconfigured_and_says_how_to_go_on():
     environment = {**os.environ}
     environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
     package = "piezo_stage_driver"
     executable = Path(get_package_prefix(package), "lib", package, "stage")
-    with subprocess.Popen([executable, "--ros-args", "-r", "__ns:=/bare"], env=environment,
-                          stderr=subprocess.PIPE, text=True) as process:
+    arguments = "--ros-args", "--params-file", HARDWARE, "-r", "__ns:=/bare"
+    with subprocess.Popen([executable, *arguments], env=environment, stderr=subprocess.PIPE,
+                          text=True) as process:
         said = next(line for line in process.stderr if "unconfigured" in line)
         process.send_signal(signal.SIGINT)
     assert "ros2 lifecycle set /bare/stage configure" in said
     assert "autostart:=true" in said
+
+
+def test_profile_for_hardware_sets_parameters_that_exist_and_fits_every_experiment():
+    profile = yaml.safe_load(HARDWARE.read_text())
+    stage, controller = (profile[f"/**/{name}"]["ros__parameters"]
+                         for name in ("stage", "controller"))
+    described = get_type_hints(StageSettings)
+    assert stage.keys() - {"backend", "autostart"} <= described.keys()
+    assert controller.keys() <= {field.name for field in fields(FeedbackSettings)}
+    assert stage["slew_limit_v_per_s"] <= 1e5 and stage["autostart"] is False
+    limits = StageLimits(
+        stage["minimum_voltage_v"], stage["maximum_voltage_v"], stage["slew_limit_v_per_s"])
+    for name in EXPERIMENTS:
+        experiment = named_experiment(name, limits)
+        assert np.abs(np.diff(experiment.voltage_v)).max() <= 2.5 * (1.0 + 1e-9)

@@ -125,6 +125,7 @@ def tracked(result):
     return recording.select(recording.has(SampleBlock.FLAG_TRACKING))
 
 
+@pytest.mark.long
 def test_law_designed_without_computing_time_leaves_less_and_ends_with_its_client(
         same, nodes, files, tmp_path):
     loop = Loop(nodes, "/quick", files, tmp_path, {})

@@ -3,6 +3,7 @@
 
 import ast
 import re
+import tomllib
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -51,3 +52,13 @@ def test_manifest_and_setup_agree(package):
     setup = (package / "setup.py").read_text()
     for tag in ("version", "description", "license"):
         assert f'{tag}="{manifest.findtext(tag)}"' in setup
+
+
+def test_every_package_has_its_layer_and_its_api_page():
+    root = Path(__file__).parents[1]
+    names = {package.name for package in PACKAGES}
+    layers = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["importlinter"]
+    assert set(layers["root_packages"]) == names
+    assert set(re.findall(r"piezo_\w+", " ".join(layers["contracts"][0]["layers"]))) == names
+    pages = (root / "docs" / "api" / "index.rst").read_text()
+    assert set(re.findall(r"^   (\w+)$", pages, re.M)) == names

@@ -17,7 +17,8 @@ from piezo_recorder.reading.reader import read_recording
 TICK = 40
 PREVIEW = 20
 WAY = references.Reference("random", (100.0,), (10.0,), (), 50.0, seed=8)
-LIVE = Reference(kind="topic", frequency_hz=[100.0], amplitude_um=[10.0])
+CENTRE_UM = 50.0
+LIVE = Reference(kind="topic", frequency_hz=[100.0], amplitude_um=[10.0], centre_um=CENTRE_UM)
 
 
 class Publisher:
@@ -28,14 +29,15 @@ class Publisher:
         self._way = references.trajectory(WAY)
         self._publisher = client.node.create_publisher(ReferenceSamples, "reference", 2000)
         self.sent = self.ticks = 0
-        self.silent_after = math.inf
+        self.silent_after = self.jumps_after = math.inf
         client.answer = self._on_block
 
     def publish(self):
         """Publish the next values."""
         self._publisher.publish(ReferenceSamples(
             first_sample=self.sent, preview_samples=PREVIEW,
-            displacement_um=self._way.sample(self.sent, TICK).tolist()))
+            displacement_um=[1e308] * TICK if self.ticks > self.jumps_after else
+            (self._way.sample(self.sent, TICK) - CENTRE_UM).tolist()))
         self.sent += TICK
 
     def _on_block(self, block):
@@ -45,6 +47,11 @@ class Publisher:
                 if self.ticks < self.silent_after:
                     self.publish()
         return None
+
+    def end(self):
+        """Publish nothing any more."""
+        self._client.node.destroy_publisher(self._publisher)
+        self._client.answer = None
 
     def follow(self, model, directory, mode, duration_s):
         """Send the goal, and publish the first values until the stage moves."""
@@ -65,16 +72,42 @@ def model(near_model, tmp_path):
     return tmp_path / "model.json"
 
 
+@pytest.fixture(scope="module")
+def client(nodes):
+    """Client of a stage in lockstep, whose reference a test publishes."""
+    return nodes.start("recorder", "controller", namespace="/published")
+
+
+@pytest.fixture
+def publisher(client):
+    publisher = Publisher(client)
+    yield publisher
+    publisher.end()
+
+
+def test_published_reference_beyond_its_declaration_stops_the_stage_at_rest(
+        client, publisher, model, tmp_path):
+    publisher.jumps_after = 420
+    client.forget()
+    followed = publisher.follow(model, tmp_path, "feedforward", 0.8)
+    assert followed.degraded and not followed.success
+    assert "beyond its declared 10 um about 50 um" in followed.degraded_reason
+    assert followed.message.startswith(followed.degraded_reason)
+    played = client.samples()
+    assert played.displacement_um.max() < CENTRE_UM + 6.0
+    assert played.voltage_v[-1] == 0.0
+
+
 def test_published_reference_is_followed_and_held_where_its_publisher_falls_silent(
-        nodes, model, tmp_path):
-    publisher = Publisher(nodes.start("recorder", "controller", namespace="/published"))
+        publisher, model, tmp_path):
     publisher.silent_after = 420
     # Long enough that it is held at the end, however long after its values the stage follows.
     followed = publisher.follow(model, tmp_path, "composite", 0.8)
-    assert followed.success, followed.message
+    # What was held counts as no success, although it was played to its end.
+    assert followed.degraded and not followed.success
     assert followed.e_rms_percent < 1.0
     assert "followed the reference" in followed.message
-    assert "it was held, as nothing was published" in followed.message
+    assert "it was held, as nothing was published" in followed.degraded_reason
     recording = read_recording(followed.recording)
     assert recording.gaps == []
     with AnyReader([Path(followed.recording)]) as reader:

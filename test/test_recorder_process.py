@@ -2,11 +2,14 @@
 """The recorder as a process of its own, fed by a publisher that stands in for the recorder."""
 
 import array
+import hashlib
+import re
 import signal
 
 import numpy as np
 import pytest
 import rclpy
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -116,6 +119,37 @@ def test_every_message_is_recorded_and_numbers_are_told(recorder, tmp_path):
     refused = recorder.start(tmp_path, "run")
     assert not refused.success
     assert "exists already" in refused.message
+
+
+def test_attachment_may_come_as_path_and_hash_of_a_file(recorder, tmp_path):
+    content, file = b'{"level_count": 50}', tmp_path / "mine.json"
+    file.write_bytes(content)
+    of_the_file = {"attachment_names": ["model.json"], "attachment_contents": [""],
+                   "attachment_sha256": [hashlib.sha256(content).hexdigest()]}
+    other = hashlib.sha256(b"other").hexdigest()
+    for fields, reason in (
+            ({"attachment_sha256": [other]}, "another sha256"),
+            ({"attachment_paths": ["/dev/zero"]}, "not a regular file"),
+            ({"attachment_paths": [str(tmp_path)]}, "is a directory"),
+            ({"attachment_paths": [str(tmp_path / "none")]}, "No such file")):
+        refused = recorder.start(tmp_path, "run", **{
+            **of_the_file, "attachment_paths": [str(file)], **fields})
+        assert (refused.success, refused.unread_attachments) == (False, ["model.json"])
+        assert re.search(reason, refused.message)
+    assert not (tmp_path / "run").exists()
+    started = recorder.start(tmp_path, "run", **of_the_file, attachment_paths=[str(file)])
+    assert started.success, started.message
+    file.unlink()
+    recorder.publish(range(3))
+    assert recorder.stop(119).success
+    assert read_recording(started.path).attachments == {"model.json": content}
+
+
+def test_start_that_was_given_up_begins_nothing(recorder, tmp_path):
+    refused = recorder.start(tmp_path, "run", deadline=Time(sec=1))
+    assert not refused.success
+    assert "gave this request up" in refused.message
+    assert not (tmp_path / "run").exists()
 
 
 def test_who_did_not_hear_the_answer_asks_again_and_gets_the_same(recorder, tmp_path):

@@ -183,10 +183,16 @@ def test_recording_bears_the_quality_of_its_topics(suite, fields):
             for channel in channels} == offered
 
 
-def test_run_whose_answers_came_late_fails_and_says_how_many(nodes, fields):
-    stage = nodes.start("recorder", "controller", namespace="/late", timing="paced",
-                        max_missed_feedback=10_000,
-                        node_parameters={"controller": {"feedback": "remote"}})
+@pytest.fixture(scope="module")
+def paced(nodes):
+    """A paced stage whose controller answers block by block."""
+    return nodes.start("recorder", "controller", namespace="/late", timing="paced",
+                       max_missed_feedback=10_000,
+                       node_parameters={"controller": {"feedback": "remote"}})
+
+
+def test_run_whose_answers_came_late_fails_and_says_how_many(paced, fields):
+    stage = paced
     fields["duration_s"] = 4.0
     goal = stage.send_goal("track", **fields)
     stage.until_flagged(SampleBlock.FLAG_TRACKING)
@@ -203,3 +209,16 @@ def test_run_whose_answers_came_late_fails_and_says_how_many(nodes, fields):
     assert result.missed_feedback > late
     assert result.e_rms_percent > 0.0
     assert read_recording(result.recording).complete
+
+
+def test_computer_that_is_too_slow_for_a_stage_is_told_before_anything_moves(paced, fields):
+    paced.processes.stop(["stage"])
+    # Which no computer can keep to.
+    paced.processes.start("stage", {"timing": "paced", "autostart": True,
+                                    "max_missed_feedback": 0}, "/late")
+    paced.forget()
+    status, result = paced.result(paced.send_goal("track", **fields))
+    assert status == GoalStatus.STATUS_ABORTED
+    assert "this computer is too busy to answer every 1 ms" in result.message
+    assert result.recording == ""
+    assert not any(any(block.voltage_v) for block in paced.blocks)

@@ -4,6 +4,8 @@
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from builtin_interfaces.msg import Time
+from piezo_interfaces.action import PlayWaveform
 from piezo_interfaces.msg import SampleBlock
 
 from piezo_client.client import GoalFailed
@@ -98,6 +100,14 @@ def test_second_waveform_is_refused_while_one_plays_and_the_first_goes_on(suite)
     played = samples.flagged(FLAG_PLAYING)
     assert len(played) > 200 * 40
     assert np.array_equal(played, np.tile(waveform, len(played) // 4000 + 1)[:len(played)])
+
+
+def test_waveform_that_was_given_up_never_plays(suite):
+    late = suite.wait(suite._actions["play_waveform"].send_goal_async(PlayWaveform.Goal(
+        voltage_v=[1.0], sample_period_s=25e-6, repeats=1, deadline=Time(sec=1))))
+    assert not late.accepted
+    suite.play([0.0])
+    assert not np.any(suite.samples().voltage_v)
 
 
 @pytest.mark.parametrize("sample_period_s", [25e-6, 1.0])

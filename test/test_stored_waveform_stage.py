@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 
-from piezo_bringup.processes import Processes
+from piezo_bringup.forked_processes import ForkedProcesses
 from piezo_client.client import GoalFailed
 from piezo_identification.experiments.catalogue import USUAL_LIMITS, multisine
 from piezo_recorder.reading.reader import read_recording
@@ -58,7 +58,7 @@ def stage(stage_client, tmp_path_factory):
              "-p", "timing:=paced", "-p", f"sample_rate_hz:={RATE_HZ}",
              "-p", "exchange_timeout_s:=60.0"],
             env=environment, stdout=log, stderr=log)
-    with Processes(directory, data_root="/") as processes:
+    with ForkedProcesses(directory, data_root="/") as processes:
         for name in ("recorder", "identification"):
             processes.start(name, {"autostart": True}, "/stored")
         client = stage_client("/stored", processes)

@@ -71,7 +71,7 @@ def test_run_is_refused_where_another_client_loads_between_its_calls(stage, dist
     def other_loads():
         """Come between what the tracker loads and what it starts; stream nothing."""
         if disturbed:
-            call_service(load, LoadFeedforward.Request(
+            call_service(stage.node, load, LoadFeedforward.Request(
                 once_voltage_v=array.array("d", OTHER_V)))
         return np.empty(0)
 

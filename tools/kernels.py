@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Run a command once under each of the OpenBLAS kernels that this processor can take.
 
-    python tools/kernels.py [--others | --furthest] COMMAND...
+    python tools/kernels.py [--others] COMMAND...
 
 OpenBLAS chooses its kernels by the processor, so the last digits of a result depend on the machine.
 OPENBLAS_CORETYPE makes it choose those of another processor. A kernel is taken if a calculation
@@ -67,12 +67,8 @@ def kernels_that_work() -> tuple[set[str], list[str]]:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command; return the first exit status that is not 0."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    which = parser.add_mutually_exclusive_group()
-    which.add_argument("--others", action="store_true",
-                       help="not under the kernel that is in use without it")
-    which.add_argument("--furthest", action="store_true",
-                       help="only under the last of the others, which rounds most differently: "
-                       "in general it has no fused multiplication")
+    parser.add_argument("--others", action="store_true",
+                        help="not under the kernel that is in use without it")
     parser.add_argument("command", nargs=argparse.REMAINDER)
     options = parser.parse_args(arguments)
     own, kernels = kernels_that_work()
@@ -80,9 +76,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"kernels: {', '.join(sorted(own)) or 'no OpenBLAS'} in use, and of "
               f"{', '.join(CANDIDATES)} only {', '.join(kernels) or 'none'} can be chosen by "
               f"{VARIABLE} on this processor; the rest is skipped", flush=True)
-    if options.furthest:
-        kernels = kernels[-1:]
-    elif not options.others:
+    if not options.others:
         kernels = [*own, *kernels]
     status = 0
     for kernel in kernels:

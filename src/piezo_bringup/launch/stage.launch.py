@@ -13,7 +13,7 @@ from launch import LaunchDescription
 def generate_launch_description():
     """Describe what is started, and the arguments."""
     default = PathJoinSubstitution(
-        [FindPackageShare("piezo_bringup"), "config", "simulated_stage.yaml"])
+        [FindPackageShare("piezo_bringup"), "config", [LaunchConfiguration("profile"), ".yaml"]])
     data_root = {"data_root": ParameterValue(LaunchConfiguration("data_root"), value_type=str)}
     settings = {
         "namespace": LaunchConfiguration("namespace"),
@@ -23,10 +23,13 @@ def generate_launch_description():
     }
     return LaunchDescription([
         DeclareLaunchArgument("namespace", default_value="", description="Of all nodes."),
+        DeclareLaunchArgument("profile", default_value="simulated_stage",
+                              description="Parameters of this package: simulated_stage, or "
+                              "hardware for low limits."),
         DeclareLaunchArgument("parameters", default_value=default,
-                              description="Parameter file (YAML)."),
+                              description="Parameter file (YAML), in place of the profile's."),
         DeclareLaunchArgument("data_root", default_value=".",
-                              description="Folder under which the nodes write."),
+                              description="Folder under which the nodes read and write."),
         DeclareLaunchArgument(
             "discovery_range", default_value="LOCALHOST",
             description="LOCALHOST, or SUBNET to let other machines command the stage."),

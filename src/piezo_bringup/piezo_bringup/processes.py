@@ -2,7 +2,6 @@
 """Start the suite's nodes as processes, and end them in order."""
 
 import os
-import shutil
 import signal
 import subprocess
 from collections.abc import Iterable, Mapping
@@ -132,10 +131,3 @@ class Processes:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-
-
-def clean_shared_memory() -> None:
-    """Remove what killed nodes left in shared memory."""
-    if shutil.which("fastdds"):
-        subprocess.run(["fastdds", "shm", "clean"], check=False,
-                       stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -70,6 +70,14 @@ def test_every_file_of_a_package_is_there(path):
         assert SOURCE.joinpath(*match).is_file()
 
 
+def test_profiles_are_files_of_the_package():
+    text = LAUNCH_FILES[2].read_text()
+    assert "'config', [LaunchConfiguration('profile'), '.yaml']" in ast.unparse(ast.parse(text))
+    for name in "simulated_stage", "hardware":
+        assert name in text
+        assert (SOURCE / "piezo_bringup" / "config" / f"{name}.yaml").is_file()
+
+
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.stem)
 def test_every_node_of_a_parameter_file_gets_the_data_root_before_it(path):
     """What the file says of it counts more, as it comes later."""

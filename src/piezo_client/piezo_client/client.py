@@ -16,19 +16,22 @@ from unique_identifier_msgs.msg import UUID
 from piezo_client.interrupts import HeldSignals
 from piezo_client.paths import AnyPath, with_absolute_paths
 from piezo_client.rejections import why_rejected
+from piezo_ros.deadlines import set_deadline
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.requests.calls import may_be_repeated
 from piezo_ros.requests.lost_answers import PatientActionClient
+from piezo_ros.requests.servers import WORD_AFTER_S, Waiting, server_of
 from piezo_ros.stage_runs.described_stage import DescribedStage
 
 SERVER_TIMEOUT_S = 30.0
 """A stage that is being started has some of its nodes before the others."""
-LOST_RESPONSE_S = 10.0
-# So often a goal is asked for: a node that designs a controller answers late on a busy machine.
-MOST_ASKS = 6
+LOST_RESPONSE_S = 2.0
+"""Until a goal or a request is asked for again; then twice as long each time."""
+# A node that designs a controller answers late on a busy machine.
+ACCEPTANCE_TIMEOUT_S = 60.0
 CANCEL_TIMEOUT_S = 10.0
 CALL_TIMEOUT_S = 120.0
 # A node that ends may be gone before its answer is read.
@@ -240,6 +243,7 @@ class Client:
         self._await(client.server_is_ready, topic)
         goal = action_type.Goal(
             **{"client": self.node.get_fully_qualified_name(), **with_absolute_paths(fields)})
+        set_deadline(goal, ACCEPTANCE_TIMEOUT_S)
         number = UUID(uuid=list(uuid.uuid4().bytes))
 
         def ask() -> Future:
@@ -256,7 +260,7 @@ class Client:
         sent: list[Future] = []
         with self._signals.hold():
             try:
-                handle = self._accepted(client, sent, ask)
+                handle = self._accepted(client, topic, sent, ask)
             except GoalFailed:
                 raise
             except BaseException:
@@ -266,30 +270,34 @@ class Client:
         if handle is None:
             self._withdraw(client, number, action_type)
             raise GoalFailed(name, action_type.Result(message=(
-                f"the node that serves {topic} did not say whether it took the goal: look at its "
-                "log, send the goal again")))
+                f"{self._server(topic)} did not say whether it took the goal: look at its log, "
+                "send the goal again")))
         if not handle.accepted:
             raise GoalFailed(name, action_type.Result(message=(
                 f"the node that serves {topic} rejected the goal: "
                 f"{why_rejected(self.node, self.spin_until, topic)}")))
         return handle
 
-    def _accepted(self, client: PatientActionClient, sent: list[Future],
+    def _accepted(self, client: PatientActionClient, topic: str, sent: list[Future],
                   ask: Callable[[], Future]) -> ClientGoalHandle | None:
         """Ask, several times if need be; return the handle that tells, or None."""
         def settled() -> bool:
             return (any(answer.done() and answer.result().accepted for answer in sent)
                     or all(answer.done() for answer in sent))
 
-        for _ in range(MOST_ASKS):
+        begun_s, wait_s = time.monotonic(), LOST_RESPONSE_S
+        waiting = Waiting(self.node, topic)
+        while (waited_s := time.monotonic() - begun_s) < ACCEPTANCE_TIMEOUT_S:
+            waiting.look(waited_s)
             sent.append(ask())
-            if not self.spin_until(settled, LOST_RESPONSE_S):
+            if not self.spin_until(settled, min(wait_s, ACCEPTANCE_TIMEOUT_S - waited_s)):
                 client.settle()
+            wait_s = min(2.0 * wait_s, WORD_AFTER_S)
             if settled():
                 handles = [answer.result() for answer in sent if answer.done()]
                 return max(handles, key=lambda handle: handle.accepted)
-            if not client.server_is_ready():
-                break
+            if not client.server_is_ready():  # a node that was started anew was not there yet
+                self._await(client.server_is_ready, topic)
         return None
 
     def _withdraw(self, client: PatientActionClient, number: UUID,
@@ -319,8 +327,9 @@ class Client:
             client = self.node.create_client(service_type, name)
             try:
                 self._await(client.service_is_ready, name)
-                return self._answer(
-                    client, name, service_type.Request(**with_absolute_paths(fields)))
+                request = service_type.Request(**with_absolute_paths(fields))
+                set_deadline(request, CALL_TIMEOUT_S)
+                return self._answer(client, name, request)
             finally:
                 self.node.destroy_client(client)
 
@@ -331,31 +340,48 @@ class Client:
         def answered() -> bool:
             return any(answer.done() for answer in answers)
 
-        deadline = time.monotonic() + CALL_TIMEOUT_S
-        sent_at = time.monotonic()
+        waiting = Waiting(self.node, name)
+        begun_s = sent_s = time.monotonic()
+        resend_s = LOST_RESPONSE_S
         while not self.spin_until(answered, ALIVE_PERIOD_S):
+            now_s = time.monotonic()
             if not (client.service_is_ready() or self.spin_until(answered, LAST_ANSWER_S)):
                 raise ServiceFailed(f"the node that serves {name} has ended: start it again")
-            if time.monotonic() > deadline:
-                raise ServiceFailed(f"{name} did not answer within {CALL_TIMEOUT_S:g} s: "
-                                    "look at its node's log")
-            if repeatable and time.monotonic() - sent_at > LOST_RESPONSE_S:
-                sent_at = time.monotonic()
+            if now_s - begun_s > CALL_TIMEOUT_S:
+                raise ServiceFailed(f"{self._server(name)} did not answer {name} within "
+                                    f"{CALL_TIMEOUT_S:g} s: look at its log")
+            waiting.look(now_s - begun_s)
+            if repeatable and now_s - sent_s > resend_s:
+                sent_s, resend_s = now_s, 2.0 * resend_s
                 answers.append(client.call_async(request))
         return next(answer for answer in answers if answer.done()).result()
 
     def _await(self, ready: Callable[[], bool], name: str) -> None:
         """Wait for who serves a name, long only where there is somebody in the namespace."""
-        if self.spin_until(ready, min(self._wait_s, SERVER_TIMEOUT_S)):
+        if self._appears(ready, name, min(self._wait_s, SERVER_TIMEOUT_S)):
             return
         if not self.neighbours():
             raise nobody_serves(self.node.get_namespace())
-        if not self.spin_until(ready, max(SERVER_TIMEOUT_S - self._wait_s, 0.0)):
+        if not self._appears(ready, name, max(SERVER_TIMEOUT_S - self._wait_s, 0.0)):
             raise ServiceFailed(f"nobody serves {name}: start its node")
+
+    def _appears(self, ready: Callable[[], bool], name: str, timeout_s: float) -> bool:
+        """Wait for who serves a name, and log that nobody does."""
+        waiting, begun_s, waited_s = Waiting(self.node, name), time.monotonic(), 0.0
+        while not self.spin_until(ready, min(timeout_s - waited_s, WORD_AFTER_S)):
+            waited_s = time.monotonic() - begun_s
+            if waited_s >= timeout_s:
+                return False
+            waiting.look(waited_s)
+        return True
+
+    def _server(self, name: str) -> str:
+        """Return the node that serves a name, or what to say where nobody does any more."""
+        return server_of(self.node, name) or f"the node that serves {name}"
 
     def description(self, stage: DescribedStage) -> StageDescription:
         """Return what a stage says of itself; wait for it as for one that serves."""
-        self._await(lambda: stage.description is not None, f"the stage on {stage.topic}")
+        self._await(lambda: stage.description is not None, stage.topic)
         description = stage.description
         if description is None:
             raise ServiceFailed(f"the stage that {stage.topic} described is gone: start it again")

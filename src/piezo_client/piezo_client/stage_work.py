@@ -2,18 +2,22 @@
 """The work of the command `stage`: a function for each of its subcommands."""
 
 import argparse
+import json
 import shlex
 import signal
 import sys
 from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
 
 from piezo_client.client import GoalFailed
 from piezo_client.overview import stages_seen, status_lines
 from piezo_client.references import harmonic, triangle
 from piezo_client.stage import Stage
-from piezo_client.waveform_file import read_waveform
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED
 from piezo_common.progress_line import ProgressLine
+from piezo_models.model_summary import shortfall
+from piezo_recorder.reading.waveform_file import read_waveform
 
 FAILED = 1
 SHAPES = {"harmonic": harmonic, "triangle": triangle}
@@ -83,6 +87,9 @@ def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
     reference = (
         {"kind": "file", "file": str(options.file)} if options.file else
         SHAPES[options.shape](options.frequency_hz, options.amplitude_um, options.centre_um))
+    lacking = _shortfall(options.model)
+    if lacking:
+        print(lacking, flush=True)
     run = stage.track(reference, options.model, options.mode, options.duration_s, options.output,
                       options.controller or "")
     return [f"e_rms_percent {run.e_rms_percent:.4g}",
@@ -90,6 +97,15 @@ def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
             *filter(None, [run.message]), f"recorded {run.path}",
             _next(options, "diagnose", "--model", options.model, "--data", run.path,
                   "--output", options.output / "diagnosis")]
+
+
+def _shortfall(model: str | PathLike[str]) -> str:
+    """Say what is inadequate of a model whose file is on this machine; the nodes check the file."""
+    try:
+        document = json.loads(Path(model).read_text(encoding="utf-8"))
+        return shortfall(document.get("adequacy", {}), document.get("errors", {}))
+    except (OSError, ValueError, LookupError, AttributeError, TypeError):
+        return ""
 
 
 def _play(stage: Stage, options: argparse.Namespace) -> list[str]:

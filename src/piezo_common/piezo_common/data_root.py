@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The folder under which nodes write files, and the names that files may have."""
+"""The folder under which nodes read and write files, and the names that files may have."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 LONGEST_NAME = 100
@@ -21,21 +22,21 @@ LONGEST_PATH_BYTES = 3500
 
 
 class DataRootError(ValueError):
-    """A path or a name under which a node does not write: says why, and what to do."""
+    """A path or a name that a node neither reads nor writes: says why, and what to do."""
 
 
 class DataRoot:
-    """The folder under which a node writes whatever it is asked to write.
+    """The folder under which a node reads and writes whatever it is asked to.
 
-    Whoever reaches a node names the directories of its files. They stay under this folder, whatever
-    ``..``, absolute path or symbolic link leads elsewhere. What a node reads may lie anywhere.
+    Whoever reaches a node names its files. They stay under this folder, whatever ``..``, absolute
+    path or symbolic link leads elsewhere.
 
     Parameters
     ----------
     folder : path-like
         Must exist; a relative one is taken from the working directory, ``~`` is the home directory.
     node_name : str
-        Of the node that writes, for the refusals.
+        Of the node, for the refusals.
 
     Attributes
     ----------
@@ -56,18 +57,30 @@ class DataRoot:
                                 "give one that exists")
 
     def readable(self, path: str) -> str:
-        """Return the path of a file to read: a relative one is taken from the folder.
+        """Return the path of a file, or of a recording's directory, to read.
 
         Parameters
         ----------
         path : str
-            Empty for none, which it stays.
+            A relative one is taken from the folder; empty for none, which it stays.
 
         Returns
         -------
         str
+
+        Raises
+        ------
+        DataRootError
+            If it, or a file in the directory, lies outside the folder, or it cannot be a path.
         """
-        return path and str(self.folder / path)
+        if not path:
+            return path
+        real = self._inside(path, "reads", "file")
+        if (real / "metadata.yaml").exists():  # of a recording
+            with suppress(OSError):  # its reader says why
+                for entry in os.scandir(real):
+                    self._inside(entry.path, "reads", "file")
+        return str(self.folder / path)
 
     def writable(self, path: str | os.PathLike) -> Path:
         """Return where a directory or a file that is to be written really lies.
@@ -87,13 +100,16 @@ class DataRoot:
         DataRootError
             If it lies outside the folder, or cannot be a path.
         """
-        text = os.fspath(path)
+        return self._inside(os.fspath(path), "writes", "directory")
+
+    def _inside(self, text: str, does: str, what: str) -> Path:
+        """Return where a path really lies; raise `DataRootError` where that is outside."""
         _check_path(text)
         real = Path(_followed(self.folder / text))
         if not real.is_relative_to(self.folder):
             raise DataRootError(
                 f"{_shown(text)} is outside {self.folder}, under which the node {self._node_name} "
-                "writes: name a directory in there, or start the nodes with the parameter "
+                f"{does}: name a {what} in there, or start the nodes with the parameter "
                 "data_root set to a folder that holds both")
         return real
 

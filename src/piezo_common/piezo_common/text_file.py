@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Text files: read up to a bound, replaced as a whole, none that is something else."""
 
+import io
 import json
 import os
 from os import PathLike
 from pathlib import Path
 
+from piezo_common.cancellation import check_cancelled
+from piezo_common.regular_file import UnreadableFile, open_regular
+
 LARGEST_BYTES = 10_000_000
-
-
-class UnreadableFile(ValueError):
-    """A file that is not read; the message says why, without its name."""
+PART_BYTES = 1 << 18
 
 
 def read_bounded_text(path: str | PathLike[str], largest_bytes: int = LARGEST_BYTES) -> str:
-    """Read a text file of a bounded size.
+    """Read a text file of a bounded size; the work may be cancelled between its parts.
 
     Parameters
     ----------
@@ -28,17 +29,21 @@ def read_bounded_text(path: str | PathLike[str], largest_bytes: int = LARGEST_BY
     Raises
     ------
     UnreadableFile
-        If the file is missing, too large or not UTF-8.
+        If the file is missing, not a regular one, too large or not UTF-8.
     """
-    path = Path(path)
+    content = bytearray()
     try:
-        size = path.stat().st_size
-        if size > largest_bytes:
-            raise UnreadableFile(
-                f"has {size} bytes, more than the {largest_bytes} of any such file")
-        return path.read_text(encoding="utf-8")
+        with open_regular(path, largest_bytes) as stream:
+            # One byte more shows a file that grows, or one without a size such as those of /proc.
+            while part := stream.read(min(PART_BYTES, largest_bytes + 1 - len(content))):
+                check_cancelled()
+                content += part
     except OSError as error:
         raise UnreadableFile(f"cannot be read ({error.strerror})") from None
+    if len(content) > largest_bytes:
+        raise UnreadableFile(f"has more than the {largest_bytes} bytes of any such file")
+    try:
+        return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8").read()
     except UnicodeDecodeError:
         raise UnreadableFile("is not text") from None
 

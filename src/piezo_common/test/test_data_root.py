@@ -100,11 +100,18 @@ def test_a_root_must_be_a_folder(tree, folder):
         DataRoot(tree / "root" / folder, "recorder")
 
 
-def test_files_to_read_may_lie_anywhere(tree):
+def test_files_to_read_lie_under_the_root_and_those_of_a_recording_too(tree, tmp_path):
     root = DataRoot(tree / "root", "controller")
     assert root.readable("") == ""
-    assert root.readable("/etc/hosts") == "/etc/hosts"
     assert root.readable("runs/model.json") == str(tree / "root" / "runs" / "model.json")
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "metadata.yaml").touch()
+    (tmp_path / "bag" / "data.mcap").symlink_to("/dev/zero")
+    for path in (tree / "root" / "out" / "model.json", "/dev/zero", "../elsewhere"):
+        with pytest.raises(DataRootError, match="under which the node controller reads"):
+            root.readable(str(path))
+    with pytest.raises(DataRootError, match="data.mcap' is outside"):
+        DataRoot(tmp_path, "controller").readable("bag")
 
 
 @settings(deadline=None)

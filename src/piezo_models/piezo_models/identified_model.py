@@ -6,11 +6,12 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_common.summary_table import SummaryTable
 from piezo_models.cascade import StageModel
-from piezo_models.model_summary import summary_of_identified
+from piezo_models.model_summary import shortfall, summary_of_identified
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,6 +70,36 @@ class IdentifiedModel:
     def summary(self) -> SummaryTable:
         """Return parameters with standard deviations, coverage, errors and adequacy as a table."""
         return summary_of_identified(self)
+
+    def shortfall(self) -> str:
+        """Say which parts are inadequate, and what that costs; empty where none is."""
+        return shortfall(self.adequacy, self.errors)
+
+    def predict(self, voltage_v: ArrayLike, sample_period_s: float) -> FloatArray:
+        """Return the displacement under a voltage of which nothing was measured.
+
+        Parameters
+        ----------
+        voltage_v : (N,) array_like
+            Each value held for a sample period. The stage has rested at the first one, reached
+            from the lowest voltage.
+        sample_period_s : float
+
+        Returns
+        -------
+        (N,) array
+            Displacement in um at the sample instants, each before its voltage acts.
+
+        Raises
+        ------
+        ValueError
+            If there is no voltage, one is not finite, or the sample period is not positive.
+        """
+        voltages_v = np.atleast_1d(np.asarray(voltage_v, dtype=float))
+        if not voltages_v.size:
+            raise ValueError("voltage_v is empty: give at least one voltage")
+        return self.model.simulate(
+            voltages_v, sample_period_s, self.model.memory(float(voltages_v[0])))
 
     def plot(self) -> "Figure":
         """Draw Preisach plane, loops and frequency response; see `model_pictures.draw_model`."""

@@ -16,8 +16,8 @@ from piezo_models.model_document import (
 )
 from piezo_models.model_reader import built_model, identified_model_of
 
-# A density of 1000 x 1000 cells fits.
-_LARGEST_FILE_BYTES = 32 * 2**20
+LARGEST_FILE_BYTES = 32 * 2**20
+"""A density of 1000 x 1000 cells fits."""
 
 
 def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
@@ -37,7 +37,7 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
     path = Path(path)
     document = document_of(identified)
     identified_model_of(document, path)
-    if is_something_else(path, FORMAT, _LARGEST_FILE_BYTES):
+    if is_something_else(path, FORMAT, LARGEST_FILE_BYTES):
         raise ModelFileError(
             f"{path}: is there already and is no model file, so it is not overwritten; "
             "choose another name"
@@ -68,6 +68,6 @@ def load_model(path: str | PathLike[str]) -> IdentifiedModel:
         invalid field.
     """
     try:
-        return built_model(load_document(ModelDocument, path, _LARGEST_FILE_BYTES))
+        return built_model(load_document(ModelDocument, path, LARGEST_FILE_BYTES))
     except SchemaError as error:
         raise ModelFileError(f"{path}: {error}") from None

@@ -107,6 +107,33 @@ def summary_of_identified(identified: "IdentifiedModel") -> SummaryTable:
     return SummaryTable(f"Model identified {identified.created}", HEADS, rows, tuple(notes))
 
 
+def shortfall(adequacy: Mapping[str, Mapping[str, Any]], errors: Mapping[str, Any]) -> str:
+    """Say which parts of a model are inadequate, and what that costs; empty where none is.
+
+    Parameters
+    ----------
+    adequacy, errors : dict
+        Of an `IdentifiedModel`, or of its file.
+
+    Returns
+    -------
+    str
+        A sentence without a full stop.
+    """
+    parts = []
+    for component, part in adequacy.items():
+        if part["verdict"] != "inadequate":
+            continue
+        percent = part.get("error_percent")
+        of_motion = "" if percent is None else f", {percent:.3g} % of the motion"
+        parts.append(f"{component} leaves {part['ratio']:.3g} times the noise{of_motion}")
+    if not parts:
+        return ""
+    unseen = errors.get("e_y_percent")
+    cost = "" if unseen is None else f"; on data that was not fitted it is wrong by {unseen:.3g} %"
+    return f"the model is inadequate: {', '.join(parts)}{cost}"
+
+
 def text_of_model(model: "StageModel") -> str:
     """Return what a model is in one line."""
     hysteresis = model.hysteresis

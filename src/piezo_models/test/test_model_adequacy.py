@@ -3,6 +3,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from piezo_models.identified_model import IdentifiedModel
@@ -30,6 +31,30 @@ def edited(path, edit):
     edit(document)
     path.write_text(json.dumps(document))
     return path
+
+
+def test_what_an_inadequate_part_costs_is_one_sentence(stage):
+    identified = IdentifiedModel(
+        stage, (-20.0, 120.0), adequacy=ADEQUACY, errors={"e_y_percent": 3.4})
+    assert identified.shortfall() == (
+        "the model is inadequate: dynamics leaves 190 times the noise, 2 % of the motion; on data "
+        "that was not fitted it is wrong by 3.4 %")
+    assert IdentifiedModel(stage, (-20.0, 120.0)).shortfall() == ""
+    adequate = {"creep": ADEQUACY["creep"]}
+    assert IdentifiedModel(stage, (-20.0, 120.0), adequacy=adequate).shortfall() == ""
+
+
+def test_a_voltage_alone_is_enough_for_a_prediction(stage):
+    """The stage has rested at the first voltage: it stays there until the voltage changes."""
+    identified = IdentifiedModel(stage, (-20.0, 120.0))
+    voltage_v = np.repeat([30.0, 60.0], 100)
+    displacement_um = identified.predict(voltage_v, 1e-3)
+    assert displacement_um[:100] == pytest.approx(np.full(100, displacement_um[0]), abs=1e-6)
+    assert displacement_um[-1] > displacement_um[0] + 1.0
+    assert displacement_um == pytest.approx(
+        stage.simulate(voltage_v, 1e-3, stage.memory(30.0)))
+    with pytest.raises(ValueError, match="give at least one voltage"):
+        identified.predict([], 1e-3)
 
 
 def test_the_adequacy_comes_back(path):

@@ -3,6 +3,7 @@
 
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from hashlib import sha256
 from os import PathLike
 from pathlib import Path
@@ -16,13 +17,14 @@ from piezo_controller.feedback.design_choices import (
 from piezo_controller.feedback.feedback_design import FeedbackController
 from piezo_controller.feedback.stage_design import design_for_stage
 from piezo_identification.commands.row_options import READINGS
-from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.diagnosis.diagnose import Diagnosis
 from piezo_identification.diagnosis.diagnose import diagnose as diagnose_recordings
+from piezo_identification.diagnosis.evidence.known_noise import KnownNoise, noise_of_model
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     find_identification_recordings,
+    fitted_hashes,
 )
 from piezo_identification.diagnosis.report.results import stated_error
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
@@ -31,7 +33,8 @@ from piezo_identification.estimators.frequency_response.response_fit import Resp
 from piezo_identification.identification.dynamics_methods import METHODS as FITS
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify as identify_recordings
-from piezo_identification.prediction.prediction import Prediction, predict
+from piezo_identification.prediction.prediction import Prediction
+from piezo_identification.prediction.row_reading import all_as_identified, predict_as_identified
 from piezo_identification.recording_check.check import check_recording
 from piezo_identification.recording_check.suitability import suitability_for
 from piezo_models.cascade import StageModel
@@ -70,7 +73,7 @@ def identify(
     grid : int, optional
         Cells of the hysteresis along each threshold; chosen from the data by default.
     refine : bool
-        Whether to fit all components together at the end.
+        Without effect: all components are always fitted together at the end.
     rows_read : str
         "start" or "end": when the logger reads a row's displacement, see ``--rows-read``.
     progress : callable, optional
@@ -123,7 +126,8 @@ def simulate(model: AnyModel, data: Any, *, columns: Sequence[str] = (),
     model : IdentifiedModel, StageModel or path-like
     data : path, arrays by name, pandas.DataFrame or Recording
     columns, rows_read
-        See `identify`.
+        See `identify`. Rows of which nothing is said are read as those of the identification where
+        the model explains them better so.
 
     Returns
     -------
@@ -135,8 +139,10 @@ def simulate(model: AnyModel, data: Any, *, columns: Sequence[str] = (),
     ValueError
         If the recording cannot be read or is too short.
     """
-    recording = rows_read_at_start(read(data, columns), _read_at(rows_read))
-    prediction = predict(_identified(model)[0], recording)
+    recording = read(data, columns)
+    prediction, sentences = predict_as_identified(_opened(model), recording, _read_at(rows_read))
+    for sentence in sentences:
+        warnings.warn(sentence, DataWarning, stacklevel=2)
     if prediction.reversed:
         warnings.warn(sign_text(recording.path), DataWarning, stacklevel=2)
     return prediction
@@ -172,15 +178,20 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
     ValueError
         If a recording cannot be read or used.
     """
-    stage_model = _identified(model)[0]
+    opened = _opened(model)
+    stage_model = opened if isinstance(opened, StageModel) else opened.model
     response = response_in(data)
     if response is not None:
         return diagnose_response(stage_model, response)
-    held_out = None if holdout is None else read(holdout, columns, "held-out data")
+    given, sentences = all_as_identified(opened, recordings_of(data, columns, "data"))
+    for sentence in sentences:
+        warnings.warn(sentence, DataWarning, stacklevel=2)
+    held_out = None if holdout is None else all_as_identified(
+        opened, [read(holdout, columns, "held-out data")])[0][0]
     judged = [*(data if isinstance(data, list | tuple) else [data]), holdout]
-    known, stated = _known_of(model, identified_from, judged, columns)
+    known, stated, noise = _known_of(model, identified_from, judged, columns)
     return diagnose_recordings(
-        stage_model, recordings_of(data, columns, "data"), held_out, progress, known, stated)
+        stage_model, given, held_out, progress, known, stated, noise)
 
 
 def plot_residuals(verdict: Diagnosis, recording: int = 0) -> "Figure":
@@ -264,6 +275,11 @@ def design(
         model_sha256=digest).controller
 
 
+def _opened(model: AnyModel) -> IdentifiedModel | StageModel:
+    """Return a model, read from its file if need be."""
+    return model if isinstance(model, IdentifiedModel | StageModel) else load_model(model)
+
+
 def _identified(model: AnyModel) -> tuple[StageModel, str]:
     """Return the bare model, and the hash of its file if it was read from one."""
     if isinstance(model, StageModel):
@@ -275,20 +291,21 @@ def _identified(model: AnyModel) -> tuple[StageModel, str]:
 
 def _known_of(
     model: AnyModel, identified_from: Any, others: Sequence[Any], columns: Sequence[str],
-) -> tuple[IdentificationRecordings, float | None]:
-    """Return what a model was identified from, and how wrong it is known to be, if it is."""
+) -> tuple[IdentificationRecordings, float | None, KnownNoise]:
+    """Return what a model was identified from, how wrong it is known to be, and its noise."""
     known = None
     if identified_from is not None:
         given = recordings_of(identified_from, columns, "identified_from")
         known = IdentificationRecordings(tuple(given), ())
     if isinstance(model, StageModel):
-        return known or IdentificationRecordings(), None
+        return known or IdentificationRecordings(), None, KnownNoise()
     identified, path = (model, ".") if isinstance(model, IdentifiedModel) else (
         load_model(model), str(model))
     known = known or find_identification_recordings(
         identified, path, lambda name: recordings_of(name, columns, str(name)),
         others=[each for each in others if isinstance(each, str | PathLike)])
-    return known, stated_error(identified)
+    fitted = replace(known, hashes=fitted_hashes(identified))
+    return fitted, stated_error(identified), noise_of_model(identified)
 
 
 def _read_at(rows_read: str) -> float:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
+from piezo_models.identified_model import IdentifiedModel
 from piezo_offline import DataWarning, design, diagnose, identify, read, simulate, steps
 from piezo_recorder.reading.recording import Recording
 
@@ -34,6 +35,25 @@ def test_prediction_of_arrays_a_frame_and_a_file_is_the_same(measured_um, tmp_pa
     errors = [simulate(MODEL, each).e_y_percent()
               for each in (data, frame, tmp_path / "mine.csv", read(data))]
     assert errors == pytest.approx([100.0 * 0.02 / 1.02] * 4, rel=1e-6)
+
+
+def test_simulate_and_diagnose_read_rows_as_those_of_the_identification(monkeypatch):
+    """Rows of a logger that reads at the end of the hold, as the one of the model did."""
+    voltage_v = np.random.default_rng(3).uniform(0.0, 100.0, 3000)
+    measured_um = MODEL.simulate(voltage_v, 1e-3)
+    data = {"time_s": 1e-3 * np.arange(2999), "voltage_v": voltage_v[:-1],
+            "displacement_um": measured_um[1:]}
+    row = {"read_at_samples": 1.0, "delay_s": 0.0, "standard_deviation_s": 0.0}
+    model = IdentifiedModel(MODEL, (0.0, 100.0), rows={"hysteresis": row})
+    with pytest.warns(DataWarning, match="read 1 sample periods after"):
+        prediction = simulate(model, data)
+    assert prediction.e_y_percent() < 0.1
+    asked = []
+    monkeypatch.setattr(steps, "diagnose_recordings", lambda *given: asked.append(given))
+    with pytest.warns(DataWarning, match="read 1 sample periods after"):
+        diagnose(model, data, data)
+    for recording in (*asked[0][1], asked[0][2]):
+        assert recording.sample_index[0] == 1
 
 
 def test_what_was_assumed_or_is_implausible_is_a_warning(measured_um):

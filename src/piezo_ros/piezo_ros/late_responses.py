@@ -7,6 +7,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 from rclpy.service import Service
 
+from piezo_ros.deadlines import why_too_late
 from piezo_ros.messages import Message, MessageType
 
 
@@ -70,6 +71,9 @@ def create_late_service(node: Node, service_type: MessageType, name: str,
                         callback: Callable[[Message, LateResponse], object]) -> Service:
     """Create a service whose callback need not answer before it returns.
 
+    A request whose deadline has passed is refused, and logged; its response has ``success`` and
+    ``message``.
+
     Parameters
     ----------
     node : rclpy.node.Node
@@ -84,7 +88,12 @@ def create_late_service(node: Node, service_type: MessageType, name: str,
     """
     def begin(request: Message, response: Message) -> LateResponse:
         late = LateResponse(node, response)
-        callback(request, late)
+        if reason := why_too_late(request):
+            response.success, response.message = False, f"{name} refused: {reason}"
+            node.get_logger().warning(response.message)
+            late.give()
+        else:
+            callback(request, late)
         return late
 
     service = node.create_service(service_type, name, begin)

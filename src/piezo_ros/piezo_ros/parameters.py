@@ -70,7 +70,7 @@ def declare(node: Node, name: str, default: Value, description: str, minimum: fl
 
 
 def declare_data_root(node: Node) -> DataRoot:
-    """Declare the parameter ``data_root`` and return the folder under which the node writes.
+    """Declare the parameter ``data_root`` and return the folder of the node's files.
 
     Parameters
     ----------
@@ -87,5 +87,5 @@ def declare_data_root(node: Node) -> DataRoot:
         If there is no such folder.
     """
     folder = declare(node, "data_root", str(Path.cwd()),
-                     "Folder under which the node writes; goals name directories within it.")
+                     "Folder under which the node reads and writes the files that goals name.")
     return DataRoot(folder, node.get_name())

@@ -32,9 +32,10 @@ class Presence:
         self._node = node
         self.name = name
         self._identities: set[bytes] = set()
-        self._seen = self._gone = False
-        self._since_s = time.monotonic()
-        self._looked_s = -LOOK_PERIOD_S
+        self._seen = False
+        self._since_s = self._looked_s = time.monotonic()
+        # At once: where nobody gets round to it for long, a successor may be there by then.
+        self._gone = bool(name) and self._look(0.0)
 
     @property
     def gone(self) -> bool:

@@ -19,6 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
+from piezo_ros.memory import end_before_stage, limit_memory
 from piezo_ros.parameters import declare
 from piezo_ros.responses import answer_patiently
 from piezo_ros.transitions import answer_impossible_transitions
@@ -88,7 +89,8 @@ def autostart(node: LifecycleNode, default: bool = True) -> None:
             sys.exit(BAD_INPUT_STATUS)
 
 
-def run_node(create_node: Callable[[], Node], args: list[str] | None = None) -> None:
+def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
+             expendable: bool = True) -> None:
     """Run one node until SIGINT or SIGTERM, or until it has stood still for too long.
 
     The node may have methods of its own: ``step() -> float`` is called between two
@@ -103,6 +105,9 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None) -> 
         the process with its text as the one line it prints.
     args : list of str, optional
         Command line; ``sys.argv`` where it is left out.
+    expendable : bool
+        Limit the node's memory by its parameter ``memory_limit_percent``, and have the kernel end
+        it before those that are not.
 
     Raises
     ------
@@ -111,7 +116,7 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None) -> 
         still for so long that the other nodes gave it up.
     """
     ending = Ending()
-    node = _start(create_node, args)
+    node = _start(create_node, args, expendable)
     executor = make_executor()
     executor.add_node(node)
     try:
@@ -132,7 +137,7 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None) -> 
         sys.exit(FAILED_STATUS)
 
 
-def _start(create_node: Callable[[], Node], args: list[str] | None) -> Node:
+def _start(create_node: Callable[[], Node], args: list[str] | None, expendable: bool) -> Node:
     prepare_discovery()
     answer_patiently()
     try:
@@ -142,6 +147,8 @@ def _start(create_node: Callable[[], Node], args: list[str] | None) -> Node:
     reason = ""
     try:
         node = create_node()
+        if expendable:
+            _limit_memory(node)
     except ValueError as error:
         reason = str(error)
     except RCLError as error:  # as where security is asked for that the middleware has not
@@ -153,6 +160,13 @@ def _start(create_node: Callable[[], Node], args: list[str] | None) -> Node:
         return node
     _leave_ros()
     _refuse(reason)
+
+
+def _limit_memory(node: Node) -> None:
+    end_before_stage()
+    limit_memory(declare(
+        node, "memory_limit_percent", 50.0,
+        "Share of the machine's memory that this node may take (percent).", 1.0, 100.0))
 
 
 def _leave_ros() -> None:

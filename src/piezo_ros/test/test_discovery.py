@@ -4,14 +4,13 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 import piezo_ros.discovery as discovery
 
-PROFILES = Path(discovery.__file__).with_name("participant.xml")
+FILES = (discovery.LOOPBACK, discovery.NETWORK)
 NODE = ("from piezo_ros.discovery import prepare_discovery\n"
         "prepare_discovery()\n"
         "import rclpy\n"
@@ -20,8 +19,8 @@ NODE = ("from piezo_ros.discovery import prepare_discovery\n"
         "rclpy.shutdown()\n")
 
 
-def seconds(name):
-    entry, = (element for element in ElementTree.parse(PROFILES).iter()
+def seconds(profiles, name):
+    entry, = (element for element in ElementTree.parse(profiles).iter()
               if element.tag.endswith("}" + name))
     return sum(float(part.text) * (1e-9 if part.tag.endswith("nanosec") else 1.0)
                for part in entry)
@@ -34,17 +33,19 @@ def told_by_the_middleware(profiles, **changes):
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT).stdout
 
 
-def test_times_are_those_that_the_suite_counts_on():
-    assert seconds("leaseDuration") == discovery.LEASE_S
-    assert seconds("leaseAnnouncement") == discovery.ANNOUNCEMENT_S
-    assert seconds("heartbeatPeriod") == pytest.approx(discovery.RESENT_AFTER_S)
+@pytest.mark.parametrize("profiles", FILES)
+def test_times_are_those_that_the_suite_counts_on(profiles):
+    assert seconds(profiles, "leaseDuration") == discovery.LEASE_S
+    assert seconds(profiles, "leaseAnnouncement") == discovery.ANNOUNCEMENT_S
+    assert seconds(profiles, "heartbeatPeriod") == pytest.approx(discovery.RESENT_AFTER_S)
 
 
-def test_the_middleware_takes_all_of_the_profiles(tmp_path):
-    assert told_by_the_middleware(PROFILES) == ""
+@pytest.mark.parametrize("profiles", FILES)
+def test_the_middleware_takes_all_of_the_profiles(profiles, tmp_path):
+    assert told_by_the_middleware(profiles) == ""
     # It says where it does not, and then takes none of them.
     wrong = tmp_path / "wrong.xml"
-    wrong.write_text(PROFILES.read_text().replace("heartbeatPeriod", "heartbeatPeriode"))
+    wrong.write_text(profiles.read_text().replace("heartbeatPeriod", "heartbeatPeriode"))
     assert "heartbeatPeriode" in told_by_the_middleware(wrong)
 
 
@@ -54,9 +55,9 @@ def test_the_middleware_is_asked_to_send_by_a_thread_of_its_own(monkeypatch):
     discovery.deliver_in_background()
     mode = os.environ[discovery.PUBLICATION_MODE]
     # It says where it does not know what it is asked for.
-    assert told_by_the_middleware(PROFILES, **{discovery.PUBLICATION_MODE: mode}) == ""
+    assert told_by_the_middleware(discovery.LOOPBACK, **{discovery.PUBLICATION_MODE: mode}) == ""
     unknown = {discovery.PUBLICATION_MODE: mode.lower()}
-    assert "Using default SYNCHRONOUS" in told_by_the_middleware(PROFILES, **unknown)
+    assert "Using default SYNCHRONOUS" in told_by_the_middleware(discovery.LOOPBACK, **unknown)
     os.environ[discovery.PUBLICATION_MODE] = "SYNCHRONOUS"
     discovery.deliver_in_background()
     assert os.environ[discovery.PUBLICATION_MODE] == "SYNCHRONOUS"

@@ -80,3 +80,17 @@ def test_node_that_never_appears_is_gone_after_a_while(watcher, monkeypatch):
 
 def test_nobody_is_never_gone(watcher):
     assert not Presence(watcher, "").gone
+
+
+def test_node_is_known_from_the_beginning_however_late_it_is_looked_at(
+        contexts, watcher, monkeypatch):
+    monkeypatch.setattr(presence, "SETTLING_S", 0.0)
+    monkeypatch.setattr(presence, "LOOK_PERIOD_S", 0.0)
+    first = contexts("mortal")
+    seen(watcher, "mortal")
+    watched = Presence(watcher, "/presence/mortal")
+    first.destroy_node()
+    seen(watcher, "mortal", 0)
+    contexts("mortal")
+    seen(watcher, "mortal")
+    assert watched.gone

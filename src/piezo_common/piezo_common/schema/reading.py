@@ -5,9 +5,10 @@ import json
 from os import PathLike
 from typing import Any, TypeVar
 
+from piezo_common.regular_file import UnreadableFile
 from piezo_common.schema.checking import SchemaError, check, quoted
 from piezo_common.schema.fields import Document
-from piezo_common.text_file import LARGEST_BYTES, UnreadableFile, read_bounded_text
+from piezo_common.text_file import LARGEST_BYTES, read_bounded_text
 
 D = TypeVar("D", bound=Document)
 

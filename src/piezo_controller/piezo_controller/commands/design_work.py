@@ -49,7 +49,10 @@ DOTS_PER_INCH = 120
 
 def design_controller(options: argparse.Namespace) -> None:
     """Design the controller of the options; write it, print its margins and draw its loop."""
-    model = load_model(options.model).model
+    identified = load_model(options.model)
+    if identified.shortfall():
+        print(identified.shortfall())
+    model = identified.model
     design = design_for_stage(
         model, options.weights, options.method, options.scaling, options.disturbance_hz,
         options.samples_per_tick, options.at_once, not options.full_order, options.delay_ticks,

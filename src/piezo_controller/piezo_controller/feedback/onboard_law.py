@@ -20,6 +20,10 @@ from piezo_models.feedback_law.feedback_law import (
     LinearBlock,
 )
 
+FADE_S = 0.02
+"""Over which the error in which a law begins is faded in: many times what any loop of this suite
+takes to answer, and a part of the time before the run counts."""
+
 
 def onboard_law(controller: FeedbackController, model: StageModel, plan: FeedforwardPlan,
                 clock_period_s: float, max_feedback_v: float, before_inverse: bool = False,
@@ -74,7 +78,8 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
                             np.array([lowest, (lowest + highest) / 2, highest])),
         start_sample=plan.feedback_start_sample,
         delay_ticks=controller.delay_ticks if sample.empty else 0,
-        inverse=inverse, max_error_um=max_error_um)
+        inverse=inverse, max_error_um=max_error_um,
+        fade_samples=round(FADE_S / clock_period_s))
 
 
 def answers_samples(controller: FeedbackController, clock_period_s: float) -> bool:

@@ -7,12 +7,13 @@ from functools import partial
 
 import numpy as np
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import FloatArray, IntArray
 from piezo_controller.feedforward.approach import check_amplifier_range
 from piezo_controller.feedforward.feasibility import Infeasible, UnreachableReference
 from piezo_controller.feedforward.preview_inverse import short_preview_inverse
 from piezo_controller.feedforward.streamed import StreamLimits, StreamPlanner, approach_samples
-from piezo_controller.references.bounded_motion import BoundedMotion
+from piezo_controller.references.bounded_motion import SLACK, BoundedMotion
+from piezo_controller.references.kind import InvalidReference
 from piezo_controller.references.live_reference import LiveReference
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -26,6 +27,36 @@ HOLD_BELOW_SAMPLES = 400
 HELD_AT_ONCE_SAMPLES = 40
 RANGE_MARGIN = 0.02
 """This part of the travel is kept at both ends for the dynamics and for creep."""
+
+
+class DeclaredRange:
+    """The values that a publisher may give: an amplitude, and a centre where one is declared.
+
+    Parameters
+    ----------
+    centre_um : float
+        0 if the values tell by themselves about what they lie.
+    amplitude_um : float
+        From peak to peak.
+    """
+
+    def __init__(self, centre_um: float, amplitude_um: float) -> None:
+        self._declared = f"{amplitude_um:g} um" + (f" about {centre_um:g} um" if centre_um else "")
+        self._span_um = SLACK * amplitude_um
+        half_um = self._span_um / 2.0 if centre_um else math.inf
+        self._lowest_um, self._highest_um = centre_um - half_um, centre_um + half_um
+
+    def check(self, values_um: FloatArray) -> None:
+        """Raise `InvalidReference` for values outside; those before count, too."""
+        if not values_um.size:
+            return
+        lowest_um, highest_um = float(values_um.min()), float(values_um.max())
+        self._lowest_um = max(self._lowest_um, highest_um - self._span_um)
+        self._highest_um = min(self._highest_um, lowest_um + self._span_um)
+        if not (lowest_um >= self._lowest_um and highest_um <= self._highest_um):
+            raise InvalidReference(
+                f"the published reference went from {lowest_um:.4g} to {highest_um:.4g} um, beyond "
+                f"its declared {self._declared}: publish less, or declare a larger amplitude_um")
 
 
 class LivePlan:
@@ -43,6 +74,8 @@ class LivePlan:
         Of what is published, see `BoundedMotion`.
     run_samples : int
         How much of the reference is followed.
+    centre_um : float
+        See `DeclaredRange`.
 
     Attributes
     ----------
@@ -54,14 +87,20 @@ class LivePlan:
     ------
     Infeasible
         The amplifier does not reach the first value.
+    InvalidReference
+        The first value is not within what was declared.
     """
 
     streamed, open_ended = True, False
     iteration = 0
 
     def __init__(self, planner: StreamPlanner, live: LiveReference, band_hz: float,
-                 amplitude_um: float, run_samples: int) -> None:
+                 amplitude_um: float, run_samples: int, centre_um: float = 0.0) -> None:
         self._live, self._amplitude_um = live, amplitude_um
+        self._declared = DeclaredRange(centre_um, amplitude_um)
+        self._centred = bool(centre_um)
+        if self._centred:
+            self._declared.check(np.array([live.latest_um]))
         self._hysteresis, self._limits = planner.hysteresis, planner.limits
         self._hysteresis_range_um = _within(planner.hysteresis, planner.limits.highest_v)
         margin_um = RANGE_MARGIN * (self._hysteresis_range_um[1] - self._hysteresis_range_um[0])
@@ -80,7 +119,8 @@ class LivePlan:
         self.uncompensated = planner.uncompensated
         if planner.margin:
             self._inverse.look_ahead(self._move(np.full(planner.margin, self._value_um)))
-        self._following = False
+        self._following, self._beyond = False, ""
+        self._of_first_moments = self._departures
         self._compile()
 
     @property
@@ -106,18 +146,35 @@ class LivePlan:
 
     @property
     def note(self) -> str:
-        """Return what to tell of the run."""
-        period_s = self._limits.sample_period_s
-        told = [f"followed the reference {1e3 * self.delay_samples * period_s:.3g} ms after it was "
-                "published"]
-        for samples, text in (
-                (self.held_samples, "held, as nothing was published"),
-                (self.clipped_samples, "clipped to {:.4g} to {:.4g} um".format(*self.range_um)),
-                (self._motion.bounded_samples, "faster than the declared band and amplitude")):
-            if samples:
-                told.append(f"for {1e3 * samples * period_s:.3g} ms it was {text}")
-        if self.skipped:
-            told.append(f"values were left out {self.skipped} times, as more were published than "
+        """Return what to tell of the run; see `degraded`."""
+        delay_ms = 1e3 * self.delay_samples * self._limits.sample_period_s
+        first = self._described(self._of_first_moments)
+        return f"followed the reference {delay_ms:.3g} ms after it was published" + (
+            f", in its first moments {first}" if first else "")
+
+    @property
+    def degraded(self) -> str:
+        """Return how the run departed from what was published, behind its first moments."""
+        departed = self._described(self._departures - self._of_first_moments)
+        return "; ".join(filter(None, (self._beyond, departed)))
+
+    @property
+    def _departures(self) -> IntArray:
+        """Count what `_described` tells."""
+        return np.array([self.held_samples, self.clipped_samples, self._motion.far_samples,
+                         self._live.bridged_samples, self.skipped])
+
+    def _described(self, departures: IntArray) -> str:
+        *samples, skipped = departures
+        texts = ("held, as nothing was published",
+                 "clipped to {:.4g} to {:.4g} um".format(*self.range_um),
+                 "faster than the declared band and amplitude",
+                 "a straight line, as values were left out")
+        period_ms = 1e3 * self._limits.sample_period_s
+        told = [f"for {period_ms * count:.3g} ms it was {text}"
+                for count, text in zip(samples, texts, strict=True) if count]
+        if skipped:
+            told.append(f"values were left out {skipped} times, as more were published than "
                         "the stage plays")
         return ", ".join(told)
 
@@ -161,6 +218,8 @@ class LivePlan:
                 f"the amplifier cannot follow the published reference: {reason}; declare less "
                 "frequency_hz or amplitude_um", math.nan) from None
         self._loaded += voltage_v.size
+        if self._loaded <= self.begin_sample:
+            self._of_first_moments = self._departures
         return voltage_v
 
     def _values(self, due: int, must: bool) -> FloatArray:
@@ -170,6 +229,12 @@ class LivePlan:
             self._live.keep_newest(due)
             self._following = True
         values_um = self._live.give(due)
+        if self._centred or self._loaded >= self.begin_sample:
+            try:
+                self._declared.check(values_um)
+            except InvalidReference as error:
+                self._beyond = str(error)
+                raise
         if values_um.size == due and self._live.waiting_samples > self._ahead_samples:
             self._live.keep_newest(self._live.longest_samples)
             self.skipped += 1
@@ -222,7 +287,8 @@ class _Recent:
 
 
 def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samples: int,
-              model: StageModel, *, voltage_range_v: tuple[float, float] = (-20.0, 120.0),
+              model: StageModel, *, centre_um: float = 0.0,
+              voltage_range_v: tuple[float, float] = (-20.0, 120.0),
               slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
               start_voltage_v: float = 0.0) -> LivePlan:
     """Plan to follow what is published; see `LivePlan`.
@@ -236,6 +302,8 @@ def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samp
     run_samples : int
         How much of the reference is followed.
     model : piezo_models.cascade.StageModel
+    centre_um : float
+        Of what is published; 0 if it is not declared.
     voltage_range_v : tuple of float
     slew_limit_v_per_s, sample_period_s, start_voltage_v : float
 
@@ -257,7 +325,7 @@ def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samp
         model, partial(short_preview_inverse, preview_samples=live.preview_samples,
                        band_hz=band_hz), limits, start_voltage_v, lambda fraction: None)
     try:
-        return LivePlan(planner, live, band_hz, amplitude_um, run_samples)
+        return LivePlan(planner, live, band_hz, amplitude_um, run_samples, centre_um)
     except Infeasible as reason:
         raise UnreachableReference(
             f"the amplifier cannot go to the published {live.latest_um:.4g} um: {reason}",

@@ -66,7 +66,7 @@ class FeedforwardPlan:
     uncompensated: tuple[str, ...] = ()
 
     streamed = open_ended = False
-    iteration, note = 0, ""
+    iteration, note, degraded = 0, "", ""
 
     @property
     def begin_sample(self) -> int:

@@ -93,7 +93,7 @@ class StreamPlan:
     margin_samples: int
 
     streamed, open_ended = True, False
-    iteration, note = 0, ""
+    iteration, note, degraded = 0, "", ""
 
     @property
     def period_voltage_v(self) -> FloatArray:

@@ -57,7 +57,7 @@ class LearningFeedforward:
     """
 
     streamed = open_ended = True
-    note = ""
+    note = degraded = ""
 
     def __init__(self, planner: FeedforwardPlanner, reference_um: ArrayLike,
                  learner: PeriodicLearner, iterations: int, run_samples: int,

@@ -4,6 +4,7 @@
 import dataclasses
 import json
 import math
+import sys
 import time
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from piezo_interfaces.action import Track
 from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
+from piezo_controller.feedback.synthesis.weights import BUILT_IN
 from piezo_controller.node.followed_reference import FollowedReference
 from piezo_controller.node.law_message import message_of
 from piezo_controller.node.model_service import ModelService
@@ -22,6 +24,7 @@ from piezo_controller.references.live_reference import TOPIC
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.accepted_models import ModelText
 from piezo_controller.tracking.feedbacks import LOOPS, PLACES, Feedbacks, FeedbackSettings
+from piezo_controller.tracking.pace import check_pace
 from piezo_controller.tracking.track import (
     Learning,
     PreparedRun,
@@ -36,9 +39,11 @@ from piezo_ros.requests.calls import CallFailed
 from piezo_ros.requests.goals import GoalServers, Progress
 from piezo_ros.spinning import autostart, run_node
 from piezo_ros.stage_runs.described_stage import DescribedStage
-from piezo_ros.stage_runs.recording_calls import RecorderCaller, RunRecording
+from piezo_ros.stage_runs.recording_calls import Attachment, RecorderCaller, RunRecording
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import REPORT_PERIOD_S, StageTracker
+
+SWITCH_INTERVAL_S = 2e-4
 
 
 class ControllerNode(LifecycleNode):
@@ -46,17 +51,19 @@ class ControllerNode(LifecycleNode):
 
     def __init__(self) -> None:
         super().__init__("controller")
+        self._data_root = declare_data_root(self)
         self._feedback_settings = FeedbackSettings(
             max_feedback_v=declare(
                 self, "max_feedback_v", 20.0,
                 "Largest feedback voltage beside a feedforward (V).", 0.001, 1000.0),
-            weights=declare(
+            weights=self._weights(declare(
                 self, "weights", "",
-                "Weights of the feedback design: a file (YAML), thesis, or empty for the default."),
-            controller_file=declare(
+                "Weights of the feedback design: a file (YAML), thesis, or empty for the default."
+            )),
+            controller_file=self._data_root.readable(declare(
                 self, "controller_file", "",
                 "Feedback of the composite modes, as design wrote it; empty to design it for the "
-                "model."),
+                "model.")),
             place=declare(
                 self, "feedback_place", PLACES[0],
                 "Where the feedback of the composite modes enters: before_inverse, as an output of "
@@ -71,7 +78,6 @@ class ControllerNode(LifecycleNode):
                 self, "max_error_um", 4.0,
                 "A law on board stops the stage where its error exceeds by more what there was "
                 "before it began (um).", 0.001, 1.0e6))
-        self._data_root = declare_data_root(self)
         self._directory = declare(
             self, "directory", "runs", "Where recordings go if a goal names no place.")
         self._run_limits = declare_run_limits(self)
@@ -116,10 +122,13 @@ class ControllerNode(LifecycleNode):
         progress.check()
         self._stage.check_unchanged(described)
         run, plan = prepared.run, prepared.plan
+        if described.timing == "paced" and (prepared.feedback is not None or plan.streamed):
+            check_pace(clock.tick_s, described.max_missed_feedback, progress.check)
         account = RunAccount(**self._run_limits, answered=prepared.feedback is not None,
                              streamed=plan.streamed)
         with self._recorder.record(directory, f"track_{goal.mode}", {
-                "model.json": model.text, "parameters.json": _parameters(goal)},
+                "model.json": Attachment(model.text, model.path),
+                "parameters.json": Attachment(_parameters(goal))},
                 goal.unrecorded) as recording:
             result.recording = recording.path
             try:
@@ -129,6 +138,8 @@ class ControllerNode(LifecycleNode):
                 self._followed.flush()
                 recording.last_sample = self._tracker.last_sample
                 result.missed_feedback = self._tracker.missed_feedback
+                result.degraded_reason = "; ".join(filter(None, (account.failure, plan.degraded)))
+                result.degraded = bool(result.degraded_reason)
                 if run.begun:
                     result.e_rms_percent = run.e_rms_percent()
                     result.largest_error_um = run.largest_error_um
@@ -138,14 +149,14 @@ class ControllerNode(LifecycleNode):
                 raise CallFailed(
                     f"the stage stopped before the end: {self._tracker.why_ended()}")
         progress.check()
-        learned = "" if account.failure else _keep_learned(prepared.learning, result)
+        learned = "" if result.degraded else _keep_learned(prepared.learning, result)
         uncompensated = (
             f'the feedforward does not compensate: {", ".join(plan.uncompensated)}'
             if plan.uncompensated else "")
         notes = (replaced, present.note, learned, uncompensated, run.not_followed, run.lateness,
                  plan.note, recording.note)
-        if account.failure:
-            raise CallFailed("; ".join(filter(None, (account.failure, *notes))))
+        if result.degraded:
+            raise CallFailed("; ".join(filter(None, (result.degraded_reason, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))
 
     def _feedbacks(self, clock: StageClock) -> Feedbacks:
@@ -158,6 +169,10 @@ class ControllerNode(LifecycleNode):
         """Design the feedback for a model; refuse one that is not stable."""
         clock = _clock(self._stage.wait(lambda: None))
         self._feedbacks(clock).check_model(model, model_sha256, present)
+
+    def _weights(self, given: str) -> str:
+        """Return the name of weights that come with the package, or the path of a file."""
+        return given if given in BUILT_IN else self._data_root.readable(given)
 
     def _locate_files(self, goal: Track.Goal) -> None:
         """Take the relative paths of files to read from the data root."""
@@ -260,4 +275,6 @@ def _parameters(goal: Track.Goal) -> str:
 
 def main(args: list[str] | None = None) -> None:
     """Run the node ``controller``."""
+    # Of Python's threads, one that plans keeps the one that answers waiting no longer than this.
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     run_node(ControllerNode, args)

@@ -18,7 +18,8 @@ def message_of(law: FeedbackLaw) -> messages.FeedbackLaw:
         sample=_block(law.sample), max_feedback_v=float(law.max_feedback_v),
         max_error_um=float(law.max_error_um) if math.isfinite(law.max_error_um) else 0.0,
         once_expected_um=_floats(law.once_um), period_expected_um=_floats(law.period_um),
-        start_sample=law.start_sample, model=_block(law.plant.linear),
+        start_sample=law.start_sample, fade_samples=law.fade_samples,
+        model=_block(law.plant.linear),
         model_gains_um_per_v=_floats(law.plant.gains_um_per_v))
     if law.inverse is not None:
         hysteresis = law.inverse.hysteresis

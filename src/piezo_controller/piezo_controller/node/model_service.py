@@ -4,14 +4,16 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from piezo_interfaces.srv import AcceptExtendedModel
 from rclpy.node import Node
 from std_msgs.msg import String
 
+from piezo_common.regular_file import UnreadableFile
+from piezo_common.text_file import read_bounded_text
 from piezo_controller.node.present_run import FROM_THE_NEXT, PresentRun
 from piezo_controller.tracking.accepted_models import AcceptedModels, CheckFeedback, ModelText
+from piezo_models.model_file import LARGEST_FILE_BYTES
 from piezo_ros.late_responses import LateResponse, create_late_service
 from piezo_ros.quality import DESCRIPTION
 
@@ -116,8 +118,7 @@ class ModelService:
 def read_model_text(path: str) -> str:
     """Return the text of a model file; raise ValueError if it cannot be read."""
     try:
-        return Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ValueError(f"cannot read the model {path!r}: {reason}; "
+        return read_bounded_text(path, LARGEST_FILE_BYTES)
+    except UnreadableFile as error:
+        raise ValueError(f"cannot read the model {path!r}: it {error}; "
                          "identify the stage first, or give the path of its model") from None

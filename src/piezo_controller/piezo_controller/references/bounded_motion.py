@@ -14,6 +14,8 @@ from piezo_common.arrays import FloatArray
 
 SLACK = 1.001
 """For errors of rounding."""
+FAR = 0.1
+"""Straight lines between slow values leave less, up to half of the declared band."""
 
 
 class BoundedMotion:
@@ -29,8 +31,8 @@ class BoundedMotion:
 
     Attributes
     ----------
-    bounded_samples : int
-        Samples at which a bound acted.
+    far_samples : int
+        Samples at which the bounds kept the motion more than `FAR` of the amplitude from its value.
     """
 
     def __init__(self, start_um: float, first_um: float, band_hz: float, amplitude_um: float,
@@ -41,28 +43,26 @@ class BoundedMotion:
         self._decay = turn
         # The value before, the step taken before, the offset and its step.
         self._state = np.array([first_um, 0.0, start_um - first_um, 0.0])
-        self.bounded_samples = 0
+        self._far_um = FAR * amplitude_um
+        self.far_samples = 0
 
     def follow(self, values_um: FloatArray) -> FloatArray:
         """Return the motion (um) for the next values, shape (n,)."""
-        followed_um, bounded = _follow(values_um, self._state, self._largest_step_um,
-                                       self._largest_bend_um, self._decay)
-        self.bounded_samples += bounded
+        followed_um = _follow(values_um, self._state, self._largest_step_um,
+                              self._largest_bend_um, self._decay)
+        self.far_samples += int(np.count_nonzero(np.abs(followed_um - values_um) > self._far_um))
         return followed_um
 
 
 @njit(cache=True)
 def _follow(values: FloatArray, state: FloatArray, largest_step: float, largest_bend: float,
-            decay: float) -> tuple[FloatArray, int]:
+            decay: float) -> FloatArray:
     followed = np.empty(values.size)
     last, step, offset, fading = state
-    bounded = 0
     for i in range(values.size):
         wanted = values[i] - last
         taken = min(max(wanted, step - largest_bend, -largest_step),
                     step + largest_bend, largest_step)
-        if taken != wanted:
-            bounded += 1
         offset += taken - wanted
         # Critically damped: fades out without a swing.
         fading -= decay * (2.0 * fading + decay * offset)
@@ -71,4 +71,4 @@ def _follow(values: FloatArray, state: FloatArray, largest_step: float, largest_
         followed[i] = values[i] + offset
         last, step = values[i], taken
     state[:] = last, step, offset, fading
-    return followed, bounded
+    return followed

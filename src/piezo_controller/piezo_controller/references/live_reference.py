@@ -46,6 +46,8 @@ class LiveReference:
     patience_s : float
     latest_um : float
         The last value; NaN before the first.
+    bridged_samples : int
+        Samples between values that were left out.
 
     Raises
     ------
@@ -65,7 +67,7 @@ class LiveReference:
         self._waiting = np.empty(0)
         self._next_number = 0
         self._heard_s = clock()
-        self.preview_samples = self.longest_samples = 0
+        self.preview_samples = self.longest_samples = self.bridged_samples = 0
         self.latest_um = np.nan
 
     @property
@@ -120,6 +122,7 @@ class LiveReference:
         samples_um = np.interp(np.arange(1, at[-1] + 1), at, np.r_[before_um, values_um])
         self._waiting = np.r_[self._waiting, samples_um][-self._most_samples:]
         self.longest_samples = max(self.longest_samples, values_um.size * repeat)
+        self.bridged_samples += left_out * repeat
         self.latest_um = float(values_um[-1])
 
     def _clock_samples(self, sample_period_s: float) -> int:

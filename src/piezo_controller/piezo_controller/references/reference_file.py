@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A reference from a CSV file."""
 
+import io
 import os
 import tempfile
 from collections.abc import Iterator
 from itertools import islice
-from typing import BinaryIO
+from typing import BinaryIO, TextIO
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_common.regular_file import UnreadableFile, open_regular
 from piezo_controller.references.kind import (
     LONGEST_DURATION_S,
     LONGEST_PERIOD_S,
@@ -21,6 +23,9 @@ from piezo_controller.references.trajectory import FormulaTrajectory, Trajectory
 
 COLUMNS = ["time_s", "displacement_um"]
 LINES_AT_ONCE = 100_000
+LONGEST_LINE = 1000
+LARGEST_BYTES = 16_000_000_000
+"""The longest reference takes less than half of it, with 17 digits of both numbers."""
 
 
 def read_samples(path: str, sample_rate_hz: float, longest_s: float,
@@ -79,20 +84,33 @@ def _keep(kept: BinaryIO, displacement_um: FloatArray) -> None:
 def _pieces(path: str, watch: Watch) -> Iterator[FloatArray]:
     """Yield times and displacements of the file, some lines at a time."""
     try:
-        with open(path, newline=None, encoding="utf-8") as stream:
-            length, read = max(os.fstat(stream.fileno()).st_size, 1), 0
-            header = next(stream, "")
+        with open_regular(path, LARGEST_BYTES) as raw, io.TextIOWrapper(
+                io.BufferedReader(raw), encoding="utf-8") as stream:
+            length, read = max(os.fstat(raw.fileno()).st_size, 1), 0
+            header = stream.readline(LONGEST_LINE)
             if [name.strip() for name in header.split(",")] != COLUMNS:
                 raise ValueError(f"the reference file {path!r} does not begin with its header: "
                                  f"make the first line {','.join(COLUMNS)}")
-            while lines := list(islice(stream, LINES_AT_ONCE)):
+            while lines := list(islice(_lines(path, stream), LINES_AT_ONCE)):
                 read += sum(map(len, lines))
                 watch(min(read / length, 1.0))
                 if any(line.strip() for line in lines):
                     yield _numbers(path, lines)
+    except UnreadableFile as error:
+        raise ValueError(f"the reference file {path!r} {error}: "
+                         f"give a CSV file of {','.join(COLUMNS)}") from None
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ValueError(f"the reference file {path!r} cannot be read: {reason}") from None
+
+
+def _lines(path: str, stream: TextIO) -> Iterator[str]:
+    """Yield the lines of a file, of which none may be endless."""
+    while line := stream.readline(LONGEST_LINE):
+        if len(line) == LONGEST_LINE:
+            raise ValueError(f"the reference file {path!r} has a row of more than {LONGEST_LINE} "
+                             f"characters: give {','.join(COLUMNS)} in every row")
+        yield line
 
 
 def _numbers(path: str, lines: list[str]) -> FloatArray:

@@ -9,6 +9,8 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from piezo_models.cascade import StageModel
 from piezo_models.model_file import load_model
 
@@ -32,8 +34,37 @@ class ModelText:
         return hashlib.sha256(self.text.encode()).hexdigest()
 
 
+MOST_FACTOR = 2.0
+"""By which gain or modes of one stage change; what is beyond was identified on another."""
+
 CheckFeedback = Callable[[StageModel, str, StageModel], None]
 """Raises ValueError where the feedback for a model, of a hash, is not stable with it or another."""
+
+
+def gross_difference(present: StageModel, following: StageModel) -> str:
+    """Return in what a model differs by more than `MOST_FACTOR` from another; empty if in nothing.
+
+    Parameters
+    ----------
+    present : StageModel
+        With which runs are played, and which they have found to be the stage's.
+    following : StageModel
+    """
+    before, after = ([("gain", "um/V", _gain_um_per_v(model)), *(
+        ("mode", "Hz", frequency / (2.0 * np.pi))
+        for frequency in sorted(model.dynamics.mode_frequencies_rad_per_s))]
+        for model in (present, following))
+    for (what, unit, was), (_, _, now) in zip(before, after, strict=False):
+        if not was / MOST_FACTOR <= now <= was * MOST_FACTOR:
+            return f"with a {what} of {now:.4g} {unit} where that has {was:.4g} {unit}"
+    return ""
+
+
+def _gain_um_per_v(model: StageModel) -> float:
+    """Return the mean gain of the model over its range at rest."""
+    hysteresis = model.hysteresis
+    travel_um = np.ptp(hysteresis.output_range_um) * abs(model.linear()(0.0))
+    return float(travel_um / (hysteresis.voltage_max_v - hysteresis.voltage_min_v))
 
 
 class AcceptedModels:
@@ -62,7 +93,7 @@ class AcceptedModels:
         Raises
         ------
         ValueError
-            If a file cannot be used, the models are not of one stage, the feedback is unstable, or
+            If a file cannot be used, the models differ grossly, the feedback is unstable, or
             the run cannot go over; what was used before then stays.
         """
         present, following = (load_model(one.path).model for one in (model, extended))
@@ -75,6 +106,9 @@ class AcceptedModels:
                 f"{extended.path} has another hysteresis, from {lower_v:g} to {higher_v:g} V in "
                 f"{len(after.density_um_per_v2)} cells where {model.path} has {low_v:g} to "
                 f"{high_v:g} V in {len(before.density_um_per_v2)}: give a model that extends it")
+        if difference := gross_difference(present, following):
+            raise ValueError(f"{extended.path} is of another stage than {model.path}, "
+                             f"{difference}: identify the stage again")
         check(following, extended.sha256, present)
         when = go_over(extended)
         self._extended[model.sha256] = extended

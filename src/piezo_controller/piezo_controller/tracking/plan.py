@@ -33,6 +33,8 @@ class TrackingPlan(Protocol):
         Effects of the model that stay in the error.
     note : str
         What to tell of the run at its end; may be empty.
+    degraded : str
+        Why the run does not count, though it was played to its end; empty if it does.
     """
 
     # As properties, because a run only reads them.
@@ -71,6 +73,10 @@ class TrackingPlan(Protocol):
     @property
     def note(self) -> str:
         """Return what to tell of the run at its end."""
+
+    @property
+    def degraded(self) -> str:
+        """Return why the run does not count; empty if it does."""
 
     def expected_um(self, first_sample: int, count: int) -> FloatArray:
         """Return the displacements to expect of some samples.

@@ -114,7 +114,8 @@ def plan_topic(mode: str, references: Sequence[Reference], run_samples: int, mod
             f"a published reference is followed alone, in the modes {' and '.join(STREAMED_MODES)} "
             "of the controller's node: leave then and inversion empty")
     band_hz, amplitude_um, _ = one_component(reference, stage.sample_rate_hz)
-    return plan_live(live, band_hz, amplitude_um, run_samples, model, **_limits(stage))
+    return plan_live(live, band_hz, amplitude_um, run_samples, model,
+                     centre_um=reference.centre_um, **_limits(stage))
 
 
 def plan_learning(reference: Reference, run_samples: int, model: StageModel,

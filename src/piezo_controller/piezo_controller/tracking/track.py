@@ -14,6 +14,7 @@ from typing import Protocol
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.integral_feedback import design_integral_feedback
+from piezo_controller.feedback.onboard_law import FADE_S
 from piezo_controller.learning.learned_file import (
     Learned,
     find_like,
@@ -206,7 +207,7 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
                     feedbacks.sensitivity(request.mode, model, request.model_sha256),
                     request.references[0], model, stage, request.durations_s[0], steps.watch)
     run = TrackingRun(plan, whole_ticks(sum(request.durations_s), stage), feedback, stage.tick_s,
-                      request.tolerance_um, round(window_s * stage.sample_rate_hz))
+                      request.tolerance_um, round(window_s * stage.sample_rate_hz), FADE_S)
     return PreparedRun(plan, feedback, run, learning, law)
 
 

@@ -8,6 +8,7 @@ from collections import deque
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_controller.references.smooth_rise import smooth_rise
 from piezo_controller.tracking.answer_times import AnswerTimes
 from piezo_controller.tracking.feedbacks import Feedback
 from piezo_controller.tracking.foreseen import SHARE_AT_REST
@@ -38,6 +39,8 @@ class TrackingRun:
         1 % of the travel, but at least 0.03 um.
     window_samples : int
         Of the running error.
+    fade_s : float
+        Over which the error in which the feedback begins is faded in (s), as `FeedbackLaw` does.
 
     Attributes
     ----------
@@ -47,8 +50,11 @@ class TrackingRun:
 
     def __init__(self, plan: TrackingPlan, run_samples: int, feedback: Feedback | None = None,
                  tick_s: float = 1e-3, tolerance_um: float = 0.0,
-                 window_samples: int = 4000) -> None:
+                 window_samples: int = 4000, fade_s: float = 0.0) -> None:
         self._plan = plan
+        self._fade_s = fade_s
+        self._last_error_um = self._initial_um = math.nan
+        self._answers_from: int | None = None
         self._tick_s = tick_s
         self._answer_times = AnswerTimes(tick_s)
         self._feedback = feedback
@@ -120,12 +126,26 @@ class TrackingRun:
             return 0.0
         expected_um = self.expected_um = self._plan.expected_um(first, len(displacement_um))
         self._account(max(self._plan.begin_sample - first, 0), expected_um, displacement_um)
+        before_um = self._last_error_um
+        self._last_error_um = float(np.mean(expected_um) - np.mean(displacement_um))
         if self._feedback is None or first < self._plan.feedback_start_sample:
             return 0.0
+        if self._answers_from is None:
+            self._answers_from = first
+            self._initial_um = before_um if first else float(expected_um[0] - displacement_um[0])
         begin_s = time.perf_counter()
-        voltage_v = self._feedback.step(expected_um, displacement_um)
+        voltage_v = self._feedback.step(
+            expected_um - self._faded_um(first - self._answers_from, len(expected_um)),
+            displacement_um)
         self._answer_times.add(time.perf_counter() - begin_s)
         return voltage_v
+
+    def _faded_um(self, since: int, count: int) -> FloatArray:
+        """Return what the feedback does not see yet of the error in which it began, (count,)."""
+        samples = self._fade_s / self._tick_s * count
+        if since >= samples:
+            return np.zeros(count)
+        return self._initial_um * (1.0 - smooth_rise((since + np.arange(count)) / samples))
 
     @property
     def lateness(self) -> str:

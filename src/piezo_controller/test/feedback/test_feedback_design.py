@@ -141,6 +141,7 @@ def test_designs_meet_what_the_loop_is_for(controller, thesis_controller):
         assert report["order"] < report["order_before_reduction"] == 17
 
 
+@pytest.mark.long
 def test_thesis_weights_without_delay_and_mean_give_its_order_and_less_than_its_mu(stage_model):
     # At the thesis' hysteresis gain.
     low, high = hysteresis_gain_range(stage_model)

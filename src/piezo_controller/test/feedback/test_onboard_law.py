@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from piezo_controller.feedback.feedback_before_inverse import FeedbackBeforeInverse
 from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
-from piezo_controller.feedback.onboard_law import onboard_law
+from piezo_controller.feedback.onboard_law import FADE_S, onboard_law
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedforward.periodic import plan_feedforward
 from piezo_controller.references.reference import Reference, sample_reference
@@ -51,7 +51,7 @@ def evaluated(law, plan, exchange, ticks, samples=SAMPLES):
 
 def answered(feedback, plan, exchange):
     """Play a plan with answers to its blocks, as `play_run` does."""
-    run = TrackingRun(plan, (TICKS + 2) * SAMPLES, feedback)
+    run = TrackingRun(plan, (TICKS + 2) * SAMPLES, feedback, fade_s=FADE_S)
     return play_run(run, plan, exchange, SAMPLES)
 
 
@@ -109,7 +109,7 @@ def test_law_of_samples_comes_as_many_samples_later_as_its_controller_declares(
     system = control.ss(control.tf(numerator, denominator, CLOCK_PERIOD_S))
     controller = FeedbackController(system.A, system.B, system.C, system.D, CLOCK_PERIOD_S,
                                     {"delay_ticks": delay_ticks}, {})
-    law = onboard_law(controller, stage_model, plan, CLOCK_PERIOD_S, 1e3)
+    law = replace(onboard_law(controller, stage_model, plan, CLOCK_PERIOD_S, 1e3), fade_samples=0)
     assert law.delay_ticks == 0 and law.tick.empty
     displacement_um = 0.3 * np.random.default_rng(3).normal(size=TICKS * SAMPLES)
     running, fed_back_v = RunningLaw(law, SAMPLES), np.empty(len(displacement_um))

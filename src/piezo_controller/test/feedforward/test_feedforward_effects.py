@@ -15,6 +15,7 @@ from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
+from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.gain_drift import GainDrift
@@ -41,7 +42,8 @@ THIRD_MODE = VibrationMode(8796.0, 0.01, 0.05)
 # play and a compressive friction ask at reversals for more than the bandwidth of the inverse. Of
 # converter steps what they round off is left.
 COMPENSATED = [
-    (Creep((0.002, 0.003), (0.01, 0.05)), 5e-3), (THIRD_MODE, 1e-6), (Delay(1.3e-4), 1e-6),
+    (Creep((0.002, 0.003), (0.01, 0.05)), 5e-3), (THIRD_MODE, 1e-6),
+    (CoupledMode(8796.0, 0.01, 0.05, 0.01), 1e-6), (Delay(1.3e-4), 1e-6),
     (SensorLag(1e-4), 1e-6), (SensorNonlinearity(0.1, 0.5, 0.3, 0.1, 50.0, 50.0), 1e-6),
     (SlewLimit(1e6), 1e-6), (VoltageClipping(-18.0, 118.0), 1e-6),
     (AmplifierLag(4e-5), 1e-3),

@@ -7,6 +7,7 @@ import pytest
 from piezo_controller.feedforward.feasibility import UnreachableReference
 from piezo_controller.feedforward.live import DELAY_SAMPLES, plan_live
 from piezo_controller.feedforward.preview_inverse import short_preview_inverse
+from piezo_controller.references.kind import InvalidReference
 from piezo_controller.references.live_reference import LiveReference
 from piezo_controller.references.reference import Reference, trajectory
 from piezo_models.linear.dynamics import zoh_response
@@ -62,7 +63,7 @@ def test_model_follows_what_is_published_however_little_is_known_ahead(
         stage_model, preview_samples, largest_percent):
     plan, *played = follow(stage_model, Publisher(preview_samples))
     assert error_percent(stage_model, plan, *played) < largest_percent
-    assert (plan.held_samples, plan.clipped_samples, plan.skipped) == (0, 0, 0)
+    assert plan.degraded == ""
 
 
 def test_reference_is_followed_by_the_delay_that_is_told(stage_model):
@@ -95,7 +96,7 @@ def test_publisher_that_falls_silent_is_held_and_taken_up_again(stage_model):
     plan, played_v, expected_um = follow(stage_model, Publisher(20), 16000, publish)
     # 80 ms of silence, of which what was loaded ahead bridges up to 22 ms.
     assert 80 * TICK - 900 <= plan.held_samples <= 80 * TICK
-    assert "held, as nothing was published" in plan.note
+    assert "held, as nothing was published" in plan.degraded
     assert np.abs(np.diff(expected_um)).max() < 2.1 * np.pi * BAND_HZ * AMPLITUDE_UM * PERIOD_S
     assert np.ptp(expected_um[17600:18800]) < 1e-3
     assert np.ptp(expected_um[-2000:]) > 1.0
@@ -105,20 +106,60 @@ def test_publisher_that_falls_silent_is_held_and_taken_up_again(stage_model):
 def test_publisher_that_is_faster_than_the_stage_is_followed_with_values_left_out(stage_model):
     plan, played_v, expected_um = follow(
         stage_model, Publisher(20), 16000, lambda publisher, tick: publisher.publish(60))
-    assert plan.skipped > 0 and "left out" in plan.note
+    assert plan.skipped > 0 and "left out" in plan.degraded
     assert np.abs(np.diff(expected_um)).max() < 2.1 * np.pi * BAND_HZ * AMPLITUDE_UM * PERIOD_S
 
 
 def test_reference_beyond_the_range_is_clipped_to_it(stage_model):
-    publisher = Publisher(wanted=lambda first, count: np.where(
-        np.arange(first, first + count) < 6000, 50.0, 500.0))
+    high_um = plan_live(Publisher().live, BAND_HZ, AMPLITUDE_UM, 400, stage_model).range_um[1]
+    publisher = Publisher(wanted=lambda first, count: high_um - 4.0 + np.where(
+        np.arange(first, first + count) < 8000, 0.0, 8.0))
     plan, played_v, expected_um = follow(stage_model, publisher, 12000)
-    low_um, high_um = plan.range_um
     assert plan.clipped_samples > 0
-    assert f"clipped to {low_um:.4g} to {high_um:.4g} um" in plan.note
+    assert f"clipped to {plan.range_um[0]:.4g} to {high_um:.4g} um" in plan.degraded
     assert expected_um[-1] == pytest.approx(high_um, abs=1e-3)
     assert -20.0 <= played_v.min() and played_v.max() <= 120.0
     assert stage_model.simulate(played_v, PERIOD_S)[-1] == pytest.approx(high_um, abs=0.2)
+
+
+@pytest.mark.parametrize("beyond_um", [300.0, -300.0, 1e308])
+@pytest.mark.parametrize("centre_um", [50.0, 0.0])
+def test_reference_beyond_what_it_declared_ends_the_run(stage_model, beyond_um, centre_um):
+    def wanted(first, count):
+        return np.where(np.arange(first, first + count) < 20_000, 50.0, beyond_um)
+
+    publisher = Publisher(wanted=wanted)
+    plan = plan_live(publisher.live, BAND_HZ, AMPLITUDE_UM, 20_000, stage_model,
+                     centre_um=centre_um)
+    more = plan.continuation()
+    with pytest.raises(InvalidReference, match="beyond its declared 10 um") as ended:
+        for _ in range(plan.begin_sample // TICK + 500):
+            more()
+            plan.take(np.zeros(TICK))
+            publisher.publish(TICK)
+    assert plan.degraded == str(ended.value)
+    # Nothing of it is loaded: the last value that was is one that was declared.
+    assert plan.expected_um(0, 10**6)[-1] == pytest.approx(50.0, abs=1e-3)
+
+
+def test_first_value_beyond_the_declared_centre_is_refused(stage_model):
+    with pytest.raises(InvalidReference, match="10 um about 30 um: publish less"):
+        plan_live(Publisher().live, BAND_HZ, AMPLITUDE_UM, 400, stage_model, centre_um=30.0)
+
+
+@pytest.mark.parametrize("values_um", [np.full(TICK, np.nan), None])
+def test_values_that_do_not_come_are_told_where_others_follow(stage_model, values_um):
+    def publish(publisher, tick):
+        if tick != 250:
+            publisher.publish(TICK)
+            return
+        if values_um is not None:
+            with pytest.raises(InvalidReference, match="no finite"):
+                publisher.live.take(publisher.sent, 0.0, publisher.preview_samples, values_um)
+        publisher.skip(TICK)
+
+    plan, *_ = follow(stage_model, Publisher(20), publish=publish)
+    assert "1 ms it was a straight line, as values were left out" in plan.degraded
 
 
 def test_lower_amplifier_reaches_less(stage_model):

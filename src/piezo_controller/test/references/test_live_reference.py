@@ -90,24 +90,33 @@ def test_what_keeps_to_its_band_and_amplitude_is_followed_exactly():
     reference = Reference("random", (100.0,), (10.0,), (), 50.0, seed=2)
     values_um = trajectory(reference).sample(0, 20000)
     motion = BoundedMotion(40.0, values_um[0], 100.0, 10.0, PERIOD_S)
-    followed_um = motion.follow(values_um)
+    followed_um = motion.follow(values_um[:2000])
+    far_samples = motion.far_samples
     # Ten time constants after the beginning nothing is left of the way from 40 um.
-    np.testing.assert_allclose(followed_um[2000:], values_um[2000:], atol=1e-6)
-    assert motion.bounded_samples == 0
+    np.testing.assert_allclose(motion.follow(values_um[2000:]), values_um[2000:], atol=1e-6)
+    assert motion.far_samples == far_samples > 0
     assert abs(followed_um[0] - 40.0) < 0.02
 
 
-@pytest.mark.parametrize("values_um", [
-    np.r_[np.zeros(10), np.full(4000, 10.0)],
-    np.r_[np.arange(400) * 0.05, np.full(4000, 20.0)],
-    np.random.default_rng(1).uniform(0.0, 10.0, 4000)])
-def test_jumps_kinks_and_noise_are_followed_within_the_bounds(values_um):
+def test_straight_lines_between_values_of_a_slow_publisher_count_as_followed():
+    time_s = np.arange(20000) * PERIOD_S
+    values_um = np.interp(time_s, time_s[::40], 5.0 * np.sin(100.0 * np.pi * time_s[::40]))
+    motion = BoundedMotion(0.0, 0.0, 100.0, 10.0, PERIOD_S)
+    motion.follow(values_um)
+    assert motion.far_samples == 0
+
+
+@pytest.mark.parametrize(("values_um", "far"), [
+    (np.r_[np.zeros(10), np.full(4000, 10.0)], True),
+    (np.r_[np.arange(400) * 0.05, np.full(4000, 20.0)], False),
+    (np.random.default_rng(1).uniform(0.0, 10.0, 4000), True)])
+def test_jumps_kinks_and_noise_are_followed_within_the_bounds(values_um, far):
     band_hz, amplitude_um = 100.0, 10.0
     motion = BoundedMotion(values_um[0], values_um[0], band_hz, amplitude_um, PERIOD_S)
     followed_um = np.r_[values_um[0], motion.follow(values_um)]
     speed_um_per_s = np.pi * band_hz * amplitude_um
     assert np.abs(np.diff(followed_um)).max() <= 2.01 * speed_um_per_s * PERIOD_S
-    assert motion.bounded_samples > 0
+    assert (motion.far_samples > 0) is far
     assert np.ptp(followed_um) <= 1.3 * np.ptp(values_um)
     settled_um = motion.follow(np.full(2000, values_um[-1]))
     assert settled_um[-1] == pytest.approx(values_um[-1], abs=1e-3)

@@ -66,6 +66,18 @@ def test_what_cannot_be_taken_is_refused_and_the_one_before_stays(stage_model, s
     assert accepted.in_place_of(model, read) is extended
 
 
+def test_model_of_another_stage_is_refused_before_anything_is_designed(stage_model, saved):
+    hysteresis = stage_model.hysteresis
+    first, second = stage_model.dynamics.mode_frequencies_rad_per_s
+    for other, reason in (
+            (with_modes(stage_model, 3 * first, 3 * second), "a mode of 1359 Hz where"),
+            (replace(stage_model, hysteresis=replace(
+                hysteresis, density_um_per_v2=0.4 * hysteresis.density_um_per_v2)), "a gain of")):
+        with pytest.raises(ValueError, match=f"is of another stage .* with {reason}"):
+            AcceptedModels().accept(saved("model.json", stage_model), saved("other.json", other),
+                                    lambda *_: pytest.fail("designed"))
+
+
 @pytest.mark.long  # a design far from the thesis' stage takes 10 s
 def test_a_feedback_that_is_unstable_with_the_present_model_is_refused(stage_model, feedbacks):
     far = with_modes(stage_model, 200.0, 300.0)

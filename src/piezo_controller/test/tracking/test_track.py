@@ -180,6 +180,7 @@ def test_streamed_reference_takes_its_feedback_behind_the_inverse(request_of, mo
     assert isinstance(prepared.feedback, MultirateFeedback) and prepared.law is None
 
 
+@pytest.mark.long
 def test_controller_for_no_computing_time_answers_no_blocks(request_of, stage_model, tmp_path):
     path = tmp_path / "quick.json"
     save_controller(path, design_feedback(stage_model, load_weights(), delay_ticks=0))

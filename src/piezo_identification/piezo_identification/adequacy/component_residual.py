@@ -16,21 +16,21 @@ from piezo_identification.conditioning.generator_edges import (
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
+from piezo_identification.conditioning.sensor_noise import repeated_period
 from piezo_identification.conditioning.settled_periods import first_settled_step
 from piezo_identification.conditioning.settling import first_settled, slow_dynamics
 from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
-from piezo_identification.diagnosis.residual.sensor_noise import repeated_period
 from piezo_identification.estimators.creep.square_wave_creep import FEWEST_STEPS, left_out_s
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
-from piezo_identification.estimators.frequency_response.sampled_response import (
+from piezo_identification.estimators.poles.pole_responses import HeldInput
+from piezo_identification.simulation.model_run import ModelRun, starting_past_v
+from piezo_identification.simulation.sampled_response import (
     behind_lags,
     leading_lags,
     respond,
 )
-from piezo_identification.estimators.poles.pole_responses import HeldInput
-from piezo_identification.prediction.model_run import ModelRun, starting_past_v
 from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording

@@ -8,7 +8,7 @@ from scipy.stats import f as f_distribution
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.adequacy.component_residual import ComponentResidual
-from piezo_identification.diagnosis.residual.sensor_noise import noise_floor_um
+from piezo_identification.conditioning.sensor_noise import noise_floor_um
 
 
 @dataclass(frozen=True)

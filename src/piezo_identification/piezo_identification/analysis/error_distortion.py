@@ -14,7 +14,7 @@ from piezo_identification.analysis.nonlinear_distortion import (
     NonlinearDistortion,
     distortion_of_signal,
 )
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.effects import Effect
 
 

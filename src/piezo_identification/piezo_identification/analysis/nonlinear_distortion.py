@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
-from piezo_identification.diagnosis.residual.sensor_noise import repeated_period
+from piezo_identification.conditioning.sensor_noise import repeated_period
 from piezo_recorder.reading.recording import Recording
 
 EXCITED = 1e-3

@@ -18,7 +18,7 @@ from piezo_identification.estimators.frequency_response.response_file import (
 )
 from piezo_identification.recording_check.check import RecordingCheck, check_recording
 from piezo_identification.recording_check.check_report import check_table
-from piezo_identification.recording_check.suitability import Suitability, suitability
+from piezo_identification.recording_check.suitability import Suitability, given_as, suitability
 from piezo_identification.report.check_page import check_page
 from piezo_identification.report.check_picture import draw_check
 from piezo_recorder.reading.data_options import read_all_given
@@ -29,9 +29,12 @@ def check_files(options: argparse.Namespace) -> None:
     """Print and draw what each recording of the options is good for."""
     options.output.mkdir(parents=True, exist_ok=True)
     checked = []
+    fit_for: dict[str, dict[str, Suitability]] = {}
+    responses: list[str] = []
     for path in options.data:
         if is_frequency_response(path):
             _print_response(path)
+            responses.append(str(path))
             continue
         recordings = read_all_given(path, options)
         for number, recording in enumerate(recordings, start=1):
@@ -40,10 +43,19 @@ def check_files(options: argparse.Namespace) -> None:
             stem = f"{path.stem}{f'_{number}' if several else ''}"
             checked.append((stem, *_check_one(
                 recording, options.output / f"{stem}_check.png")))
+            if not several:
+                fit_for[str(path)] = checked[-1][2]
     if checked and options.report:
         write_report(options.output / "check_report.html", check_page(checked))
-    print_next(options, "piezo_identification", "identify", "<--creep, --dynamics or --hysteresis>",
-               options.data[0], "--output", "model.json")
+    given = given_as(fit_for)
+    # A frequency response stands alone for the dynamics.
+    given |= {"dynamics": responses[:1]} if responses else {}
+    named = [word for experiment, paths in given.items() for word in (f"--{experiment}", *paths)]
+    if options.columns:
+        named += ["--columns", *options.columns]
+    print_next(options, "piezo_identification", "identify",
+               *(named or ("<--creep, --dynamics or --hysteresis>", options.data[0])),
+               "--output", "model.json")
 
 
 def _check_one(recording: Recording,

@@ -10,6 +10,7 @@ from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
 )
+from piezo_identification.diagnosis.evidence.stand_ins import name_of
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
 from piezo_identification.diagnosis.report.results import diagnose_files
 from piezo_identification.diagnosis.response.response_results import (
@@ -17,6 +18,7 @@ from piezo_identification.diagnosis.response.response_results import (
     response_sentence,
 )
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
+from piezo_models.model_file import load_model
 from piezo_recorder.reading.data_options import read_all_given
 
 LEAST_PROBABILITY = 1e-3
@@ -34,6 +36,7 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
     if is_frequency_response(options.data[0]):
         if len(options.data) > 1 or options.holdout or options.identified_from:
             raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
+        _print_shortfall(options)
         diagnosis = diagnose_response_file(
             options.model, options.data[0], options.output, hold_s_of(options))
         _print_table(diagnosis, response_sentence(diagnosis))
@@ -43,6 +46,7 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
     for option in (name for name, given in useless_response_options(options).items() if given):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give a frequency "
                          "response as --data")
+    _print_shortfall(options)
     results = diagnose_files(
         options.model, options.data, options.holdout, options.output, print_progress,
         lambda path: read_all_given(path, options), identified_from=options.identified_from)
@@ -65,6 +69,12 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
     return None
 
 
+def _print_shortfall(options: argparse.Namespace) -> None:
+    lacking = load_model(options.model).shortfall()
+    if lacking:
+        print(lacking)
+
+
 def _print_table(diagnosis: Any, sentence: str) -> None:
     for fault in diagnosis.recording_faults:
         print(f"{fault['sentence']}; {fault['remedy']}")
@@ -80,7 +90,7 @@ def _print_table(diagnosis: Any, sentence: str) -> None:
         print(f"{name:28}{diagnosis.before[name]:12.4g}{diagnosis.after[name]:12.4g}")
     print(f"{'noise_floor_um':28}{diagnosis.noise_floor_um:12.4g}")
     for entry in diagnosis.effects:
-        print(f"{entry['name']:28}{entry['error_reduction_percent']:11.1f} % of the error")
+        print(f"{name_of(entry):28}{entry['error_reduction_percent']:11.1f} % of the error")
         for name, value in entry["parameters"].items():
             numbers = value if isinstance(value, (list, tuple)) else [value]
             print(f"  {name:26}{', '.join(f'{number:.5g}' for number in numbers):>12}")

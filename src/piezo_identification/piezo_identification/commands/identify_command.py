@@ -32,8 +32,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", metavar="MODEL", type=Path, required=True,
                         help="model file to write")
     parser.add_argument("--refine", action="store_true",
-                        help="fit all components together at the end; keeps what is better on "
-                        "data held out, and prints the errors before and after")
+                        help="of earlier versions: identify always fits all components together "
+                        "at the end")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0],
                         help="how recorded dynamics are fitted (default: %(default)s)")
     for name, what in (("creep-pairs", "pole and zero pairs of the creep"),

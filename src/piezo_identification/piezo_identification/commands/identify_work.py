@@ -48,7 +48,7 @@ def identify_files(options: argparse.Namespace) -> None:
     if isinstance(data.get("dynamics"), FrequencyResponse):
         data["dynamics"] = data["dynamics"].held(hold_s_of(options))
     slowest = slowest_recording(given_data(
-        data.get("creep"), data.get("dynamics"), data.get("hysteresis"), None, False))
+        data.get("creep"), data.get("dynamics"), data.get("hysteresis"), None))
     if slowest is not None and displacement_falls(slowest):
         print("the displacement falls as the voltage rises: its sign is changed throughout")
     identified = identify(
@@ -73,7 +73,7 @@ def _write_report(identified: IdentifiedModel, data: Mapping[str, Any],
     from piezo_identification.report.identification_report import identification_page
 
     given = given_data(data.get("creep"), data.get("dynamics"), data.get("hysteresis"),
-                       data.get("validation"), refine=False)
+                       data.get("validation"))
     write_report(options.output.with_name(f"{options.output.stem}_report.html"),
                  identification_page(identified, given, options.output,
                                      READINGS[options.rows_read]))

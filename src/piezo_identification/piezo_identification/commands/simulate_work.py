@@ -11,18 +11,19 @@ from piezo_common.command_line import print_next, write_report
 from piezo_common.picture_style import to_png
 from piezo_identification.commands.row_options import READINGS
 from piezo_identification.conditioning.outlier_samples import outlier_text
-from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_sign import sign_text
-from piezo_identification.prediction import Prediction, predict
+from piezo_identification.prediction import Prediction
 from piezo_identification.prediction.outside_identified import outside_identified
-from piezo_identification.prediction.row_reading import read_as_identified, rows_sentence
+from piezo_identification.prediction.row_reading import predict_as_identified
 from piezo_identification.report.simulation_report import (
     displacement_figure,
     loops_figure,
     simulation_page,
 )
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.data_options import read_given
+from piezo_recorder.reading.waveform_file import read_waveform
 
 DOTS_PER_INCH = 120
 
@@ -31,12 +32,15 @@ def simulate_file(options: argparse.Namespace) -> None:
     """Simulate the model of the options under a recording; print the error and draw both."""
     model_path, data_path, directory = options.model, options.data, options.output
     identified = load_model(model_path)
-    recording = rows_read_at_start(read_given(data_path, options), READINGS[options.rows_read])
-    if not READINGS[options.rows_read]:
-        recording, read_at = read_as_identified(identified, recording)
-        if read_at:
-            print(rows_sentence(data_path, read_at))
-    prediction = predict(identified.model, recording)
+    if identified.shortfall():
+        print(identified.shortfall())
+    if options.voltage:
+        _predict(identified, options.voltage, directory)
+        return
+    prediction, sentences = predict_as_identified(
+        identified, read_given(data_path, options), READINGS[options.rows_read])
+    for sentence in sentences:
+        print(sentence)
     if prediction.reversed:
         print(sign_text(data_path))
     if not prediction.good.all():
@@ -61,6 +65,21 @@ def simulate_file(options: argparse.Namespace) -> None:
           "(4.20), percent")
     print_next(options, "piezo_identification", "diagnose", "--model", model_path, "--data",
                data_path, "--output", (directory or Path()) / "diagnosis")
+
+
+def _predict(identified: IdentifiedModel, path: Path, directory: Path) -> None:
+    """Write the displacement under a voltage that was never played."""
+    voltage_v, period_s = read_waveform(path)
+    displacement_um = identified.predict(voltage_v, period_s)
+    directory.mkdir(parents=True, exist_ok=True)
+    written = directory / "predicted.csv"
+    np.savetxt(written, np.column_stack(
+        [period_s * np.arange(voltage_v.size), voltage_v, displacement_um]), "%.9g", ",",
+        header="time_s,voltage_v,displacement_um", comments="")
+    print(f"displacement {displacement_um.min():.6g} to {displacement_um.max():.6g} um")
+    for sentence in outside_identified(identified, voltage_v, ()).sentences():
+        print(sentence)
+    print(f"written {written}")
 
 
 def _draw(directory: Path, prediction: Prediction, deviation_um: FloatArray) -> None:

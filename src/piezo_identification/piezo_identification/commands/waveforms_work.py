@@ -15,6 +15,8 @@ from piezo_identification.experiments.stage_limits import StageLimits
 
 SLOW_PERIODS_S = {"creep": 0.01, "hysteresis": 0.001, "sweep": 0.001}
 """For how long an experiment holds a value where the clock is faster."""
+REST_ROWS = 20
+"""Before and behind an experiment: `check` sees in them that the stage was at rest."""
 SWEEP_ARC_S, SWEEPS = 2.0, 2
 LINES_AT_ONCE = 100_000
 
@@ -36,7 +38,8 @@ def write_waveforms(options: argparse.Namespace) -> None:
     options.directory.mkdir(parents=True, exist_ok=True)
     for experiment in experiments:
         path = options.directory / f"{experiment.name}.csv"
-        voltage_v = with_ramps(experiment, rest_v, options.ramp_rate)
+        rest = np.full(REST_ROWS, rest_v)
+        voltage_v = np.concatenate([rest, with_ramps(experiment, rest_v, options.ramp_rate), rest])
         _write(path, voltage_v, experiment.sample_period_s)
         print(f"{path}: {voltage_v.size} samples of {1e3 * experiment.sample_period_s:g} ms, "
               f"{voltage_v.size * experiment.sample_period_s:.4g} s, {experiment.description}")

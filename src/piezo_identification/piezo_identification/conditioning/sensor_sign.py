@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The direction in which the sensor counts: models rise with the voltage.
 
-One rule for every command: the sign is changed where the displacement moves, on the whole, against
-a reference that rises with the voltage. That is the model's displacement where there is a model,
-and the voltage where there is none yet.
+One rule for every command: the sign is changed where the slowest motion of the displacement goes
+against a reference that rises with the voltage. That is the model's displacement where there is a
+model, and the voltage where there is none yet. Beyond a resonance every stage moves against its
+voltage, so that faster motion tells nothing.
 """
 
 from dataclasses import replace
@@ -16,11 +17,14 @@ from piezo_identification.conditioning.segments import played_segments
 from piezo_identification.conditioning.waveforms import played
 from piezo_recorder.reading.recording import Recording
 
+SLOWEST = 0.05
+"""Part of the reference's power, from the lowest frequency on, in which the sign is read."""
+
 
 def moves_against(
     displacement_um: FloatArray, reference: FloatArray, free: FloatArray | None = None,
 ) -> bool:
-    """Tell whether a displacement is nearer to a reference with its sign changed.
+    """Tell whether the slowest motion of a displacement goes against that of a reference.
 
     Parameters
     ----------
@@ -35,7 +39,10 @@ def moves_against(
     free = np.ones((reference.size, 1)) if free is None else free
     both = np.column_stack([displacement_um, reference])
     left = both - free @ np.linalg.lstsq(free, both, rcond=1e-12)[0]
-    return bool(left[:, 0] @ left[:, 1] < 0.0)
+    moved, given = np.fft.rfft(np.hanning(len(left))[:, None] * left, axis=0).T
+    power = np.cumsum(np.abs(given) ** 2)
+    slow = slice(1 + int(np.searchsorted(power, SLOWEST * power[-1])))
+    return bool(np.sum((moved * given.conj())[slow]).real < 0.0)
 
 
 def displacement_falls(recording: Recording) -> bool:

@@ -83,8 +83,7 @@ def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
 
 def _delay_of_mode_s(mode: VibrationMode, in_series_s: float) -> float:
     """By how much a mode delays the displacement beyond the modes in series."""
-    return mode.participation * (
-        2.0 * mode.damping_ratio / mode.frequency_rad_per_s - in_series_s)
+    return mode.branch_delay_s() - mode.participation * in_series_s
 
 
 def held_delay_s(dynamics: ElectricVibrationDynamics, sample_period_s: float) -> float:

@@ -7,7 +7,8 @@ ceiling, verdict. The report of it is written by `piezo_identification.diagnosis
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,12 +29,18 @@ from piezo_identification.diagnosis.evidence.found_outliers import (
     found_outliers,
     left_out,
 )
+from piezo_identification.diagnosis.evidence.known_noise import (
+    KnownNoise,
+    noise_of_residuals,
+    noise_sources,
+)
 from piezo_identification.diagnosis.evidence.recording_faults import (
     WRONG_SIGN,
     RecordingFault,
     without_faults,
 )
 from piezo_identification.diagnosis.evidence.residual_description import describe_residual
+from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
 from piezo_identification.diagnosis.joint.competition import (
     Competition,
     beside_alternative,
@@ -47,12 +54,14 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 )
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
-from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.regression import Fit, Regression, first_regression
+from piezo_identification.diagnosis.joint.remainder import HeldToNoise, held_to_noise
 from piezo_identification.diagnosis.verdict import Verdict
-from piezo_identification.prediction import PastSearchSettings
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.regression import Fit, Regression, first_regression
+from piezo_identification.simulation.model_run import PastSearchSettings
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
+from piezo_recorder.reading.reader import sha256_of
 from piezo_recorder.reading.recording import Recording
 
 if TYPE_CHECKING:
@@ -87,9 +96,15 @@ class Diagnosis(Verdict):
     ----------
     selection : Selection
         The comparison that led to it, for the report.
+    noise : KnownNoise
+        To which what remains was held.
+    stated : float
+        By how much the model is known to be wrong, as a part of the RMS motion.
     """
 
     selection: Selection
+    noise: KnownNoise = field(default=KnownNoise(), kw_only=True)
+    stated: float = field(default=0.0, kw_only=True)
 
     def document(self) -> dict[str, Any]:
         """Return the content of `verdict.json`."""
@@ -137,6 +152,8 @@ class Decision:
         When the effects came, as far as the recordings of the identification tell.
     probabilities : dict of str to float
         From which the verdict follows.
+    remains : str
+        How many times the noise what remains is, and what shows the noise.
     """
 
     verdict: str
@@ -145,12 +162,13 @@ class Decision:
     refused: dict[str, str]
     came: str
     probabilities: dict[str, float]
+    remains: str
 
 
 def diagnose(model: StageModel, recordings: Sequence[Recording],
              holdout: Recording | None = None, progress: Progress | None = None,
              identified_from: IdentificationRecordings | None = None,
-             stated: float | None = None) -> Diagnosis:
+             stated: float | None = None, noise: KnownNoise | None = None) -> Diagnosis:
     """Find what a model lacks to explain recordings.
 
     Parameters
@@ -167,6 +185,8 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     stated : float, optional
         By how much the model is known to be wrong, as a part of the RMS motion; by default what
         the recordings of the identification tell.
+    noise : KnownNoise, optional
+        What the model file tells of the noise; the recordings at hand tell the rest.
 
     Returns
     -------
@@ -175,8 +195,9 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     Raises
     ------
     ValueError
-        If there is no recording, or one cannot be used.
+        If there is no recording, or one cannot be used, or the held-out one is among the others.
     """
+    refuse_known_holdout(holdout, recordings, identified_from)
     given = condition(model, recordings, holdout)
     # Ctrl-C ends the comparison alone: what was found until then becomes a verdict.
     known = identified_from or IdentificationRecordings()
@@ -191,11 +212,51 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
         selection = replace(selection, interrupted=True)
         competition = compare_models(model, given.recordings, [], selection, stated, report)
     selection = led_by_the_most_probable(selection, competition)
-    decision, found, believed = decide(selection, validation, competition)
+    sources = noise_sources([*given.recordings, *filter(None, [given.holdout]), *old])
+    noise = (noise or KnownNoise()).beside(sources)
+    decision, found, believed = decide(selection, validation, competition, noise)
     predictable = ceiling_of(found, decision)
     told = tell(model, given, found, believed, decision, predictable)
-    return replace(told, selection=replace(selection, end=found.end),
-                   identified_from=known.document(), probabilities=decision.probabilities)
+    return replace(told, selection=replace(selection, end=found.end), noise=noise,
+                   stated=competition.stated, identified_from=known.document(),
+                   probabilities=decision.probabilities)
+
+
+def refuse_known_holdout(holdout: Recording | None, recordings: Sequence[Recording],
+                         identified_from: IdentificationRecordings | None) -> None:
+    """Refuse a held-out recording that is diagnosed, or that the model was identified from.
+
+    Parameters
+    ----------
+    holdout : Recording or None
+    recordings : sequence of Recording
+        That are diagnosed.
+    identified_from : IdentificationRecordings or None
+
+    Raises
+    ------
+    ValueError
+        If it has the SHA-256 of one of them; the validation of an identification was not fitted.
+    """
+    digest = "" if holdout is None else _digest(holdout)
+    if holdout is None or not digest:
+        return
+    known = identified_from or IdentificationRecordings()
+    what = ""
+    if digest in map(_digest, recordings):
+        what = "one of the recordings that are diagnosed"
+    elif digest in (known.hashes or map(_digest, known.recordings)):
+        what = "one of the recordings that the model was identified from"
+    if what:
+        raise ValueError(f"{holdout.path} cannot be held out, because it is {what}: hold out a "
+                         "recording that no fit has seen, or none")
+
+
+def _digest(recording: Recording) -> str:
+    """Return the SHA-256 of a recording; empty where it came from no file."""
+    if recording.sha256 or not Path(recording.path).exists():
+        return recording.sha256
+    return sha256_of(recording.path)
 
 
 def condition(model: StageModel, recordings: Sequence[Recording],
@@ -261,7 +322,7 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
 
 
 def decide(selection: Selection, validation: Validation,
-           competition: Competition) -> tuple[Decision, Selection, Validation]:
+           competition: Competition, noise: KnownNoise) -> tuple[Decision, Selection, Validation]:
     """Decide which effects are named, and whether they explain the residual.
 
     Where the model that is believed has an effect that was there all along, everything is measured
@@ -272,6 +333,8 @@ def decide(selection: Selection, validation: Validation,
     selection : Selection
     validation : Validation
     competition : Competition
+    noise : KnownNoise
+        What remains is held to the least of it.
 
     Returns
     -------
@@ -298,6 +361,13 @@ def decide(selection: Selection, validation: Validation,
     if refused or best is not None and found is selection:
         # Those of the competition are of fits that are not named here.
         shares = probabilities_of_named(competition, regression, fit, refused)
+
+    def held(fit: Fit, found: Selection, believed: Validation) -> HeldToNoise:
+        return held_to_noise(
+            shares, believed.remainders(fit), noise.beside(noise_of_residuals(found.regression)),
+            competition.stated, finds_nothing=not fit.effects and outliers is None)
+
+    shares = held(fit, found, believed).probabilities
     is_explained = shares[SOMETHING_ELSE] < PROBABILITIES.believed
     most = SETTINGS.guess * lack_of_fit(regression, selection.start)
     if not is_explained and lack_of_fit(found.regression, fit) > most:
@@ -309,7 +379,8 @@ def decide(selection: Selection, validation: Validation,
         # The recordings of the identification did not take part: its errors are in the effects.
         fit = with_model_errors(found.regression, fit)
     came = competition.came(_names(fit))
-    return Decision(verdict, fit, outliers, refused, came, shares), found, believed
+    return (Decision(verdict, fit, outliers, refused, came, shares,
+                     held(fit, found, believed).sentence), found, believed)
 
 
 def _names(fit: Fit) -> list[str]:
@@ -355,7 +426,9 @@ def tell(model: StageModel, given: Conditioned, selection: Selection, validation
     Diagnosis
     """
     regression, fit, outliers = selection.regression, decision.fit, decision.outliers
-    effects = [entry | {"came": decision.came} for entry in effect_entries(regression, fit)]
+    effects = with_stand_ins(
+        [entry | {"came": decision.came} for entry in effect_entries(regression, fit)],
+        regression.dataset.extent, decision.probabilities)
     # Outliers had bent the parameters of a model that was identified with them.
     is_changed = bool(fit.effects or regression.dataset.model is not model
                       or outliers and validation.improves(fit))
@@ -381,7 +454,7 @@ def _left(regression: Regression, decision: Decision, predictable: "Ceiling | No
     """Describe what an unexplained recording leaves, and how much of it repeats."""
     if decision.verdict != "unexplained":
         return ""
-    told = [describe_residual(regression, decision.fit)]
+    told = [decision.remains, describe_residual(regression, decision.fit)]
     if predictable is not None:
         told.append(predictable.sentence())
     return " ".join(told)

@@ -37,6 +37,9 @@ show no more than a part of each step."""
 UNTOLD_SHARE = 1e-3
 """A parameter that has this share in a direction that is rounding is not told either."""
 
+MOST_ALIKE = 0.98
+"""Correlation of neighbouring samples of a residual up to which it counts."""
+
 
 @dataclass(frozen=True)
 class OrderTrial:
@@ -177,7 +180,7 @@ class Estimate:
 
 def order_trial(
     order: object, residual: FloatArray, parameters: int, refusal: str = "",
-    signal: FloatArray | None = None,
+    signal: FloatArray | None = None, independent: float | None = None,
 ) -> OrderTrial:
     """Rate a fit by its residual: the Bayesian information criterion N ln(mean square) + P ln N.
 
@@ -191,6 +194,8 @@ def order_trial(
     signal : ndarray, optional
         What was fitted, in the unit of the residual: an exact one leaves only rounding, which
         is no reason for more parameters.
+    independent : float, optional
+        How many of the errors are independent; by default all.
 
     Returns
     -------
@@ -198,13 +203,21 @@ def order_trial(
     """
     mean_square = np.mean(residual**2)
     least = 0.0 if signal is None else finest_power(signal)
-    information = residual.size * np.log(mean_square + least) + parameters * np.log(residual.size)
+    rows = residual.size if independent is None else independent
+    information = rows * np.log(mean_square + least) + parameters * np.log(rows)
     return OrderTrial(order, parameters, float(np.sqrt(mean_square)), float(information), refusal)
 
 
 def finest_power(signal: FloatArray) -> float:
     """Return the mean square of a residual that is rounding of a signal of shape (N,)."""
     return float(FINEST**2 * np.var(signal))
+
+
+def independent_rows(residual: FloatArray) -> float:
+    """Return how many errors are independent, where neighbours are alike, of shape (N,)."""
+    power = float(residual @ residual) or 1.0
+    alike = float(np.clip(residual[1:] @ residual[:-1] / power, 0.0, MOST_ALIKE))
+    return residual.size * (1.0 - alike) / (1.0 + alike)
 
 
 def parameter_covariance(

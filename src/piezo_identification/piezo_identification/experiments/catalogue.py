@@ -21,7 +21,7 @@ from piezo_identification.experiments.relay_feedback import RelayExperiment, rel
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
 
 SWING_FRACTION = 0.3
-"""Step of the square waves over the voltage range: large, yet within the slew limit."""
+"""Step of the square waves over the voltage range; less where the slew limit asks for it."""
 
 VALIDATION_TURNS = (0.0, 0.836, 0.236, 0.747, 0.305, 0.652, 0.415, 0.933, 0.09, 0.585, 0.207, 0.5)
 """Turning points of the slow validation part as fractions of the voltage range, off any level."""
@@ -333,7 +333,9 @@ def _square_wave(
     limits: StageLimits, period_s: float, sample_period_s: float, swing_v: float | None,
 ) -> FloatArray:
     """Return one period (N,) between two levels around the middle, the upper one first."""
-    swing_v = SWING_FRACTION * limits.span_v if swing_v is None else swing_v
+    if swing_v is None:
+        largest_v = limits.slew_limit_v_per_s / limits.sample_rate_hz
+        swing_v = min(SWING_FRACTION * limits.span_v, largest_v)
     half = round(0.5 * period_s / sample_period_s)
     if half < 1:
         raise ValueError(

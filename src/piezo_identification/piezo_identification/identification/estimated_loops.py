@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from piezo_identification.conditioning.sensor_noise import noise_floor_um
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.diagnosis.residual.sensor_noise import noise_floor_um
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import hysteresis_output_um
 from piezo_identification.estimators.hysteresis.first_rise_fit import (
@@ -23,7 +23,7 @@ from piezo_identification.identification.given_hysteresis import (
     estimate_hysteresis_of,
 )
 from piezo_identification.identification.linear_dynamics import LinearDynamics
-from piezo_identification.prediction.model_run import ModelRun
+from piezo_identification.simulation.model_run import ModelRun
 from piezo_models.hysteresis.first_rise import FirstRise
 
 MOST_NOISE = 0.9

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The estimated components put together to a model."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,14 +24,11 @@ class FittedModel:
         Standard deviations of creep and dynamics, as far as they were estimated.
     visited : ndarray of bool, shape (n, n)
         Cells of the Preisach plane that the data determine.
-    errors : dict
-        Errors before and after the refinement; empty without it.
     """
 
     model: StageModel
     uncertainties: dict[str, Any]
     visited: NDArray[np.bool_]
-    errors: dict[str, Any] = field(default_factory=dict)
 
 
 def fitted_model(linear: LinearDynamics, density: DensityEstimate,

@@ -28,7 +28,7 @@ Data = Recording | FrequencyResponse
 
 def given_data(
     creep: Recordings | None, dynamics: Recordings | FrequencyResponse | None,
-    hysteresis: Recordings | None, validation: Recording | None, refine: bool,
+    hysteresis: Recordings | None, validation: Recording | None,
 ) -> dict[str, Data]:
     """Name what was given, without what was not.
 
@@ -37,8 +37,6 @@ def given_data(
     creep, hysteresis : Recording or sequence of Recording, optional
     dynamics : Recording, sequence of Recording or FrequencyResponse, optional
     validation : Recording, optional
-    refine : bool
-        All of them are to be simulated.
 
     Returns
     -------
@@ -48,16 +46,11 @@ def given_data(
     Raises
     ------
     ValueError
-        If nothing is given to identify, or what is to be simulated is a response.
+        If nothing is given to identify.
     """
     if creep is None and dynamics is None and hysteresis is None:
         raise ValueError(
             "there is nothing to identify: give a recording of creep, dynamics or hysteresis")
-    if refine and isinstance(dynamics, FrequencyResponse):
-        raise ValueError(
-            f"{dynamics.path} is a frequency response, which refining cannot simulate: refine "
-            "with recordings of samples only"
-        )
     named = {"creep": creep, "dynamics": dynamics, "hysteresis": hysteresis,
              "validation": validation}
     result: dict[str, Data] = {}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Identify a stage model from recordings: the sequence of estimators from top to bottom.
 
-recordings -> conditioned -> linear dynamics -> hysteresis -> model -> refined -> errors
+recordings -> conditioned -> linear dynamics -> hysteresis -> model -> one fit of all -> errors
 -> adequacy -> result
 """
 
@@ -15,7 +15,7 @@ from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
 from piezo_identification.adequacy.model_plausibility import implausible_data, implausible_model
 from piezo_identification.conditioning.recording_start import motion_um_per_s
 from piezo_identification.conditioning.row_alignment import RowDelay
-from piezo_identification.conditioning.segments import Recordings, experiment_of
+from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.estimate import untold_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -24,7 +24,6 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.estimators.refinement.joint_fit import refine as fit_jointly
 from piezo_identification.identification.estimated_loops import estimate_loops
 from piezo_identification.identification.fitted_model import FittedModel, fitted_model
 from piezo_identification.identification.given_data import (
@@ -44,6 +43,7 @@ from piezo_identification.identification.linear_dynamics import (
     estimate_linear_dynamics,
     with_lag_in_front,
 )
+from piezo_identification.identification.one_fit import fitted_together, reliable
 from piezo_identification.identification.progress import (
     IdentificationCancelled,
     Stages,
@@ -108,9 +108,8 @@ def identify(
     cancelled : callable, optional
         Asked all the time; true ends the work.
     refine : bool
-        True: fit all components together on all recordings but the validation, and keep the result
-        if it is better on what was held out and on the validation. The errors then hold those of
-        before too.
+        Without effect: the last step always fits the whole model to all recordings but the
+        validation.
     method : str
         One of `linear_dynamics.METHODS`, for the fast dynamics.
     order : ResponseOrder
@@ -136,10 +135,13 @@ def identify(
     IdentificationCancelled
         If `cancelled` said so.
     """
-    given = given_data(creep, dynamics, hysteresis, validation, refine)
+    given = given_data(creep, dynamics, hysteresis, validation)
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
     paths = [data.path for data in given.values()]
     with checking(stages.check), failures_explained(lambda: stages.current, paths):
+        if refine:
+            tell("nothing is to be asked for: identify always fits all components together at "
+                 "the end")
         said = conditioned_data(given, tell, read_at_samples)
         tell_implausible(implausible_data(said), tell)
         fast = of_kind(said, "dynamics")
@@ -160,18 +162,22 @@ def identify(
         tell_estimates(linear, estimate, tell)
         tell_starts(recordings, cycled, linear, first_rise, tell)
         fitted = fitted_model(linear, estimate, first_rise)
-        recordings, read_at = validation_as_read(fitted.model, said, recordings, read_at)
+        fitted, read_at = fitted_together(
+            fitted, said, read_at, stages.part(0.75, 0.2), tell)
+        tell_effects(fitted, tell)
+        recordings, read_at = validation_as_read(
+            fitted.model, said, aligned(said, read_at), read_at)
         rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)
         tell_row_delays(rows, tell)
-        if refine:
-            fitted = refined(fitted, cycled, stages)
         tell_uncertain_parameters(fitted, tell)
         tell_implausible(implausible_model(fitted.model, recordings), tell)
         stages.begin("validation", 0.95)
-        errors = validation_errors(fitted.model, recordings) | fitted.errors
+        errors = validation_errors(fitted.model, recordings)
         adequacy = adequacy_document(
             adequacy_of(fitted.model, said, delays_of_rows_s(said, read_at), linear.estimates))
-        identified = replace(identified_model(fitted, errors, given, rows), adequacy=adequacy)
+        identified = replace(
+            identified_model(fitted, errors, given, rows), adequacy=adequacy,
+            uncertainties=reliable(fitted.uncertainties, adequacy))
         stages.begin("done", 1.0)
     return identified
 
@@ -184,7 +190,12 @@ def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
         if estimate.delay is not None:
             tell(f"delay of the {name}: {estimate.delay}")
     tell(f"hysteresis: {density.report()}")
-    for effect, spread in zip(linear.all_effects, linear.effect_deviations, strict=True):
+
+
+def tell_effects(fitted: FittedModel, tell: Callable[[str], object]) -> None:
+    """Tell how long the lag in front of the hysteresis is, if the model has one."""
+    for effect, spread in zip(
+            fitted.model.effects, fitted.uncertainties.get("effects", ()), strict=False):
         if isinstance(effect, AmplifierLag):
             tell(f"lag in front of the hysteresis: {1e6 * effect.time_constant_s:.4g} +- "
                  f"{1e6 * spread['time_constant_s']:.2g} us")
@@ -221,43 +232,6 @@ def tell_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
                 f"on a stage that was never cycled: its first rise leaves {first_rise.whole_um:.3g}"
                 " um for good, which the model keeps apart")
         tell(f"start of the {name}: {'; '.join(words)}")
-
-
-def refined(fitted: FittedModel, recordings: Mapping[str, Any], stages: Stages) -> FittedModel:
-    """Fit all components together, and keep the result if it is better on data held out.
-
-    Parameters
-    ----------
-    fitted : FittedModel
-    recordings : dict of str to Recording
-        Conditioned; all but the validation are fitted.
-    stages : Stages
-
-    Returns
-    -------
-    FittedModel
-        The refined or the given model, with the errors before and after.
-    """
-    training = {name: part for name, part in recordings.items()
-                if experiment_of(name) != "validation"}
-    report = stages.part(0.7, 0.25)
-    result = fit_jointly(fitted.model, training, lambda fraction: report("refinement", fraction))
-    errors: dict[str, Any] = {"held_out_e_y_percent": {
-        "before_refinement": result.before_percent, "after_refinement": result.after_percent
-    }}
-    improved = result.improved
-    if "validation" in recordings:
-        before, after = (
-            validation_errors(each, recordings) for each in (fitted.model, result.model)
-        )
-        errors |= {"before_refinement": before, "after_refinement": after}
-        improved = improved and after["e_y_percent"] <= before["e_y_percent"]
-    errors["refinement_kept"] = float(improved)
-    if not improved:
-        return replace(fitted, errors=errors)
-    return replace(
-        fitted, model=result.model, errors=errors,
-        uncertainties=fitted.uncertainties | result.standard_deviations)
 
 
 def tell_implausible(found: Sequence[str], tell: Callable[[str], object]) -> None:

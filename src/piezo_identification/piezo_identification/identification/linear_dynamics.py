@@ -36,7 +36,7 @@ from piezo_identification.estimators.frequency_response.response_fit import (
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
 from piezo_identification.identification.dynamics_methods import METHODS
-from piezo_identification.prediction.model_run import ModelRun
+from piezo_identification.simulation.model_run import ModelRun
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
@@ -150,12 +150,10 @@ class LinearDynamics:
         """Add what a frequency response shows; its creep is that beside the known one."""
         model, deviations = estimate.model, estimate.standard_deviations
         creep, spread = self._creep_beside(model.creep, deviations["creep"])
-        is_late = model.delay_s > SIGNIFICANT * deviations["delay_s"]
         return replace(
             self.with_dynamics(estimate), creep=creep, dynamics=model.dynamics,
-            delay_s=model.delay_s if is_late else 0.0,
-            effect_deviations=estimate.effect_deviations + (
-                ({"delay_s": deviations["delay_s"]},) if is_late else ()),
+            delay_s=model.delay_s, effect_deviations=estimate.effect_deviations + (
+                ({"delay_s": deviations["delay_s"]},) if model.delay_s else ()),
             uncertainties=self.uncertainties | spread | {"dynamics": deviations["dynamics"]},
         )
 
@@ -213,7 +211,7 @@ def estimate_linear_dynamics(
     found = LinearDynamics()
     fast = [] if isinstance(dynamics, FrequencyResponse) else dynamics
     given = isinstance(dynamics, FrequencyResponse) or len(fast) > 0
-    needs_hysteresis = len(hysteresis) > 0 and not all(map(_is_square_wave, fast))
+    needs_hysteresis = len(hysteresis) > 0 and not all(map(is_square_wave, fast))
     # Where only one is recorded, there is nothing to go through twice.
     passes = 2 if given and (creep or needs_hysteresis) else 1
     driving: DensityEstimate | None = None
@@ -308,7 +306,7 @@ def _creep_of_aligned(
 ) -> Estimate:
     """Creep of one square wave as it was designed for, else of what there is."""
     dynamics = found.slow_dynamics if is_dynamics_known else None
-    if len(recordings) == 1 and _is_square_wave(recordings[0]):
+    if len(recordings) == 1 and is_square_wave(recordings[0]):
         return estimate_creep(recordings[0], dynamics, pair_count, found.slow_delay_s)
     return estimate_slow_creep(recordings, dynamics, pair_count)
 
@@ -401,7 +399,7 @@ def _from_samples(
 
 def _is_periodic(recording: Recording) -> bool:
     """Tell whether a recording is a square wave whose period is a whole number of samples."""
-    if not _is_square_wave(recording):
+    if not is_square_wave(recording):
         return False
     part = square_part(played(recording))
     steps = square_wave(part).steps
@@ -409,7 +407,8 @@ def _is_periodic(recording: Recording) -> bool:
     return steps.size >= 3 and bool(np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]))
 
 
-def _is_square_wave(recording: Recording) -> bool:
+def is_square_wave(recording: Recording) -> bool:
+    """Tell whether the voltage of a recording has two levels."""
     part = square_part(played(recording))
     try:
         return square_wave(part).steps.size > 0

@@ -19,8 +19,8 @@ from piezo_identification.identification.linear_dynamics import (
     aligned_density,
     loop_readings,
 )
-from piezo_identification.prediction.model_run import ModelRun
 from piezo_identification.prediction.row_reading import read_as_explained
+from piezo_identification.simulation.model_run import ModelRun
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 

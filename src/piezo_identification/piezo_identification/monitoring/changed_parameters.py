@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 

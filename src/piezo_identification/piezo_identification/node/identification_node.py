@@ -40,7 +40,7 @@ from piezo_ros.requests.calls import ActionCaller, CallFailed, Cancelled, GoalAb
 from piezo_ros.requests.goals import GoalServers, Progress
 from piezo_ros.spinning import autostart, run_node
 from piezo_ros.stage_runs.described_stage import DescribedStage
-from piezo_ros.stage_runs.recording_calls import RecorderCaller, RunRecording
+from piezo_ros.stage_runs.recording_calls import Attachment, RecorderCaller, RunRecording
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import StageTracker
 
@@ -64,7 +64,7 @@ class IdentificationNode(LifecycleNode):
         self._directory = declare(
             self, "directory", "runs", "Where recordings and models go if a goal names no place.")
         self._refine = declare(
-            self, "refine", False, "Fit all components together at the end of identify.")
+            self, "refine", False, "Of earlier versions: identify always does so now.")
         self._run_limits = declare_run_limits(self)
         self._player = ActionCaller(self, PlayWaveform, "play_waveform")
         self._tracker = StageTracker(self)
@@ -144,7 +144,8 @@ class IdentificationNode(LifecycleNode):
         """
         self._stage.check_unchanged(stage)
         with self._recorder.record(directory, experiment.name, {
-                "parameters.json": _described(experiment, stage)}, unrecorded) as recording:
+                "parameters.json": Attachment(_described(experiment, stage))},
+                unrecorded) as recording:
             if hasattr(result, "recording"):
                 result.recording = recording.path
             else:

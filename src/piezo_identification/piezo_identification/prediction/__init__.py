@@ -6,18 +6,10 @@ from typing import TYPE_CHECKING
 from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from piezo_identification.prediction.model_run import (
-        PastSearchSettings,
-        conditioned,
-        starting_past_v,
-    )
     from piezo_identification.prediction.prediction import Prediction, predict
     from piezo_identification.prediction.prediction_errors import errors_of, unseen_errors
 
 _HOMES = {
-    "PastSearchSettings": "model_run",
-    "conditioned": "model_run",
-    "starting_past_v": "model_run",
     "Prediction": "prediction",
     "predict": "prediction",
     "errors_of": "prediction_errors",
@@ -26,6 +18,5 @@ _HOMES = {
 __getattr__, __dir__ = lazy_exports(__name__, _HOMES)
 
 __all__ = [
-    "PastSearchSettings", "Prediction", "conditioned", "errors_of", "predict", "starting_past_v",
-    "unseen_errors",
+    "Prediction", "errors_of", "predict", "unseen_errors",
 ]

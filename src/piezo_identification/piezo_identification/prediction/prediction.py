@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import outliers_of_residual
-from piezo_identification.prediction.model_run import (
+from piezo_identification.simulation.model_run import (
     ModelRun,
     PastVoltages,
     conditioned,

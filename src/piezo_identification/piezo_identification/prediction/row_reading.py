@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Recordings read as those that a model was identified from, where that explains them better."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from piezo_identification.conditioning.row_alignment import (
     read_as,
     reading_at_jumps,
     rows_read_at_start,
 )
-from piezo_identification.prediction.model_run import ModelRun, conditioned
+from piezo_identification.prediction.prediction import Prediction, predict
+from piezo_identification.simulation.model_run import ModelRun, conditioned
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.recording import Recording
@@ -41,6 +42,68 @@ def read_as_identified(identified: IdentifiedModel,
     return read_as_explained(
         identified.model, recording,
         [row["read_at_samples"] for row in identified.rows.values()])
+
+
+def all_as_identified(
+    model: IdentifiedModel | StageModel, recordings: Iterable[Recording],
+    said_at_samples: float = 0.0,
+) -> tuple[list[Recording], list[str]]:
+    """Align the rows of recordings as it was said, or else as those of the identification.
+
+    Parameters
+    ----------
+    model : IdentifiedModel or StageModel
+        A bare stage model knows of no rows: those of the recordings remain as they are.
+    recordings : iterable of Recording
+    said_at_samples : float
+        When their rows are read, in sample periods after their voltage; 0 where nobody said it.
+
+    Returns
+    -------
+    recordings : list of Recording
+    sentences : list of str
+        On those of which the model explains another instant better.
+
+    Raises
+    ------
+    ValueError
+        If a recording has gaps, or is too short.
+    """
+    aligned, sentences = [], []
+    for recording in recordings:
+        if said_at_samples or isinstance(model, StageModel):
+            aligned.append(rows_read_at_start(recording, said_at_samples))
+            continue
+        read, read_at = read_as_identified(model, recording)
+        aligned.append(read)
+        if read_at:
+            sentences.append(rows_sentence(recording.path, read_at))
+    return aligned, sentences
+
+
+def predict_as_identified(
+    model: IdentifiedModel | StageModel, recording: Recording, said_at_samples: float = 0.0,
+) -> tuple[Prediction, list[str]]:
+    """Simulate a model under a recording whose rows are aligned by `all_as_identified`.
+
+    Parameters
+    ----------
+    model, recording, said_at_samples
+        As there.
+
+    Returns
+    -------
+    prediction : Prediction
+    sentences : list of str
+        On how the rows were read, if not with their voltage.
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps, or is too short.
+    """
+    (read,), sentences = all_as_identified(model, [recording], said_at_samples)
+    return predict(model if isinstance(model, StageModel) else model.model, read), sentences
 
 
 def read_as_explained(

@@ -9,7 +9,7 @@ import numpy as np
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples, with_outliers_marked
 from piezo_identification.conditioning.recording_start import square_part
-from piezo_identification.diagnosis.residual.sensor_noise import (
+from piezo_identification.conditioning.sensor_noise import (
     noise_floor_um,
     noise_from_repeats_um,
     noise_from_rest_um,
@@ -33,6 +33,8 @@ DRIFT_ROWS = 200_000
 SETTLED_NOISES = 5.0
 """A trend at rest that is larger than so many standard deviations of its noise counts."""
 
+REST = Waveform("constant", "", np.empty(0, dtype=np.intp))
+
 SETTLED_PART = 2e-3
 """Part of the range below which a difference between periods, or a trend at rest, is none."""
 
@@ -45,15 +47,27 @@ class RecordingCheck:
     ----------
     whole : Recording
         What plays in it.
+    given : Recording, optional
+        It and the rows before and behind it that were left out; by default there are none.
     """
 
     whole: Recording
+    given: Recording | None = None
 
     @cached_property
     def recording(self) -> Recording:
         """The part that is looked at, its outliers marked: the longest segment of several."""
         return with_outliers_marked(
             max(self.whole.segments, key=lambda each: len(each.voltage_v)))
+
+    @property
+    def left_out(self) -> tuple[int, int]:
+        """How many rows were left out before what plays, and how many behind it."""
+        if self.given is None:
+            return 0, 0
+        first, last = np.searchsorted(
+            self.given.sample_index, self.whole.sample_index[[0, -1]]).tolist()
+        return first, len(self.given.voltage_v) - 1 - last
 
     @property
     def samples(self) -> int:
@@ -110,9 +124,18 @@ class RecordingCheck:
 
     @cached_property
     def _start(self) -> tuple[str, bool]:
-        return ("too few rows to tell", False) if self.has_few_rows else start_of(
-            self.displacement_um, self.voltage_v, self.waveform, self.noise_um,
-            self.sample_period_s)
+        if self.has_few_rows:
+            return "too few rows to tell", False
+        before, _ = self.left_out
+        if before and self.given is not None:
+            # The way from rest, which fits leave out, is known: what came before it is over.
+            text, is_settled = start_of(
+                self.given.displacement_um, self.given.voltage_v, REST, self.noise_um,
+                self.sample_period_s)
+            if is_settled:
+                return f"{text}, before the rows that are used", True
+        return start_of(self.displacement_um, self.voltage_v, self.waveform, self.noise_um,
+                        self.sample_period_s)
 
     @property
     def start(self) -> str:
@@ -181,7 +204,8 @@ def check_recording(recording: Recording) -> RecordingCheck:
     """
     playing = recording.playing | recording.tracking
     # As identify does: a table of another program does not say which rows lead to a square wave.
-    return RecordingCheck(square_part(recording.select(playing) if playing.any() else recording))
+    played = square_part(recording.select(playing) if playing.any() else recording)
+    return RecordingCheck(played, recording)
 
 
 def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, period_s: float,

@@ -49,6 +49,7 @@ def measured_rows(check: RecordingCheck) -> list[tuple[str, str]]:
         "is looked at")
     rows = [
         ("samples", f"{check.samples}{of_segment}"),
+        *_left_out(check),
         ("duration", f"{check.duration_s:.5g} s"),
         ("sample period", f"{period_s:.6g} s ({1.0 / period_s:.6g} Hz)"),
         ("jitter", f"{recording.jitter_s:.2g} s RMS ({100.0 * recording.jitter_s / period_s:.2g} % "
@@ -68,6 +69,20 @@ def measured_rows(check: RecordingCheck) -> list[tuple[str, str]]:
          "this range"),
     ]
     return rows + _distortion(check)
+
+
+def _left_out(check: RecordingCheck) -> list[tuple[str, str]]:
+    """Row that names the rows that were left out; none where all are used."""
+    before, behind = check.left_out
+    if not before and not behind:
+        return []
+    parts = []
+    if before:
+        parts.append(f"1 to {before}")
+    if behind:
+        last = before + check.samples + behind
+        parts.append(f"{last - behind + 1} to {last}")
+    return [("left out", f"rows {' and '.join(parts)}, on the way from rest and back")]
 
 
 def _tracking(check: RecordingCheck) -> list[tuple[str, str]]:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which experiment a recording can stand for, and why not."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
-from scipy.signal import correlate
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.analysis.gain_over_frequency import gain_of
 from piezo_identification.conditioning import waveforms
 from piezo_identification.recording_check.check import FEWEST_ROWS, RecordingCheck
 from piezo_identification.recording_check.waveform_kind import BROADBAND, LEVELS
@@ -45,17 +45,16 @@ class Needs:
         the rows are too slow to show the dynamics.
     steep_s, steep : float
         Time within which cycles that cross this part of their swing are steps.
-    filtered_rows : int
-        Rows of a broadband recording, those with most motion, that are looked at for dynamics.
-    taps : int
-        Rows of the past that a linear filter may use to show dynamics under a broadband voltage.
-    long_taps, rows_per_long_tap : int
-        Rows of the past that a second filter may use at most, and rows for each of them.
-    regularisation : float
-        Part of the power of the voltage that is added to it as white noise, so that the second
-        filter is told where the voltage has a narrow band.
-    explained : float
-        By which part this filter must leave less than a curve of the voltage alone.
+    spectra : int
+        Into so many stretches a broadband recording is cut to estimate its frequency response.
+    least_power : float
+        Part of the largest power of the voltage from which on a line of this response counts:
+        weaker ones may be what a neighbour leaks.
+    coherent : float
+        Coherence from which on a line of this response counts.
+    departs : float
+        By which part of the slowest response another line must differ to show dynamics: creep
+        makes less of it within a recording.
     well_visited : float
         Part of the Preisach plane from which on a density is well known.
     range_over_noise : float
@@ -71,12 +70,10 @@ class Needs:
     followed: float = 0.9
     steep_s: float = 2e-3
     steep: float = 0.5
-    filtered_rows: int = 20_000
-    taps: int = 30
-    long_taps: int = 1000
-    rows_per_long_tap: int = 20
-    regularisation: float = 1e-4
-    explained: float = 0.5
+    spectra: int = 8
+    least_power: float = 1e-3
+    coherent: float = 0.8
+    departs: float = 0.4
     well_visited: float = 0.5
     range_over_noise: float = 30.0
 
@@ -140,6 +137,33 @@ def suitability_for(check: RecordingCheck, experiment: str) -> Suitability:
                            "segments")
     return Suitability("partly", f"only a segment without one of the {check.gaps} gaps; "
                        f"{found.reason}")
+
+
+def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list[str]]:
+    """Say which of several recordings to give for which experiment.
+
+    Parameters
+    ----------
+    fit_for : dict of str to (dict of str to Suitability)
+        By the name of the recording, then by experiment.
+
+    Returns
+    -------
+    dict of str to (list of str)
+        By experiment: the recordings that are fit for it, or else those that are partly so. The
+        validation is the first one that no other experiment has; without one, there is none.
+    """
+    given: dict[str, list[str]] = {}
+    for experiment in EXPERIMENTS[:-1]:
+        for verdict in ("yes", "partly"):
+            found = [name for name, verdicts in fit_for.items()
+                     if experiment in verdicts and verdicts[experiment].verdict == verdict]
+            if found and experiment not in given:
+                given[experiment] = found
+    used = {name for names in given.values() for name in names}
+    rest = [name for name, verdicts in fit_for.items() if name not in used
+            and "validation" in verdicts and verdicts["validation"].verdict == "yes"]
+    return given | ({"validation": rest[:1]} if given and rest else {})
 
 
 def _for_nothing(check: RecordingCheck) -> str:
@@ -253,11 +277,14 @@ def _dynamics(check: RecordingCheck) -> Suitability:
                                "motion: cut the file around them")
         return Suitability("no", f"the voltage ({waveform.kind}) is too slow to excite vibrations: "
                            "give steps, a chirp, a multisine or noise")
-    if _explained(voltage_v, displacement_um) > NEEDS.explained:
-        return Suitability("no", f"too slow to hold dynamics: {rate} the displacement follows the "
-                           "voltage at once")
+    frequency_hz, departure = _departure(check)
+    if departure < NEEDS.departs:
+        return Suitability("no", f"shows no dynamics: {rate} the displacement follows the voltage "
+                           "at every frequency as it does slowly; give a voltage that reaches the "
+                           "modes, and rows at least ten times faster")
     return Suitability("yes", f"{waveform.kind} that the displacement follows with dynamics, "
-                       f"{rate}")
+                       f"{rate}; the response differs from the slowest most at "
+                       f"{frequency_hz:.4g} Hz")
 
 
 def _is_steep(check: RecordingCheck) -> bool:
@@ -329,32 +356,20 @@ def rows_per_ringing(response: FloatArray) -> float:
     return 8.0 * changes.size / top if top > 8 else np.inf
 
 
-def _explained(voltage_v: FloatArray, displacement_um: FloatArray) -> float:
-    """Return what a linear filter leaves, over what a curve of the voltage alone leaves."""
-    size = min(len(voltage_v), NEEDS.filtered_rows)
-    # A chirp begins so slowly that the displacement follows it at once: look where most happens.
-    way_um = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(displacement_um)))])
-    first = int(np.argmax(way_um[size - 1 :] - way_um[: way_um.size - size + 1]))
-    x = voltage_v[first : first + size] / np.abs(voltage_v).max()
-    y = displacement_um[first : first + size]
-    past = np.column_stack([x[NEEDS.taps - lag : size - lag] for lag in range(NEEDS.taps + 1)])
-    y = y[NEEDS.taps :]
-    now = past[:, 0]
-    curve = np.column_stack([np.ones(now.size), now, now**2, now**3])
-    by_curve, by_filter = [
-        y - regressors @ np.linalg.lstsq(regressors, y, rcond=1e-10)[0]
-        for regressors in (curve, np.column_stack([curve, past]))]
-    left = min(by_filter.std(), _beyond_a_long_past(now, by_filter).std())
-    return float(left / by_curve.std()) if by_curve.any() else 1.0
+def _departure(check: RecordingCheck) -> tuple[float, float]:
+    """Return where the response departs most from its slowest, in Hz, and by which part of it.
 
-
-def _beyond_a_long_past(voltage: FloatArray, left_um: FloatArray) -> FloatArray:
-    """Return what the voltage of many rows leaves: a mode rings for long over fast rows."""
-    size = left_um.size
-    taps = min(size // NEEDS.rows_per_long_tap, NEEDS.long_taps)
-    swing = voltage - voltage.mean()
-    covariance = correlate(swing, swing, method="fft")[size - 1 : size + taps]
-    covariance[0] *= 1.0 + NEEDS.regularisation
-    answered = correlate(left_um, swing, method="fft")[size - 1 : size + taps]
-    predicted_um = np.convolve(swing, solve_toeplitz(covariance, answered))
-    return left_um[taps:] - predicted_um[taps:size]
+    The lines count that the voltage excites and with which the displacement goes. A mode, a lag
+    and a delay make the response another number than the slowest; hysteresis and creep hardly do.
+    """
+    segment = max(16, check.voltage_v.size // NEEDS.spectra)
+    frequency_hz, response, coherence = gain_of(
+        check.voltage_v, check.displacement_um, check.sample_period_s, segment,
+        NEEDS.least_power)
+    coherent = coherence > NEEDS.coherent
+    frequency_hz, response = frequency_hz[coherent], response[coherent]
+    if response.size < 2:
+        return 0.0, 0.0
+    departure = np.abs(response / response[0] - 1.0)
+    most = int(np.argmax(departure))
+    return float(frequency_hz[most]), float(departure[most])

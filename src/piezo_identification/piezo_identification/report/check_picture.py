@@ -19,6 +19,7 @@ from piezo_common.picture_style import (
     outline,
     to_png,
 )
+from piezo_identification.analysis.gain_over_frequency import LINES
 from piezo_identification.recording_check.check import RecordingCheck
 from piezo_identification.recording_check.suitability import jump_response
 from piezo_identification.recording_check.waveform_kind import BROADBAND, LEVELS
@@ -145,7 +146,7 @@ def _draw_plane(axes: Axes, check: RecordingCheck) -> None:
 
 def _draw_spectrum(axes: Axes, displacement_um: FloatArray, period_s: float) -> None:
     frequency_hz, power = welch(displacement_um, 1.0 / period_s,
-                                nperseg=min(signals.LINES, displacement_um.size))
+                                nperseg=min(LINES, displacement_um.size))
     axes.loglog(frequency_hz[1:], np.sqrt(power[1:]), color=BLUE, linewidth=1.0)
     label(axes, "frequency (Hz)", "noise (um/sqrt(Hz))", "spectrum of the displacement")
 

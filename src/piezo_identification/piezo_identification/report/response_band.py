@@ -11,7 +11,8 @@ from piezo_common.arrays import ComplexArray, FloatArray, IntArray
 from piezo_common.picture_style import BLUE, MEASURED, MODELLED, label, plain_numbers
 from piezo_identification.adequacy.component_residual import ComponentResidual
 from piezo_identification.adequacy.lack_of_fit import LackOfFit
-from piezo_identification.report.signal_pictures import BAND, gain_of
+from piezo_identification.analysis.gain_over_frequency import gain_of
+from piezo_identification.report.signal_pictures import BAND
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 

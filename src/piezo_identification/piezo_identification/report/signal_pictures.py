@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from scipy.signal import csd, welch
+from scipy.signal import welch
 
-from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_common.picture_style import (
     BLUE,
     DIFFERENCE,
@@ -26,20 +26,15 @@ from piezo_common.picture_style import (
     outline,
     plain_numbers,
 )
+from piezo_identification.analysis.gain_over_frequency import gain_of
 from piezo_identification.report.waveform_view import WaveformView, mean_hold
 
 NANOMETRES = 1e3
 BAND = 2.0
 """Standard deviations to both sides, between which 95 % of normal errors lie."""
 
-LINES = 2048
-"""Samples of which a spectrum is estimated, unless there are few of them."""
-
 SPECTRUM_CELLS = 1000
 """Points of a spectrum that is drawn over the logarithm of frequency."""
-
-EXCITED = 1e-4
-"""Part of the largest power of an input below which its lines tell no gain."""
 
 CREEP_START_S = 0.03
 
@@ -176,33 +171,6 @@ def draw_step_response(axes: Axes, response: FloatArray, sample_period_s: float)
               markersize=3, linewidth=1.0)
     axes.axhline(1.0, color=GREY, linewidth=0.8)
     label(axes, "time since the step (ms)", "part of the step (1)", "mean response to the steps")
-
-
-def gain_of(input: FloatArray, output: FloatArray,
-            sample_period_s: float) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Estimate the response from one signal to another where the first excites.
-
-    Parameters
-    ----------
-    input, output : ndarray, shape (N,)
-    sample_period_s : float
-
-    Returns
-    -------
-    frequency_hz : ndarray, shape (M,)
-    response : ndarray of complex, shape (M,)
-    coherence : ndarray, shape (M,)
-        Part of the output's power that goes with the input.
-    """
-    options = {"fs": 1.0 / sample_period_s, "nperseg": min(LINES, max(16, input.size // 4)),
-               "detrend": "linear"}
-    frequency_hz, crossed = csd(input, output, **options)
-    of_input, of_output = (welch(signal, **options)[1] for signal in (input, output))
-    excited = of_input > EXCITED * of_input.max()
-    excited[0] = False
-    crossed, of_input, of_output = crossed[excited], of_input[excited], of_output[excited]
-    coherence = np.abs(crossed) ** 2 / np.maximum(of_input * of_output, np.finfo(float).tiny)
-    return frequency_hz[excited], crossed / of_input, coherence
 
 
 def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample_period_s: float,

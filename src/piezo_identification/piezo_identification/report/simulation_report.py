@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from piezo_common.arrays import FloatArray
 from piezo_common.picture_style import WIDE_IN, new_figure
 from piezo_common.report_page import Picture, Section, pictured, render_page
+from piezo_identification.conditioning.sensor_noise import repeated_period, sensor_noise_um
 from piezo_identification.conditioning.waveforms import slow_branches
-from piezo_identification.diagnosis.residual.sensor_noise import repeated_period, sensor_noise_um
 from piezo_identification.prediction.prediction import Prediction
 from piezo_identification.recording_check.waveform_kind import BROADBAND
 from piezo_identification.report import signal_pictures as signals

@@ -19,8 +19,8 @@ from piezo_identification.analysis.error_distortion import (
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.report.distortion_section import distortion_sections
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.experiments.catalogue import StageLimits, distortion
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.effects import known_effects
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.delay import Delay

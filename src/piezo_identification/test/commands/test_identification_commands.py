@@ -229,7 +229,6 @@ def test_identify_refuses_options_without_use(more, said, files, tmp_path, capsy
     ("frequency_hz,gain_re\n1,1\n", [], "no column gain_im"),
     ("frequency_hz,gain_re,gain_im\n1,1,0\n", [], "1 frequencies, too few"),
     ("frequency_hz,gain_re,gain_im\n1,1,0\n", ["--band", 5, 9], "no frequency from 5 to 9 Hz"),
-    ("frequency_hz,gain_re,gain_im\n1,1,0\n", ["--refine"], "refining cannot simulate"),
 ])
 def test_identify_refuses_a_bad_response(text, more, said, files, tmp_path, capsys):
     data = tmp_path / "response.csv"

@@ -86,7 +86,9 @@ def test_a_motion_at_the_start_is_told_from_noise(recorded):
     assert first_run_length(voltage_v) == 300
 
 
-@pytest.mark.parametrize("late", [0, 1], ids=["start of hold", "end of hold"])
+@pytest.mark.parametrize("late", [
+    pytest.param(0, id="start of hold"),
+    pytest.param(1, id="end of hold", marks=pytest.mark.long)])
 def test_steps_between_three_levels_are_no_square_wave_of_one_step(
         independent_stage, recorded, late):
     voltage_v = np.repeat([50.0, 90.0, 10.0, 50.0], [100, 2400, 2400, 2400])

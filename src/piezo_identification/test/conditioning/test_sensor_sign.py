@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification.conditioning.sensor_sign import displacement_falls
+from piezo_identification.conditioning.sensor_sign import displacement_falls, moves_against
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
@@ -16,3 +16,18 @@ def test_the_sign_is_found_in_a_recording_with_a_gap(sign):
         sign * 0.2 * voltage_v, np.full(sample.size, Flag.PLAYING, dtype=np.uint32),
         gaps=[(300, 600)])
     assert displacement_falls(recording) == (sign < 0.0)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_motion_beyond_a_resonance_does_not_turn_the_sign(sign):
+    draw, period_s = np.random.default_rng(4), 1e-3
+    given = draw.normal(size=40_000)
+    moved = np.zeros(given.size)
+    w, damping = 2.0 * np.pi * 40.0, 0.02
+    speed = 0.0
+    for n in range(given.size - 1):
+        speed += period_s * (w * w * (given[n] - moved[n]) - 2.0 * damping * w * speed)
+        moved[n + 1] = moved[n] + period_s * speed
+    late = np.roll(moved, 2)
+    assert np.corrcoef(given, late)[0, 1] < 0.0
+    assert moves_against(sign * late, given) == (sign < 0.0)

@@ -96,6 +96,7 @@ def test_steps_finer_than_the_noise_have_no_name(model, deviation_um):
     assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
 
 
+@pytest.mark.long
 def test_damping_that_grows_with_the_amplitude_is_found(model):
     voltage_v, quadratic = fast(), 0.1
     displacement_um = damped(voltage_v, quadratic)

@@ -9,23 +9,23 @@ from piezo_identification.commands.diagnose_command import main
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.comparison.measures_of_fits import significance
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.joint.free_parameters import changed_model, free_sensitivities
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
-from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.noise_estimate import residual_um
-from piezo_identification.diagnosis.residual.parameter_sensitivities import (
+from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.free_parameters import changed_model, free_sensitivities
+from piezo_identification.fitting.noise_estimate import residual_um
+from piezo_identification.fitting.parameter_sensitivities import (
     parameter_sensitivities,
     perturbed,
 )
-from piezo_identification.diagnosis.residual.regression import (
+from piezo_identification.fitting.regression import (
     first_regression,
     fit_without_effects,
     reweighted,
 )
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
-from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.prediction import predict
-from piezo_identification.prediction.model_run import ModelRun
+from piezo_identification.simulation.model_run import ModelRun
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -92,7 +92,8 @@ def test_two_effects_are_found_one_after_the_other(plant, record):
     assert strengths == sorted(strengths, reverse=True)
 
 
-@pytest.mark.parametrize("part_of_span", [0.02, 0.0])
+@pytest.mark.parametrize("part_of_span", [
+    0.02, pytest.param(0.0, marks=pytest.mark.long)])
 def test_a_soft_limit_is_found_below_and_at_the_highest_voltage(
         plant, record, part_of_span):
     voltage_v = record().voltage_v
@@ -120,6 +121,7 @@ def test_an_effect_on_the_voltage_acts_on_what_the_hysteresis_remembers(plant, o
     assert np.std(left) < 1.1 * 0.009
 
 
+@pytest.mark.long
 def test_no_past_is_made_up_to_explain_an_effect(plant, of_levels):
     limit, recording = of_levels
     diagnosis = diagnose(plant, [recording])
@@ -137,6 +139,7 @@ def test_the_prior_of_the_parameters_goes_with_what_is_left_beside_the_effects(p
     assert beside.left_um(fit_without_effects(beside)) == pytest.approx(before, rel=0.02)
 
 
+@pytest.mark.long
 def test_a_line_that_the_voltage_drives_is_no_disturbance(plant, record):
     recording = record()
     time_s = recording.time_s - recording.time_s[0]

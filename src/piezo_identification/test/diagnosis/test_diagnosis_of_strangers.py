@@ -96,14 +96,15 @@ def swinging():
 def test_a_sensor_that_counts_down_lacks_nothing(save, swinging, tmp_path, capsys):
     voltage_v = smooth_noise(1)
     path = save("down", voltage_v, with_noise(-answered(voltage_v)))
+    unseen = save("unseen", smooth_noise(2), with_noise(-answered(smooth_noise(2))))
     model, output = tmp_path / "model.json", tmp_path / "out"
     save_model(model, IdentifiedModel(swinging, (-100.0, 100.0)))
-    assert diagnose_main(["--model", str(model), "--data", str(path), "--holdout", str(path),
+    assert diagnose_main(["--model", str(model), "--data", str(path), "--holdout", str(unseen),
                           "--output", str(output)]) == 0
     told = capsys.readouterr().out
     verdict = json.loads((output / "verdict.json").read_text())
     assert (verdict["verdict"], verdict["effects"]) == ("none", [])
-    assert verdict["reversed"] == [str(path), str(path)]
+    assert verdict["reversed"] == [str(path), str(unseen)]
     assert verdict["before"] == verdict["after"]
     assert told.count("its sign is changed") == 2
     assert simulate_main(["--model", str(model), "--data", str(path)]) == 0
@@ -183,6 +184,7 @@ def test_drop_outs_are_named_and_nothing_else_is_lacking(save, swinging):
     assert "falls" not in verdict_sentence(diagnosis)
 
 
+@pytest.mark.long
 def test_the_ringing_of_a_strong_mode_is_not_left_out(save):
     """1.5 kHz with 9 % of the compliance, at 40 kHz, beside a model without any mode."""
     samples, period_s = 12_000, 25e-6
@@ -205,6 +207,7 @@ def test_the_ringing_of_a_strong_mode_is_not_left_out(save):
     assert "outliers" not in [entry["name"] for entry in diagnosis.effects]
 
 
+@pytest.mark.long
 def test_a_cubic_spring_is_found_and_holds_far_beyond_its_data(save, swinging):
     weak_v, strong_v = 0.8 * smooth_noise(1, 3000), 1.3 * smooth_noise(2, 2000)
     fitted, unseen = (

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from piezo_identification.diagnosis.candidates.effect_fit import fit_one_more
-from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.regression import first_regression
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.effect_fit import fit_one_more
+from piezo_identification.fitting.recording_evidence import recording_evidence
+from piezo_identification.fitting.regression import first_regression
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
 from piezo_models.effects.hysteresis import Hysteresis

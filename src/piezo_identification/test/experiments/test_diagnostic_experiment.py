@@ -2,10 +2,10 @@
 import numpy as np
 import pytest
 
-from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
-from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.regression import first_regression
 from piezo_identification.experiments.catalogue import StageLimits, named_experiment
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.recording_evidence import recording_evidence
+from piezo_identification.fitting.regression import first_regression
 from piezo_models.effects import known_effects
 
 

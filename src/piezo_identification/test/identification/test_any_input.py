@@ -53,8 +53,8 @@ def error_of(estimate):
     return np.abs(found - truth).max() / np.abs(truth).max()
 
 
-KINDS = ("chirp", "square", *(
-    pytest.param(kind, marks=pytest.mark.long) for kind in ("multisine", "noise", "steps")))
+KINDS = ("square", *(pytest.param(kind, marks=pytest.mark.long)
+                    for kind in ("chirp", "multisine", "noise", "steps")))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -64,9 +64,7 @@ def test_dynamics_of_a_linear_stage_are_found_from_any_input(kind, linear_stage,
     assert error_of(estimate) < 5e-3
 
 
-@pytest.mark.parametrize("kind", [
-    "square", *(pytest.param(kind, marks=pytest.mark.long)
-                for kind in ("chirp", "multisine", "noise", "steps"))])
+@pytest.mark.parametrize("kind", KINDS)
 def test_dynamics_are_found_behind_a_hysteresis_that_nothing_else_tells(kind, stage, record):
     recording = record(stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
     estimate = estimate_dynamics_any([recording], CreepDynamics())

@@ -37,6 +37,7 @@ def test_62_points_of_static_loops_are_enough(static, record):
     assert relative_error(identified.model, static, unseen_v) < 0.01
 
 
+@pytest.mark.long
 def test_several_recordings_and_gaps_are_one_identification(static, record):
     first = record(static, loops([80.0, 60.0], 300), 0.1, seed=1)
     second = record(static, loops([70.0, 80.0, 40.0, 20.0], 300), 0.1, seed=2)
@@ -68,6 +69,7 @@ def test_all_stretches_of_a_validation_with_gaps_count_but_for_a_few_samples(sta
     assert error == pytest.approx(alone * np.sqrt(share), rel=0.1)
 
 
+@pytest.mark.long
 def test_creep_alone_gives_a_model_with_its_hysteresis(foreign_stage, record):
     stage = foreign_stage(((0.05, 0.04), (0.8, 0.03)))
     voltage_v = np.concatenate([loops([80.0, 50.0], 600), np.repeat([70.0, 20.0], 1000), [0.0]])

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from piezo_identification.prediction.row_reading import read_as_identified, rows_sentence
+from piezo_identification.prediction.row_reading import (
+    all_as_identified,
+    predict_as_identified,
+    read_as_identified,
+    rows_sentence,
+)
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
@@ -60,6 +65,18 @@ def test_a_model_without_a_habit_leaves_rows_as_they_are():
     recording = recorded(1.0)
     for model in (identified(0.0), replace(identified(0.0), rows={})):
         assert read_as_identified(model, recording) == (recording, 0.0)
+
+
+def test_commands_and_python_read_rows_as_identified_unless_it_was_said_how():
+    of_model, recording = identified(1.0), recorded(1.0)
+    prediction, sentences = predict_as_identified(of_model, recording)
+    assert len(sentences) == 1 and "read 1 sample periods after" in sentences[0]
+    said, sentences = predict_as_identified(of_model, recording, 1.0)
+    assert sentences == [] and said.e_y_percent() == pytest.approx(prediction.e_y_percent())
+    bare, sentences = predict_as_identified(of_model.model, recording)
+    assert sentences == [] and bare.e_y_percent() > 5.0 * prediction.e_y_percent()
+    (kept,), sentences = all_as_identified(of_model.model, [recording])
+    assert sentences == [] and kept is recording
 
 
 def test_what_was_aligned_is_said():

@@ -12,7 +12,12 @@ from piezo_identification.commands.check_command import main
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.recording_check.check import check_recording
 from piezo_identification.recording_check.check_report import measured_rows
-from piezo_identification.recording_check.suitability import suitability, suitability_for
+from piezo_identification.recording_check.suitability import (
+    Suitability,
+    given_as,
+    suitability,
+    suitability_for,
+)
 from piezo_identification.report.check_picture import check_figure
 from piezo_recorder.reading.reader import read_recording
 
@@ -95,6 +100,52 @@ def test_a_chirp_that_begins_slowly_is_dynamics_where_its_mode_rings(read):
     assert suitability_for(check, "dynamics").verdict == "yes"
 
 
+def test_a_slow_resonance_beside_a_part_that_follows_at_once_is_dynamics(read):
+    """Where most happens, at high frequency, the displacement follows the voltage at once."""
+    period_s, random = 5e-4, np.random.default_rng(4)
+    time_s, tones_hz = period_s * np.arange(4000), np.arange(0.5, 200.0, 0.5)
+    turned = 2.0 * np.pi * (tones_hz * time_s[:, None] + random.uniform(size=tones_hz.size))
+    voltage_v = 50.0 + np.tile(0.3 * np.cos(turned).sum(axis=1), 8)
+    ringing_um = 0.2 * voltage_v + 0.2 * vibrating(voltage_v - 50.0, period_s, 7.0, 0.03)
+    noise_um = 0.005 * random.normal(size=voltage_v.size)
+    fit = suitability_for(check_recording(read(voltage_v, ringing_um + noise_um, period_s)),
+                          "dynamics")
+    assert fit.verdict == "yes", fit.reason
+    at_hz = float(re.search(r"at ([0-9.]+) Hz", fit.reason).group(1))
+    assert 6.0 < at_hz < 8.0
+
+
+def test_rows_before_and_behind_the_waveform_are_named_and_show_the_rest(read):
+    random = np.random.default_rng(5)
+    square_v = np.tile(np.repeat([20.0, 80.0], 300), 4)
+    ways_v = np.concatenate([np.full(30, 5.0), np.linspace(5.0, 20.0, 10)[:-1]])
+    voltage_v = np.concatenate([ways_v, square_v, ways_v[::-1]])
+    # What its first level shows creeps, as it does on every stage.
+    since_s = np.maximum(np.arange(voltage_v.size) - 39, 0) * 0.01
+    displacement_um = 0.2 * voltage_v - 1.0 * (np.arange(voltage_v.size) > 38) * np.exp(
+        -since_s / 2.0) + 0.002 * random.normal(size=voltage_v.size)
+    check = check_recording(read(voltage_v, displacement_um, 0.01))
+    assert check.left_out == (39, 39)
+    rows = dict(measured_rows(check))
+    assert rows["left out"] == "rows 1 to 39 and 2440 to 2478, on the way from rest and back"
+    assert check.starts_settled and check.start.startswith("at rest: the first 0.31 s at 5 V")
+    assert suitability_for(check, "creep").verdict == "yes"
+
+
+def test_recordings_are_given_for_what_they_are_fit_for():
+    def fit(**verdicts):
+        return {name: Suitability(verdicts.get(name, "no"), "")
+                for name in ("creep", "dynamics", "hysteresis", "validation")}
+
+    given = given_as({
+        "loops.csv": fit(hysteresis="yes", creep="partly", validation="yes"),
+        "steps.csv": fit(creep="yes", validation="yes"),
+        "other.csv": fit(validation="yes")})
+    assert given == {"creep": ["steps.csv"], "hysteresis": ["loops.csv"],
+                     "validation": ["other.csv"]}
+    assert given_as({"other.csv": fit(validation="yes")}) == {}
+
+
 def test_steps_measured_behind_an_amplifier_are_dynamics(read):
     """The amplifier takes some rows, so that no level follows the other at once."""
     period_s, random = 5e-5, np.random.default_rng(4)
@@ -153,6 +204,7 @@ def test_steps_that_ring_hold_dynamics_and_those_sampled_too_slowly_do_not(read)
     assert "too slow to hold dynamics" in slow["dynamics"].reason
 
 
+@pytest.mark.long
 def test_rows_too_slow_for_the_modes_of_a_stage_hold_no_dynamics_though_they_ring(read):
     # A mode of 400 Hz that rings for long looks as if it lagged at 50 rows a second.
     voltage_v = np.repeat([60.0, 20.0, 100.0, 0.0, 60.0], 60_000)
@@ -238,6 +290,7 @@ def test_command_prints_the_table_and_draws_a_picture_for_each_kind(
     for row in ("sample period", "jitter", "noise", "drift", "state at the start", "Preisach plane",
                 "can stand for hysteresis"):
         assert len(re.findall(f"^{row} ", printed, re.M)) == len(kinds), row
+    assert re.search(r"^next: .* identify --\w+ .* --output model.json$", printed, re.M)
     page = page_parts(tmp_path / "pictures" / "check_report.html")
     assert f"report: {tmp_path / 'pictures' / 'check_report.html'}" in printed
     assert page.title == "What 4 recordings are good for" and page.external == []

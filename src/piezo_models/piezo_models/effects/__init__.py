@@ -9,6 +9,7 @@ from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
+from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import (
@@ -38,6 +39,7 @@ EFFECTS = (
     ThermalDrift,
     GainDrift,
     VibrationMode,
+    CoupledMode,
     Delay,
     SensorLag,
     SensorNonlinearity,

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import slowed
 from piezo_models.effects.sensor_lag import SensorLag
 
@@ -30,7 +30,7 @@ class AmplifierLag(Effect):
     distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("delay", "sensor_lag")
 
-    time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e6)
+    time_constant_s: float = parameter("s", "logarithm", LEAST, MOST)
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
@@ -66,7 +66,7 @@ class AmplifierLag(Effect):
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
         """Bound the time constant by what the recordings can show."""
-        return {"time_constant_s": (1e-9, 0.3 * extent.duration_s)}
+        return {"time_constant_s": (1e-4 * extent.sample_period_s, 0.3 * extent.duration_s)}
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered
 from piezo_models.effects.stiffening import UNRESOLVED
 
@@ -79,9 +79,9 @@ class AmplitudeDamping(Effect):
 
     viscous: float = parameter("1", "linear", LEAST_VISCOUS, STRONGEST)
     quadratic: float = parameter("1", "linear", 0.0, STRONGEST)
-    half_range_um: float = parameter("um", "fixed", 1e-12, 1e9)
-    frequency_rad_per_s: float = parameter("rad/s", "fixed", 1e-9, 1e9)
-    damping_ratio: float = parameter("1", "fixed", 0.0, 10.0)
+    half_range_um: float = parameter("um", "fixed", LEAST, MOST)
+    frequency_rad_per_s: float = parameter("rad/s", "fixed", LEAST, MOST)
+    damping_ratio: float = parameter("1", "fixed", 0.0, MOST)
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.hysteresis.without_play import without_play
 
@@ -32,7 +32,7 @@ class Backlash(Effect):
     experiment: ClassVar[str] = "hysteresis: harmonics of small and large amplitude"
     distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
 
-    width_um: float = parameter("um", "logarithm", 1e-9, 1e6)
+    width_um: float = parameter("um", "logarithm", LEAST, MOST)
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
@@ -61,7 +61,7 @@ class Backlash(Effect):
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
         """Bound the width to a play that leaves some motion."""
-        return {"width_um": (1e-9, max(0.5 * extent.travel_um, 1e-9))}
+        return {"width_um": (1e-9 * extent.travel_um, 0.5 * extent.travel_um)}
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
@@ -69,4 +69,4 @@ class Backlash(Effect):
         high = 0.1 * evidence.travel_um
         if high <= evidence.noise_um:
             return []
-        return [cls(width) for width in np.geomspace(evidence.noise_um, high, 8)]
+        return [cls(width) for width in np.geomspace(max(evidence.noise_um, 1e-6 * high), high, 8)]

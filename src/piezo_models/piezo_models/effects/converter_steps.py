@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.linear.dynamics import simulate_linear, zoh
 
 BINS, FEWEST_STEPS, PADDING = 2**14, 16, 4
@@ -81,7 +81,7 @@ class VoltageSteps(ConverterSteps):
     place: ClassVar[str] = "voltage"
     experiment: ClassVar[str] = "a slow ramp over a small part of the range"
 
-    step_v: float = parameter("V", "fixed", 1e-12, 1e6)
+    step_v: float = parameter("V", "fixed", LEAST, MOST)
     offset_v: float = parameter("V", "fixed")
 
     def step_and_offset(self) -> tuple[float, float]:
@@ -140,7 +140,7 @@ class SensorSteps(ConverterSteps):
     place: ClassVar[str] = "sensor"
     experiment: ClassVar[str] = "slow motion over a small part of the range"
 
-    step_um: float = parameter("um", "fixed", 1e-12, 1e9)
+    step_um: float = parameter("um", "fixed", LEAST, MOST)
     offset_um: float = parameter("um", "fixed")
 
     def step_and_offset(self) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import control
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, parameter
 from piezo_models.effects.filtering import filtered
 
 PER_DECADE = 1.0
@@ -33,7 +33,7 @@ class Creep(Effect):
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("thermal_drift",)
 
     gains: tuple[float, ...] = parameter("1", "linear", 0.0, 1.0)
-    time_constants_s: tuple[float, ...] = parameter("s", "fixed", 1e-6, 1e9)
+    time_constants_s: tuple[float, ...] = parameter("s", "fixed", LEAST, MOST)
 
     def state_space(self) -> control.StateSpace:
         """Return the continuous system, with unit gain at high frequency."""

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import MOST, Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import slowed
 
 CUBIC = 3
@@ -19,9 +19,6 @@ PADE_ORDER = 3
 
 LONGEST = 0.1
 """Part of a recording."""
-
-LARGEST_S = 10.0
-"""Of any delay."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +31,7 @@ class Delay(Effect):
     distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("sensor_lag",)
 
-    delay_s: float = parameter("s", "linear", 0.0, LARGEST_S)
+    delay_s: float = parameter("s", "linear", 0.0, MOST)
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
@@ -91,8 +88,7 @@ class Delay(Effect):
         """Begin with the delay of least squares: a short delay removes the velocity times it."""
         velocity = np.gradient(evidence.displacement_um, evidence.sample_period_s)
         gains, _ = evidence.reduction(-velocity[:, None])
-        longest_s = min(LONGEST * evidence.duration_s, 0.5 * LARGEST_S)
-        delay_s = float(np.clip(gains[0], 0.0, longest_s))
+        delay_s = float(np.clip(gains[0], 0.0, LONGEST * evidence.duration_s))
         return [cls(delay_s), cls(2.0 * delay_s)] if delay_s > 0.0 else []
 
     @classmethod

@@ -22,6 +22,10 @@ order of the signal."""
 Candidate = TypeVar("Candidate")
 AnyEffect = TypeVar("AnyEffect", bound="Effect")
 
+LEAST, MOST = 1e-15, 1e15
+"""Bounds of times, rates, lengths and voltages that are positive, in their units. No stage comes
+near them, on whatever scale of time: recordings bound what a fit may take, by `Effect.bounds`."""
+
 INVERSION_ROUNDS = 50
 INVERSION_TOLERANCE = 1e-9
 
@@ -464,7 +468,7 @@ def fitted_values(effect: Effect, extent: Extent | None = None,
         Each value within its bounds.
     """
     closer = {} if extent is None else effect.bounds(extent)
-    values, lows, highs = [], [], []
+    values, lows, highs = ([np.zeros(0)] for _ in range(3))
     for field in dataclasses.fields(effect):
         scale, name = field.metadata["scale"], field.name
         if scale == "fixed":

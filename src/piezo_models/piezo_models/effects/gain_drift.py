@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Evidence, Extent, parameter
 from piezo_models.effects.effect_of_time import EffectOfTime
 
 SCANNED_TIMES = (0.1, 0.3, 1.0, 10.0)
@@ -32,7 +32,7 @@ class GainDrift(EffectOfTime):
     experiment: ClassVar[str] = "the same waveform repeated for minutes, from a cold start"
 
     change: float = parameter("1", "linear", -10.0, 10.0)
-    time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e12)
+    time_constant_s: float = parameter("s", "logarithm", LEAST, MOST)
     fixed_point_um: float = parameter("um")
 
     def behind(self, signal: FloatArray, sample_period_s: float, first: int) -> FloatArray:

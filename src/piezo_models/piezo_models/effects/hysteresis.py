@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.linear.dynamics import simulate_linear, zoh
 
 SCANNED_THRESHOLDS = np.array([0.0, *np.geomspace(0.01, 0.9, 28)])
@@ -64,7 +64,7 @@ class Hysteresis(Effect):
     curvatures: tuple[float, ...] = parameter("1", "linear", -3.0, 3.0)
     thresholds: tuple[float, ...] = parameter("1", "fixed", 0.0, 1.0)
     centre_v: float = parameter("V", "fixed")
-    half_range_v: float = parameter("V", "fixed", 1e-12, 1e9)
+    half_range_v: float = parameter("V", "fixed", LEAST, MOST)
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_models.effects.bouc_wen_equation import NEW_STATE, force_under, substeps_of, swing
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered
 from piezo_models.effects.stiffening import UNRESOLVED
 
@@ -54,9 +54,9 @@ class HystereticSpring(Effect):
     gamma: float = parameter("1", "linear", -100.0, 100.0)
     exponent: float = parameter("1", "logarithm", 0.5, 4.0)
     centre_um: float = parameter("um", "fixed")
-    half_range_um: float = parameter("um", "fixed", 1e-12, 1e9)
-    frequency_rad_per_s: float = parameter("rad/s", "fixed", 1e-9, 1e9)
-    damping_ratio: float = parameter("1", "fixed", 0.0, 10.0)
+    half_range_um: float = parameter("um", "fixed", LEAST, MOST)
+    frequency_rad_per_s: float = parameter("rad/s", "fixed", LEAST, MOST)
+    damping_ratio: float = parameter("1", "fixed", 0.0, MOST)
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:

@@ -45,6 +45,9 @@ SUDDEN = 0.3
 PREDICTED_FROM, MOST_LEARNT = 8, 20_000
 """Samples on each side that foretell one, and examples from which it is learnt how."""
 
+AT_THE_ENDS = 3
+"""Samples at either end of a signal that may leave it and have no time to come back."""
+
 MOST = 0.1
 """Part of the samples: where more stand out, it is the signal that does."""
 
@@ -79,6 +82,8 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
     voltage_v = np.asarray(voltage_v, dtype=float)
     if signal.size < 2 * AROUND:
         return np.zeros(signal.size, dtype=bool)
+    # What a model leaves moves with the stage at the ends, too; only a stage itself has its range.
+    has_range = answer_per_v is None
     if answer_per_v is None:
         answer_per_v = typical_answer_per_v(signal, voltage_v)
     changes_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
@@ -105,6 +110,8 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
     wrong = np.ones(signal.size, dtype=bool)
     wrong[good] = False
     wrong = _surprising(signal, wrong, noise)
+    if has_range:
+        wrong |= _away_at_the_ends(signal, answer)
     if wrong.mean() > MOST:
         return np.zeros(signal.size, dtype=bool)
     return wrong
@@ -137,6 +144,18 @@ def typical_range(values: FloatArray) -> float:
     """Return the range of the values, without the most extreme 2 % on either side."""
     low, high = np.quantile(values, (0.02, 0.98))
     return float(high - low)
+
+
+def _away_at_the_ends(signal: FloatArray, answer: FloatArray) -> Mask:
+    """Mark the few first or last samples that lie farther off than the signal usually reaches."""
+    wrong, far = np.zeros(signal.size, dtype=bool), typical_range(signal)
+    steps = np.abs(np.diff(signal))
+    for count in range(1, AT_THE_ENDS + 1):
+        if steps[count - 1] > max(far, answer[count]):
+            wrong[:count] = True
+        if steps[-count] > max(far, answer[-count]):
+            wrong[-count:] = True
+    return wrong
 
 
 def _limits(left: FloatArray, answer: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:

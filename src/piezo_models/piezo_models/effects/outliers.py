@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, parameter
+from piezo_models.effects.effect import MOST, Effect, Evidence, parameter
 from piezo_models.effects.isolated_samples import isolated
 
 THRESHOLD = 7.0
@@ -31,8 +31,8 @@ class Outliers(Effect):
     experiment: ClassVar[str] = "rest, at the full sample clock"
 
     share: float = parameter("1", "fixed", 0.0, 1.0)
-    size_um: float = parameter("um", "fixed", 0.0, 1e9)
-    threshold_um: float = parameter("um", "fixed", 0.0, 1e9)
+    size_um: float = parameter("um", "fixed", 0.0, MOST)
+    threshold_um: float = parameter("um", "fixed", 0.0, MOST)
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_models.effects.effect import Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Evidence, Extent, parameter
 from piezo_models.effects.effect_of_time import EffectOfTime
 
 FEWEST_PERIODS = 10
@@ -56,7 +56,7 @@ class PeriodicDisturbance(EffectOfTime):
     experiment: ClassVar[str] = "rest, at the full sample clock"
     distortion: ClassVar[frozenset[str] | None] = frozenset()
 
-    frequency_hz: float = parameter("Hz", "linear", 1e-9, 1e9)
+    frequency_hz: float = parameter("Hz", "linear", LEAST, MOST)
     cosine_um: float = parameter("um")
     sine_um: float = parameter("um")
     harmonic_cosines_um: tuple[float, ...] = parameter("um", default=())

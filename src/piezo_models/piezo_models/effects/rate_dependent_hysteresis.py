@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered, filtered_on
 from piezo_models.linear.dynamics import simulate_linear, zoh
 
@@ -31,9 +31,9 @@ class RateDependentHysteresis(Effect):
     distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
 
     widening_v: float = parameter("V")
-    onset_v_per_s: float = parameter("V/s", "logarithm", 1e-9, 1e12)
+    onset_v_per_s: float = parameter("V/s", "logarithm", LEAST, MOST)
     rate_exponent: float = parameter("1", "linear", 0.01, 0.8)
-    averaging_time_s: float = parameter("s", "logarithm", 1e-7, 1e3)
+    averaging_time_s: float = parameter("s", "logarithm", LEAST, MOST)
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.delay import Delay
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered, filtered_on, slowed, unfiltered_period
 
 ROUNDED = 0.25
@@ -32,7 +32,7 @@ class SensorLag(Effect):
     distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("delay",)
 
-    time_constant_s: float = parameter("s", "logarithm", 1e-9, 1e6)
+    time_constant_s: float = parameter("s", "logarithm", LEAST, MOST)
     roundness: float = parameter("1", "linear", 0.0, 0.5, default=0.0)
 
     def apply(self, signal: FloatArray, sample_period_s: float,
@@ -66,7 +66,7 @@ class SensorLag(Effect):
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
         """Bound the parameters by what the recordings can show."""
-        return {"time_constant_s": (1e-9, 0.3 * extent.duration_s)}
+        return {"time_constant_s": (1e-4 * extent.sample_period_s, 0.3 * extent.duration_s)}
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:

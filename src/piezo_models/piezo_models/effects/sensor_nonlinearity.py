@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class SensorNonlinearity(Effect):
     third_um: float = parameter("um")
     fourth_um: float = parameter("um")
     centre_um: float = parameter("um", "fixed")
-    half_range_um: float = parameter("um", "fixed", 1e-12, 1e9)
+    half_range_um: float = parameter("um", "fixed", LEAST, MOST)
 
     def deviations(self, signal: FloatArray) -> FloatArray:
         """Return what each polynomial would add with a size of 1 um, shape (N, 4)."""

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 
 SCANNED_PARTS = (4.0, 2.0, 1.2, 0.98, 0.95, 0.9, 0.82, 0.7, 0.5, 0.3, 0.15, 0.05, 0.01)
 """These parts of the fastest change are tried; a limit above delays changes within their sample."""
@@ -45,7 +45,7 @@ class SlewLimit(Effect):
     distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("vibration_mode",)
 
-    slew_limit_v_per_s: float = parameter("V/s", "logarithm", 1e-6, 1e12)
+    slew_limit_v_per_s: float = parameter("V/s", "logarithm", LEAST, MOST)
     fall_ratio: float = parameter("1", "logarithm", 0.2, 5.0, default=1.0)
     change_per_v: float = parameter("1/V", "linear", -0.02, 0.02, default=0.0)
 

@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered
 from piezo_models.effects.spring_equation import FARTHEST, SOFTEST, balance, straight_beyond
 
@@ -40,9 +40,9 @@ class Stiffening(Effect):
     square_um: float = parameter("um")
     cubic_um: float = parameter("um")
     centre_um: float = parameter("um", "fixed")
-    half_range_um: float = parameter("um", "fixed", 1e-12, 1e9)
-    frequency_rad_per_s: float = parameter("rad/s", "fixed", 0.0, 1e9)
-    damping_ratio: float = parameter("1", "fixed", 0.0, 10.0)
+    half_range_um: float = parameter("um", "fixed", LEAST, MOST)
+    frequency_rad_per_s: float = parameter("rad/s", "fixed", 0.0, MOST)
+    damping_ratio: float = parameter("1", "fixed", 0.0, MOST)
     quartic_um: float = parameter("um", default=0.0)
 
     @property

@@ -9,7 +9,7 @@ from numpy.polynomial.chebyshev import chebval
 from numpy.polynomial.legendre import legvander
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Evidence, Extent, parameter
 from piezo_models.effects.effect_of_time import EffectOfTime
 
 WAVES = 8
@@ -38,9 +38,9 @@ class ThermalDrift(EffectOfTime):
 
     rate_um_per_s: float = parameter("um/s")
     approach_um: float = parameter("um")
-    time_constant_s: float = parameter("s", "logarithm", 1e-3, 1e9)
+    time_constant_s: float = parameter("s", "logarithm", LEAST, MOST)
     waves_um: tuple[float, ...] = parameter("um", default=())
-    duration_s: float = parameter("s", "fixed", 1e-6, 1e9, default=1.0)
+    duration_s: float = parameter("s", "fixed", LEAST, MOST, default=1.0)
 
     def behind(self, signal: FloatArray, sample_period_s: float, first: int) -> FloatArray:
         """Return a part of the signal behind the effect, as `EffectOfTime.behind` describes."""

@@ -7,8 +7,8 @@ from typing import ClassVar, Self
 import control
 import numpy as np
 
-from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered
 
 SCANNED_DAMPING_RATIOS = (0.01, 0.05)
@@ -31,7 +31,7 @@ class VibrationMode(Effect):
     distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("slew_limit",)
 
-    frequency_rad_per_s: float = parameter("rad/s", "logarithm", 1e-3, 1e7)
+    frequency_rad_per_s: float = parameter("rad/s", "logarithm", LEAST, MOST)
     damping_ratio: float = parameter("1", "logarithm", 1e-3, 0.4)
     participation: float = parameter("1", "linear", -2.0, 3.0)
 
@@ -39,12 +39,29 @@ class VibrationMode(Effect):
         w = self.frequency_rad_per_s
         return [w * w], [1.0, 2.0 * self.damping_ratio * w, w * w]
 
+    def _parts(self) -> tuple[float, float]:
+        """Return the parts of the displacement that follow the mode and its scaled velocity."""
+        return self.participation, 0.0
+
     def state_space(self) -> control.StateSpace:
         """Return the continuous system of the mode alone, with unit gain at rest."""
+        return self._system(1.0, 0.0)
+
+    def _system(self, position: float, velocity: float) -> control.StateSpace:
         w = self.frequency_rad_per_s
-        return control.ss(
-            [[0.0, w], [-w, -2.0 * self.damping_ratio * w]], [[0.0], [w]], [[1.0, 0.0]], [[0.0]]
-        )
+        return control.ss([[0.0, w], [-w, -2.0 * self.damping_ratio * w]], [[0.0], [w]],
+                          [[position, velocity]], [[0.0]])
+
+    def branch_response(self, s: ComplexArray) -> ComplexArray:
+        """Return what the mode adds to the response at complex rates s (rad/s), in their shape."""
+        position, velocity = self._parts()
+        ratio = s / self.frequency_rad_per_s
+        return (position + velocity * ratio) / (1.0 + 2.0 * self.damping_ratio * ratio + ratio**2)
+
+    def branch_delay_s(self) -> float:
+        """Return the delay of slow signals that the mode adds, in s."""
+        position, velocity = self._parts()
+        return (2.0 * self.damping_ratio * position - velocity) / self.frequency_rad_per_s
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:

@@ -130,6 +130,9 @@ class FeedbackLaw:
     max_error_um : float
         A mean error of a tick that exceeds by more what there was before anything was fed back must
         stop the stage.
+    fade_samples : int
+        Over which the error in which the law begins is faded in: at first the law answers only what
+        the error has changed by, so that its voltage begins at 0. 0: it answers all at once.
 
     Raises
     ------
@@ -148,6 +151,7 @@ class FeedbackLaw:
     sample: LinearBlock = field(default_factory=LinearBlock)
     inverse: InverseHysteresis | None = None
     max_error_um: float = np.inf
+    fade_samples: int = 0
 
     def __post_init__(self) -> None:
         blocks = {"tick": self.tick, "sample": self.sample, "model": self.plant.linear}
@@ -177,6 +181,8 @@ class FeedbackLaw:
         if not 0 <= self.delay_ticks <= LARGEST_DELAY_TICKS:
             raise FeedbackLawError(f"delay_ticks is {self.delay_ticks}: give 0 to "
                                    f"{LARGEST_DELAY_TICKS}")
+        if self.fade_samples < 0:
+            raise FeedbackLawError(f"fade_samples is {self.fade_samples}: give 0 or more")
         gains = np.asarray(self.plant.gains_um_per_v)
         if not self.plant.linear.order or self.plant.linear.d or not gains.size or not (
                 np.isfinite(gains) & (gains > 0.0)).all():

@@ -8,12 +8,13 @@ from piezo_models.hysteresis.preisach_inversion import invert
 from piezo_models.hysteresis.preisach_kernels import Grid, Table, simulate
 
 # Of the sums that `take` keeps.
-EXPECTED, MEASURED = 0, 1
+EXPECTED, MEASURED, FADED = 0, 1, 2
 
 
 @njit(cache=True)
 def take(displacement_um: FloatArray, first: int, once_um: FloatArray, period_um: FloatArray,
-         sums: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray, d: float,
+         begun: int, fade: int, initial_um: float, sums: FloatArray,
+         a: FloatArray, b: FloatArray, c: FloatArray, d: float,
          state: FloatArray, work: FloatArray, added_v: float) -> float:
     """Add samples to the sums of their tick, and advance the block at the sample rate.
 
@@ -24,8 +25,12 @@ def take(displacement_um: FloatArray, first: int, once_um: FloatArray, period_um
         Number of the first of them in the run.
     once_um, period_um : ndarray
         Expected.
-    sums : ndarray, shape (2,)
-        Of what is expected and measured; changed in place.
+    begun, fade : int
+        The sample from which on the error counts, and how many after it until all of it does.
+    initial_um : float
+        Error in which the law began, faded out of what it sees.
+    sums : ndarray, shape (3,)
+        Of what is expected, measured, and faded out; changed in place.
     a, b, c, d
         Of the block at the sample rate.
     state, work : ndarray, shape (m,)
@@ -47,10 +52,15 @@ def take(displacement_um: FloatArray, first: int, once_um: FloatArray, period_um
             expected = period_um[(sample - once) % period]
         else:
             expected = once_um[once - 1]
+        faded = 0.0
+        if begun <= sample < begun + fade:
+            x = (sample - begun) / fade
+            faded = initial_um * (1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x * x))
         sums[EXPECTED] += expected
         sums[MEASURED] += displacement_um[i]
+        sums[FADED] += faded
         if state.size or d != 0.0:
-            added_v = advance(expected - displacement_um[i], a, b, c, d, state, work)
+            added_v = advance(expected - displacement_um[i] - faded, a, b, c, d, state, work)
     return added_v
 
 
@@ -122,7 +132,7 @@ def decide(error: float, a: FloatArray, b: FloatArray, c: FloatArray, d: float,
 def through_inverse(wanted_um: float, planned_v: FloatArray, rounding_um: float,
                     range_um: tuple[float, float], range_v: tuple[float, float], held: bool,
                     stacks: FloatArray, tops: IntArray, grid: Grid, table: Table,
-                    feedback_v: FloatArray) -> float:
+                    feedback_v: FloatArray) -> tuple[float, float]:
     """Find the voltages that add an output of the hysteresis to that of what is planned.
 
     Parameters
@@ -150,8 +160,10 @@ def through_inverse(wanted_um: float, planned_v: FloatArray, rounding_um: float,
 
     Returns
     -------
-    float
-        Its mean.
+    mean_v : float
+        Of what is added.
+    lacking_v : float
+        Mean of what `range_v` cut off.
     """
     target_um, _, _, top = simulate(planned_v, stacks[0], stacks[1], tops[0], grid, table)
     tops[0] = top
@@ -163,7 +175,9 @@ def through_inverse(wanted_um: float, planned_v: FloatArray, rounding_um: float,
     feedback_v[:] = inverse_v - planned_v
     if held:
         feedback_v[:] = feedback_v.mean()
+    asked_v = feedback_v.mean()
     for i in range(feedback_v.size):
         feedback_v[i] = min(max(feedback_v[i], range_v[0]), range_v[1])
     tops[1] = simulate(planned_v + feedback_v, stacks[2], stacks[3], tops[1], grid, table)[3]
-    return feedback_v.mean()
+    mean_v = feedback_v.mean()
+    return mean_v, mean_v - asked_v

@@ -36,8 +36,14 @@ class RunningInverse:
         return self._stacks[2 * which, 1:self._tops[which] + 1].copy()
 
     def pass_on(self, wanted_v: float, planned_v: FloatArray, lowest_v: float,
-                highest_v: float, feedback_v: FloatArray) -> float:
-        """Fill `feedback_v` with what is added to planned voltages; return its mean (V)."""
+                highest_v: float, feedback_v: FloatArray) -> tuple[float, float]:
+        """Fill `feedback_v` with what is added to planned voltages.
+
+        Returns
+        -------
+        mean_v, lacking_v : float
+            Of `feedback_v`, and of what its bounds cut off.
+        """
         self._make_room(len(planned_v))
         grid, table, rounding_um = self._kernel
         return through_inverse(

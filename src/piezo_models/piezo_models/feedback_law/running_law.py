@@ -15,13 +15,16 @@ from piezo_models.feedback_law.feedback_law import (
     InverseHysteresis,
     LinearBlock,
 )
-from piezo_models.feedback_law.law_kernels import EXPECTED, MEASURED, decide, take
+from piezo_models.feedback_law.law_kernels import EXPECTED, FADED, MEASURED, decide, take
 from piezo_models.feedback_law.running_inverse import RunningInverse
 from piezo_models.hysteresis.preisach import PreisachModel
 
 # From which a law that takes over learns its state: longer than any law of this suite remembers
 # what its observer does not correct.
 REMEMBERED_TICKS = 64
+# Frequencies of a block's quick gain, as parts of the sample rate.
+QUICK = np.linspace(0.01, 0.5, 400)
+LEAST_GAIN = 1e-6  # V per um
 # A state that changes by less a sample, as a part of itself, counts as one that stays.
 LEAST_CHANGE = 1e-6
 
@@ -73,7 +76,8 @@ class RunningLaw:
         self._period_um = np.ascontiguousarray(law.period_um)
         # A tick counts as a whole: as a remote controller, which sees blocks.
         self._start_sample = -(-law.start_sample // samples_per_tick) * samples_per_tick
-        self._sums = np.zeros(2)
+        self._sums = np.zeros(3)
+        self._fade_samples, self._initial_um, self._seen_um = law.fade_samples, 0.0, 0.0
         self._measured = self._played = self._decided_ticks = 0
         self._acts = False
         self._added_v = self._decided_v = self._acting_v = 0.0
@@ -108,33 +112,61 @@ class RunningLaw:
         limit_v = self.law.max_feedback_v
         asked_v = self._acting_v + self._added_v
         wanted_v = min(max(asked_v, -limit_v), limit_v)
-        if wanted_v != asked_v:
-            # Keeps the block at the sample rate in agreement with what is given (anti-windup).
-            self._sample_state += self._sample_observer * (wanted_v - asked_v)
+        self._sample_state += self._sample_observer * (wanted_v - asked_v)
         if self._inverse is None:
             self._feedback_v.fill(wanted_v)
             self.voltage_v = wanted_v
         else:
             last_v, step_v = self.voltage_v, self._step_v
-            self.voltage_v = self._inverse.pass_on(
+            self.voltage_v, lacking_v = self._inverse.pass_on(
                 wanted_v, planned_v, max(-limit_v, last_v - step_v), min(limit_v, last_v + step_v),
                 self._feedback_v)
+            self._sample_state += self._sample_observer * lacking_v
             self.stepped |= abs(self.voltage_v - last_v) >= step_v
         return self._feedback_v
+
+    def correct(self, lacking_v: float) -> None:
+        """Keep the states in agreement with what was played of the feedback (anti-windup).
+
+        Call it between `begin` and `take` where the amplifier's limits cut what was asked for.
+
+        Parameters
+        ----------
+        lacking_v : float
+            Mean of what was played less what was asked for (V).
+        """
+        if not self.begun:
+            return
+        self.voltage_v += lacking_v
+        if self._each_sample:
+            self._sample_state += self._sample_observer * lacking_v
+        else:
+            self._state += self._tick[4] * lacking_v
 
     def take(self, displacement_um: FloatArray) -> None:
         """Take what was measured next, shape (k,): of one tick, or a part that ends with it."""
         sample = self._sample if self._measured >= self._start_sample else self._none
+        if self._measured == self._start_sample:
+            self._initial_um = self._first_error_um(displacement_um[0])
         self._added_v = take(displacement_um, self._measured, self._once_um, self._period_um,
+                             self._start_sample, self._fade_samples, self._initial_um,
                              self._sums, *sample, self._added_v)
         self._measured += len(displacement_um)
         if self._measured % self._samples_per_tick:
             return
         self.error_um = float(
             self._sums[EXPECTED] - self._sums[MEASURED]) / self._samples_per_tick
+        self._seen_um = self.error_um - float(self._sums[FADED]) / self._samples_per_tick
         self._sums[:] = 0.0
         if self.begun:
             self._decide()
+
+    def _first_error_um(self, displacement_um: float) -> float:
+        """Return the error in which the law begins: of the tick before, if there was one."""
+        if self._measured:
+            return self.error_um
+        expected_um = self._once_um if self._once_um.size else self._period_um
+        return float(expected_um[0] - displacement_um)
 
     @property
     def begun(self) -> bool:
@@ -144,9 +176,9 @@ class RunningLaw:
     def _decide(self) -> None:
         self._decided_ticks += 1
         self._decided_v, self.stepped = decide(
-            self.error_um, *self._tick, self._state, self._work, self._decided_v,
+            self._seen_um, *self._tick, self._state, self._work, self._decided_v,
             self.law.max_feedback_v, self._step_v)
-        self._past.append((self.error_um, self._decided_v))
+        self._past.append((self._seen_um, self._decided_v))
 
     def take_over(self, other: "RunningLaw") -> None:
         """Go on in place of another law, between two ticks and without a bump.
@@ -174,7 +206,11 @@ class RunningLaw:
         self._measured, self._played = other._measured, other._played
         self._decided_ticks, self._acts = other._decided_ticks, other._acts
         self.error_um, self.voltage_v = other.error_um, other.voltage_v
+        self._seen_um = other._seen_um
         self._sums[:] = other._sums
+        if other.begun:
+            self._start_sample = other._start_sample
+            self._fade_samples, self._initial_um = other._fade_samples, other._initial_um
         present = _Shares(scale * other._acting_v, scale * other._added_v)
         ahead = _Shares(scale * other._foreseen_v(), scale * other._foreseen_sample_v())
         self._acting_v, self._added_v = present.between(self.law)
@@ -218,12 +254,12 @@ class RunningLaw:
     def _foreseen_v(self) -> float:
         """Return the next decision, if the error stays."""
         tick = self.law.tick
-        return float(tick.c @ self._state + tick.d * self.error_um)
+        return float(tick.c @ self._state + tick.d * self._seen_um)
 
     def _foreseen_sample_v(self) -> float:
         """Return what the block at the sample rate gives next, if the error stays."""
         sample = self.law.sample
-        return float(sample.c @ self._sample_state + sample.d * self.error_um)
+        return float(sample.c @ self._sample_state + sample.d * self._seen_um)
 
 
 class _Shares(NamedTuple):
@@ -255,11 +291,16 @@ def _at_rest(block: LinearBlock) -> FloatArray:
 
 
 def _observer(block: LinearBlock) -> FloatArray:
-    """Return the gain of the Kalman predictor for an error of 1 um and a voltage known to 1 V."""
+    """Return the gain of the Kalman predictor for an error and a voltage known equally well.
+
+    The voltage is known as well as the block's quick gain makes it of the error: one known much
+    better leads a block of high gain from one limit to the other for ever.
+    """
     if not block.order:
         return np.zeros(0)
     b, c = block.b[:, None], block.c[None, :]
-    known_v = block.d**2 + 1.0
+    quick = block.response(np.exp(2j * np.pi * QUICK))
+    known_v = block.d**2 + max(float(np.mean(np.abs(quick) ** 2)), LEAST_GAIN**2)
     covariance = solve_discrete_are(block.a.T, c.T, b @ b.T, known_v, s=b * block.d)
     return np.asarray((block.a @ covariance @ c.T + b * block.d)[:, 0]
                       / (c @ covariance @ c.T + known_v).item())

@@ -164,8 +164,7 @@ class ElectricVibrationDynamics:
         modes = self._series_of_modes()
         if beside:
             share = 1.0 - sum(mode.participation for mode in beside)
-            modes = in_parallel([scaled(share, modes), *(
-                scaled(mode.participation, matrices_of(mode.state_space())) for mode in beside)])
+            modes = in_parallel([scaled(share, modes), *map(_branch, beside)])
         return control.ss(*in_series([_cascade(lag), modes]))
 
     def _series_of_modes(self) -> Matrices:
@@ -197,9 +196,15 @@ class ElectricVibrationDynamics:
                 response = response * _quadratic(s, *antiresonance)
         response = (1.0 - sum(mode.participation for mode in beside)) * response
         for mode in beside:
-            response = response + mode.participation / _quadratic(
-                s, mode.frequency_rad_per_s, mode.damping_ratio)
+            response = response + mode.branch_response(s)
         return response / (self.time_constant_s * s + 1.0)
+
+
+def _branch(mode: Any) -> Matrices:
+    """Return what a mode adds to the displacement; one of another package its part at rest."""
+    if hasattr(mode, "branch"):
+        return matrices_of(mode.branch())
+    return scaled(mode.participation, matrices_of(mode.state_space()))
 
 
 def _quadratic(s: ComplexArray, frequency: float, damping: float) -> ComplexArray:

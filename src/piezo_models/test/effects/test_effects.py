@@ -24,6 +24,7 @@ from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
+from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import PLACES, parameter
@@ -53,6 +54,7 @@ EXAMPLES = (
     ThermalDrift(0.1, 0.2, 3.0, (0.05, -0.02), 10.0),
     GainDrift(-0.1, 0.02, 5.0),
     VibrationMode(6000.0, 0.05, 0.3),
+    CoupledMode(6000.0, 0.05, 0.3, 0.1),
     Delay(1e-4),
     SensorLag(2e-4, 0.3),
     SensorNonlinearity(0.1, 0.2, 0.1, -0.05, 10.0, 20.0),
@@ -288,7 +290,8 @@ def test_a_guess_of_a_delay_stays_within_its_bounds_in_a_recording_of_minutes():
         0.1, displacement_um, displacement_um, -20.0 * velocity, 1e-3,
         ElectricVibrationDynamics(), displacement_um,
         lambda contributions: (np.array([20.0]), 1.0), lambda contribution: 1.0)
-    assert all(guess.delay_s <= 10.0 for guess in Delay.starts(shown))
+    longest_s = 0.1 * 4000 * 0.1
+    assert all(guess.delay_s <= longest_s for guess in Delay.starts(shown))
 
 
 def test_a_delay_of_part_of_a_sample_is_exact_for_slow_signals():

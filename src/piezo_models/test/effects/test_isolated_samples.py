@@ -100,3 +100,20 @@ def test_where_most_stands_out_it_is_the_signal():
 
 def test_too_short_a_signal_tells_nothing():
     assert not isolated(np.array([0.0, 9.0, 0.0]), np.zeros(3)).any()
+
+
+@pytest.mark.parametrize("place", [0, 1, -1, -3])
+def test_samples_at_an_end_that_have_no_time_to_come_back_are_marked(place):
+    time_s = np.arange(2000) / 1000.0
+    voltage_v = 50.0 - 50.0 * np.cos(2.0 * np.pi * time_s)
+    signal = 0.2 * voltage_v + np.random.default_rng(2).normal(0.0, 0.01, time_s.size)
+    ends = slice(0, place + 1) if place >= 0 else slice(place, None)
+    signal[ends] = -207.0
+    wrong = isolated(signal, voltage_v)
+    assert wrong[ends].all() and wrong.sum() == wrong[ends].sum()
+
+
+def test_the_end_of_a_step_of_the_voltage_is_no_outlier():
+    voltage_v = np.append(np.zeros(500), np.full(2, 100.0))
+    signal = 0.2 * voltage_v + np.random.default_rng(2).normal(0.0, 0.01, voltage_v.size)
+    assert not isolated(signal, voltage_v).any()

@@ -82,14 +82,25 @@ def test_an_integral_at_its_limit_does_not_wind_up(seconds):
 
 
 def test_the_observer_of_an_integral_is_the_predictor_of_kalman():
-    """One state, by hand: the covariance p of x+ = x + b w, y = c x + d w + v, v of 1 V."""
+    """One state, by hand: the covariance p of x+ = x + b w, y = c x + d w + v."""
     running = RunningLaw(law_of(INTEGRATOR), SAMPLES)
     b, d = 0.05, 0.05
-    # p = p + b^2 - (p + b d)^2 / (p + d^2 + 1), the larger root of a square equation.
+    # v is as large as what the block makes of errors from 1 to 50 % of the sample rate.
+    points = np.exp(2j * np.pi * np.linspace(0.01, 0.5, 400))
+    v = np.mean(np.abs(d + b / (points - 1)) ** 2)
+    # p = p + b^2 - (p + b d)^2 / (p + d^2 + v), the larger root of a square equation.
     p = (b * b - 2 * b * d + np.sqrt((b * b - 2 * b * d)**2
-                                     + 4 * (b * b * (d * d + 1) - b * b * d * d))) / 2
-    gain = (p + b * d) / (p + d * d + 1)
+                                     + 4 * (b * b * (d * d + v) - b * b * d * d))) / 2
+    gain = (p + b * d) / (p + d * d + v)
     np.testing.assert_allclose(running._sample_observer, [gain], rtol=1e-9)
+
+
+@pytest.mark.parametrize("gain", [1e-3, 1.0, 1e3])
+def test_the_observer_does_not_depend_on_the_unit_of_the_voltage(gain):
+    louder = replace(INTEGRATOR, c=gain * INTEGRATOR.c, d=gain * INTEGRATOR.d)
+    usual, other = (RunningLaw(law_of(block), SAMPLES)._sample_observer
+                    for block in (INTEGRATOR, louder))
+    np.testing.assert_allclose(gain * other, usual, rtol=1e-9)
 
 
 def test_an_observed_block_forgets_what_was_cut_off():

@@ -5,22 +5,23 @@ import functools
 import importlib
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from piezo_interfaces.msg import StageDescription
+from piezo_interfaces.msg import SampleBlock, StageDescription
 from piezo_interfaces.srv import StartRecording, StopRecording
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.lifecycle.node import LifecycleState
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
 from piezo_common.data_root import DataRootError, check_file_name
 from piezo_recorder import sample_block
+from piezo_recorder.node.attached_files import read_attachments
 from piezo_recorder.node.patience import Patience
 from piezo_recorder.node.waiting_services import create_waiting_service
 from piezo_recorder.reading import tracked_reference
@@ -29,6 +30,7 @@ from piezo_recorder.writing.quality_profiles import offered_profile
 from piezo_recorder.writing.session import RecordingSession
 from piezo_recorder.writing.writer import FLUSH_PERIOD_S, RecordingWriter
 from piezo_ros.clock_guard import keep_clock
+from piezo_ros.deadlines import asks_the_same, why_too_late
 from piezo_ros.diagnostics import diagnostic
 from piezo_ros.parameters import declare, declare_data_root
 from piezo_ros.presence import Presence
@@ -41,8 +43,9 @@ ARRIVAL_TIMEOUT_S = 5.0
 QUIET_TIMEOUT_S = 0.5
 POLL_PERIOD_S = 0.01
 DIAGNOSTICS_PERIOD_S = 1.0
-# What the stage may take to come to rest after the client of a recording is gone.
-AFTERMATH_S = 2.0
+# After the client of a recording is gone: when it is closed, and while the stage still moves.
+AFTERMATH_S, LONGEST_AFTERMATH_S = 2.0, 10.0
+MOVING = sample_block.Flag.RAMPING | sample_block.Flag.PLAYING | sample_block.Flag.TRACKING
 MEGABYTE = 1e6
 DESCRIPTION_TYPE = "piezo_interfaces/msg/StageDescription"
 
@@ -70,6 +73,7 @@ class Recorder(LifecycleNode):
         self._started: StartRecording.Request | None = None
         self._stopped: tuple[StopRecording.Request, StopRecording.Response] | None = None
         self._client_gone_at: float | None = None
+        self._last_block: bytes | None = None
         self._definitions: dict[str, MessageDefinition] = {}
         self._subscriptions_by_topic: dict[str, Subscription] = {}
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
@@ -150,12 +154,14 @@ class Recorder(LifecycleNode):
         # Asked again: another request may have come while this one waited.
         refusal = refusal or self._refusal(request)
         recording = self._recording
-        if recording and request == self._started and request.client:
+        if recording and asks_the_same(request, self._started) and request.client:
             response.success, response.path = True, recording.path
             return response
+        attachments, response.unread_attachments, unread = read_attachments(request)
+        refusal = refusal or unread
         if not refusal:
             try:
-                session = self._session = self._new_session(request)
+                session = self._session = self._new_session(request, attachments)
                 self._started = request
             except OSError as error:
                 refusal = _sentence(error)
@@ -173,13 +179,20 @@ class Recorder(LifecycleNode):
 
     def _refusal(self, request: StartRecording.Request) -> str:
         """Say why a recording cannot start now; empty if it can."""
+        if late := why_too_late(request):
+            return f"start_recording refused: {late}"
         if not self._subscriptions_by_topic:
             return "The recorder is not active: activate it first."
         if self._recording:
             return f"{self._recording.path} is being recorded: stop it first."
-        if len(request.attachment_names) != len(request.attachment_contents):
-            return (f"{len(request.attachment_names)} attachment names came with "
-                    f"{len(request.attachment_contents)} contents: give one for each.")
+        count = len(request.attachment_names)
+        for what, given, may_lack in (
+                ("contents", request.attachment_contents, False),
+                ("paths", request.attachment_paths, True),
+                ("hashes", request.attachment_sha256, True)):
+            if len(given) != count and (given or not may_lack):
+                return (f"{count} attachment names came with {len(given)} {what}: "
+                        "give one for each.")
         try:
             path = self._path(request)
         except DataRootError as error:
@@ -209,7 +222,8 @@ class Recorder(LifecycleNode):
             return f"Nobody describes the stage on {self._stage.topic}: configure the stage."
         return self._stage.contradiction
 
-    def _new_session(self, request: StartRecording.Request) -> RecordingSession:
+    def _new_session(self, request: StartRecording.Request,
+                     attachments: Mapping[str, bytes]) -> RecordingSession:
         described = self._stage.description
         if described is None:  # ended since it was asked for
             raise OSError(f"Nobody describes the stage on {self._stage.topic} any more: "
@@ -221,10 +235,9 @@ class Recorder(LifecycleNode):
             {topic: [offered_profile(publisher.qos_profile)
                      for publisher in self.get_publishers_info_by_topic(topic)]
              for topic in self._definitions})
-        self._client_gone_at = None
-        for name, content in zip(
-                request.attachment_names, request.attachment_contents, strict=True):
-            writer.attach(name, content.encode())
+        self._client_gone_at = self._last_block = None
+        for name, content in attachments.items():
+            writer.attach(name, content)
         session.receive(self._stage.topic, serialize_message(described),
                         self.get_clock().now().nanoseconds)
         return session
@@ -233,7 +246,7 @@ class Recorder(LifecycleNode):
                               response: StopRecording.Response) -> StopRecording.Response:
         session = self._session
         if session is None:
-            if self._stopped and self._stopped[0] == request:
+            if self._stopped and asks_the_same(request, self._stopped[0]):
                 return self._stopped[1]
             response.message = "Nothing is being recorded: start a recording first."
             return response
@@ -304,6 +317,8 @@ class Recorder(LifecycleNode):
         session = self._recording
         if session is None:
             return
+        if topic == self._samples_topic:
+            self._last_block = data
         try:
             session.receive(topic, data, self.get_clock().now().nanoseconds)
         except OSError as error:
@@ -321,11 +336,18 @@ class Recorder(LifecycleNode):
                               clock=self._steady_clock)]
 
     def _client_is_gone(self, session: RecordingSession) -> bool:
-        """Whether the recording's client went away as long ago as the stage moves on."""
+        """Whether the recording's client went away, and the stage has come to rest since."""
         if self._client_gone_at is None and session.client.gone:
             self._client_gone_at = time.monotonic()
-        gone_at = self._client_gone_at
-        return gone_at is not None and time.monotonic() - gone_at > AFTERMATH_S
+        if self._client_gone_at is None:
+            return False
+        gone_s = time.monotonic() - self._client_gone_at
+        return gone_s > (LONGEST_AFTERMATH_S if self._moves() else AFTERMATH_S)
+
+    def _moves(self) -> bool:
+        """Whether the stage moved in the last block that came."""
+        block = self._last_block
+        return block is not None and bool(deserialize_message(block, SampleBlock).flags & MOVING)
 
     def _flush(self) -> None:
         session = self._recording

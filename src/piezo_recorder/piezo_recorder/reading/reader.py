@@ -12,6 +12,9 @@ import yaml
 from mcap.stream_reader import StreamReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from piezo_common.cancellation import check_cancelled
+from piezo_common.regular_file import UnreadableFile, open_regular
+from piezo_common.text_file import read_bounded_text
 from piezo_recorder import sample_block
 from piezo_recorder.reading.columns import GUESSED, ColumnsDocument
 from piezo_recorder.reading.recording import Recording, RecordingError
@@ -99,6 +102,7 @@ def sha256_of(path: str | PathLike[str]) -> str:
     for file in data_files(Path(path)):
         with open(file, "rb") as stream:
             while part := stream.read(1 << 20):
+                check_cancelled()
                 digest.update(part)
     return digest.hexdigest()
 
@@ -126,29 +130,35 @@ def data_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [_bounded(path)]
     try:
-        text = (path / "metadata.yaml").read_text(encoding="utf-8")
+        text = read_bounded_text(path / "metadata.yaml")
         metadata = yaml.safe_load(text)["rosbag2_bagfile_information"]
         storage = metadata["storage_identifier"]
         compression = metadata["compression_mode"].lower()
-        files = [path / name for name in metadata["relative_file_paths"]]
-    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+        names = [Path(name) for name in metadata["relative_file_paths"]]
+    except (UnreadableFile, yaml.YAMLError, KeyError, TypeError, AttributeError):
         raise RecordingError(
             f"{path} has no readable metadata.yaml: give the .mcap file inside it.") from None
     if storage != "mcap" or compression not in ("", "none"):
         raise RecordingError(
             f"{path} is stored as {storage} {compression}: "
             "convert it with `ros2 bag convert` to uncompressed mcap.")
-    missing = [file for file in files if not file.is_file()]
-    if missing:
-        raise RecordingError(f"{path} names {missing[0].name}, which is missing: copy it there.")
-    return [_bounded(file) for file in files]
+    for name in names:
+        if name.parts != (name.name,):
+            raise RecordingError(f"{path} names {name}, which is not in it: move it there, and "
+                                 "mend metadata.yaml.")
+        if not (path / name).exists():
+            raise RecordingError(f"{path} names {name}, which is missing: copy it there.")
+    return [_bounded(path / name) for name in names]
 
 
 def _bounded(file: Path) -> Path:
-    size = file.stat().st_size
-    if size > LARGEST_BYTES:
-        raise RecordingError(f"{file} has {size} bytes, more than the {LARGEST_BYTES} that are "
-                             "read at once: cut it into parts.")
+    try:
+        open_regular(file, LARGEST_BYTES).close()
+    except UnreadableFile as error:
+        raise RecordingError(f"{file} {error}: give a recording, or cut it into parts.") from None
+    except OSError as error:
+        raise RecordingError(f"{file} cannot be read ({error.strerror}): "
+                             "give a file that may be read.") from None
     return file
 
 
@@ -172,9 +182,11 @@ class _Contents:
             channels: dict[int, list[bytes] | None] = {}
             try:
                 for record in reader.records:
+                    check_cancelled()
                     self._add(record, schemas, channels)
             # Whatever the parser stumbles over in damaged bytes.
             except Exception as error:
+                check_cancelled()  # a read that was given up is no damage
                 if not was_cut_short(stream):
                     raise RecordingError(
                         f"{path} is damaged or no MCAP file ({_brief(error)}): "

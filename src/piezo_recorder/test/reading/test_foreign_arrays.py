@@ -126,7 +126,8 @@ def test_file_of_another_library_is_read_to_the_numbers_that_it_was_given(tmp_pa
 
 
 @pytest.mark.parametrize("name", WRITERS)
-@pytest.mark.parametrize("kept", [0.02, 0.5, 0.9])
+@pytest.mark.parametrize("kept", [
+    0.5, *(pytest.param(kept, marks=pytest.mark.long) for kept in (0.02, 0.9))])
 def test_file_that_was_cut_short_is_read_or_refused_in_one_line(tmp_path, name, kept):
     path = tmp_path / name
     WRITERS[name](path)

@@ -17,14 +17,15 @@ from rcl_interfaces.srv import (
 )
 from rclpy.action.client import ClientGoalHandle
 from rclpy.client import Client
-from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from piezo_ros.deadlines import set_deadline
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.requests.lost_answers import PatientActionClient
+from piezo_ros.requests.servers import WORD_AFTER_S, Waiting, server_of
 
 InvalidHandle = rclpy_implementation.InvalidHandle
 
@@ -33,8 +34,8 @@ CALL_TIMEOUT_S = 60.0
 POLL_S = 0.05
 # A node that ends may be gone before its answer is read.
 LAST_ANSWER_S = 1.0
-# A response gets lost where the server has not met the client yet.
-RESEND_S = 10.0
+# A response gets lost where the server has not met the client yet. The next wait is twice as long.
+RESEND_S = 2.0
 
 IDEMPOTENT = tuple(service.Request for service in (
     StopRecording, Trigger, GetState, ListParameters, DescribeParameters, GetParameters,
@@ -44,6 +45,23 @@ IDEMPOTENT = tuple(service.Request for service in (
 
 class CallFailed(ValueError):
     """A service or an action did not do what it was asked to."""
+
+
+class Refused(CallFailed):
+    """A response says that the service did not do what it was asked to.
+
+    Parameters
+    ----------
+    response : message
+    """
+
+    def __init__(self, response: Message) -> None:
+        super().__init__(response.message)
+        self.response = response
+
+
+class NoAnswer(CallFailed):
+    """Nobody knows whether a request has acted: it must not act any later."""
 
 
 class GoalAborted(CallFailed):
@@ -101,15 +119,19 @@ def number_request(request: Message) -> bool:
     return hasattr(request, "request_id")
 
 
-def call_service(client: Client, request: Message, timeout_s: float = CALL_TIMEOUT_S,
+def call_service(node: Node, client: Client, request: Message, timeout_s: float = CALL_TIMEOUT_S,
                  appearance_s: float = CALL_TIMEOUT_S) -> Message:
     """Call a service whose response has ``success`` and ``message``.
 
-    A request is sent again where no response came, if `may_be_repeated` allows it.
+    A request is sent again where no response came, if `may_be_repeated` allows it. It is not acted
+    upon later than its client waits for it, if it can bear a deadline.
 
     Parameters
     ----------
+    node : rclpy.node.Node
+        That asks; it logs for whom it waits.
     client : rclpy.client.Client
+        Of this node.
     request : message
     timeout_s : float
         For the response.
@@ -123,16 +145,19 @@ def call_service(client: Client, request: Message, timeout_s: float = CALL_TIMEO
     Raises
     ------
     CallFailed
-        If nobody serves or answers, if the node that serves or this one ends meanwhile, or if
-        the response says so.
+        If nobody serves, or if the node that serves or this one ends meanwhile.
+    Refused
+        If the response says so.
+    NoAnswer
+        If nobody answers.
     """
     repeatable = may_be_repeated(request)
-    if not client.wait_for_service(appearance_s):
-        raise CallFailed(f"nobody serves {client.srv_name}: start its node")
-    response = _await(lambda: client.call_async(request), client.context,
-                      client.service_is_ready, client.srv_name, timeout_s, repeatable)
+    _await_service(node, client.wait_for_service, client.srv_name, appearance_s)
+    set_deadline(request, timeout_s)
+    response = _await(lambda: client.call_async(request), node, client.service_is_ready,
+                      client.srv_name, timeout_s, repeatable)
     if not response.success:
-        raise CallFailed(response.message)
+        raise Refused(response)
     return response
 
 
@@ -179,8 +204,8 @@ class ActionCaller:
         Exception
             What ``on_feedback`` raised.
         """
-        if not self._client.wait_for_server(CALL_TIMEOUT_S):
-            raise CallFailed(f"nobody serves {self._name}: start its node")
+        _await_service(self._node, self._client.wait_for_server, self._name, CALL_TIMEOUT_S)
+        set_deadline(goal, CALL_TIMEOUT_S)
         failures: list[Exception] = []
 
         def tell(message: Message) -> None:
@@ -236,14 +261,14 @@ class ActionCaller:
         """
         sent: queue.SimpleQueue[Future] = queue.SimpleQueue()
         self._in_executor(lambda: sent.put(send()))
-        context, begin_s = self._node.context, time.monotonic()
+        begin_s = time.monotonic()
         while sent.empty():
-            _check_alive(context, self._name)
+            _check_alive(self._node, self._name)
             if time.monotonic() - begin_s > CALL_TIMEOUT_S:
                 raise CallFailed(f"{self._name} was not asked within {CALL_TIMEOUT_S:g} s: this "
                                  "node hangs, start it again")
             time.sleep(POLL_S / 10)
-        return _await(sent.get, context, self._client.server_is_ready, self._name, timeout_s,
+        return _await(sent.get, self._node, self._client.server_is_ready, self._name, timeout_s,
                       look=look)
 
     def _in_executor(self, work: Callable[[], object]) -> None:
@@ -253,34 +278,53 @@ class ActionCaller:
         executor.create_task(work)
 
 
-def _await(send: Callable[[], Future], context: Context, is_served: Callable[[], bool], name: str,
+def _await_service(node: Node, appears: Callable[[float], bool], name: str,
+                   timeout_s: float) -> None:
+    """Wait until somebody serves a name, and log that nobody does."""
+    waiting, begin_s, waited_s = Waiting(node, name), time.monotonic(), 0.0
+    while not appears(min(timeout_s - waited_s, WORD_AFTER_S)):
+        _check_alive(node, name)
+        waited_s = time.monotonic() - begin_s
+        if waited_s >= timeout_s:
+            raise CallFailed(f"nobody serves {name}: start its node")
+        waiting.look(waited_s)
+
+
+def _await(send: Callable[[], Future], node: Node, is_served: Callable[[], bool], name: str,
            timeout_s: float | None, repeatable: bool = False,
            look: Callable[[], None] = lambda: None) -> Any:
-    """Send, and return the first answer; look at what goes on while there is none."""
+    """Send, and return the first answer; look at what goes on while there is none.
+
+    A goal's result, which has no timeout, may take long: its progress is told elsewhere.
+    """
     answers: queue.SimpleQueue[Future] = queue.SimpleQueue()
+    waiting = Waiting(node, name)
     sent_s = begin_s = served_s = time.monotonic()
+    resend_s = RESEND_S
     send().add_done_callback(answers.put)
     while True:
         try:
             return answers.get(timeout=POLL_S).result()
         except queue.Empty:
             now_s = time.monotonic()
-        _check_alive(context, name)
+        _check_alive(node, name)
         if _holds(is_served):
             served_s = now_s
         elif now_s - served_s > LAST_ANSWER_S:
             raise CallFailed(f"the node that serves {name} has ended: start it again")
-        if timeout_s is not None and now_s - begin_s > timeout_s:
-            raise CallFailed(f"{name} did not answer within {timeout_s:g} s: "
-                             "look at its node's log")
-        if repeatable and now_s - sent_s > RESEND_S:
-            sent_s = now_s
+        if timeout_s is not None:
+            if now_s - begin_s > timeout_s:
+                raise NoAnswer(f"{server_of(node, name) or 'nobody'} did not answer {name} within "
+                               f"{timeout_s:g} s: look at its log")
+            waiting.look(now_s - begin_s)
+        if repeatable and now_s - sent_s > resend_s:
+            sent_s, resend_s = now_s, 2.0 * resend_s
             send().add_done_callback(answers.put)
         look()
 
 
-def _check_alive(context: Context, name: str) -> None:
-    if not context.ok():
+def _check_alive(node: Node, name: str) -> None:
+    if not node.context.ok():
         raise CallFailed(f"this node ended before {name} answered: start it again")
 
 

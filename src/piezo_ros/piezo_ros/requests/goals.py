@@ -14,7 +14,9 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, ManagedEntity, TransitionCallbackReturn
 
+from piezo_common.cancellation import checking
 from piezo_ros.clock_guard import keep_clock
+from piezo_ros.deadlines import why_too_late
 from piezo_ros.diagnostics import diagnostic
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.presence import Presence
@@ -157,7 +159,9 @@ class GoalServers(ManagedEntity):
     def _examine(self, goal: Message) -> GoalResponse:
         """Tell whether a goal can be taken at all; the answer has no room for a reason."""
         reason = ""
-        if self._why_ending or not self._active:
+        if late := why_too_late(goal):
+            reason = f"is asked too late: {late}"
+        elif self._why_ending or not self._active:
             reason = "is not active: activate it first"
         elif self.busy:
             reason = "is busy with another goal: wait or cancel it"
@@ -199,7 +203,8 @@ class GoalServers(ManagedEntity):
               progress: Progress) -> None:
         end = "abort"
         try:
-            work(goal_handle.request, result, progress)
+            with checking(progress.check):
+                work(goal_handle.request, result, progress)
             result.success, end = True, "succeed"
         except Cancelled:
             result.message = progress.cause
@@ -209,6 +214,10 @@ class GoalServers(ManagedEntity):
         except ValueError as error:
             result.message = str(error)
             self._node.get_logger().warning(f"goal refused or failed: {error}")
+        except MemoryError:
+            result.message = ("this takes more memory than the node may have: give less data, or "
+                              "start the node with a larger memory_limit_percent")
+            self._node.get_logger().error(result.message)
         except InvalidHandle:  # the node has ended without waiting any longer
             return
         except Exception as error:

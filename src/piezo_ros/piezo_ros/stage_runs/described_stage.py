@@ -13,6 +13,7 @@ from rclpy.task import Future
 
 from piezo_ros.quality import DESCRIPTION
 from piezo_ros.requests.calls import CALL_TIMEOUT_S, RESEND_S, CallFailed
+from piezo_ros.requests.servers import Waiting
 
 # Parameters that other nodes had, too, before the stage described itself. Files may still set
 # them for all nodes; they must then say the same.
@@ -78,9 +79,11 @@ class DescribedStage:
             If nobody serves the stage, it is not configured, or a parameter contradicts it.
         """
         begin_s, asked_s, state = time.monotonic(), -math.inf, None
+        waiting = Waiting(self._node, self._state.srv_name)
         while (description := self.description) is None:
             check()
             now_s = time.monotonic()
+            waiting.look(now_s - begin_s)
             if not self._state.service_is_ready():
                 asked_s, state = -math.inf, None  # whoever was asked is gone
             elif now_s - asked_s > RESEND_S and not (state and state.done()):

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Have a run recorded by the recorder node."""
 
+import hashlib
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from itertools import chain, count
 from os import PathLike
 from pathlib import Path
@@ -14,7 +16,7 @@ from rclpy.node import Node
 
 from piezo_ros.presence import Presence
 from piezo_ros.quality import DIAGNOSTICS_DEPTH
-from piezo_ros.requests.calls import CallFailed, call_service
+from piezo_ros.requests.calls import CallFailed, NoAnswer, Refused, call_service
 
 # The recorder itself waits for samples that are on their way, as long as they come.
 STOP_TIMEOUT_S = 120.0
@@ -93,7 +95,7 @@ class RunRecording:
         try:
             missing_samples = stop(self.last_sample).missing_samples
         except CallFailed as error:
-            self._failure = str(error)
+            self._failure = self.failure or str(error)
         else:
             if missing_samples:
                 self._note = f"{missing_samples} samples are missing in the recording"
@@ -129,6 +131,26 @@ class RecorderNews:
                 self._recording.ended(values.get("path", ""), status.message)
 
 
+@dataclass(frozen=True)
+class Attachment:
+    """A text to be kept inside a recording.
+
+    Attributes
+    ----------
+    text : str
+    path : str
+        Of the file that holds it, if there is one: the recorder then reads it there.
+    """
+
+    text: str
+    path: str = ""
+
+    @property
+    def sha256(self) -> str:
+        """Return the hash of the text."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+
 class RecorderCaller:
     """Have runs recorded, one at a time.
 
@@ -138,21 +160,21 @@ class RecorderCaller:
     """
 
     def __init__(self, node: Node) -> None:
-        self._news = RecorderNews(node)
+        self._node, self._news = node, RecorderNews(node)
         self._client = node.get_fully_qualified_name()
         self._start = node.create_client(StartRecording, "recorder/start_recording")
         self._stop = node.create_client(StopRecording, "recorder/stop_recording")
 
-    def record(self, directory: str | PathLike[str], name: str, attachments: Mapping[str, str],
-               unrecorded: bool = False) -> RunRecording:
+    def record(self, directory: str | PathLike[str], name: str,
+               attachments: Mapping[str, Attachment], unrecorded: bool = False) -> RunRecording:
         """Start a recording under a name that is not taken yet.
 
         Parameters
         ----------
         directory, name : str
             A number is added to the name where a recording of that name exists.
-        attachments : dict of str to str
-            Files to be kept inside the recording.
+        attachments : dict of str to Attachment
+            What is to be kept inside the recording, by name.
         unrecorded : bool
             Whether the run may go on once its recording has ended.
 
@@ -164,16 +186,31 @@ class RecorderCaller:
         ------
         CallFailed
         """
-        path = call_service(self._start, StartRecording.Request(
+        request = StartRecording.Request(
             directory=str(Path(directory).absolute()), name=free_name(directory, name),
             attachment_names=list(attachments),
-            attachment_contents=list(attachments.values()), client=self._client)).path
+            attachment_contents=["" if one.path else one.text for one in attachments.values()],
+            attachment_paths=[one.path for one in attachments.values()],
+            attachment_sha256=[one.sha256 for one in attachments.values()], client=self._client)
+        try:
+            path = call_service(self._node, self._start, request).path
+        except Refused as refused:
+            unread = refused.response.unread_attachments
+            if not unread:
+                raise
+            # Of another machine, or changed since it was read: what was read is what is used.
+            return self.record(directory, name, {
+                name: Attachment(one.text) if name in unread else one
+                for name, one in attachments.items()}, unrecorded)
+        except NoAnswer:
+            # It may have begun all the same, and would keep others from theirs.
+            self._stop.call_async(StopRecording.Request(client=self._client))
+            raise
         return self._news.about(path, unrecorded, self._close)
 
     def _close(self, last_sample: int) -> StopRecording.Response:
-        return call_service(
-            self._stop, StopRecording.Request(last_sample=last_sample, client=self._client),
-            STOP_TIMEOUT_S, STOP_APPEARANCE_S)
+        request = StopRecording.Request(last_sample=last_sample, client=self._client)
+        return call_service(self._node, self._stop, request, STOP_TIMEOUT_S, STOP_APPEARANCE_S)
 
 
 def free_name(directory: str | PathLike[str], name: str) -> str:

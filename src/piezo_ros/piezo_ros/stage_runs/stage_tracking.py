@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 
 from piezo_common.arrays import FloatArray
 from piezo_ros.quality import FEEDBACK, SAMPLES
-from piezo_ros.requests.calls import CallFailed, call_service
+from piezo_ros.requests.calls import CallFailed, NoAnswer, call_service
 from piezo_ros.stage_runs.stage_watch import StageWatch
 from piezo_ros.stage_runs.streaming import More, Stream
 
@@ -49,6 +49,7 @@ class StageTracker:
     """
 
     def __init__(self, node: Node) -> None:
+        self._node = node
         self._take: Callable[[SampleBlock], float] | None = None
         self._stream: Stream | None = None
         # Answers to the first blocks wait here until the number of their run is known.
@@ -106,7 +107,7 @@ class StageTracker:
         self._blocks = self.last_sample = self.missed_feedback = self._feedforward_id = 0
         self._load_voltages(once_voltage_v, period_voltage_v)
         if law is not None:
-            call_service(self._load_law, LoadFeedback.Request(
+            call_service(self._node, self._load_law, LoadFeedback.Request(
                 law=law, feedforward_id=self._feedforward_id))
         self._stream = more and Stream(more, len(once_voltage_v), self._append, self._publish)
         self._answering = answering or more is not None
@@ -115,10 +116,9 @@ class StageTracker:
             if self._stream:
                 self._stream.feed()
             self._run, self._early_answers = None, []
-            begun = call_service(self._start, StartTracking.Request(
+            begun = self._begin(StartTracking.Request(
                 feedback=self._answering, onboard=law is not None, ticks=ticks,
-                client=self._client, feedforward_id=self._feedforward_id),
-                appearance_s=APPEARANCE_S)
+                client=self._client, feedforward_id=self._feedforward_id))
             self._first_tick = begun.first_tick
             self._begin_answers(begun.run)
             self._begun.set()
@@ -147,7 +147,7 @@ class StageTracker:
         """
         if not self._begun.wait(STOP_TIMEOUT_S):
             raise CallFailed(f"no run began within {STOP_TIMEOUT_S:g} s: start one first")
-        replaced = call_service(self._replace, ReplaceFeedforward.Request(
+        replaced = call_service(self._node, self._replace, ReplaceFeedforward.Request(
             run=self._run, once_voltage_v=array.array("d", bytes(once_voltage_v)),
             period_voltage_v=array.array("d", bytes(period_voltage_v)),
             onboard=law is not None, law=law or FeedbackLaw()), appearance_s=APPEARANCE_S)
@@ -161,9 +161,16 @@ class StageTracker:
         """Say why the stage ended the last run before its time, as far as the stage tells."""
         return self._stage.why_ended()
 
+    def _begin(self, request: StartTracking.Request) -> StartTracking.Response:
+        try:
+            return call_service(self._node, self._start, request, appearance_s=APPEARANCE_S)
+        except NoAnswer:
+            self._stop.call_async(Trigger.Request())  # it may have begun all the same
+            raise
+
     def _load_voltages(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray | bytes = b"",
                        append: bool = False) -> None:
-        self._feedforward_id = call_service(self._load, LoadFeedforward.Request(
+        self._feedforward_id = call_service(self._node, self._load, LoadFeedforward.Request(
             once_voltage_v=array.array("d", bytes(once_voltage_v)),
             period_voltage_v=array.array("d", bytes(period_voltage_v)), append=append,
             feedforward_id=self._feedforward_id)).feedforward_id
@@ -198,7 +205,8 @@ class StageTracker:
             if (failure or cancelled()) and not stopping:
                 stopping = True
                 with suppress(CallFailed):  # the stage may just have stopped by itself
-                    call_service(self._stop, Trigger.Request(), STOP_TIMEOUT_S, APPEARANCE_S)
+                    call_service(self._node, self._stop, Trigger.Request(), STOP_TIMEOUT_S,
+                                 APPEARANCE_S)
             if self._stage.gone and not self._at_rest.wait(LAST_BLOCK_S):
                 raise CallFailed(f"the stage stopped before the end: {self.why_ended()}")
             now_s = time.monotonic()
@@ -211,6 +219,9 @@ class StageTracker:
                 reported_s = now_s
                 report()
         report()
+        if isinstance(failure, CallFailed) and self._stage.stopped:
+            # A stage that had stopped refused what the stream went on to load.
+            raise CallFailed(f"the stage stopped before the end: {self._stage.stopped}")
         if failure:
             raise failure
 

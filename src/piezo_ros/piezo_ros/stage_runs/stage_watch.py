@@ -42,6 +42,11 @@ class StageWatch:
         """Tell whether the stage's node went away since the run began."""
         return self._presence.gone
 
+    @property
+    def stopped(self) -> str:
+        """Return the cause of a stop, as far as the stage has told it; empty without one."""
+        return self._stopped
+
     def why_ended(self) -> str:
         """Say why a run ended before its time; wait for the stage's word if need be.
 

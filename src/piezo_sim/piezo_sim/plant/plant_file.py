@@ -12,6 +12,7 @@ from typing import Any, ClassVar, get_type_hints
 from pydantic import create_model, model_validator
 
 from piezo_common.registered import registered
+from piezo_common.regular_file import UnreadableFile
 from piezo_common.schema import (
     Document,
     Number,
@@ -24,7 +25,7 @@ from piezo_common.schema import (
     violation,
 )
 from piezo_common.schema.checking import quoted
-from piezo_common.text_file import UnreadableFile, read_bounded_text
+from piezo_common.text_file import read_bounded_text
 from piezo_sim.effects.clamped_beam import ClampedBeam
 from piezo_sim.effects.clock_jitter import SamplingJitter, UpdateJitter
 from piezo_sim.effects.current_limit import CurrentLimit

@@ -127,6 +127,10 @@ class OnboardFeedback:
         """Return planned voltages with the feedback that acts, shape (n,), in V."""
         return planned_v + self._law.begin(planned_v)
 
+    def limit(self, lacking_v: np.ndarray) -> None:
+        """Learn by how much the limits changed what `add` gave last, shape (n,), in V."""
+        self._law.correct(float(lacking_v.mean()))
+
     def take_sample(self, displacement_um: np.ndarray) -> None:
         """Take the sample that was measured while the last one was played, shape (1,)."""
         self._law.take(displacement_um)

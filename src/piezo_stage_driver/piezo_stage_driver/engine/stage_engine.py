@@ -317,6 +317,8 @@ class StageEngine:
         if isinstance(feedback, OnboardFeedback) and feedback.each_sample:
             return self._exchange_each(wanted_v, feedback)
         voltage_v, flags = self._limits.apply(wanted_v, self.voltage_v, self.sample_period_s)
+        if flags and isinstance(feedback, OnboardFeedback):
+            feedback.limit(voltage_v - wanted_v)
         return voltage_v, self._backend.exchange(voltage_v), flags
 
     def _exchange_each(self, planned_v: np.ndarray,
@@ -326,8 +328,10 @@ class StageEngine:
         last_v, flags = self.voltage_v, 0
         for sample in range(len(planned_v)):
             part = slice(sample, sample + 1)
-            voltage_v[part], flag = self._limits.apply(
-                feedback.add(planned_v[part]), last_v, self.sample_period_s)
+            wanted_v = feedback.add(planned_v[part])
+            voltage_v[part], flag = self._limits.apply(wanted_v, last_v, self.sample_period_s)
+            if flag:
+                feedback.limit(voltage_v[part] - wanted_v)
             displacement_um[part] = self._backend.exchange(voltage_v[part])
             feedback.take_sample(displacement_um[part])
             last_v = float(voltage_v[sample])

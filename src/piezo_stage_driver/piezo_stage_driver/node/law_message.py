@@ -36,7 +36,7 @@ def law_of(message: FeedbackLawMessage) -> FeedbackLaw:
         plant=DeclaredPlant(_block(message.model), np.array(message.model_gains_um_per_v)),
         start_sample=message.start_sample, delay_ticks=message.delay_ticks,
         sample=_block(message.sample), inverse=inverse,
-        max_error_um=message.max_error_um or math.inf)
+        max_error_um=message.max_error_um or math.inf, fade_samples=message.fade_samples)
 
 
 def _block(message: StateSpace) -> LinearBlock:

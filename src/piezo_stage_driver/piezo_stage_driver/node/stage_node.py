@@ -214,7 +214,8 @@ def run_stage(create_node: Callable[[], StageNode], args: list[str] | None = Non
     """Run a stage node; see ``run_node``.
 
     No reader keeps the ticks of a paced stage waiting. In lockstep they wait for their readers
-    anyhow, and a thread that delivers would cost time in every tick.
+    anyhow, and a thread that delivers would cost time in every tick. Of all nodes it is the last
+    that the kernel ends when memory runs out.
 
     Parameters
     ----------
@@ -223,7 +224,7 @@ def run_stage(create_node: Callable[[], StageNode], args: list[str] | None = Non
     """
     if not arguments_set("timing", "lockstep", sys.argv if args is None else args):
         deliver_in_background()
-    run_node(create_node, args)
+    run_node(create_node, args, expendable=False)
 
 
 def main(args: list[str] | None = None) -> None:

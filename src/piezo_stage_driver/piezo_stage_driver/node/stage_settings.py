@@ -24,7 +24,8 @@ from piezo_stage_driver.safety.supervisor import StageSupervisor
 DESCRIBED = (
     "timing", "sample_rate_hz", "samples_per_tick", "minimum_voltage_v", "maximum_voltage_v",
     "rest_voltage_v", "slew_limit_v_per_s", "ramp_rate_v_per_s", "max_feedback_v",
-    "max_feedback_step_v", "minimum_displacement_um", "maximum_displacement_um")
+    "max_feedback_step_v", "max_missed_feedback", "minimum_displacement_um",
+    "maximum_displacement_um")
 
 
 class StageSettings:

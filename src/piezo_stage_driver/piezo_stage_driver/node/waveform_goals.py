@@ -7,10 +7,11 @@ import time
 from collections.abc import Callable
 
 from piezo_interfaces.action import PlayWaveform
-from rclpy.action import ActionServer, CancelResponse
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
+from piezo_ros.deadlines import why_too_late
 from piezo_ros.quality import PROGRESS
 from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.safety.commands import Command
@@ -86,7 +87,7 @@ class WaveformGoals:
         self._open_answers = OpenAnswers()
         self._server = ActionServer(
             node, PlayWaveform, "play_waveform", self._end,
-            handle_accepted_callback=self._accept,
+            goal_callback=self._examine, handle_accepted_callback=self._accept,
             cancel_callback=lambda handle: CancelResponse.ACCEPT,
             feedback_pub_qos_profile=PROGRESS)
 
@@ -94,6 +95,13 @@ class WaveformGoals:
     def answered(self) -> bool:
         """Whether the client of every goal that ended knows."""
         return self._open_answers.none
+
+    def _examine(self, goal: PlayWaveform.Goal) -> GoalResponse:
+        """Take every goal, whose result tells why it is refused, unless nobody waits for it."""
+        reason = why_too_late(goal)
+        if reason:
+            self._node.get_logger().warning(f"waveform rejected: {reason}")
+        return GoalResponse.REJECT if reason else GoalResponse.ACCEPT
 
     def _accept(self, handle: ServerGoalHandle) -> None:
         wanted, goal = handle.request, WaveformGoal(handle, self._answer)

@@ -59,7 +59,8 @@ class LawGuard:
         if abs(error_um) <= self._bound_um:
             return ""
         return (f"the feedback law leaves an error of {abs(error_um):.3g} um, more than "
-                f"{self._bound_um:.3g} um: identify the stage again")
+                f"{self._bound_um:.3g} um: settle the stage (stage settle) and track again; if "
+                "that recurs, identify it again")
 
     def _compare_gain(self) -> str:
         travel_v, travel_um = self._highest - self._lowest

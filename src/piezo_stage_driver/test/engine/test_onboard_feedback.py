@@ -121,6 +121,24 @@ def test_block_ends_where_the_flags_change():
     assert sum(len(block.voltage_v) for block in blocks) == engine.next_sample
 
 
+@pytest.mark.parametrize("kind", ["tick", "sample"])
+def test_a_law_leaves_the_end_of_the_amplifier_as_soon_as_the_error_turns(kind):
+    """At 31 V the error cannot vanish; an integral that had summed it up would stay there."""
+    stage = LinearStage(offset_um=-4.0)
+    engine = StageEngine(stage, VoltageLimits(-20.0, 31.0, 2e6), samples_per_tick=TICK)
+    quick = LinearBlock.of([1.0], [0.15 / TICK], [1.0], [0.0])
+    begin(engine, integral_law(stage) if kind == "tick" else integral_law(
+        stage, tick=LinearBlock(), observer=np.zeros(0), sample=quick))
+    played_v = []
+    for tick in range(100):
+        if tick == 90:
+            stage._offset_um = 1.0
+        played_v.append(engine.advance().voltage_v.mean())
+    assert played_v[89] == pytest.approx(31.0, abs=1e-9)
+    # The integral of the 3 um that were left in some 50 ticks would be 22 V.
+    assert played_v[99] < 30.5
+
+
 @pytest.mark.parametrize("samples_per_block", [1, 50 * TICK])
 def test_stop_in_the_midst_of_a_block_ramps_to_rest_and_loses_no_sample(samples_per_block):
     stage = LinearStage(offset_um=2.0)
@@ -181,6 +199,7 @@ def test_law_of_another_reference_that_bounds_no_error_is_stopped_as_the_one_bef
         engine.advance()
     assert engine.tick - begun <= 2
     assert "leaves an error of 30 um" in engine.stop_cause
+    assert "settle the stage (stage settle) and track again" in engine.stop_cause
     assert np.abs(np.concatenate(stage.displacement_um[begun:])).max() < 35.0
 
 

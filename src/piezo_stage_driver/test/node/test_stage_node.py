@@ -17,7 +17,7 @@ def test_who_delivers_is_chosen_before_ros_starts(arguments, mode, monkeypatch):
     monkeypatch.setattr(os, "environ", {**os.environ})
     os.environ.pop(PUBLICATION_MODE, None)
     started = []
-    monkeypatch.setattr(stage_node, "run_node", lambda create_node, args: started.append(
+    monkeypatch.setattr(stage_node, "run_node", lambda create_node, args, **_: started.append(
         (args, os.environ.get(PUBLICATION_MODE))))
     stage_node.main(arguments)
     assert started == [(arguments, mode)]

@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every tick calls is compiled before the first tick."""
+"""What every tick calls computes what NumPy does, and is compiled before the first tick."""
 
 import subprocess
 import sys
+
+import numpy as np
+import pytest
+
+from piezo_stage_driver.safety.sample_kernels import extremes, fourth_difference, tick_means
 
 PROGRAM = """
 import numpy as np
@@ -38,3 +43,16 @@ def test_first_tick_compiles_nothing():
     told = subprocess.run([sys.executable, "-c", PROGRAM], check=True, text=True,
                           capture_output=True).stdout
     assert told == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
+
+
+@pytest.mark.parametrize("count", [5, 6, 40])
+def test_kernels_compute_what_numpy_does(count):
+    values = np.random.default_rng(count).normal(size=count)
+    assert extremes(values) == (values.min(), values.max())
+    assert fourth_difference(values) == pytest.approx(np.abs(np.diff(values, 4)).mean())
+    ticks = np.random.default_rng(0).normal(size=(3, count))
+    np.testing.assert_allclose(tick_means(ticks.ravel(), count), ticks.mean(axis=1))
+
+
+def test_value_that_is_no_number_is_in_both_extremes():
+    assert np.isnan(extremes(np.array([1.0, np.nan, 2.0]))).all()

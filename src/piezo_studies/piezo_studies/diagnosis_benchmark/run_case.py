@@ -14,15 +14,13 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
 from piezo_identification.diagnosis.report.results import stated_error
-from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.parameter_sensitivities import (
-    nuisance_regressors,
-    parameter_sensitivities,
-)
-from piezo_identification.diagnosis.residual.regression import first_regression
 from piezo_identification.estimators.creep.square_wave_creep import CreepNotShown
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.parameter_sensitivities import parameter_sensitivities
+from piezo_identification.fitting.regression import first_regression
 from piezo_identification.identification.identify import identify
+from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_studies.diagnosis_benchmark import records
 from piezo_studies.diagnosis_benchmark.coverage import estimates
 from piezo_studies.diagnosis_benchmark.effect_draws import DrawError, draw_effect, response_um

@@ -5,8 +5,8 @@ import numpy as np
 
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.report.results import stated_error
-from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.regression import first_regression
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.regression import first_regression
 from piezo_studies.diagnosis_benchmark import records
 from piezo_studies.diagnosis_benchmark.coverage import OF_ANOTHER_FORM, estimates
 from piezo_studies.diagnosis_benchmark.effect_draws import DrawError, draw_effect, response_um

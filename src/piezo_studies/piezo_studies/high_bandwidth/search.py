@@ -19,7 +19,7 @@ from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.sample_rate.demands import Demands
 from piezo_controller.feedback.sample_rate.minimax import Linearised, lower_largest
 from piezo_controller.feedback.sample_rate.tuned_over_stages import (
-    STARTS_OF,
+    START,
     LoopProblem,
     Start,
     tuned_family,
@@ -55,16 +55,13 @@ class Search:
     ----------
     model : piezo_models.cascade.StageModel
     demands : Demands
-    method : str
-        Of `STARTS_OF`: whose numbers of zeros and poles the controllers have, and whose resonances
-        they begin with.
     clock_period_s : float
     """
 
-    def __init__(self, model: StageModel, demands: Demands, method: str = "fixed_order",
+    def __init__(self, model: StageModel, demands: Demands,
                  clock_period_s: float = 25e-6) -> None:
-        self._like = STARTS_OF[method]
-        family = tuned_family(model, demands, method, clock_period_s)
+        self._like = START
+        family = tuned_family(model, demands, clock_period_s)
         self.structure, self._with_resonances = family.structure, family.start
         self._disturbances = [2 * np.pi * hz / self.structure.unit_rad_per_s
                               for hz in demands.disturbance_hz]
@@ -199,38 +196,35 @@ def main(arguments: list[str] | None = None) -> None:
         Those of the command line by default.
     """
     parser = argparse.ArgumentParser(prog="high_bandwidth.search", description=SUMMARY)
-    parser.add_argument("--method", choices=list(STARTS_OF), default=next(iter(STARTS_OF)))
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--starts", type=int, default=4, help="drawn, about 15 s each")
     parser.add_argument("--trials", type=int, default=60, help="made from the best, about 4 s each")
     parser.add_argument("--light-mode-error", type=float, default=0.20)
     parser.add_argument("--model-itself", action="store_true",
                         help="let the model alone reach the demands, not every stage")
-    parser.add_argument("--broadband", action="store_true",
-                        help="attenuate all slower disturbances as much")
     parser.add_argument("--output", type=Path, default=Path("runs/high_bandwidth"),
                         help="directory of the file with the best start so far")
     options = parser.parse_args(arguments)
-    demands = Demands(of_every_stage=not options.model_itself, broadband=options.broadband)
+    demands = Demands(of_every_stage=not options.model_itself)
     demands = replace(demands, errors=replace(
         demands.errors, light_mode=options.light_mode_error))
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / (
-        f"search_{options.method}_{100 * options.light_mode_error:.0f}_"
+        f"search_{100 * options.light_mode_error:.0f}_"
         f"{'model' if options.model_itself else 'every_stage'}"
-        f"{'_broadband' if options.broadband else ''}_{options.seed}.json")
+        f"_{options.seed}.json")
     begun_s = time.monotonic()
 
     def tell(what: str, numbers: FloatArray, margin_db: float) -> None:
         print(f"{time.monotonic() - begun_s:6.0f} s  {what}: margin {margin_db:+.2f} dB",
               flush=True)
         path.write_text(json.dumps({
-            "method": options.method, "seed": options.seed, "starts": options.starts,
+            "seed": options.seed, "starts": options.starts,
             "trials": options.trials, "demands": asdict(demands), "margin_db": margin_db,
             "start": asdict(search.as_start(numbers)),
             "resonances": search.as_resonances(numbers)}, indent=1), encoding="utf-8")
 
-    search = Search(identified_stage(), demands, options.method)
+    search = Search(identified_stage(), demands)
     margin_db = search.run(options.seed, options.starts, options.trials, tell)
     print(f"margin {margin_db:+.2f} dB, start in {path}")
 

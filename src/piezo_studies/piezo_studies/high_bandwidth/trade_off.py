@@ -12,23 +12,22 @@ import numpy as np
 
 from piezo_controller.feedback.controller_file import load_controller, save_controller
 from piezo_controller.feedback.feedback_design import FeedbackController, UnstableLoop
-from piezo_controller.feedback.sample_rate.classical_candidates import CANDIDATES
 from piezo_controller.feedback.sample_rate.demands import Demands
-from piezo_controller.feedback.sample_rate.fast_design import (
-    H_INFINITY,
-    METHODS,
-    design_at_sample_rate,
-)
+from piezo_controller.feedback.sample_rate.fast_design import METHOD
 from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
 from piezo_models.cascade import StageModel
+from piezo_studies.high_bandwidth.classical_candidates import CANDIDATES
+from piezo_studies.high_bandwidth.searched_designs import H_INFINITY, METHODS, design_by
+
+DEMANDS = Demands(noise_voltage_v=3.3, slow_sensitivity=4.0)
+"""All methods are compared under weaker bounds than `design_at_sample_rate` has by default."""
 
 LIGHT_MODE_ERRORS = (0.05, 0.10, 0.15, 0.20)
 
-OF_EVERY_STAGE = ((True, 0.20, "fixed_order_resonant"),)
+OF_EVERY_STAGE = ((True, 0.20, METHOD),)
 """Designed to reach the demands with every stage, too, at the largest error."""
 
-TITLES = {"fixed_order": "fixed order, tuned over all stages",
-          "fixed_order_resonant": "the same with resonances at 50 Hz and 100 Hz",
+TITLES = {METHOD: "fixed order with resonances at 50 Hz and 100 Hz",
           H_INFINITY: "H-infinity", **{name: candidate.title
                                        for name, candidate in CANDIDATES.items()}}
 
@@ -67,18 +66,18 @@ def compare(model: StageModel, take: Callable[[Compared], None], kept: Path,
     kept : pathlib.Path
         Directory of controller files, from which a design of the same demands is taken again.
     effort : float
-        See `design_at_sample_rate`.
+        See `design_by`.
     """
     for of_every_stage, error, method in (*product((False,), LIGHT_MODE_ERRORS, METHODS),
                                           *OF_EVERY_STAGE):
-        demands = Demands(of_every_stage=of_every_stage)
-        demands = replace(demands, errors=replace(demands.errors, light_mode=error))
+        demands = replace(DEMANDS, of_every_stage=of_every_stage,
+                          errors=replace(DEMANDS.errors, light_mode=error))
         path = kept / (f"{method}_{100 * error:.0f}_"
                        f"{'every_stage' if of_every_stage else 'model'}.json")
         controller = _same_design(path, model, demands)
         if controller is None:
             with suppress(UnstableLoop):
-                controller = design_at_sample_rate(model, demands, method, effort=effort)
+                controller = design_by(method, model, demands, effort=effort)
                 save_controller(path, controller)
         take(Compared(method, error, of_every_stage, controller))
 

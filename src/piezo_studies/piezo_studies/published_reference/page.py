@@ -32,7 +32,9 @@ ros2 action send_goal /controller/track piezo_interfaces/action/Track "{{
 peak-to-peak amplitude that are published. What keeps to them is followed exactly: by \
 Bernstein's inequality it is never faster than the bounds of speed and acceleration that follow \
 from them |
-| `centre_um` of the goal | Added to what is published |
+| `centre_um` of the goal | Added to what is published, which then lies within half of the \
+amplitude from it. With 0, what \
+is published lies anywhere, within one amplitude |
 | `first_sample` | Number of the first value of the message, counted without gaps. A value that \
 comes twice counts once, and a straight line bridges what is left out. Zero begins anew |
 | `sample_period_s` | Distance of the values, a whole multiple of the sample clock's period; 0 \
@@ -53,14 +55,24 @@ the declared band. Where 30 % or more of the end of the band would be left, the 
 | what happens | what follows |
 |---|---|
 | nobody publishes within 10 s, or two nodes do | the goal is refused |
+| the stage is paced, and the computer too busy for the answers | The goal is refused \
+before anything moves, with how late the computer just was |
 | a run begins | The stage goes to the newest value at rest, and moves from there without a jump |
-| a jump, or a speed beyond the declared | It is followed with the bounded speed and \
-acceleration, and is told in the run's message |
-| a value beyond the range that the model reaches | It is clipped to the range |
+| a value beyond the declared amplitude, about the centre | The run stops, and the stage \
+goes to rest |
+| a jump within it, or a speed beyond the declared | It is followed with the bounded speed and \
+acceleration; the run is degraded if it departs by more than a tenth of the amplitude |
+| a value beyond the range that the model reaches | It is clipped to the range; the run \
+is degraded |
 | the publisher falls silent | The last value is held. A stage in lockstep first waits for 1 s. \
-What comes next is followed without a jump |
-| more is published than the stage plays | The oldest values are left out |
-| a message without meaning | It is ignored, and the node's log says why |
+What comes next is followed without a jump; the run is degraded |
+| more is published than the stage plays | The oldest values are left out; the run is degraded |
+| values are left out | A straight line bridges up to 0.1 s; the run is degraded |
+| a message without meaning | It is ignored, and the node's log says why; its values are left out |
+
+A degraded run does not succeed, although it is played to its end: its result has `degraded`, and
+`degraded_reason` with how long. The first moments, until the error counts, are excepted. Values
+that come slower than the sample clock are joined by kinks: declare twice their frequency.
 
 ## What the preview is worth
 

@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_studies.recording_kinds.stages import DuhemStage, PlayStage, Stage
+from piezo_studies.other_makes.stage import Stage
+from piezo_studies.recording_kinds.stages import displacement_um, duhem_stage, play_stage
 from piezo_studies.recording_kinds.waveforms import KINDS, Played, validation
 
 COMMAND = "piezo_identification.commands.identify_command"
-STAGES: dict[str, Callable[[], Stage]] = {"plays": PlayStage, "Duhem": DuhemStage}
+STAGES: dict[str, Callable[[], Stage]] = {"plays": play_stage, "Duhem": duhem_stage}
 NOISE = 2e-4
 """Standard deviation of the sensor's noise, over the range of its recording."""
 
@@ -194,10 +195,10 @@ def recorded(stage: str, name: str, played: Played, variant: str, folder: Path) 
 
 def _table(stage: Stage, played: Played, seed: int) -> FloatArray:
     """Return instants, voltages and displacements of the rows that a logger writes."""
-    displacement_um = stage.displacement_um(played.voltage_v, played.period_s / played.finer)
+    moved_um = displacement_um(stage, played.voltage_v, played.period_s / played.finer)
     rows = slice(played.lead_rows * played.finer, None, played.finer)
-    voltage_v, displacement_um = played.voltage_v[rows], displacement_um[rows]
+    voltage_v, moved_um = played.voltage_v[rows], moved_um[rows]
     noise = np.random.default_rng(seed).normal(size=voltage_v.size)
     return np.column_stack([
         played.period_s * np.arange(voltage_v.size), voltage_v,
-        displacement_um + NOISE * np.ptp(displacement_um) * noise])
+        moved_um + NOISE * np.ptp(moved_um) * noise])

@@ -10,7 +10,7 @@ from piezo_controller.feedback.sample_rate import tuned_over_stages
 from piezo_controller.feedback.sample_rate.demands import Demands
 from piezo_controller.feedback.sample_rate.fast_design import design_at_sample_rate
 from piezo_controller.feedback.sample_rate.perturbed_loops import ModelErrors
-from piezo_controller.feedback.sample_rate.tuned_over_stages import STARTS_OF, tuned_family
+from piezo_controller.feedback.sample_rate.tuned_over_stages import tuned_family
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -22,14 +22,13 @@ MODEL = StageModel(PreisachModel(-20.0, 120.0, np.tril(np.full((10, 10), 5e-3)))
 DEMANDS = Demands(errors=ModelErrors(0.02, 0.04))
 
 
-@pytest.mark.parametrize("method", list(STARTS_OF))
-def test_a_start_begins_the_tuning_where_the_search_ended(monkeypatch, method):
-    search = Search(MODEL, DEMANDS, method)
+def test_a_start_begins_the_tuning_where_the_search_ended(monkeypatch):
+    search = Search(MODEL, DEMANDS)
     numbers = search.drawn(np.random.default_rng(3))
     numbers[-2:] += 0.1
-    monkeypatch.setitem(STARTS_OF, method, search.as_start(numbers))
+    monkeypatch.setattr(tuned_over_stages, "START", search.as_start(numbers))
     monkeypatch.setattr(tuned_over_stages, "RESONANCES", search.as_resonances(numbers))
-    family = tuned_family(MODEL, DEMANDS, method, 25e-6)
+    family = tuned_family(MODEL, DEMANDS, 25e-6)
     np.testing.assert_allclose(family.start, numbers, rtol=1e-12)
     assert family.structure == search.structure
 
@@ -48,7 +47,7 @@ def test_the_same_seed_finds_the_same_and_its_start_is_as_good_as_told(monkeypat
         found.append(told[-1])
     assert found[0] == found[1]
     start, margin_db = found[0]
-    monkeypatch.setitem(tuned_over_stages.STARTS_OF, "fixed_order", start)
+    monkeypatch.setattr(tuned_over_stages, "START", start)
     designed = design_at_sample_rate(
-        MODEL, replace(DEMANDS, worst_peak_sensitivity=4.2), "fixed_order", effort=0.0)
+        MODEL, replace(DEMANDS, worst_peak_sensitivity=4.2), effort=0.0)
     assert designed.report["margin_db"] > margin_db - 0.2

@@ -106,10 +106,11 @@ def test_poor_models_are_diagnosed_too(output):
     assert [scanner["verdict"] for scanner in scanners] == ["none", "none"]
 
 
-def test_the_creep_that_a_model_of_the_resonances_lacks_is_named(output):
+def test_a_response_that_remains_far_above_its_noise_is_not_called_explained(output):
     nanopositioner = json.loads((output / "table.json").read_text())["findings"][1]
-    assert (nanopositioner["verdict"], nanopositioner["effects"]) == ("explained", ["creep"])
-    assert nanopositioner["after_percent"] < 0.3 * nanopositioner["before_percent"]
+    assert nanopositioner["verdict"] == "unexplained"
+    assert set(nanopositioner["effects"]) <= {"creep"}
+    assert nanopositioner["after_percent"] <= nanopositioner["before_percent"]
 
 
 def test_there_is_a_picture_of_every_prediction(output):

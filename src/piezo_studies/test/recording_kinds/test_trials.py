@@ -6,7 +6,7 @@ import pytest
 
 from piezo_recorder.reading.reader import read_recording
 from piezo_studies.recording_kinds import __main__
-from piezo_studies.recording_kinds.stages import DuhemStage, PlayStage
+from piezo_studies.recording_kinds.stages import displacement_um, duhem_stage, play_stage
 from piezo_studies.recording_kinds.trials import (
     STAGES,
     Outcome,
@@ -30,21 +30,21 @@ def test_every_kind_is_tried_with_each_variant_and_without_each_other_experiment
             assert {trial.stage for trial in mine} == set(STAGES)
 
 
-@pytest.mark.parametrize("stage", [PlayStage(), DuhemStage()])
+@pytest.mark.parametrize("stage", [play_stage(), duhem_stage()])
 def test_loops_of_the_stages_lag_and_close(stage):
     phase = np.linspace(0.0, 4.0 * np.pi, 2001)
-    driven_um = stage.hysteresis_um(50.0 - 50.0 * np.cos(phase))
+    driven_um = stage.hysteresis(50.0 - 50.0 * np.cos(phase))
     assert driven_um[1000] == pytest.approx(driven_um[2000], abs=0.01 * np.ptp(driven_um))
     assert driven_um[1750] - driven_um[1250] > 0.02 * np.ptp(driven_um)
 
 
-@pytest.mark.parametrize("stage", [PlayStage(), DuhemStage()])
+@pytest.mark.parametrize("stage", [play_stage(), duhem_stage()])
 def test_a_stage_creeps_within_its_rows(stage):
     """Points far between are those of a fast logger at the same instants."""
     voltage_v = np.repeat([0.0, 40.0, 90.0, 20.0, 0.0], 3)
-    points_um = stage.displacement_um(voltage_v, 1.0)
+    points_um = displacement_um(stage, voltage_v, 1.0)
     rows = 2000
-    fine_um = stage.displacement_um(np.repeat(voltage_v, rows), 1.0 / rows)[::rows]
+    fine_um = displacement_um(stage, np.repeat(voltage_v, rows), 1.0 / rows)[::rows]
     assert points_um == pytest.approx(fine_um, abs=2e-4 * np.ptp(fine_um))
 
 

@@ -28,17 +28,19 @@ class Demands:
     added_noise_um : float
         Largest displacement that it may cause.
     noise_voltage_v : float
-        Largest voltage that it may cause: six of them are within the feedback's usual room of 20 V.
+        Largest voltage that it may cause: six of them stay below the 4 V from which on the stage
+        takes a growing swing for an oscillation.
     worst_peak_sensitivity : float
         Largest peak over all stages: the robustness at which designs are compared.
+    slow_sensitivity : float
+        Largest sensitivity below half the lowest disturbance, over all stages: at most 1, so that
+        no slow error grows.
     errors : ModelErrors
     disturbance_tolerance : float
         Relative error of the frequencies of the disturbances, over which they are attenuated: 1 %,
         within which the mains' frequency lies.
     of_every_stage : bool
         Whether every stage that the errors allow is to reach it, or the model itself.
-    broadband : bool
-        Whether all slower disturbances are to be attenuated as much, so that no resonance helps.
     """
 
     bandwidth_ratio: float = 1.2
@@ -46,18 +48,18 @@ class Demands:
     attenuation_db: tuple[float, ...] = (30.0, 20.0)
     sensor_noise_um: float = 0.009
     added_noise_um: float = 0.009
-    noise_voltage_v: float = 3.3
+    noise_voltage_v: float = 0.5
     worst_peak_sensitivity: float = 4.0
+    slow_sensitivity: float = 1.0
     errors: ModelErrors = ModelErrors()
     disturbance_tolerance: float = 0.01
     of_every_stage: bool = False
-    broadband: bool = False
 
     def loops(self, model: StageModel, clock_period_s: float,
               delay_ticks: int = 0, coarse: int = COARSE) -> PerturbedLoops:
         """Return the stages of a model that are to meet the demands; see `PerturbedLoops`."""
         return PerturbedLoops(model, self.errors, clock_period_s, self.disturbance_hz,
-                              self.disturbance_tolerance, delay_ticks, self.broadband, coarse)
+                              self.disturbance_tolerance, delay_ticks, coarse)
 
     def margin_db(self, figures: LoopFigures, first_mode_hz: float) -> float:
         """Return by how much the least margin exceeds what is asked; negative if it does not."""
@@ -75,6 +77,7 @@ class Demands:
         noise_um = self.sensor_noise_um
         return sum(max(0.0, _decibels(value)) for value in (
             figures.worst_peak_sensitivity / self.worst_peak_sensitivity,
+            figures.worst_slow_sensitivity / self.slow_sensitivity,
             noise_um * figures.noise_gain / self.added_noise_um,
             noise_um * figures.noise_gain_v_per_um / self.noise_voltage_v))
 

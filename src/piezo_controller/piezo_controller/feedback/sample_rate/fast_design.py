@@ -1,69 +1,35 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Design of a feedback at the sample clock's rate, with a bandwidth beyond the first mode.
 
-Every method is a family of controllers, searched for the largest margin to the demands among the
-controllers that are equally robust. The H-infinity synthesis over its weights and constant scalings
-(D and K at once, as `dk_iteration` has it) and the classical forms of `classical_candidates` have
-few numbers and are searched by trial; `tuned_over_stages` has many and follows their derivatives.
+Of the controllers of a fixed order with resonances at the disturbances, it is the one of the
+largest margin to the demands that is robust against all stages; see `tuned_over_stages`.
 """
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
 import control
 import numpy as np
-from scipy.optimize import minimize
 
-from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_controller.feedback.feedback_design import (
     FeedbackController,
     UnstableLoop,
     feedback_from_control,
 )
-from piezo_controller.feedback.sample_rate.classical_candidates import CANDIDATES
 from piezo_controller.feedback.sample_rate.demands import Demands
-from piezo_controller.feedback.sample_rate.light_mode_problem import (
-    UNCERTAINTIES,
-    SampleRateWeights,
-    light_mode_problem,
-)
-from piezo_controller.feedback.sample_rate.perturbed_loops import (
-    PerturbedLoops,
-    light_mode,
-)
-from piezo_controller.feedback.sample_rate.tuned_over_stages import (
-    STARTS_OF,
-    TunedFamily,
-    tuned_family,
-)
-from piezo_controller.feedback.synthesis.dk_iteration import scale, tick_frequencies
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
-from piezo_controller.feedback.synthesis.h_infinity import NoController, close, synthesise
-from piezo_controller.feedback.synthesis.structured_singular_value import (
-    sampled_response,
-    structured_singular_values,
-)
+from piezo_controller.feedback.sample_rate.perturbed_loops import PerturbedLoops
+from piezo_controller.feedback.sample_rate.tuned_over_stages import tuned_family
 from piezo_models.cascade import StageModel
 
-H_INFINITY = "h_infinity"
-METHODS = (*STARTS_OF, H_INFINITY, *CANDIDATES)
-
-COARSE = 0.03
-"""Relative width to which a norm is bisected; the search needs no more."""
-
-SLACK = 0.05
-VIOLATION = 3.0
-"""What a decibel beyond a limit costs, in decibels of margin."""
-
-NO_CONTROLLER = 1e3
-
-STEPS = (0.05, 0.15, 0.4)
-"""Sizes of the steps nearby, as parts of a number."""
+METHOD = "fixed_order_resonant"
+FORMER_METHOD = "fixed_order"
+"""Without resonances; it left more of every reference, and small disturbances tripped it."""
 
 
 def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
-                          method: str = "fixed_order", clock_period_s: float = 25e-6,
+                          method: str = METHOD, clock_period_s: float = 25e-6,
                           model_sha256: str = "", effort: float = 1.0,
                           seed: int = 0, delay_ticks: int = 0) -> FeedbackController:
     """Design a feedback that answers every sample.
@@ -74,7 +40,7 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
         With a mode, and no antiresonance.
     demands : Demands, optional
     method : str
-        One of `METHODS`; by default the one that reached most where all were compared.
+        `METHOD`. `FORMER_METHOD` leads to the same with a warning.
     clock_period_s : float
     model_sha256 : str
         Hash of the model's file, kept with the controller.
@@ -89,150 +55,77 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
     Returns
     -------
     FeedbackController
-        Of period `clock_period_s`. Beside what `feedback_from_control` reports, its report holds
-        ``demands``, ``figures`` (`LoopFigures`), ``margin_db``, ``added_noise_um``,
-        ``noise_voltage_v``, ``numbers`` of the family, and for ``h_infinity`` ``gamma`` and ``mu``.
+        Of period `clock_period_s`; see `measured_design` for its report.
 
     Raises
     ------
     UnstableLoop
-        No controller of the family is stable with every stage.
+        No controller was found that is stable with every stage.
     ValueError
         `method` is unknown, or the model has no mode or has antiresonances.
     """
-    if method not in METHODS:
-        raise ValueError(f"unknown method {method!r} of the feedback at the sample rate: use one "
-                         f"of {', '.join(METHODS)}")
+    if method == FORMER_METHOD:
+        warnings.warn(f"{FORMER_METHOD} is no more: {METHOD} is designed", DeprecationWarning,
+                      stacklevel=2)
+    elif method != METHOD:
+        raise ValueError(f"unknown method {method!r} of the feedback at the sample rate: use "
+                         f"{METHOD}")
+    check_modes(model)
+    demands = demands or Demands()
+    loops = demands.loops(model, clock_period_s, delay_ticks)
+    family = tuned_family(model, demands, clock_period_s)
+    numbers = family.search(loops, demands, effort, seed)
+    return measured_design(family.controller(numbers), model, demands, loops, METHOD,
+                           family.report(numbers), model_sha256, delay_ticks)
+
+
+def check_modes(model: StageModel) -> None:
+    """Refuse a model without a mode or with antiresonances; raise ValueError."""
     if not model.dynamics.damping_ratios or model.dynamics.antiresonance_damping_ratios:
         raise ValueError("the model has no mode, or has antiresonances: a feedback at the sample "
                          "rate is designed for modes without them")
-    demands = demands or Demands()
-    loops = demands.loops(model, clock_period_s, delay_ticks)
-    first_mode_hz = min(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
-    family: _Family
-    if method in STARTS_OF:
-        family = tuned_family(model, demands, method, clock_period_s)
-        numbers = family.search(loops, demands, effort, seed)
-    else:
-        family = (_HInfinityFamily(model, clock_period_s, delay_ticks) if method == H_INFINITY
-                  else _ClassicalFamily(model, method, clock_period_s))
-        numbers = _search_by_trial(family, loops, demands, first_mode_hz, effort, seed)
-    controller = family.controller(numbers)
+
+
+def measured_design(controller: control.StateSpace, model: StageModel, demands: Demands,
+                    loops: PerturbedLoops, method: str, own: Mapping[str, Any],
+                    model_sha256: str = "", delay_ticks: int = 0) -> FeedbackController:
+    """Return a controller at the sample clock's rate with what it reaches of the demands.
+
+    Parameters
+    ----------
+    controller : control.StateSpace
+    model : piezo_models.cascade.StageModel
+    demands : Demands
+    loops : PerturbedLoops
+        Of these.
+    method : str
+    own : dict
+        What the report holds of this method alone.
+    model_sha256 : str
+    delay_ticks : int
+
+    Returns
+    -------
+    FeedbackController
+        Beside what `feedback_from_control` reports, its report holds ``demands``, ``figures``
+        (`LoopFigures`), ``margin_db``, ``added_noise_um``, ``noise_voltage_v`` and `own`.
+
+    Raises
+    ------
+    UnstableLoop
+        It is not stable with every stage.
+    """
     figures = loops.measure(controller)
     if figures.unstable:
         raise UnstableLoop(
             f"no controller of the method {method} was found that is stable with all "
             f"{len(loops.plants)} stages: lower the errors or the demands, or raise the effort")
+    designed = feedback_from_control(
+        controller, model, controller.dt, model_sha256, method, delay_ticks)
+    first_mode_hz = min(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
     noise_um = demands.sensor_noise_um
-    designed = feedback_from_control(controller, model, clock_period_s, model_sha256, method,
-                                     delay_ticks)
-    report = {**designed.report, "demands": asdict(demands), "figures": asdict(figures),
-              "margin_db": demands.margin_db(figures, first_mode_hz),
-              "added_noise_um": noise_um * figures.noise_gain,
-              "noise_voltage_v": noise_um * figures.noise_gain_v_per_um,
-              **family.report(numbers)}
-    return replace(designed, report=report)
-
-
-def _search_by_trial(family: "_SearchedFamily", loops: PerturbedLoops, demands: Demands,
-                     first_mode_hz: float, effort: float, seed: int) -> FloatArray:
-    """Return the numbers of the largest margin that was found."""
-    def cost(logarithms: FloatArray) -> float:
-        try:
-            figures = loops.measure(family.controller(np.exp(logarithms)))
-        except NoController:
-            return NO_CONTROLLER
-        margin_db = demands.margin_db(figures, first_mode_hz)
-        return VIOLATION * demands.violation_db(figures) - margin_db
-
-    return np.asarray(np.exp(_search(cost, family, effort, seed)))
-
-
-class _ClassicalFamily:
-    """A form of `CANDIDATES`."""
-
-    ANYWHERE, NEARBY, SIMPLEX = 60, 60, 250
-
-    def __init__(self, model: StageModel, method: str, clock_period_s: float) -> None:
-        self._model, self._clock_period_s = model, clock_period_s
-        self._candidate = CANDIDATES[method]
-        self.start, self.bounds = self._candidate.start, self._candidate.bounds
-
-    def controller(self, numbers: FloatArray) -> control.StateSpace:
-        """Return the controller of some numbers."""
-        return self._candidate.controller(self._model, numbers, self._clock_period_s)
-
-    def report(self, numbers: FloatArray) -> dict[str, Any]:
-        """Return the part of the report that only this family has."""
-        return {"numbers": dict(zip(self._candidate.names, map(float, numbers), strict=True))}
-
-
-class _HInfinityFamily:
-    """H-infinity controllers over their weights and constant scalings."""
-
-    ANYWHERE, NEARBY, SIMPLEX = 0, 60, 80
-    NAMES = ("crossover", "corner", "peak", "control_gain", "roll_off", "noise",
-             "gain_uncertainty", "mode_uncertainty", "gain_scaling", "mode_scaling")
-    start = (0.67, 0.36, 7.6, 0.66, 13.7, 0.001, 0.22, 0.10, 17.0, 3.9)
-    """Frequencies as ratios to that of the light mode."""
-
-    bounds = ((0.3, 10.0), (0.02, 0.6), (1.2, 8.0), (0.5, 8.0), (1.0, 15.0), (1e-4, 0.3),
-              (0.05, 0.6), (0.01, 0.5), (0.05, 50.0), (0.05, 50.0))
-
-    def __init__(self, model: StageModel, clock_period_s: float, delay_ticks: int) -> None:
-        self._model, self._clock_period_s = model, clock_period_s
-        self._delay_ticks = delay_ticks
-        self._mode_hz = (model.dynamics.mode_frequencies_rad_per_s[light_mode(model)]
-                         / (2 * np.pi))
-        self._gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
-
-    def _synthesised(self, numbers: FloatArray) -> tuple[
-            SampleRateWeights, control.StateSpace, control.StateSpace, float]:
-        crossover, corner, peak, control_gain, roll_off, noise, of_gain, of_mode, *scalings = (
-            map(float, numbers))
-        weights = SampleRateWeights(
-            crossover * self._mode_hz, corner * self._mode_hz, peak, control_gain,
-            roll_off * self._mode_hz, noise, of_gain, of_mode)
-        problem = light_mode_problem(
-            self._model, weights, self._clock_period_s, self._delay_ticks)
-        controller, gamma = synthesise(scale(problem, scalings), SLACK, tolerance=COARSE)
-        return weights, problem, controller, gamma
-
-    def controller(self, numbers: FloatArray) -> control.StateSpace:
-        """Return the controller of some numbers."""
-        return self._synthesised(numbers)[2] * (1 / self._gain_um_per_v)
-
-    def report(self, numbers: FloatArray) -> dict[str, Any]:
-        """Return the part of the report that only this family has."""
-        weights, problem, controller, gamma = self._synthesised(numbers)
-        points: ComplexArray = np.exp(
-            2j * np.pi * tick_frequencies(self._clock_period_s, 200) * self._clock_period_s)
-        mu, _ = structured_singular_values(
-            sampled_response(close(problem, controller), points), UNCERTAINTIES)
-        return {"numbers": dict(zip(self.NAMES, map(float, numbers), strict=True)),
-                "sample_rate_weights": asdict(weights), "gamma": float(gamma),
-                "mu": float(mu.max())}
-
-
-_SearchedFamily = _ClassicalFamily | _HInfinityFamily
-_Family = _SearchedFamily | TunedFamily
-
-
-def _search(cost: Callable[[FloatArray], float], family: _SearchedFamily, effort: float,
-            seed: int) -> FloatArray:
-    """Return the logarithms of the best numbers: from anywhere, then nearby, then by a simplex."""
-    rng = np.random.default_rng(seed)
-    low, high = np.log(family.bounds).T
-    best = np.log(family.start)
-    least = cost(best)
-    anywhere, nearby = round(effort * family.ANYWHERE), round(effort * family.NEARBY)
-    for trial in range(anywhere + nearby):
-        numbers = (rng.uniform(low, high) if trial < anywhere
-                   else best + rng.normal(size=best.size) * rng.choice(STEPS))
-        value = cost(np.clip(numbers, low, high))
-        if value < least:
-            least, best = value, np.clip(numbers, low, high)
-    simplex = best + np.vstack([np.zeros(best.size), 0.1 * np.eye(best.size)])
-    return minimize(cost, best, method="Nelder-Mead", options={
-        "initial_simplex": simplex, "maxfev": max(10, round(effort * family.SIMPLEX)),
-        "adaptive": True}).x
+    return replace(designed, report={
+        **designed.report, "demands": asdict(demands), "figures": asdict(figures),
+        "margin_db": demands.margin_db(figures, first_mode_hz),
+        "added_noise_um": noise_um * figures.noise_gain,
+        "noise_voltage_v": noise_um * figures.noise_gain_v_per_um, **own})

@@ -26,6 +26,9 @@ COARSE, FINE, NEAR = 120, 240, 24
 """Frequencies over the whole band, about the modes, where the loops differ, and near a disturbance,
 where a controller may have a resonance."""
 
+SLOW = 0.5
+"""Of the frequency of the lowest disturbance: where no error is to grow."""
+
 ABOUT = np.linspace(-1.0, 1.0, 5)
 
 
@@ -61,6 +64,8 @@ class LoopFigures:
         Of a disturbance of the displacement, at the frequencies that were asked for.
     peak_sensitivity, worst_peak_sensitivity : float
         The latter infinite if a loop is unstable.
+    worst_slow_sensitivity : float
+        The largest below half the lowest disturbance.
     noise_gain : float
         Displacement that white noise of the sensor causes, root mean square over that of the noise.
     noise_gain_v_per_um : float
@@ -75,6 +80,7 @@ class LoopFigures:
     worst_attenuation_db: tuple[float, ...]
     peak_sensitivity: float
     worst_peak_sensitivity: float
+    worst_slow_sensitivity: float
     noise_gain: float
     noise_gain_v_per_um: float
 
@@ -98,8 +104,6 @@ class PerturbedLoops:
         Relative error of these frequencies; the least attenuation within it counts.
     delay_ticks : int
         See `design_plant`: 0 where the stage evaluates the feedback by itself.
-    broadband : bool
-        Whether the attenuation is asked for at all lower frequencies, too.
     coarse : int
         Frequencies over the whole band.
 
@@ -110,14 +114,16 @@ class PerturbedLoops:
     frequency_hz : ndarray, shape (F,)
     responses : ndarray of complex, shape (P, F)
         Of the plants (um/V).
+    slow : ndarray of bool, shape (F,)
+        Which frequencies lie below half the lowest disturbance.
     disturbances : list of ndarray
-        Numbers of the frequencies about each disturbance, or up to it.
+        Numbers of the frequencies about each disturbance.
     """
 
     def __init__(self, model: StageModel, errors: ModelErrors, clock_period_s: float = 25e-6,
                  disturbance_hz: tuple[float, ...] = (50.0, 100.0),
                  disturbance_tolerance: float = 0.0, delay_ticks: int = 1,
-                 broadband: bool = False, coarse: int = COARSE) -> None:
+                 coarse: int = COARSE) -> None:
         self.plants = list(_perturbed(model, errors, clock_period_s, delay_ticks))
         highest_hz = HIGHEST / clock_period_s
         mode_hz = model.dynamics.mode_frequencies_rad_per_s[light_mode(model)] / (2 * np.pi)
@@ -126,10 +132,10 @@ class PerturbedLoops:
             np.geomspace(LOWEST_HZ, highest_hz, coarse),
             np.geomspace(mode_hz / 3, mode_hz * 3, FINE), *(_near(hz) for hz in disturbance_hz),
             about.ravel()]))
+        self.slow = self.frequency_hz <= SLOW * min(disturbance_hz)
         self.points = np.exp(2j * np.pi * self.frequency_hz * clock_period_s)
         self.responses = np.array([_response(plant, self.points) for plant in self.plants])
-        bands = [np.unique(np.searchsorted(self.frequency_hz, band)) for band in about]
-        self.disturbances = [np.arange(band[-1] + 1) for band in bands] if broadband else bands
+        self.disturbances = [np.unique(np.searchsorted(self.frequency_hz, band)) for band in about]
 
     def measure(self, controller: control.StateSpace) -> LoopFigures:
         """Close every loop with a controller from error (um) to voltage (V)."""
@@ -147,7 +153,8 @@ class PerturbedLoops:
         return LoopFigures(
             unstable, float(poles.max()), float(bandwidth_hz[0]), float(bandwidth_hz.min()),
             tuple(map(float, attenuation_db[0])), tuple(map(float, attenuation_db.min(axis=0))),
-            float(size[0].max()), np.inf if unstable else float(size.max()), *noise)
+            float(size[0].max()), np.inf if unstable else float(size.max()),
+            float(size[:, self.slow].max()), *noise)
 
 
 def light_mode(model: StageModel) -> int:

@@ -113,7 +113,9 @@ class LoopProblem:
     def _bounds(self, controller: ComplexArray, loop: ComplexArray, sensitivity: ComplexArray,
                 slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
         demands = self._demands
-        peak_db = DECIBELS * np.log(np.abs(sensitivity) / demands.worst_peak_sensitivity)
+        largest = np.where(self._loops.slow, demands.slow_sensitivity,
+                           demands.worst_peak_sensitivity)
+        peak_db = DECIBELS * np.log(np.abs(sensitivity) / largest)
         padded = np.pad(peak_db, ((0, 0), (1, 1)), constant_values=-np.inf)
         summit = (peak_db >= padded[:, :-2]) & (peak_db >= padded[:, 2:])
         stage, at = np.nonzero((summit & (peak_db > -NEAR_DB)) | (peak_db > -0.1 * NEAR_DB))
@@ -228,47 +230,35 @@ class Start:
     poles: tuple[tuple[float, float], ...]
 
 
-STARTS_OF = {
-    "fixed_order": Start(
-        1.0534, (1.2233, 13.638), (4.5331,),
-        ((0.80906, 0.076951), (5.8713, 1.4106), (0.24731, 0.16396), (1.2937, 0.36465),
-         (0.69375, 0.030617), (0.45895, 0.21373)),
-        ((4.4155, 0.46647), (3.0865, 0.066128), (5.2946, 5), (5.9862, 5), (6.1195, 5),
-         (0.69049, 0.026316), (0.40875, 1.014))),
-    "fixed_order_resonant": Start(
-        -1.6072, (0.41033, 1.8582), (2.7859,),
-        ((11.875, -0.32766), (0.47517, 0.33603), (6.4168, -0.51723), (0.793, 0.048452)),
-        ((1.2363, 0.43622), (0.67753, 0.35464), (0.69302, 0.015754), (1.581, 0.14394),
-         (0.6709, 0.37591))),
-}
+START = Start(
+    -1.6072, (0.41033, 1.8582), (2.7859,),
+    ((11.875, -0.32766), (0.47517, 0.33603), (6.4168, -0.51723), (0.793, 0.048452)),
+    ((1.2363, 0.43622), (0.67753, 0.35464), (0.69302, 0.015754), (1.581, 0.14394),
+     (0.6709, 0.37591)))
 """What such a tuning found for the stage of the thesis with its light mode off by 20 %."""
 
-RESONANT = "fixed_order_resonant"
 RESONANCES = (((1.1605, 0.098294), (1.0003, 0.0066513)), ((0.97958, 0.13056), (1.0009, 0.0062915)))
 """Zeros and poles of the resonances at the disturbances, as ratios to the frequency of each."""
 
 
-def tuned_family(model: StageModel, demands: Demands, method: str,
-                 clock_period_s: float) -> TunedFamily:
-    """Return the family of a method of `STARTS_OF`, with a resonance at each disturbance or none.
+def tuned_family(model: StageModel, demands: Demands, clock_period_s: float) -> TunedFamily:
+    """Return the family of controllers with a resonance at each disturbance.
 
     Parameters
     ----------
     model : piezo_models.cascade.StageModel
     demands : Demands
-    method : str
     clock_period_s : float
     """
-    begin = STARTS_OF[method]
     unit = model.dynamics.mode_frequencies_rad_per_s[light_mode(model)]
     resonances = [(2 * np.pi * hz / unit, *resonance) for hz, resonance in zip(
-        demands.disturbance_hz if method == RESONANT else (), cycle(RESONANCES), strict=False)]
-    zeros = [*begin.zeros, *((hz * ratio, damping) for hz, (ratio, damping), _ in resonances)]
-    poles = [*begin.poles, *((hz * ratio, damping) for hz, _, (ratio, damping) in resonances)]
+        demands.disturbance_hz, cycle(RESONANCES), strict=False)]
+    zeros = [*START.zeros, *((hz * ratio, damping) for hz, (ratio, damping), _ in resonances)]
+    poles = [*START.poles, *((hz * ratio, damping) for hz, _, (ratio, damping) in resonances)]
     numbers = np.array([
-        begin.gain, *np.log([*begin.real_zeros, *begin.real_poles]),
+        START.gain, *np.log([*START.real_zeros, *START.real_poles]),
         *(part for ratio, damping in zeros for part in (np.log(ratio), damping)),
         *np.log(poles).ravel()])
     structure = FixedOrder(
-        len(begin.real_zeros), len(begin.real_poles), len(zeros), len(poles), unit)
+        len(START.real_zeros), len(START.real_poles), len(zeros), len(poles), unit)
     return TunedFamily(model, structure, numbers, clock_period_s)

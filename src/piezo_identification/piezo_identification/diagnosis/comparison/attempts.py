@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.candidates.effect_fit import fit_one_more, impossible_effects
-from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.comparison.measures_of_fits import (
     distance,
@@ -16,7 +14,9 @@ from piezo_identification.diagnosis.comparison.measures_of_fits import (
     significance,
     visible_part,
 )
-from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_identification.fitting.effect_fit import fit_one_more, impossible_effects
+from piezo_identification.fitting.recording_evidence import recording_evidence
+from piezo_identification.fitting.regression import Fit, Regression
 from piezo_models.effects import Effect, Evidence
 
 SAME_AS_OTHER_PARAMETERS = "here a model with slightly other parameters does the same"

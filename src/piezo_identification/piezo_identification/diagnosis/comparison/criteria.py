@@ -16,7 +16,7 @@ from piezo_identification.diagnosis.comparison.measures_of_fits import (
     mean_square,
     significance,
 )
-from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_identification.fitting.regression import Fit, Regression
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_identification.fitting.regression import Fit, Regression
 
 
 def mean_square(regression: Regression, fit: Fit) -> float:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from piezo_common.progress_part import Progress
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.analysis.error_distortion import excluded_by_distortion
-from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, impossible_effects
 from piezo_identification.diagnosis.comparison.attempts import Attempt, try_each
 from piezo_identification.diagnosis.comparison.criteria import (
     CRITERIA,
@@ -23,7 +22,8 @@ from piezo_identification.diagnosis.comparison.undecided import (
     in_place_of_the_found,
     like_the_best,
 )
-from piezo_identification.diagnosis.residual.regression import (
+from piezo_identification.fitting.effect_fit import fit_effects, impossible_effects
+from piezo_identification.fitting.regression import (
     Fit,
     Regression,
     fit_without_effects,

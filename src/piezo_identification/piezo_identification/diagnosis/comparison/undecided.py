@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, fit_one_more
-from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
 from piezo_identification.diagnosis.comparison.attempts import SAME_AS_OTHER_PARAMETERS
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_indistinguishable
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
-from piezo_identification.diagnosis.residual.regression import (
+from piezo_identification.fitting.effect_fit import fit_effects, fit_one_more
+from piezo_identification.fitting.recording_evidence import recording_evidence
+from piezo_identification.fitting.regression import (
     Fit,
     Regression,
     with_fixed_parameters,

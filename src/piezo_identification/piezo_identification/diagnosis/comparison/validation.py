@@ -8,8 +8,10 @@ import numpy as np
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import outlier_text
-from piezo_identification.diagnosis.candidates.effect_fit import fit_effects, impossible_effects
-from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_identification.conditioning.waveforms import played
+from piezo_identification.fitting.effect_fit import fit_effects, impossible_effects
+from piezo_identification.fitting.model_weights import HeldOut, Remainder
+from piezo_identification.fitting.regression import Fit, Regression
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
 from piezo_models.measures import e_y_percent
@@ -109,6 +111,35 @@ class Validation:
         """Return whether the error of a fit is smaller than that of the model as given."""
         given_um, fit_um = self._rms_um(None, fit)
         return fit_um < given_um
+
+    def remainders(self, fit: Fit) -> list[Remainder]:
+        """Return what a fit leaves of each recording that is diagnosed, and of the one held out.
+
+        Parameters
+        ----------
+        fit : Fit
+            Without any effect the parameters may stay as given, where this leaves less of the
+            recording that is held out.
+        """
+        regression, dataset = self.regression, self.regression.dataset
+        left_um = fit.residual * regression.tolerance_um
+        found = []
+        for recording, part, mask in zip(
+                dataset.recordings, dataset.simulated, dataset.masks(), strict=True):
+            rows = mask & regression.validation
+            measured_um = part.measured_um[part.begin :]
+            found.append(Remainder(
+                str(recording.path), HeldOut(left_um[rows], dataset.stretch[rows]),
+                part.sample_period_s, float(np.ptp(measured_um)), float(np.std(measured_um))))
+        if self.holdout is not None:
+            samples = [self._of(fit), *([] if fit.effects else [self._given])]
+            best = min(samples, key=lambda each: each.errors(each.good)["rms_um"])
+            measured_um, left_um = best.measured_um[best.good], best.left_um[best.good]
+            found.append(Remainder(
+                self.source, HeldOut(left_um, np.zeros(left_um.size, dtype=np.intp)),
+                played(self.holdout).sample_period_s, float(np.ptp(measured_um)),
+                float(np.std(measured_um))))
+        return found
 
     def left_out(self) -> list[str]:
         """Return sentences on the samples of the other recording that were left out as outliers."""

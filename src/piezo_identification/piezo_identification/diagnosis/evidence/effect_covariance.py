@@ -23,8 +23,8 @@ from scipy.linalg import orth
 from scipy.stats import norm
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.diagnosis.residual.dataset import Dataset
-from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_identification.fitting.dataset import Dataset
+from piezo_identification.fitting.regression import Fit, Regression
 from piezo_models.effects import Effect, fitted_values, with_fitted_values
 from piezo_models.hysteresis.preisach import PreisachModel
 

@@ -12,7 +12,7 @@ from piezo_identification.diagnosis.comparison.measures_of_fits import (
     contribution_rms,
     mean_square,
 )
-from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_identification.fitting.regression import Fit, Regression
 from piezo_models.effects import Effect
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
-from piezo_identification.diagnosis.residual.noise_estimate import residual_um
-from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_identification.fitting.noise_estimate import residual_um
+from piezo_identification.fitting.regression import Fit, Regression
 from piezo_models.effects import Effect
 from piezo_models.effects.converter_steps import SensorSteps
 from piezo_models.effects.outliers import FEWEST, THRESHOLD, Outliers

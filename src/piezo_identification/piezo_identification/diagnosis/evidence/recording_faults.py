@@ -17,7 +17,7 @@ from piezo_identification.conditioning.outlier_samples import with_outliers_mark
 from piezo_identification.conditioning.row_alignment import remaining_delay
 from piezo_identification.conditioning.sensor_sign import reversed_displacement, sign_text
 from piezo_identification.conditioning.settling import low_frequency_delay_s
-from piezo_identification.prediction.model_run import ModelRun
+from piezo_identification.simulation.model_run import ModelRun
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 

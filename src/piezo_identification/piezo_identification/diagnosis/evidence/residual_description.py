@@ -8,8 +8,8 @@ from piezo_identification.diagnosis.evidence.residual_tests import (
     spectrum,
     whiteness,
 )
-from piezo_identification.diagnosis.residual.noise_estimate import residual_um
-from piezo_identification.diagnosis.residual.regression import Fit, Regression
+from piezo_identification.fitting.noise_estimate import residual_um
+from piezo_identification.fitting.regression import Fit, Regression
 
 WORTH_TELLING = 0.05
 """Part of the residual's power that has to go with a quantity for the quantity to be named."""

@@ -9,19 +9,19 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.candidates.effect_fit import fit_one_more
-from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
 from piezo_identification.diagnosis.comparison.attempts import SAME_AS_OTHER_PARAMETERS
 from piezo_identification.diagnosis.joint.far_starts import may_lead
-from piezo_identification.diagnosis.joint.joint_fit import JointFit, JointProblem
-from piezo_identification.diagnosis.joint.model_weights import (
+from piezo_identification.diagnosis.joint.probabilities import penalty_of
+from piezo_identification.fitting.effect_fit import fit_one_more
+from piezo_identification.fitting.joint_fit import JointFit, JointProblem
+from piezo_identification.fitting.model_weights import (
     HeldOut,
     expected_widths,
     held_out_of,
     probabilities_of,
 )
-from piezo_identification.diagnosis.joint.probabilities import penalty_of
-from piezo_identification.diagnosis.residual.regression import (
+from piezo_identification.fitting.recording_evidence import recording_evidence
+from piezo_identification.fitting.regression import (
     SETTINGS,
     Regression,
     with_fixed_parameters,

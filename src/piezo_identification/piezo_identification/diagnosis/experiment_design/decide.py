@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
+from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
 from piezo_identification.diagnosis.experiment_design.alternatives import (
     Alternatives,
     find_alternatives,
@@ -61,7 +62,7 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
            limits: StageLimits = USUAL_LIMITS, longest_s: float = LONGEST_S,
            holdout: Recording | None = None, progress: Progress | None = None,
            identified_from: IdentificationRecordings | None = None,
-           stated: float | None = None) -> list[DecisionStep]:
+           stated: float | None = None, noise: KnownNoise | None = None) -> list[DecisionStep]:
     """Diagnose, play what tells the alternatives apart, and diagnose again.
 
     Parameters
@@ -77,7 +78,7 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
     limits : StageLimits
     longest_s : float
         That each may last.
-    holdout, progress, identified_from, stated
+    holdout, progress, identified_from, stated, noise
         Of `diagnose`.
 
     Returns
@@ -92,7 +93,7 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
         report = part_of(
             progress, len(steps) / (budget + 1), (len(steps) + 1) / (budget + 1))
         diagnosis = diagnose(model, known, holdout, part_of(report, 0.0, DIAGNOSED),
-                             identified_from, stated)
+                             identified_from, stated, noise)
         before = [alternative.effects for step in steps[-1:]
                   for alternative in step.alternatives.alternatives]
         report("compare the alternatives", DIAGNOSED)

@@ -17,12 +17,12 @@ from piezo_identification.diagnosis.experiment_design.alternatives import (
     Alternatives,
     sensitivities,
 )
-from piezo_identification.diagnosis.joint.free_parameters import free_sensitivities
-from piezo_identification.diagnosis.residual.dataset import SPLIT, simulate_recordings
-from piezo_identification.diagnosis.residual.regression import SETTINGS
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.experiments.catalogue import Experiment
 from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_identification.fitting.dataset import SPLIT, simulate_recordings
+from piezo_identification.fitting.free_parameters import free_sensitivities
+from piezo_identification.fitting.regression import SETTINGS
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 

@@ -30,10 +30,10 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     old_recordings,
 )
-from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.regression import first_regression, reweighted
 from piezo_identification.experiments.catalogue import Experiment
 from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.regression import first_regression, reweighted
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 

@@ -19,8 +19,8 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 )
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
-from piezo_identification.diagnosis.residual.dataset import Dataset
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
+from piezo_identification.fitting.dataset import Dataset
 
 COMPARED = 0.3
 """Part of the work that the estimate of the alternatives is."""

@@ -14,27 +14,27 @@ from scipy.linalg import block_diag
 from piezo_common.arrays import FloatArray
 from piezo_common.progress_part import Progress, part_of
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.candidates.recording_evidence import recording_evidence
 from piezo_identification.diagnosis.joint.far_starts import SETTINGS as FITS
 from piezo_identification.diagnosis.joint.far_starts import from_afar
-from piezo_identification.diagnosis.joint.joint_fit import (
-    JointFit,
-    JointProblem,
-    correlated_scale,
-)
-from piezo_identification.diagnosis.joint.model_weights import (
-    HeldOut,
-    expected_widths,
-    held_out_of,
-)
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     Evidence,
     logarithms_of_evidence,
     penalty_of,
 )
-from piezo_identification.diagnosis.residual.regression import SETTINGS as TOLERANCE
-from piezo_identification.diagnosis.residual.regression import Regression
+from piezo_identification.fitting.joint_fit import (
+    JointFit,
+    JointProblem,
+    correlated_scale,
+)
+from piezo_identification.fitting.model_weights import (
+    HeldOut,
+    expected_widths,
+    held_out_of,
+)
+from piezo_identification.fitting.recording_evidence import recording_evidence
+from piezo_identification.fitting.regression import SETTINGS as TOLERANCE
+from piezo_identification.fitting.regression import Regression
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
 
 BEFORE, AFTER = "before the identification", "after the identification"

@@ -22,11 +22,6 @@ from piezo_identification.diagnosis.joint.alternatives import (
     settled,
     times_of_coming,
 )
-from piezo_identification.diagnosis.joint.joint_fit import JointProblem
-from piezo_identification.diagnosis.joint.model_weights import (
-    HeldOut,
-    expected_widths,
-)
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     SOMETHING_ELSE,
@@ -35,8 +30,13 @@ from piezo_identification.diagnosis.joint.probabilities import (
     probabilities,
 )
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
-from piezo_identification.diagnosis.residual.dataset import Dataset
-from piezo_identification.diagnosis.residual.regression import (
+from piezo_identification.fitting.dataset import Dataset
+from piezo_identification.fitting.joint_fit import JointProblem
+from piezo_identification.fitting.model_weights import (
+    HeldOut,
+    expected_widths,
+)
+from piezo_identification.fitting.regression import (
     SETTINGS,
     Fit,
     Regression,

@@ -8,7 +8,7 @@ looks smaller than it is, and a fit from there ends with too little of it.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from piezo_identification.diagnosis.joint.joint_fit import JointFit, JointProblem
+from piezo_identification.fitting.joint_fit import JointFit, JointProblem
 from piezo_models.effects import Effect
 
 

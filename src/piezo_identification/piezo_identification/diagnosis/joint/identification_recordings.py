@@ -10,9 +10,9 @@ import numpy as np
 
 from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
 from piezo_identification.conditioning.segments import played_segments
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
-from piezo_identification.prediction import conditioned
+from piezo_identification.simulation.model_run import conditioned
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import sha256_of
@@ -39,10 +39,13 @@ class IdentificationRecordings:
         Without gaps, and with the rows aligned as they were for the identification.
     missing : tuple of str
         Why others are not at hand, one sentence without its end for each.
+    hashes : frozenset of str
+        SHA-256 of all that were fitted: the validation was not.
     """
 
     recordings: tuple[Recording, ...] = ()
     missing: tuple[str, ...] = (NOT_NAMED,)
+    hashes: frozenset[str] = frozenset()
 
     @property
     def not_asked(self) -> str:
@@ -117,7 +120,15 @@ def find_identification_recordings(
         missing += [why_not] if why_not else []
     if not hashes and not given:
         missing.append(NOT_NAMED)
-    return IdentificationRecordings(tuple(found), tuple(missing))
+    fitted = fitted_hashes(identified) if hashes else frozenset(given)
+    return IdentificationRecordings(tuple(found), tuple(missing), fitted)
+
+
+def fitted_hashes(identified: IdentifiedModel) -> frozenset[str]:
+    """Return the SHA-256 of the recordings that a model was fitted to, without its validation."""
+    names = _names(identified)
+    return frozenset(entry["sha256"] for entry in identified.recordings
+                     if names.get(entry["sha256"]) != "validation")
 
 
 def old_recordings(model: StageModel, known: IdentificationRecordings) -> list[Recording]:

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.diagnosis.joint.model_weights import (
+from piezo_identification.fitting.model_weights import (
     HeldOut,
     occam_penalty,
     shares_of,
@@ -175,7 +175,7 @@ def probabilities(alternatives: Sequence[Evidence], effective: ArrayLike,
                        [each.penalty for each in alternatives], np.sqrt(told), samples)
     best = int(np.argmax(listed))
     squares = np.array(alternatives[best].mean_square_um2[:new]) + least[:new]
-    gain = _gain(squares, samples[:new], passing, wrong)
+    gain = gain_of_noise(squares, samples[:new], passing, wrong)
     # Its odds to the best alternative are those of the prior and of the evidence.
     other = np.exp(min(gain, MOST_GAIN)) * SETTINGS.something_else * listed[best]
     shares = np.append(listed, other) / (1.0 + other)
@@ -186,12 +186,24 @@ def probabilities(alternatives: Sequence[Evidence], effective: ArrayLike,
     return dict(sorted(summed.items(), key=lambda entry: -entry[1]))
 
 
-def _gain(squares: FloatArray, samples: FloatArray, passing: FloatArray,
-          wrong: FloatArray) -> float:
+def gain_of_noise(squares: FloatArray, samples: FloatArray, passing: FloatArray,
+                  wrong: FloatArray) -> float:
     """Return the evidence for something that would leave no more than passes for noise.
 
-    It is that against the best alternative, which leaves the mean squares given, averaged over how
-    much the model may be wrong by.
+    It is that against the best alternative, averaged over how much the model may be wrong by.
+
+    Parameters
+    ----------
+    squares : (R,) array
+        Mean squares that the best alternative leaves, in um^2.
+    samples : (R,) array
+        Independent samples of each recording.
+    passing, wrong : (R,) array
+        Mean squares that pass for noise, and that the model is known to be wrong by, in um^2.
+
+    Returns
+    -------
+    float
     """
     sizes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     may_be = passing + wrong * np.exp(2.0 * SETTINGS.carried_over * sizes)[:, None]

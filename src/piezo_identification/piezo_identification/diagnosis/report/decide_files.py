@@ -7,6 +7,7 @@ from os import PathLike
 from pathlib import Path
 
 from piezo_common.progress_part import Progress, part_of
+from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
 from piezo_identification.diagnosis.experiment_design.decide import DecisionStep, decide
 from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
 from piezo_identification.diagnosis.experiment_design.propose import (
@@ -79,7 +80,8 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
 
     steps = decide(given.identified.model, given.recordings, play_proposed, budget, limits,
                    longest_s, given.holdout, part_of(progress, READ_FRACTION, REPORT_FRACTION),
-                   given.identified_from, stated_error(given.identified))
+                   given.identified_from, stated_error(given.identified),
+                   noise_of_model(given.identified))
     progress("write the report", REPORT_FRACTION)
     last = steps[-1]
     proposal = None if last.is_decided else propose(last.alternatives, limits, longest_s)

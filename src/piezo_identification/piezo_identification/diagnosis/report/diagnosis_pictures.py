@@ -26,9 +26,9 @@ from piezo_identification.diagnosis.evidence.residual_tests import (
     spectrum,
     whiteness,
 )
-from piezo_identification.diagnosis.residual import noise_estimate
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_identification.fitting import noise_estimate
 from piezo_identification.report.signal_pictures import draw_noise, smoothed
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 
 if TYPE_CHECKING:
     from piezo_identification.diagnosis.diagnose import Diagnosis

@@ -14,14 +14,19 @@ from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.diagnose import Diagnosis
 from piezo_identification.diagnosis.evidence.residual_tests import input_correlation, whiteness
+from piezo_identification.diagnosis.evidence.stand_ins import (
+    LEAST_PROBABILITY,
+    STAND_IN,
+    name_of,
+)
 from piezo_identification.diagnosis.report import diagnosis_pictures as pictures
 from piezo_identification.diagnosis.report.distortion_section import distortion_sections
-from piezo_identification.diagnosis.residual.noise_estimate import (
+from piezo_identification.fitting.noise_estimate import (
     residual_of_model_um,
     residual_um,
 )
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.report.parameter_table import effect_rows
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
 
@@ -41,7 +46,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 def _sentence(diagnosis: Diagnosis) -> str:
     before, after = (1e3 * errors["rms_um"] for errors in (diagnosis.before, diagnosis.after))
-    names = " and ".join(entry["name"] for entry in diagnosis.effects)
+    names = " and ".join(map(name_of, diagnosis.effects))
     if diagnosis.verdict == "none":
         anew = "" if after == before else (
             f", and {after:.3g} nm with its parameters estimated anew on all recordings")
@@ -92,9 +97,8 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
     noise, dataset = diagnosis.selection.regression.noise, diagnosis.selection.regression.dataset
     sections = [_found(diagnosis), *_alternatives(diagnosis)]
     if diagnosis.effects:
-        sections.append(Section("What was added", (
-            "Standard deviations are those of the joint fit of all effects; the interval holds the "
-            "parameter in 95 of 100 repeats.",), effect_rows(diagnosis.effects)))
+        sections.append(Section(
+            "What was added", tuple(_on_intervals(diagnosis)), effect_rows(diagnosis.effects)))
     sections += _left(diagnosis)
     sections += [_undecided(diagnosis), *_would_decide(diagnosis)]
     sections += [
@@ -111,6 +115,17 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
     sections += _tried(diagnosis.selection)
     return render_page(verdict_sentence(diagnosis),
                        [f"{name}: {text}" for name, text in origin], sections)
+
+
+def _on_intervals(diagnosis: Diagnosis) -> Iterator[str]:
+    if any("standard_deviations" in entry for entry in diagnosis.effects):
+        yield ("Standard deviations are those of the joint fit of all effects; the interval holds "
+               "the parameter in 95 of 100 repeats.")
+    stand_ins = [entry["name"] for entry in diagnosis.effects if entry.get(STAND_IN)]
+    if stand_ins:
+        yield (f"What the model lacks behaves like {' and '.join(stand_ins)}, which fits but "
+               "cannot be believed: a parameter ended at its bound, or the probability is below "
+               f"{LEAST_PROBABILITY:g}. So there is no interval.")
 
 
 def _found(diagnosis: Diagnosis) -> Section:

@@ -8,7 +8,7 @@ from piezo_identification.analysis.distortion_over_frequency import (
     distortion_rows,
 )
 from piezo_identification.analysis.error_distortion import error_distortion
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 
 
 def distortion_sections(part: SimulatedRecording, before_um: FloatArray,

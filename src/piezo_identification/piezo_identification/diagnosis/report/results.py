@@ -10,6 +10,7 @@ from pathlib import Path
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
+from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
 from piezo_identification.diagnosis.experiment_design.propose import (
     OUTCOME,
     WAVEFORM,
@@ -24,7 +25,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
 from piezo_identification.prediction.outside_identified import outside_identified
-from piezo_identification.prediction.row_reading import read_as_identified, rows_sentence
+from piezo_identification.prediction.row_reading import all_as_identified
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import only_recording, read_recordings, sha256_of
@@ -69,7 +70,7 @@ class GivenFiles:
 
     def with_recordings(self, paths: Sequence[AnyPath]) -> "GivenFiles":
         """Return the same with more recordings, which are read from their files."""
-        more, rows = _aligned(
+        more, rows = all_as_identified(
             self.identified, [recording for path in paths for recording in read_recordings(path)])
         return replace(self, recordings=[*self.recordings, *more], paths=(*self.paths, *paths),
                        rows=(*self.rows, *rows))
@@ -138,7 +139,8 @@ def diagnose_files(
     diagnosis = diagnose(given.identified.model, given.recordings, given.holdout,
                          part_of(progress, READ_FRACTION, DESIGN_FRACTION),
                          identified_from=given.identified_from,
-                         stated=stated_error(given.identified))
+                         stated=stated_error(given.identified),
+                         noise=noise_of_model(given.identified))
     proposal = None
     try:
         proposal = what_would_decide(diagnosis, given.identified_from,
@@ -174,10 +176,11 @@ def read_given(
     """
     identified = load_model(model)
     given = [recording for path in recordings for recording in read_file(path)]
-    read, rows = _aligned(identified, given)
+    read, rows = all_as_identified(identified, given)
     held_out = None
     if holdout:
-        held_out, _ = read_as_identified(identified, only_recording(holdout, read_file(holdout)))
+        (held_out,), _ = all_as_identified(
+            identified, [only_recording(holdout, read_file(holdout))])
     known = find_identification_recordings(
         identified, model, read_file, identified_from,
         [*recordings, *([holdout] if holdout else [])])
@@ -228,14 +231,6 @@ def write_results(given: GivenFiles, diagnosis: Diagnosis,
               ("extended model", str(results.extended_model))]
     results.report.write_text(render_report(diagnosis, origin), encoding="utf-8")
     return results
-
-
-def _aligned(identified: IdentifiedModel, recordings: Sequence[Recording],
-             ) -> tuple[list[Recording], list[str]]:
-    """Align the rows of recordings as the model's, and tell of those that were."""
-    aligned = [read_as_identified(identified, recording) for recording in recordings]
-    told = [rows_sentence(recording.path, read_at) for recording, read_at in aligned]
-    return [recording for recording, _ in aligned], [sentence for sentence in told if sentence]
 
 
 def stated_error(identified: IdentifiedModel) -> float | None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from piezo_common.arrays import ComplexArray
 from piezo_identification.diagnosis.evidence.recording_faults import wrong_sign
+from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
 from piezo_identification.diagnosis.response.response_candidates import fit_each_candidate
 from piezo_identification.diagnosis.response.response_fit import (
     SETTINGS,
@@ -23,6 +24,7 @@ from piezo_identification.diagnosis.response.response_measures import (
     is_convincing,
     lack_of_fit,
     reduction_percent,
+    times_the_noise,
 )
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -144,8 +146,8 @@ def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
     effects: list[dict[str, Any]] = []
     tried: list[list[tuple[str, float]]] = []
     not_decidable: dict[str, str] = {}
-    allowed = max(1.0, CRITERIA.explained * lack_of_fit(problem, start))
-    while len(effects) < CRITERIA.most_effects and lack_of_fit(problem, current) > allowed:
+    while (len(effects) < CRITERIA.most_effects
+           and lack_of_fit(problem, current) > CRITERIA.explained):
         fits = fit_each_candidate(problem, current)
         tried.append([(fit.effects[-1].name, reduction_percent(problem, current, fit))
                       for fit in fits])
@@ -168,7 +170,8 @@ def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
         not_decidable.pop(entry["name"], None)
     not_decidable |= refused
     return ResponseSelection(current, effects, tried, not_decidable,
-                             lack_of_fit(problem, current) <= allowed)
+                             lack_of_fit(problem, current) <= CRITERIA.explained
+                             and times_the_noise(problem, current) <= CRITERIA.near_noise)
 
 
 def _accepted(problem: ResponseProblem,
@@ -197,7 +200,7 @@ def _told(problem: ResponseProblem, selection: ResponseSelection,
     if not selection.is_explained:
         verdict, left = "unexplained", describe_residual(problem, selection.fit)
     return ResponseDiagnosis(
-        verdict=verdict, effects=effects,
+        verdict=verdict, effects=with_stand_ins(effects, problem.extent, {}),
         model=problem.extended_model(selection.fit) if effects else problem.model,
         before=held_out_errors(problem, given), after=held_out_errors(problem, final),
         noise_floor_um=problem.noise,

@@ -37,9 +37,6 @@ class ResponseFitSettings:
         Of the residual in one fit.
     relative_change : float
         Of the sum of squares, below which a fit ends.
-    beyond : float
-        Times the highest frequency up to which a mode may lie: an octave above, the flank of a
-        mode that has all of the displacement still raises the gain by a third.
     """
 
     block: int = 5
@@ -48,7 +45,6 @@ class ResponseFitSettings:
     dynamics_width: float = float(np.log(1.02))
     most_evaluations: int = 20
     relative_change: float = 1e-4
-    beyond: float = 2.0
 
 
 SETTINGS = ResponseFitSettings()
@@ -92,7 +88,7 @@ class ResponseProblem:
     tolerance : (N,) array
         The noise and what a good model may be wrong by.
     mode_range_hz : (float, float)
-        Lowest and highest frequency of a mode that shows in the response.
+        Lowest and highest frequency that were measured: a mode outside them is a guess.
     extent : Extent
         By which the parameters of effects are bounded.
     """
@@ -100,7 +96,7 @@ class ResponseProblem:
     def __init__(self, model: StageModel, measured: FrequencyResponse) -> None:
         self.model, self.measured = model, measured
         low_hz, high_hz = measured.frequency_hz.min(), measured.frequency_hz.max()
-        self.mode_range_hz = float(low_hz), float(SETTINGS.beyond * high_hz)
+        self.mode_range_hz = float(low_hz), float(high_hz)
         self.extent = Extent(np.inf, -np.inf, np.inf, 1.0 / low_hz, 0.5 / self.mode_range_hz[1])
         self._dynamics = dynamics_vector(model.dynamics)
         self._free = self._dynamics > 0.0

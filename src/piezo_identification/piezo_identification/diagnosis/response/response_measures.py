@@ -26,7 +26,11 @@ class ResponseCriteria:
     told_apart_percent : float
         Difference of two errors below which the response does not tell the candidates apart.
     explained : float
-        Part of the square of the error beyond the tolerance that may be left where it is explained.
+        Mean square beyond the tolerance below which the search for effects ends.
+    near_noise : float
+        Multiple of the noise that may remain of a response that is explained.
+    accuracy : float
+        Part of the RMS gain to which a good model is right where a response has no noise.
     most_effects : int
         As many as there are kinds of linear effects.
     """
@@ -34,7 +38,9 @@ class ResponseCriteria:
     significant: float = 3.0
     worthwhile_percent: float = 10.0
     told_apart_percent: float = 5.0
-    explained: float = 0.1
+    explained: float = 1.0
+    near_noise: float = 3.0
+    accuracy: float = 1e-3
     most_effects: int = 4
 
 
@@ -90,7 +96,17 @@ def describe_residual(problem: ResponseProblem, fit: ResponseFit) -> str:
     low_hz, high_hz = frequency_hz[np.searchsorted(power, [0.1, 0.9])]
     worst = int(np.argmax(left))
     return (
+        f"What remains is {held_out_errors(problem, fit)['rms_um'] / problem.noise:.3g} times the "
+        "noise that neighbouring frequencies show. "
         f"Left is {np.sqrt(np.mean(left)):.3g} times the tolerance of "
         f"{100 * SETTINGS.tolerance:g} % and the noise, most of it from {low_hz:.3g} to "
         f"{high_hz:.3g} Hz, largest at {frequency_hz[worst]:.4g} Hz."
     )
+
+
+def times_the_noise(problem: ResponseProblem, fit: ResponseFit) -> float:
+    """Return what a fit leaves of held-out frequencies, over noise and accuracy of the gain."""
+    rows = ~problem.estimation
+    gain = np.sqrt(np.mean(np.abs(problem.measured.gain[rows]) ** 2))
+    return held_out_errors(problem, fit)["rms_um"] / float(
+        np.hypot(problem.noise, CRITERIA.accuracy * gain))

@@ -16,6 +16,7 @@ from piezo_common.picture_style import (
     to_png,
 )
 from piezo_common.report_page import Section, pictured, render_page
+from piezo_identification.diagnosis.evidence.stand_ins import name_of
 from piezo_identification.diagnosis.response.response_diagnosis import (
     ResponseDiagnosis,
     diagnose_response,
@@ -65,7 +66,7 @@ def diagnose_response_file(
 
 def response_sentence(diagnosis: ResponseDiagnosis) -> str:
     """Return the verdict in a sentence."""
-    names = ", then ".join(entry["name"] for entry in diagnosis.effects)
+    names = ", then ".join(map(name_of, diagnosis.effects))
     if diagnosis.verdict == "none":
         return "The model explains the response: what is left is noise."
     found = f"The model lacks {names}." if names else "No linear effect explains what is left."

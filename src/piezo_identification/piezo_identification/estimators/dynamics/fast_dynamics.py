@@ -11,6 +11,7 @@ from piezo_identification.estimators.estimate import (
     dynamics_vector,
     split_dynamics_vector,
 )
+from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
@@ -41,12 +42,16 @@ class ModeOrder:
     beside : int
         Modes that add a part of the displacement of their own.
     sensor_lags : int
+    is_coupled : bool
+        Whether the modes beside have parts that follow their velocities, too: with no mode in
+        series, these are all proper dynamics behind a lag.
     """
 
     modes: int
     antiresonances: int = 0
     beside: int = 0
     sensor_lags: int = 0
+    is_coupled: bool = False
 
     def __str__(self) -> str:
         text = f"{self.modes}"
@@ -54,7 +59,7 @@ class ModeOrder:
             text += f"-{self.antiresonances}"
         if self.beside:
             text += f"+{self.beside}"
-        return text + " lag" * self.sensor_lags
+        return text + " lag" * self.sensor_lags + " coupled" * self.is_coupled
 
     @property
     def all_modes(self) -> int:
@@ -63,14 +68,24 @@ class ModeOrder:
 
     @property
     def parameters(self) -> int:
-        """Length of the vector: the lags, two numbers for a mode in series, three beside."""
-        return (1 + 2 * self.modes + 2 * self.antiresonances + 3 * self.beside
-                + self.sensor_lags)
+        """Length of the vector: the lags, two numbers for a mode in series, more beside."""
+        return self.positive + self.shares
+
+    @property
+    def positive(self) -> int:
+        """Numbers of the vector that are logarithms."""
+        return 1 + 2 * (self.modes + self.antiresonances + self.beside) + self.sensor_lags
+
+    @property
+    def shares(self) -> int:
+        """Numbers at the end of the vector that are parts of the displacement."""
+        return self.beside * (1 + self.is_coupled)
 
     def holds(self, smaller: "ModeOrder") -> bool:
         """Whether every model of the smaller order is a limit of those of this one."""
         return (self.modes >= smaller.modes and self.antiresonances >= smaller.antiresonances
-                and self.beside >= smaller.beside and self.sensor_lags >= smaller.sensor_lags)
+                and self.beside >= smaller.beside and self.sensor_lags >= smaller.sensor_lags
+                and self.is_coupled == smaller.is_coupled)
 
 
 @dataclass(frozen=True)
@@ -98,7 +113,8 @@ class FastDynamics:
         """Numbers of components."""
         return ModeOrder(
             len(self.dynamics.damping_ratios), len(self.dynamics.antiresonance_damping_ratios),
-            len(self.beside), int(self.sensor_lag_s > 0.0))
+            len(self.beside), int(self.sensor_lag_s > 0.0),
+            any(isinstance(mode, CoupledMode) for mode in self.beside))
 
     def vector(self) -> FloatArray:
         """Logarithms of what is positive, then the participations; without the delay."""
@@ -108,7 +124,9 @@ class FastDynamics:
             *([self.sensor_lag_s] if self.sensor_lag_s > 0.0 else []),
         ]
         return np.concatenate([
-            np.log(positive), [mode.participation for mode in self.beside]])
+            np.log(positive), [mode.participation for mode in self.beside],
+            [mode.velocity_participation for mode in self.beside
+             if isinstance(mode, CoupledMode)]])
 
     def effects(self) -> tuple[Effect, ...]:
         """Effects of the stage model beside its dynamics; a delay that is negative is none."""
@@ -119,10 +137,34 @@ class FastDynamics:
         )
 
 
+def coupled_vector(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
+    """Return the vector of coupled modes behind a lag that have given poles and residues.
+
+    Parameters
+    ----------
+    poles, residues : ndarray of complex, shape (1 + 2 m,)
+        The lag, then pairs of poles side by side, each conjugate or both real; any gain at rest.
+
+    Returns
+    -------
+    ndarray, shape (1 + 4 m,)
+        Of the order ``ModeOrder(0, 0, m, is_coupled=True)``.
+    """
+    rest = np.sum(-residues / poles).real
+    through_lag = residues * (1.0 - poles / poles[0]) / rest
+    one, other = poles[1::2], poles[2::2]
+    w = np.sqrt((one * other).real)
+    zeta = -(one + other).real / (2.0 * w)
+    first, second = through_lag[1::2], through_lag[2::2]
+    position = -(first * other + second * one).real / w**2
+    velocity = (first + second).real / w
+    return np.concatenate([
+        np.log([-1.0 / poles[0].real, *w, *np.maximum(zeta, 1e-9)]), position, velocity])
+
+
 def values_of(vector: FloatArray, order: ModeOrder) -> FloatArray:
     """Physical numbers of a vector, in its order."""
-    positive = vector.size - order.beside
-    return np.concatenate([np.exp(vector[:positive]), vector[positive:]])
+    return np.concatenate([np.exp(vector[: order.positive]), vector[order.positive :]])
 
 
 def fast_dynamics_of(vector: FloatArray, order: ModeOrder, delay_s: float = 0.0) -> FastDynamics:
@@ -140,11 +182,12 @@ def fast_dynamics_of(vector: FloatArray, order: ModeOrder, delay_s: float = 0.0)
         With modes, antiresonances and modes beside them in the order of frequency.
     """
     values = values_of(ascending(vector, order), order)
-    main, frequencies, dampings, lag, parts = _split(values, order)
+    main, frequencies, dampings, lag, *shares = _split(values, order)
+    kind = CoupledMode if order.is_coupled else VibrationMode
     return FastDynamics(
         dynamics_of_vector(main, order.modes, order.antiresonances),
-        tuple(VibrationMode(*numbers) for numbers in zip(
-            frequencies.tolist(), dampings.tolist(), parts.tolist(), strict=True)),
+        tuple(kind(*numbers) for numbers in zip(*(
+            each.tolist() for each in (frequencies, dampings, *shares)), strict=True)),
         float(lag[0]) if lag.size else 0.0, delay_s)
 
 
@@ -155,14 +198,14 @@ def ascending(vector: FloatArray, order: ModeOrder) -> FloatArray:
 
 def ascending_places(vector: FloatArray, order: ModeOrder) -> np.ndarray:
     """Places in a vector that put the components of every kind into the order of frequency."""
-    main, frequencies, dampings, lag, parts = _split(np.arange(vector.size), order)
+    main, frequencies, dampings, lag, *shares = _split(np.arange(vector.size), order)
     modes, zeros = order.modes, order.antiresonances
     first, w, zeta, wz, zetaz = np.split(main, np.cumsum([1, modes, modes, zeros]))
     by_mode, by_zero = np.argsort(vector[w]), np.argsort(vector[wz])
     by_side = np.argsort(vector[frequencies])
     return np.concatenate([
         first, w[by_mode], zeta[by_mode], wz[by_zero], zetaz[by_zero], frequencies[by_side],
-        dampings[by_side], lag, parts[by_side]])
+        dampings[by_side], lag, *(each[by_side] for each in shares)])
 
 
 def split_deviations(
@@ -182,24 +225,25 @@ def split_deviations(
     effects : tuple of dict
         Of the modes beside, then of the sensor's lag, by the names of their parameters.
     """
-    main, frequencies, dampings, lag, parts = _split(deviations, order)
-    beside = [
-        {"frequency_rad_per_s": float(w), "damping_ratio": float(d), "participation": float(p)}
-        for w, d, p in zip(frequencies, dampings, parts, strict=True)]
+    main, frequencies, dampings, lag, *shares = _split(deviations, order)
+    names = "frequency_rad_per_s", "damping_ratio", "participation", "velocity_participation"
+    beside = [dict(zip(names, map(float, numbers), strict=False))
+              for numbers in zip(frequencies, dampings, *shares, strict=True)]
     return split_dynamics_vector(main, order.modes, order.antiresonances), (
         *beside, *({"time_constant_s": float(value), "roundness": 0.0} for value in lag))
 
 
 def _split(values: np.ndarray, order: ModeOrder) -> list[np.ndarray]:
-    """Part a vector: dynamics, frequencies and dampings beside, sensor lag, participations."""
+    """Part a vector: dynamics, frequencies and dampings beside, sensor lag, shares."""
+    shares = [order.beside] * order.is_coupled
     return np.split(values, np.cumsum([
         1 + 2 * (order.modes + order.antiresonances), order.beside, order.beside,
-        order.sensor_lags]), axis=-1)
+        order.sensor_lags, *shares]), axis=-1)
 
 
 def lag_difference(vector: FloatArray, order: ModeOrder) -> float:
     """Half the logarithm of the ratio of the lag to the sensor's lag."""
-    return 0.5 * float(vector[0] - vector[order.parameters - order.beside - 1])
+    return 0.5 * float(vector[0] - vector[order.positive - 1])
 
 
 def with_lags_apart(vector: FloatArray, order: ModeOrder) -> FloatArray:
@@ -222,7 +266,7 @@ def with_lags_apart(vector: FloatArray, order: ModeOrder) -> FloatArray:
     by = np.copysign(0.5 * ALIKE, half) - half
     apart = vector.copy()
     apart[0] += by
-    apart[order.parameters - order.beside - 1] -= by
+    apart[order.positive - 1] -= by
     return apart
 
 
@@ -242,9 +286,9 @@ def poles_and_residues(
     poles, residues : ndarray of complex, shape (B, n)
         Lag, sensor lag, then the modes in pairs. The response is the sum of r / (s - p).
     """
-    values = np.exp(vectors)
-    values[:, order.parameters - order.beside :] = vectors[:, order.parameters - order.beside :]
-    main, side_w, side_zeta, sensor, parts = _split(values, order)
+    values = vectors.copy()
+    values[:, : order.positive] = np.exp(vectors[:, : order.positive])
+    main, side_w, side_zeta, sensor, parts, *velocities = _split(values, order)
     tau, w, zeta, wz, zetaz = np.split(
         main, np.cumsum([1, order.modes, order.modes, order.antiresonances]), axis=-1)
     lags = -1.0 / np.concatenate([tau, _away_from(sensor, tau)], axis=-1)
@@ -257,7 +301,11 @@ def poles_and_residues(
 
     main_gain = 1.0 - parts.sum(axis=-1)[:, None]
     through_series = main_gain * numerator(poles) * _over(poles, series)
-    through_side = [parts[:, i : i + 1] * _over(poles, side[:, 2 * i : 2 * i + 2])
+    shares = parts[:, None, :]
+    for velocity in velocities:
+        shares = shares + velocity[:, None, :] * poles[:, :, None] / side_w[:, None, :]
+    shares = np.broadcast_to(shares, (*poles.shape, order.beside))
+    through_side = [shares[:, :, i] * _over(poles, side[:, 2 * i : 2 * i + 2])
                     for i in range(order.beside)]
     # At the lags' poles the branches add up; at the pole of a branch, that branch is infinite.
     branch = through_series + sum(through_side, np.zeros_like(poles))

@@ -18,6 +18,11 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
     with_lags_apart,
 )
 from piezo_identification.estimators.poles.pole_responses import HeldInput
+from piezo_identification.estimators.poles.spectral_input import (
+    SpectralInput,
+    SpectralLines,
+    real_rows,
+)
 
 EARLIEST, LATEST = -1.5, 100.0
 """Delays in sample periods between which one is sought: the earliest is that of a logger that reads
@@ -38,8 +43,14 @@ BESIDE_DAMPING, PARTICIPATION = (1e-3, 0.4), (-2.0, 3.0)
 """Bounds of damping and part of a mode beside others, which
 `piezo_models.effects.vibration_mode.VibrationMode` admits."""
 
+COUPLED_SHARE = (-1e3, 1e3)
+"""Bounds of the parts of coupled modes, which `CoupledMode` admits: they may nearly cancel."""
+
 ANTIRESONANCE_SPAN = 3.0
 """Factor beyond the modes within which an antiresonance is taken for one."""
+
+LONG = 20_000
+"""Rows from which a search looks at lines of the spectrum in place of some of the rows."""
 
 COLLINEAR = 1e-9
 """Singular value, of the largest one, below which columns that are fitted linearly count as one:
@@ -128,9 +139,10 @@ class FastRecord:
 
     Parameters
     ----------
-    input : HeldInput
+    input : HeldInput or SpectralInput
     kept : ndarray of int, shape (N,)
-        Samples that are fitted. If the input is not periodic, none of the last two.
+        Samples, or rows of lines, that are fitted. Of an input that is not periodic, none of the
+        last two.
     measured_um : ndarray, shape (N,)
         Of the kept samples, with the creep removed.
     fixed : ndarray, shape (N, K)
@@ -143,7 +155,7 @@ class FastRecord:
         Part of a sample period by which all of the input may be earlier or later.
     """
 
-    input: HeldInput
+    input: HeldInput | SpectralInput
     kept: NDArray[np.intp]
     measured_um: FloatArray
     fixed: FloatArray
@@ -156,7 +168,7 @@ class FastRecord:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_span", independent(self.fixed))
-        object.__setattr__(self, "_target", self._beside(self.measured_um))
+        object.__setattr__(self, "_target", _left(self.measured_um, self._span))
 
     @property
     def linear_parameters(self) -> int:
@@ -164,15 +176,47 @@ class FastRecord:
         return 1 + self._span.shape[1]
 
     def thinned(self, most_rows: int) -> "FastRecord":
-        """Return the record with no more rows than given, spread over all of it; made once."""
+        """Return the record with no more rows than given, spread over all of it; made once.
+
+        The rows of a long one are lines of its spectrum, which cost no recursion over its samples.
+        """
         step = -(-self.kept.size // most_rows)
         if step == 1:
             return self
         if step not in self._thinned:
-            self._thinned[step] = FastRecord(
-                self.input, self.kept[::step], self.measured_um[::step], self.fixed[::step],
-                self.starts, self.every_row or self, self.phase_room)
+            self._thinned[step] = (
+                self._at_lines(most_rows // 2) if self._is_long() else FastRecord(
+                    self.input, self.kept[::step], self.measured_um[::step], self.fixed[::step],
+                    self.starts, self.every_row or self, self.phase_room))
         return self._thinned[step]
+
+    def _is_long(self) -> bool:
+        return (isinstance(self.input, HeldInput) and not self.input.is_periodic
+                and self.input.early is None and self.kept.size > LONG)
+
+    def _at_lines(self, count: int) -> "FastRecord":
+        """Return the record at lines of its spectrum."""
+        size, given = self.input.samples.size, self.input
+        ends = np.flatnonzero(np.diff(self.kept) != 1)
+        stretches = tuple(
+            slice(int(first), int(last) + 1) for first, last in zip(
+                self.kept[np.concatenate([[0], ends + 1])],
+                self.kept[np.concatenate([ends, [-1]])], strict=True)
+            if last - first > LONG // 10)
+        lines = SpectralLines.excited_by(given.samples, stretches, count)
+
+        def rows(values: FloatArray) -> FloatArray:
+            signal = np.zeros(size)
+            signal[self.kept] = values
+            return real_rows(lines.of(signal))
+
+        measured_um = rows(self.measured_um)
+        return FastRecord(
+            SpectralInput(given.samples, given.sample_period_s, lines.phases(),
+                          lines.of(given.samples), tuple(each.size for each in lines.lines)),
+            np.arange(measured_um.size), measured_um,
+            np.column_stack([rows(column) for column in self._span.T]), self.starts, self,
+            self.phase_room)
 
     def fit(self, order: ModeOrder, vector: FloatArray, delay: float,
             evaluations: int = 100, is_delay_free: bool = True,
@@ -213,12 +257,13 @@ class FastRecord:
                 np.column_stack([np.zeros_like(residues), residues[:, None] * by_pole])]),
             real_products([answers.by_delay], [residues[:, None]]),
         ])
-        columns = self._beside(columns)
+        span, target = self._beside_poles(poles)
+        columns = _left(columns, span)
         response, slopes = columns[:, 0], columns[:, 1:]
         energy = response @ response
-        gain = response @ self._target / energy
-        by_gain = (slopes.T @ self._target - 2.0 * gain * (slopes.T @ response)) / energy
-        return (self._target - gain * response,
+        gain = response @ target / energy
+        by_gain = (slopes.T @ target - 2.0 * gain * (slopes.T @ response)) / energy
+        return (target - gain * response,
                 -gain * slopes - np.outer(response, by_gain))
 
     def fit_free(self, vector: FloatArray, delay: float, evaluations: int = 40) -> FreeFit:
@@ -242,14 +287,16 @@ class FastRecord:
     def parts(self, orders_and_vectors: list[tuple[ModeOrder, FloatArray]],
               delay: float) -> tuple[FloatArray, float]:
         """Gains of several responses side by side that fit best, and the cost that remains."""
-        columns = []
+        columns, all_poles = [], []
         for order, vector in orders_and_vectors:
             poles, residues = poles_and_residues(vector[None], order)
             answer = self.input.responses(poles[0], delay, self.kept).value @ residues[0]
             columns.append(answer.real)
-        basis = self._beside(np.column_stack(columns))
-        gains = np.linalg.lstsq(basis, self._target, rcond=COLLINEAR)[0]
-        return gains, float(np.sum((self._target - basis @ gains) ** 2))
+            all_poles.append(poles[0])
+        span, target = self._beside_poles(np.unique(np.concatenate(all_poles)))
+        basis = _left(np.column_stack(columns), span)
+        gains = np.linalg.lstsq(basis, target, rcond=COLLINEAR)[0]
+        return gains, float(np.sum((target - basis @ gains) ** 2))
 
     def _free_errors(
         self, order: ModeOrder, unknowns: FloatArray, with_slopes: bool = True,
@@ -268,14 +315,15 @@ class FastRecord:
         # Real for conjugate poles, and for two real ones.
         basis = np.column_stack([
             answers.value[:, :1], one + other, (one - other) * (scale / apart)]).real
-        basis = self._beside(basis)
+        span, target = self._beside_poles(poles)
+        basis = _left(basis, span)
         norms = np.linalg.norm(basis, axis=0)
         left, values, right = np.linalg.svd(basis / norms, full_matrices=False)
         told = values > COLLINEAR * values[0]
         left = left[:, told]
-        projected = left.T @ self._target
+        projected = left.T @ target
         gains = right[told].T @ (projected / values[told]) / norms
-        residual = self._target - left @ projected
+        residual = target - left @ projected
         count = apart.size
         even, odd = gains[1 : 1 + count], gains[1 + count :] * scale / apart
         residues = np.empty(poles.size, dtype=complex)
@@ -286,7 +334,7 @@ class FastRecord:
         slopes = np.column_stack([
             (answers.by_pole @ (residues[:, None] * by_vector)).real,
             (answers.by_delay @ residues).real])
-        slopes = self._beside(slopes)
+        slopes = _left(slopes, span)
         return residual, left @ (left.T @ slopes) - slopes, poles, residues
 
     def _bounds(self, order: ModeOrder, size: int) -> tuple[FloatArray, FloatArray]:
@@ -302,15 +350,25 @@ class FastRecord:
 
         limits = [lag, *rates(order.modes), *[damping] * order.modes]
         limits += [*rates(order.antiresonances), *[damping] * order.antiresonances]
-        limits += [*rates(order.beside), *[np.log(BESIDE_DAMPING)] * order.beside]
-        limits += [*[lag] * order.sensor_lags, *[np.array(PARTICIPATION)] * order.beside]
+        of_modes, shares = ((damping, COUPLED_SHARE) if order.is_coupled
+                            else (np.log(BESIDE_DAMPING), PARTICIPATION))
+        limits += [*rates(order.beside), *[of_modes] * order.beside]
+        limits += [*[lag] * order.sensor_lags, *[np.array(shares)] * order.shares]
         limits += [np.array([EARLIEST, min(LATEST, 0.25 * self.input.samples.size)])]
         lower, upper = np.array(limits).T
         return lower, upper
 
-    def _beside(self, columns: FloatArray) -> FloatArray:
-        """Return what the fixed columns leave of others."""
-        return columns - self._span @ (self._span.T @ columns)
+    def _beside_poles(self, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
+        """Return orthonormal columns of what the record may hold beside, and what they leave."""
+        if isinstance(self.input, HeldInput):
+            return self._span, self._target
+        span = independent(np.column_stack([self._span, self.input.transients(poles)]))
+        return span, _left(self.measured_um, span)
+
+
+def _left(columns: FloatArray, span: FloatArray) -> FloatArray:
+    """Return what orthonormal columns leave of others."""
+    return np.asarray(columns - span @ (span.T @ columns))
 
 
 class _Remembered:

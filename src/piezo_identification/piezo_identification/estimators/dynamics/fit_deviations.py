@@ -9,10 +9,11 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
     with_lags_apart,
 )
 from piezo_identification.estimators.dynamics.fast_record import FastFit
-from piezo_identification.estimators.estimate import SIGNIFICANT, parameter_covariance
-
-MOST_ALIKE = 0.98
-"""Correlation of neighbouring samples of a residual up to which it counts."""
+from piezo_identification.estimators.estimate import (
+    SIGNIFICANT,
+    independent_rows,
+    parameter_covariance,
+)
 
 FAR_MORE = 2.0
 """Times the power that a fit has to leave without its delay before that tells of the delay."""
@@ -39,11 +40,10 @@ def fit_covariance(fit: FastFit, linear_parameters: int) -> FloatArray:
     """
     covariance = parameter_covariance(
         fit.jacobian, fit.residual, fit.jacobian.shape[1] + linear_parameters)
-    alike = _alike(fit.residual)
-    covariance *= (1.0 + alike) / (1.0 - alike)
+    covariance *= fit.residual.size / independent_rows(fit.residual)
     if fit.order.sensor_lags:
         covariance = _of_alike_lags(covariance, fit)
-    last = fit.order.parameters - fit.order.beside
+    last = fit.order.positive
     for lag in [0, *range(last - fit.order.sensor_lags, last)]:
         covariance = _of_positive_lag(covariance, lag)
     return covariance
@@ -62,7 +62,7 @@ def _of_alike_lags(covariance: FloatArray, fit: FastFit) -> FloatArray:
     fit : FastFit
         With a sensor's lag.
     """
-    one, other = 0, fit.order.parameters - fit.order.beside - 1
+    one, other = 0, fit.order.positive - 1
     half = abs(lag_difference(fit.vector, fit.order))
     taken_at = abs(lag_difference(with_lags_apart(fit.vector, fit.order), fit.order))
     lags = np.ix_([one, other], [one, other])
@@ -127,17 +127,10 @@ def delay_deviation(fit: FastFit, without: FastFit | None, variance: float) -> f
     deviation = float(np.sqrt(variance))
     if without is None or without.cost <= FAR_MORE * fit.cost:
         return deviation
-    alike = _alike(fit.residual)
-    rows = fit.residual.size * (1.0 - alike) / (1.0 + alike)
+    rows = independent_rows(fit.residual)
     return min(deviation, abs(fit.delay) / float(np.sqrt(rows * np.log(without.cost / fit.cost))))
 
 
 def is_told(fit: FastFit, variance: float) -> bool:
     """Whether the covariance alone tells that there is a delay."""
     return bool(abs(fit.delay) > SIGNIFICANT * np.sqrt(variance))
-
-
-def _alike(residual: FloatArray) -> float:
-    """Correlation of neighbouring samples."""
-    power = float(residual @ residual) or 1.0
-    return float(np.clip(residual[1:] @ residual[:-1] / power, 0.0, MOST_ALIKE))

@@ -8,10 +8,10 @@ from itertools import combinations, product
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.diagnosis.residual.sensor_noise import noise_floor_um
 from piezo_identification.estimators.dynamics.fast_dynamics import (
     ModeOrder,
     ascending_places,
+    coupled_vector,
     fast_dynamics_of,
     split_deviations,
     values_of,
@@ -28,23 +28,22 @@ from piezo_identification.estimators.dynamics.fit_deviations import (
     fit_covariance,
     is_told,
 )
-from piezo_identification.estimators.dynamics.nested_start import nested_start
-from piezo_identification.estimators.dynamics.physical_standing import lack_of_standing
 from piezo_identification.estimators.dynamics.pole_search import QUICK_EVALUATIONS, free_fits
 from piezo_identification.estimators.estimate import (
     DelayEstimate,
     Estimate,
     OrderTrial,
     finest_power,
+    independent_rows,
     order_trial,
 )
 
 MOST_MODES = 8
 """Vibration modes beyond which the search for their number ends."""
 
-ROWS_OF_SEARCH, ROWS_OF_TRIALS = 3000, 10_000
-"""Rows of a longer record in which starts are sought, and in which orders are compared; the fit of
-the order that is taken has all rows."""
+ROWS_OF_SEARCH, ROWS_OF_TRIALS, ROWS_OF_FIT = 3000, 10_000, 60_000
+"""Rows of a longer record in which starts are sought, in which orders are compared, and in which
+the order that is taken is fitted."""
 
 LAST_EVALUATIONS = 4
 """Steps in the rows of the trials of poles that were found in fewer."""
@@ -54,14 +53,6 @@ POLISHING, ROUNDING = 200, 1e-12
 
 PATIENCE = 2
 """Numbers of modes in succession that may bring no gain before the search ends."""
-
-STILL_MUCH = 0.5
-"""Part of the power to which a further mode with free residues has to bring it down to be a gain,
-whatever the forms make of it."""
-
-LACKING, WORTHWHILE_PART = 10.0, 0.02
-"""Where so many times the noise is left, a further mode has to explain this part of its power: tens
-of thousands of samples call every mode significant that bends to what no linear dynamics make."""
 
 MODES_LEFT_OUT = 2
 """Dynamics richer by up to so many modes are fitted, and the modes taken that explain most: those
@@ -83,18 +74,14 @@ FOLLOWED = 3
 ENDED = 2
 """So many of the best of those starts are followed to their end."""
 
+HOPELESS = 10.0
+"""Times the power that free residues leave, beyond which a form is not followed to its end."""
+
 LAGGING_FORMS = 2
 """Forms, the best of as many modes, that are tried with a sensor's lag."""
 
 SENSOR_LAGS = (0.3, 1.0, 4.0)
 """In sample periods, from which a sensor's lag is sought."""
-
-WORTHWHILE = 10.0
-"""Information that forms with modes beside others have to be able to gain before they are tried:
-most often the same response can be told by modes in series with antiresonances (4.3)."""
-
-NESTED_ROUNDS = 3
-"""Passes over the orders in which one that leaves more than a smaller one begins from that one."""
 
 
 def fit_output_error(
@@ -102,13 +89,11 @@ def fit_output_error(
 ) -> Estimate:
     """Electric and vibration dynamics (4.3) and a delay of least output error.
 
-    Poles with free residues come first, for more and more modes. From them begin the physical
-    forms: modes one after the other, as in (4.3); the same with the antiresonances that modes
-    which move side by side leave between them; modes that add their part of the displacement; and
-    each of these with a sensor that lags. A larger order that leaves more than a smaller one begins
-    from that one again. A form is refused whose numbers have no physical standing, see
-    `physical_standing.lack_of_standing`; of the others, that of the least Bayesian information
-    criterion is taken.
+    Poles with free residues come first, for more and more modes while that gains evidence. They
+    are themselves a model, of coupled modes. From them begin the forms with fewer parameters: modes
+    one after the other, as in (4.3); the same with the antiresonances that modes which move side by
+    side leave between them; modes that add their part of the displacement; and each of these with
+    a sensor that lags. That of the least Bayesian information criterion is taken.
 
     Parameters
     ----------
@@ -130,7 +115,6 @@ def fit_output_error(
         search.try_all_orders()
     else:
         search.try_modes_in_series(mode_count)
-    search.begin_again_from_smaller_orders()
     return search.estimate(mode_count is not None)
 
 
@@ -142,27 +126,31 @@ class _Search:
     """Fits of a record by order."""
 
     def __init__(self, record: FastRecord, delay: float | None) -> None:
-        self._whole, self._known_delay = record, delay
+        self._whole, self._known_delay = record.thinned(ROWS_OF_FIT), delay
         self._record, self._coarse = (
             record.thinned(rows) for rows in (ROWS_OF_TRIALS, ROWS_OF_SEARCH))
-        self._noise_um = noise_floor_um(record.measured_um, record.input.sample_period_s)
         self._fits: dict[ModeOrder, FastFit] = {}
-        self._trials: dict[ModeOrder, OrderTrial] = {}
 
     def try_all_orders(self) -> None:
-        """Fit every order until more modes bring no gain."""
-        without_gain, before, left = 0, np.inf, np.inf
+        """Fit free residues until more modes bring no gain, and the forms of the best of them."""
+        frees: list[FreeFit] = []
+        best = 0
         for free in self._free_fits(MOST_MODES):
-            if self._could_gain(free):
-                self._try_forms(free)
-            least = self._best_trial()
-            information = np.inf if least is None else least.information
-            # Too few modes may have no standing at all, as each stands for several.
-            is_gain = information < before or free.cost < STILL_MUCH * left
-            without_gain = 0 if is_gain else without_gain + 1
-            before, left = information, free.cost
-            if without_gain == PATIENCE:
+            frees.append(free)
+            if len(frees) > 1 and self._gain(frees[best], free) > 0.0:
+                best = len(frees) - 1
+            if len(frees) - 1 - best == PATIENCE:
                 break
+        # A form with a lag of its own may have a mode less.
+        for free in frees[max(0, best - 1) : best + 1]:
+            self._try_forms(free)
+
+    def _gain(self, fewer: FreeFit, more: FreeFit) -> float:
+        """Return the information that further modes gain; errors that are alike count for fewer."""
+        rows = independent_rows(more.residual)
+        rounding = more.residual.size * finest_power(self._record.measured_um)
+        fits = np.log((fewer.cost + rounding) / (more.cost + rounding))
+        return float(rows * fits - 4.0 * (more.modes - fewer.modes) * np.log(rows))
 
     def try_modes_in_series(self, count: int) -> None:
         """Fit a number of modes in series, begun from those that explain most of richer ones."""
@@ -175,27 +163,10 @@ class _Search:
                 [(order, vector)], free.delay)[1])
             self._keep(order, [(best, free.delay)])
 
-    def begin_again_from_smaller_orders(self) -> None:
-        """Begin orders that leave more than a smaller one from that one."""
-        for _ in range(NESTED_ROUNDS):
-            changed = False
-            # The smallest first, so that what one gains reaches all that hold it.
-            for order in sorted(self._fits, key=lambda order: order.parameters):
-                fit = self._fits[order]
-                smaller = [other for other in self._fits.values()
-                           if other.order != order and order.holds(other.order)]
-                least = min(smaller, key=lambda other: other.cost, default=fit)
-                if least.cost < fit.cost:
-                    self._keep(order, [nested_start(
-                        least, order, self._record.input.sample_period_s)])
-                    changed = changed or self._fits[order].cost < fit.cost
-            if not changed:
-                break
-
     def estimate(self, order_given: bool) -> Estimate:
         """Return the best order, its delay left out if it is not significant."""
-        trials = tuple(self._trials.values())
-        chosen = self._best_trial() or min(trials, key=lambda trial: trial.information)
+        trials = self._trials()
+        chosen = min(trials, key=lambda trial: trial.information)
         fit, delay = self._polished(self._fits[chosen.order]), None
         if self._known_delay is None:
             fit, delay = self._with_delay_told(fit)
@@ -203,8 +174,7 @@ class _Search:
         places = ascending_places(fit.vector, fit.order)
         model = fast_dynamics_of(fit.vector, fit.order)
         spread = deviations[: places.size] * np.where(
-            np.arange(places.size) < places.size - fit.order.beside,
-            values_of(fit.vector, fit.order), 1.0)
+            np.arange(places.size) < fit.order.positive, values_of(fit.vector, fit.order), 1.0)
         of_dynamics, of_effects = split_deviations(spread[places], fit.order)
         return Estimate(
             model.dynamics, of_dynamics, chosen.order, trials, order_given,
@@ -233,42 +203,34 @@ class _Search:
         return self._whole.fit(
             fit.order, fit.vector, fit.delay, POLISHING, self._known_delay is None, ROUNDING)
 
-    def _best_trial(self) -> OrderTrial | None:
-        """Trial of the least information among those with physical standing."""
-        return min((trial for trial in self._trials.values() if not trial.refusal),
-                   key=lambda trial: trial.information, default=None)
-
-    def _could_gain(self, free: FreeFit) -> bool:
-        """Whether a mode, two numbers, could pay with the least that any form leaves."""
-        samples, best = free.residual.size, self._best_trial()
-        if best is None:
-            return True
-        left = samples * best.residual_rms**2
-        is_much = best.residual_rms > LACKING * self._noise_um
-        if is_much and free.cost > (1.0 - WORTHWHILE_PART) * left:
-            return False
-        rounding = samples * finest_power(self._record.measured_um)
-        gain = samples * np.log((left + rounding) / (free.cost + rounding))
-        return bool(gain > 2.0 * np.log(samples))
+    def _trials(self) -> tuple[OrderTrial, ...]:
+        """Rate all fits alike: by as many rows as are independent in the best of them."""
+        least = min(self._fits.values(), key=lambda fit: fit.cost)
+        rows = independent_rows(least.residual)
+        return tuple(order_trial(
+            order, fit.residual, self._parameters(order), signal=self._record.measured_um,
+            independent=rows) for order, fit in self._fits.items())
 
     def _try_forms(self, free: FreeFit) -> None:
-        """Fit the physical forms with as many modes as a free fit, and the best with a lag."""
-        found = [self._keep(order, starts) for order, starts in self._with_antiresonances(free)]
-        standing = self._best_trial()
-        known = [self._fits[standing.order]] if standing else []
-        # No form leaves less than free residues: what modes beside others could gain at most.
-        gain = free.residual.size * np.log(
-            min(fit.cost for fit in [*found, *known]) / free.cost)
-        if gain > WORTHWHILE:
-            found += [self._keep(order, starts) for order, starts in self._with_modes_beside(free)]
-            found.sort(key=lambda fit: self._trials[fit.order].information)
-            for fit in found[:LAGGING_FORMS]:
-                self._try_sensor_lag(fit)
+        """Fit the free poles as a model, the forms with as many modes, and the best with a lag."""
+        if free.modes:
+            self._keep(ModeOrder(0, 0, free.modes, is_coupled=True),
+                       [(coupled_vector(free.poles, free.residues), free.delay)])
+        most = HOPELESS * self._coarse.free(free.vector, free.delay).cost
+        found = [fit for order, starts in [*self._with_antiresonances(free),
+                                           *self._with_modes_beside(free)]
+                 if (fit := self._keep(order, starts, most)) is not None]
+        for fit in sorted(found, key=self._information)[:LAGGING_FORMS]:
+            self._try_sensor_lag(fit)
+
+    def _information(self, fit: FastFit) -> float:
+        rows = fit.residual.size
+        return float(rows * np.log(fit.cost) + self._parameters(fit.order) * np.log(rows))
 
     def _try_sensor_lag(self, fit: FastFit) -> None:
         order = replace(fit.order, sensor_lags=1)
         period_s = self._record.input.sample_period_s
-        place = fit.vector.size - fit.order.beside
+        place = fit.order.positive
         self._keep(order, [
             (np.insert(fit.vector, place, np.log(lag * period_s)), fit.delay - lag)
             for lag in SENSOR_LAGS])
@@ -338,31 +300,26 @@ class _Search:
             best.setdefault(delay, (vector, delay))
         return list(best.values())[:FOLLOWED]
 
-    def _keep(self, order: ModeOrder, starts: Iterable[_Start]) -> FastFit:
-        """Fit an order from the best of several starts, and keep it if it leaves less."""
+    def _keep(self, order: ModeOrder, starts: Iterable[_Start],
+              most: float = np.inf) -> FastFit | None:
+        """Fit an order from the best of several starts, unless all leave more; keep the best."""
         is_free = self._known_delay is None
         quick = [
             self._coarse.fit(order, vector, delay if self._known_delay is None
                              else self._known_delay, QUICK_EVALUATIONS, is_free)
             for vector, delay in starts]
         quick.sort(key=lambda fit: fit.cost)
+        if quick[0].cost > most and self._fits:
+            return None
         best = min(
             (self._record.fit(order, fit.vector, fit.delay, is_delay_free=is_free)
              for fit in quick[:ENDED]), key=lambda fit: fit.cost)
         if order not in self._fits or best.cost < self._fits[order].cost:
-            self._fits[order], self._trials[order] = best, self._trial(best)
+            self._fits[order] = best
         return self._fits[order]
 
     def _parameters(self, order: ModeOrder) -> int:
         return order.parameters + self._record.linear_parameters + (self._known_delay is None)
-
-    def _trial(self, fit: FastFit) -> OrderTrial:
-        parameters = self._parameters(fit.order)
-        refusal = lack_of_standing(
-            fit.vector, fit.order, fit_covariance(fit, self._record.linear_parameters),
-            self._record.input.sample_period_s)
-        return order_trial(
-            fit.order, fit.residual, parameters, refusal, self._record.measured_um)
 
 
 def _subsets(count: int, size: int) -> Iterator[tuple[int, ...]]:

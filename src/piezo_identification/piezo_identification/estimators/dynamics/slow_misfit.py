@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from piezo_common.arrays import FloatArray
 from piezo_identification.estimators.dynamics.fast_creep import best_free_fit
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
-from piezo_identification.estimators.dynamics.physical_standing import (
-    FAR_BELOW,
-    HEAVY_DAMPING,
-    LEAST_DAMPING,
-)
+
+LEAST_DAMPING = 5e-4
+"""Damping ratio below which no mode of a structure lies that is glued or screwed together."""
+
+HEAVY_DAMPING, FAR_BELOW = 0.15, 0.05
+"""Damping ratio, and frequency over that of the lowest mode which rings, of what creeps: structures
+have no such modes, and what a hysteresis that is not quite right leaves looks like one."""
 
 MOST_WAVES = 300
 """Half periods of the fastest wave: a longer record tells slow motions from vibrations itself."""

@@ -12,7 +12,7 @@ import control
 import numpy as np
 
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
-from piezo_identification.estimators.frequency_response.sampled_response import delayed_zoh
+from piezo_identification.simulation.sampled_response import delayed_zoh
 
 
 def hold_response(frequency_hz: np.ndarray, hold_s: float) -> np.ndarray:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Displacement over voltage in physical parameters, and the numbers of its components."""
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import control
 import numpy as np
@@ -38,7 +38,8 @@ class ResponseModel:
     def states(self) -> int:
         """States of the rational part."""
         modes = len(self.dynamics.damping_ratios) + len(self.beside)
-        return len(self.creep.poles_rad_per_s) + 1 + 2 * modes
+        lag = self.dynamics.time_constant_s > 0.0
+        return len(self.creep.poles_rad_per_s) + lag + 2 * modes
 
     def linear(self) -> control.StateSpace:
         """Continuous `control.StateSpace` without gain and delay."""
@@ -67,30 +68,38 @@ class ResponseOrder:
     creep_pairs, modes, antiresonances : int or None
         None in a request: as many as the data justify.
     beside : int
-        Modes side by side with one or more in series, which is not for requests: they are sought
-        where neither modes nor antiresonances are asked for.
+        Modes side by side, which a request counts among its modes if it leaves the antiresonances
+        open.
+    is_coupled : bool
+        Whether a mode beside others has a part that follows its velocity.
+    has_lag, has_delay : bool
     """
 
     creep_pairs: int | None
     modes: int | None
     antiresonances: int | None
     beside: int = 0
+    is_coupled: bool = False
+    has_lag: bool = True
+    has_delay: bool = True
 
     @property
     def states(self) -> int:
-        """States of the rational part, the electric lag among them."""
-        return (self.creep_pairs or 0) + 1 + 2 * ((self.modes or 0) + self.beside)
+        """States of the rational part."""
+        return (self.creep_pairs or 0) + self.has_lag + 2 * ((self.modes or 0) + self.beside)
 
     def __str__(self) -> str:
         text = f"{self.creep_pairs}+{self.modes}-{self.antiresonances}"
-        return f"{text}+{self.beside}" if self.beside else text
+        text += f"+{self.beside}" * bool(self.beside) + " coupled" * self.is_coupled
+        return text + " no lag" * (not self.has_lag) + " no delay" * (not self.has_delay)
 
     def grants(self, order: "ResponseOrder") -> bool:
         """Whether an order is what this one requests."""
-        return all(
-            wanted is None or wanted == number
-            for wanted, number in zip(astuple(self)[:3], astuple(order)[:3], strict=True)
-        )
+        if self.antiresonances is not None and (order.beside or order.is_coupled):
+            return False
+        numbers = (order.creep_pairs, (order.modes or 0) + order.beside, order.antiresonances)
+        return all(wanted is None or wanted == number for wanted, number in zip(
+            (self.creep_pairs, self.modes, self.antiresonances), numbers, strict=True))
 
 
 ANY_ORDER = ResponseOrder(None, None, None)

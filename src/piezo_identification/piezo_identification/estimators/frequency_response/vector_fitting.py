@@ -8,6 +8,7 @@ from piezo_common.arrays import ComplexArray, FloatArray
 
 def vector_fit(
     frequency_rad_per_s: FloatArray, gain: ComplexArray, pole_count: int, iterations: int = 20,
+    weight: FloatArray | float = 1.0,
 ) -> ComplexArray:
     """Poles of a proper rational function near a measured response.
 
@@ -21,6 +22,8 @@ def vector_fit(
     gain : ndarray of complex, shape (N,)
     pole_count : int
     iterations : int
+    weight : float or ndarray, shape (N,)
+        Of each frequency's error.
 
     Returns
     -------
@@ -48,16 +51,17 @@ def vector_fit(
     for _ in range(iterations):
         dynamics, drive, basis = _basis(s, poles)
         columns = np.column_stack([basis, np.ones_like(s), -gain[:, None] * basis])
-        solution = _real_lstsq(columns, gain)
+        solution = _real_lstsq((weight * columns.T).T, weight * gain)
         poles = np.linalg.eigvals(dynamics - np.outer(drive, solution[pole_count + 1 :]))
         poles = -np.maximum(np.abs(poles.real), 1e-9) + 1j * poles.imag
     return poles * scale
 
 
-def residues_error(
+def left_by_poles(
     frequency_rad_per_s: FloatArray, gain: ComplexArray, poles: ComplexArray,
-) -> float:
-    """Relative error of the best rational function with given poles.
+    weight: FloatArray | float = 1.0,
+) -> ComplexArray:
+    """Return what the best rational function with given poles leaves of a response, shape (N,).
 
     Parameters
     ----------
@@ -65,17 +69,12 @@ def residues_error(
     gain : ndarray of complex, shape (N,)
     poles : ndarray of complex, shape (n,)
         In rad/s, closed under conjugation.
-
-    Returns
-    -------
-    float
-        Norm of what is left over the norm of the response.
+    weight : float or ndarray, shape (N,)
     """
     scale = frequency_rad_per_s.max()
     basis = _basis(1j * frequency_rad_per_s / scale, poles / scale)[2]
     columns = np.column_stack([basis, np.ones(basis.shape[0])])
-    left = columns @ _real_lstsq(columns, gain) - gain
-    return float(np.linalg.norm(left) / np.linalg.norm(gain))
+    return gain - columns @ _real_lstsq((weight * columns.T).T, weight * gain)
 
 
 def _basis(s: ComplexArray, poles: ComplexArray) -> tuple[FloatArray, FloatArray, ComplexArray]:

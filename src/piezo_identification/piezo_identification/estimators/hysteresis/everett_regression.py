@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.simulation.model_run import NEAR_THE_END
 from piezo_models.hysteresis.preisach_kernels import branch_start, cell_of, with_room
 
 T = TypeVar("T", bound=np.generic)
 
 IntArray = NDArray[np.int64]
-
-NEAR_THE_END = 1e-3
-"""Within this part of the voltage range from its ends the hysteresis counts as saturated."""
 
 NEAR_A_LEVEL = 0.02
 """A voltage within this part of a cell from a level is on it when cells are called visited."""

@@ -12,8 +12,8 @@ from piezo_identification.conditioning.waveforms import (
     samples_per_mean,
     with_voltage_before,
 )
-from piezo_identification.estimators.frequency_response.sampled_response import respond
-from piezo_identification.estimators.hysteresis.everett_regression import NEAR_THE_END
+from piezo_identification.simulation.model_run import NEAR_THE_END
+from piezo_identification.simulation.sampled_response import respond
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from piezo_identification.diagnosis.candidates.effect_fit import fit_effects
 from piezo_identification.diagnosis.comparison.undecided import in_place_of_the_found
-from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.regression import first_regression
 from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.effect_fit import fit_effects
+from piezo_identification.fitting.regression import first_regression
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
 

@@ -9,12 +9,12 @@ from threadpoolctl import threadpool_info
 
 from piezo_identification.diagnosis.evidence import ceiling as module
 from piezo_identification.diagnosis.evidence.ceiling import ceiling
-from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.regression import (
+from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.regression import (
     first_regression,
     with_fixed_parameters,
 )
-from piezo_identification.experiments import catalogue as experiments
 
 
 @pytest.fixture(scope="module")

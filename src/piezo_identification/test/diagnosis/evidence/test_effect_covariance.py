@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezo_identification.diagnosis.candidates.effect_fit import fit_effects
 from piezo_identification.diagnosis.evidence.effect_covariance import (
     noise_and_errors,
     with_model_errors,
 )
-from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.regression import first_regression, reweighted
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.effect_fit import fit_effects
+from piezo_identification.fitting.regression import first_regression, reweighted
 from piezo_models.cascade import StageModel
 from piezo_models.effects.backlash import Backlash
 from piezo_models.hysteresis.preisach import PreisachModel

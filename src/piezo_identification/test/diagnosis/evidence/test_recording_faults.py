@@ -111,6 +111,7 @@ def test_a_delay_of_whole_rows_of_a_fast_recording_is_the_stages(model):
     assert [fault.numbers["rows"] for fault in without_faults(model, early)[1]] == [-2]
 
 
+@pytest.mark.long
 def test_a_logger_with_both_faults_lacks_nothing(model):
     voltage_v = voltages("noise")
     given = recorded(voltage_v, -shifted(answered(voltage_v), 2))

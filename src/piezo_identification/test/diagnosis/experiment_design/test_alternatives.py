@@ -9,9 +9,9 @@ from piezo_identification.diagnosis.experiment_design.alternatives import (
     find_alternatives,
     without_idle,
 )
-from piezo_identification.diagnosis.residual.dataset import simulate_recordings
-from piezo_identification.diagnosis.residual.regression import first_regression
 from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.regression import first_regression
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
 

@@ -52,6 +52,7 @@ def arguments(plant, play, csv_of, tmp_path):
             "--output", str(tmp_path / "out")]
 
 
+@pytest.mark.long
 def test_the_verdict_names_the_recording_that_tells_a_delay_from_a_lag(
         arguments, few_waveforms, tmp_path, capsys):
     assert main(arguments) == 0

@@ -15,11 +15,11 @@ from piezo_identification.diagnosis.joint.competition import (
     Competition,
     led_by_the_most_probable,
 )
-from piezo_identification.diagnosis.joint.free_parameters import changed_model, free_sensitivities
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
+from piezo_identification.fitting.free_parameters import changed_model, free_sensitivities
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
@@ -76,6 +76,7 @@ def found(model, new, *old):
     return diagnose(model, [new], identified_from=IdentificationRecordings(old, ()))
 
 
+@pytest.mark.long
 def test_an_effect_that_was_there_all_along_is_told_from_a_bent_model():
     # A model that was identified with the effect in the recordings has a mode that is off.
     bent = replace(LINE, dynamics=ElectricVibrationDynamics(0.0, (380.0,), (0.13,)))

@@ -6,7 +6,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.diagnosis.joint.far_starts import from_afar
-from piezo_identification.diagnosis.joint.joint_fit import JointProblem
+from piezo_identification.fitting.joint_fit import JointProblem
 from piezo_models.cascade import StageModel
 from piezo_models.effects.backlash import Backlash
 from piezo_models.hysteresis.preisach import PreisachModel

@@ -85,6 +85,17 @@ def test_another_recording_is_refused(files):
         found(files, files["new"])
 
 
+@pytest.mark.parametrize(("data", "holdout", "what"), [
+    ("new", "new", "are diagnosed"),
+    ("new", "creep", "the model was identified from"),
+])
+def test_a_recording_that_was_fitted_is_not_held_out(files, tmp_path, capsys, data, holdout, what):
+    assert main(["--model", str(files["model"]), "--data", str(files[data]), "--holdout",
+                 str(files[holdout]), "--output", str(tmp_path / "out")]) == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert "cannot be held out" in told and what in told
+
+
 def test_rows_are_aligned_as_for_the_identification(files):
     identified = files["identified"]
     identified.sample_periods_s = {"creep": PERIOD_S, "hysteresis": PERIOD_S}
@@ -97,6 +108,7 @@ def test_rows_are_aligned_as_for_the_identification(files):
     np.testing.assert_array_equal(aligned[1].voltage_v, raw[1].voltage_v[1:])
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("without_pictures")
 def test_the_command_says_what_it_could_not_ask(files, tmp_path, capsys):
     def diagnose(*more):

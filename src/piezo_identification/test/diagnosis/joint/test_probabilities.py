@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 
-from piezo_identification.diagnosis.joint.joint_fit import correlated_scale
-from piezo_identification.diagnosis.joint.model_weights import HeldOut
 from piezo_identification.diagnosis.joint.probabilities import Evidence, probabilities
+from piezo_identification.fitting.joint_fit import correlated_scale
+from piezo_identification.fitting.model_weights import HeldOut
 
 NOISE_UM = 0.01
 PASSING_UM = [1.2 * NOISE_UM]

@@ -11,8 +11,8 @@ from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
-from piezo_identification.diagnosis.joint.joint_errors import JointErrors
-from piezo_identification.diagnosis.joint.joint_fit import JointProblem
+from piezo_identification.fitting.joint_errors import JointErrors
+from piezo_identification.fitting.joint_fit import JointProblem
 from piezo_models.cascade import StageModel
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.thermal_drift import ThermalDrift

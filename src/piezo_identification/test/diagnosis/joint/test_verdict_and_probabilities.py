@@ -8,13 +8,13 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.joint.free_parameters import changed_model
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
-from piezo_identification.diagnosis.joint.joint_errors import JointErrors, simulated_by
-from piezo_identification.diagnosis.joint.joint_fit import SETTINGS, JointFit, JointProblem
-from piezo_identification.diagnosis.residual import simulated_recording
+from piezo_identification.fitting.free_parameters import changed_model
+from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
+from piezo_identification.fitting.joint_fit import SETTINGS, JointFit, JointProblem
+from piezo_identification.simulation import simulated_recording
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics

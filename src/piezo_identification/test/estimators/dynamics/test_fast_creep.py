@@ -61,6 +61,7 @@ def test_a_decay_that_is_over_before_the_record_begins_takes_no_part():
     assert np.isfinite(over.fit_free(np.log([LAG_S, 3900.0, 0.02]), 0.0, 2).cost)
 
 
+@pytest.mark.long
 def test_dynamics_behind_creep_of_every_decade_are_those_without_it():
     estimate = estimate_dynamics(recording(creep_part=0.01), CreepDynamics())
     assert estimate.model.time_constant_s == pytest.approx(LAG_S, rel=0.01)
@@ -117,6 +118,7 @@ def test_creep_of_two_in_succession_is_the_product_of_their_responses():
         first.response(frequency_hz) * second.response(frequency_hz))
 
 
+@pytest.mark.long
 def test_creep_is_sought_until_it_leaves_no_slow_pole_in_the_dynamics(monkeypatch):
     """The poles that stood for creep had bent the dynamics beside which it was sought first."""
     monkeypatch.setattr(sys.modules[__name__], "NOISE_UM", 5e-4)

@@ -12,9 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from independent_stage import IndependentStage
 
 from piezo_identification.estimators.dynamics import slow_misfit
-from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_signals import joined_signals
-from piezo_identification.estimators.dynamics.physical_standing import lack_of_standing
 from piezo_models.linear.dynamics import CreepDynamics
 
 PERIOD_S = 1e-4
@@ -46,16 +44,6 @@ def test_a_record_may_hold_slow_motion_where_slow_poles_are_no_vibration(
                         lambda coarse: SimpleNamespace(poles=np.array(poles)))
     beside = slow_misfit.beside_slow_misfit(record)
     assert (beside.fixed.shape[1] > record.fixed.shape[1]) == needs_waves
-
-
-@pytest.mark.parametrize("low_hz, damping, refusal", [
-    (20.0, 0.5, "a mode that creeps far below those that ring"),
-    (20.0, 0.05, ""),
-    (453.0, 0.685, ""),
-])
-def test_a_mode_without_ringing_stands_only_near_those_that_ring(low_hz, damping, refusal):
-    vector = np.log([1e-4, 2.0 * np.pi * low_hz, MODE_RAD_PER_S, damping, 0.02])
-    assert lack_of_standing(vector, ModeOrder(2), 1e-6 * np.eye(5), PERIOD_S) == refusal
 
 
 def test_loops_are_as_fast_as_nearly_all_of_their_power():

@@ -145,6 +145,7 @@ def test_the_hold_is_that_of_the_impulse_of_one_period():
     assert without_hold(plain) is plain
 
 
+@pytest.mark.long
 def test_a_diagnosis_does_not_take_the_hold_for_a_delay(tmp_path, capsys):
     model = StageModel(LINE, CreepDynamics(), ElectricVibrationDynamics(LAG_S, (MODE,), (DAMPING,)))
     held = response(held_gain(), 1e-4, PERIOD_S)

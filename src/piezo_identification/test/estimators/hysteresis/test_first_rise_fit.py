@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from piezo_identification.adequacy.component_adequacy import adequacy_of
-from piezo_identification.diagnosis.residual.simulated_recording import SimulatedRecording
 from piezo_identification.estimators.hysteresis.first_rise_fit import (
     SETTINGS,
     estimate_first_rise,
@@ -18,6 +17,7 @@ from piezo_identification.identification.estimated_loops import estimate_loops
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_identification.prediction import predict
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 

@@ -33,6 +33,7 @@ def unseen_voltage_v():
     return np.interp(np.arange(0.0, 10.0, 1e-3), np.arange(11), turns_v)
 
 
+@pytest.mark.long
 def test_a_density_that_is_no_sum_predicts_unseen_input(plant, estimate):
     voltage_v = unseen_voltage_v()
     truth_um = plant.hysteresis.simulate(voltage_v)

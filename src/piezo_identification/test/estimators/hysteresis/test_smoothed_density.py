@@ -134,7 +134,7 @@ def test_the_curvature_of_a_plane_density_is_zero():
 
 
 @pytest.mark.parametrize(("floor", "lowest_v", "highest_v"), [
-    (0.002, -20.0, 120.0), (-0.003, 0.0, 50.0),
+    (-0.003, 0.0, 50.0), pytest.param(0.002, -20.0, 120.0, marks=pytest.mark.long),
     pytest.param(0.002, 0.0, 50.0, marks=pytest.mark.long),
     pytest.param(-0.003, -20.0, 120.0, marks=pytest.mark.long)])
 def test_unseen_input_and_its_inverse_are_predicted(lowest_v, highest_v, floor):
@@ -172,6 +172,7 @@ def test_a_response_that_does_not_wait_at_a_reversal_is_found():
     assert np.std(error_um) < 2e-4 * np.ptp(plant.simulate(seen_v))
 
 
+@pytest.mark.long
 def test_a_plane_of_200_levels_is_fitted_from_its_reversal_curves():
     plant = truth()
     voltage_v = reversal_curves(-20.0, 120.0, 200)
@@ -185,6 +186,7 @@ def test_a_plane_of_200_levels_is_fitted_from_its_reversal_curves():
     assert np.abs(error_um - error_um.mean()).max() < 1e-4 * np.diff(plant.output_range_um)
 
 
+@pytest.mark.long
 def test_a_recording_with_an_unknown_past_and_many_reversals_predicts():
     plant = truth()
     memory = plant.memory()
@@ -219,7 +221,8 @@ def test_a_voltage_that_never_returns_is_refused():
         smoothed_density(voltage_v, voltage_v, np.linspace(0.0, 3.0, 6), smoothing_weight=1e-12)
 
 
-@pytest.mark.parametrize(("part", "most_um"), [(0.0, 0.01), (0.3, 0.02)])
+@pytest.mark.parametrize(("part", "most_um"), [
+    (0.0, 0.01), pytest.param(0.3, 0.02, marks=pytest.mark.long)])
 def test_a_reversible_part_is_there_only_where_the_loops_ask_for_it(part, most_um):
     """Small loops are as wide as those of the stage, whether it has such a part or not."""
     levels_v = np.linspace(-20.0, 120.0, 701)

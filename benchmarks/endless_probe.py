@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Let the experiments of a directory last longer than anybody asks, on any machine."""
+
+from piezo_identification.experiments.probing import probe_file
+from piezo_identification.experiments.stage_limits import USUAL_LIMITS
+
+ENDLESS_S = 100_000.0
+"""Of stage time: days of a paced stage, and more than an hour of one in lockstep."""
+
+
+def write_endless_probe(directory):
+    """Write the probe file that experiments recorded in this directory take their length from."""
+    tones = {"arc_s": 0.5, "tones_s": ENDLESS_S, "tones": [[100.0, 0.1]]}
+    held_s = {"sample_period_s": 1e-3}
+    document = probe_file.ProbeDocument.model_validate({
+        "format": probe_file.FORMAT, "version": float(probe_file.VERSION),
+        "limits": {name: getattr(USUAL_LIMITS, name) for name in probe_file.OF_THE_LIMITS},
+        "stage": {
+            "step_v": 10.0, "signal_to_noise": 100.0, "rest_level_um": 0.0, "noise_rms_um": 0.01,
+            "gain_um_per_v": 1.0, "lag_s": 0.0, "settling_s": 0.01, "modes": [],
+            "creep_share_per_decade": 0.0, "creep_time_s": 0.0, "creep_ended": True},
+        "range": {"voltage_min_v": USUAL_LIMITS.voltage_min_v,
+                  "voltage_max_v": USUAL_LIMITS.voltage_max_v},
+        "experiments": {
+            "creep": {"swing_v": 20.0, "period_s": 1.0, **held_s},
+            "dynamics": {"swing_v": 20.0, "period_s": 0.02, "duration_s": ENDLESS_S},
+            "hysteresis": {"level_count": 2, "harmonic_period_s": 1.0, **held_s},
+            "validation": tones, "multisine": tones, "relay": {"oscillation_s": ENDLESS_S}},
+        "expected": {"creep_percent": 0.0, "dynamics_percent": 0.0, "hysteresis_percent": 0.0,
+                     "model_percent": 0.0, "remarks": []}})
+    probe_file.save_probe(directory / probe_file.NAME, document)

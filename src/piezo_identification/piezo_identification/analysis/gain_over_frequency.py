@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The response from one signal to another, estimated from their spectra."""
+
+import numpy as np
+from scipy.signal import csd, welch
+
+from piezo_common.arrays import ComplexArray, FloatArray
+
+LINES = 2048
+"""Samples of which a spectrum is estimated, unless there are few of them."""
+
+EXCITED = 1e-4
+"""Part of the largest power of an input below which its lines show no gain."""
+
+
+def gain_of(input: FloatArray, output: FloatArray, sample_period_s: float,
+            segment: int | None = None, least_power: float = EXCITED,
+            ) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    """Estimate the response from one signal to another where the first excites.
+
+    Parameters
+    ----------
+    input, output : ndarray, shape (N,)
+    sample_period_s : float
+    segment : int, optional
+        Samples of each spectrum that is averaged; a quarter of all, up to `LINES`, by default.
+
+    least_power : float
+        Part of the largest power of the input from which on a line counts as excited.
+
+    Returns
+    -------
+    frequency_hz : ndarray, shape (M,)
+    response : ndarray of complex, shape (M,)
+    coherence : ndarray, shape (M,)
+        Part of the output's power that goes with the input.
+    """
+    options = {"fs": 1.0 / sample_period_s, "detrend": "linear",
+               "nperseg": segment or min(LINES, max(16, input.size // 4))}
+    frequency_hz, crossed = csd(input, output, **options)
+    of_input, of_output = (welch(signal, **options)[1] for signal in (input, output))
+    excited = of_input > least_power * of_input.max()
+    excited[0] = False
+    crossed, of_input, of_output = crossed[excited], of_input[excited], of_output[excited]
+    coherence = np.abs(crossed) ** 2 / np.maximum(of_input * of_output, np.finfo(float).tiny)
+    return frequency_hz[excited], crossed / of_input, coherence

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Effects that fit but cannot be believed: what the model lacks behaves like them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from piezo_models.effects import Effect, Extent, known_effects
+
+AT_BOUND = 1e-3
+"""Part of the range of a fitted number that counts as its end."""
+
+LEAST_PROBABILITY = 1e-3
+"""Below it, an effect is a guess, and the interval of its parameters says nothing."""
+
+STAND_IN = "stand_in"
+
+
+def with_stand_ins(entries: Sequence[dict[str, Any]], extent: Extent,
+                   probabilities: Mapping[str, float]) -> list[dict[str, Any]]:
+    """Mark the entries of effects that cannot be believed; these lose their standard deviations.
+
+    Parameters
+    ----------
+    entries : sequence of dict
+        Of the verdict.
+    extent : Extent
+        Of the recordings that were fitted.
+    probabilities : dict of str to float
+        Of sets of effects, their names joined by +; empty where they are not known.
+    """
+    return [_marked(entry) if _is_stand_in(entry, extent, probabilities) else entry
+            for entry in entries]
+
+
+def _marked(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in entry.items()
+            if name != "standard_deviations"} | {STAND_IN: True}
+
+
+def _is_stand_in(entry: Mapping[str, Any], extent: Extent,
+                 probabilities: Mapping[str, float]) -> bool:
+    kind = known_effects().get(entry["name"])
+    if kind is None:
+        return False
+    share = sum(value for name, value in probabilities.items()
+                if entry["name"] in name.split("+"))
+    return bool(probabilities) and share < LEAST_PROBABILITY or _is_at_a_bound(
+        kind, entry["parameters"], extent)
+
+
+def _is_at_a_bound(kind: type[Effect], parameters: Mapping[str, Any], extent: Extent) -> bool:
+    """Return whether a parameter ended where the recordings, not nature, bound it."""
+    scales = {field.name: field.metadata["scale"] for field in fields(kind)}
+    for name, bounds in kind.bounds(extent).items():
+        values, ends = np.atleast_1d(parameters[name]), np.array(bounds, dtype=float)
+        if scales[name] == "fixed":
+            continue
+        if scales[name] == "logarithm":
+            with np.errstate(divide="ignore"):
+                values, ends = np.log(values), np.log(ends)
+        near = AT_BOUND * (np.ptp(ends) if np.isfinite(ends).all() else 0.0)
+        if np.any(np.abs(values[:, None] - ends) <= near):
+            return True
+    return False
+
+
+def name_of(entry: Mapping[str, Any]) -> str:
+    """Return the name of an effect as a sentence says it."""
+    return f"what behaves like {entry['name']}" if entry.get(STAND_IN) else str(entry["name"])

@@ -1,0 +1,409 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fits of rational forms to a measured response, and the search for that of most evidence."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
+from piezo_common.cancellation import check_cancelled
+from piezo_identification.estimators.estimate import finest_power, independent_rows
+from piezo_identification.estimators.frequency_response.rational_form import (
+    DELAY,
+    LAG,
+    RationalForm,
+    Reduced,
+)
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
+from piezo_identification.estimators.frequency_response.vector_fitting import (
+    left_by_poles,
+    vector_fit,
+)
+
+SPARE_POLES = 40
+"""Poles of the rational fit that shows noise and delay: more than a stage has."""
+
+FREQUENCIES_OF_SEARCH = 600
+"""Frequencies of a longer response in which starts are sought; every fit has all."""
+
+DELAYS_A_TURN, MOST_DELAYS = 4, 48
+"""Delays that are tried for a turn of phase of the highest strong frequency, and altogether."""
+
+NEARLY_AS_LITTLE, FEW_DELAYS = 3.0, 8
+"""Delays that leave so many times the least error are tried with fewer poles: so many of them."""
+
+STRONG = 0.02
+"""Part of the largest gain above which a frequency is strong."""
+
+CREEP_STARTS = 16
+"""Rates from which a further pair of creep begins."""
+
+START_DAMPINGS = (0.002, 0.02, 0.2, 1.0)
+"""Damping ratios from which a further mode begins."""
+
+PATIENCE = 3
+"""Components in succession that may bring no evidence before the search ends."""
+
+MOST_CREEP_PAIRS = 3
+"""Pairs of creep poles and zeros beyond which their number is not tried."""
+
+RANKED = 5
+"""So many of the smaller models that promise most by a linear step are fitted."""
+
+START_LAGS = (0.2, 1.0, 5.0)
+"""Over the inverse of the highest measured rate."""
+
+STEPS, QUICK_STEPS, LAST_STEPS = 40, 10, 300
+"""Steps of a fit, of one that tells a good start from a bad one, and of the one that is taken."""
+
+ROUNDING, LAST_ROUNDING = 1e-6, 1e-12
+"""Relative change of the sum of squares at which a fit ends, and the one that is taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseFit:
+    """A fitted form.
+
+    Parameters
+    ----------
+    form : RationalForm
+    vector : ndarray, shape (P,)
+    free : ndarray of bool, shape (P,)
+        Numbers that were fitted; the others are zero.
+    cost : float
+        Sum of squares of the weighed error.
+    frequencies : int
+        At which the form was fitted.
+    """
+
+    form: RationalForm
+    vector: FloatArray
+    free: BoolArray
+    cost: float
+    frequencies: int
+
+    @property
+    def parameters(self) -> int:
+        """Numbers that were fitted."""
+        return int(np.sum(self.free))
+
+
+class ResponseSearch:
+    """A measured response, its noise, and fits of forms to it.
+
+    Attributes
+    ----------
+    weight : ndarray, shape (N,)
+        Inverse of the standard deviation of each gain, of mean square 1 against the gain's unit.
+    independent : float
+        Errors that are independent of their neighbours, real and imaginary parts.
+    """
+
+    def __init__(self, measured: FrequencyResponse) -> None:
+        self.rate, self.gain = 2.0 * np.pi * measured.frequency_hz, measured.gain
+        step = -(-self.rate.size // FREQUENCIES_OF_SEARCH)
+        self._coarse = slice((self.rate.size - 1) % step, None, step)
+        self.weight = np.ones(self.rate.size)
+        self._delays_s, poles = self._delays_and_poles()
+        left = self._left(poles)
+        self.weight = weight_of_noise(left, self.gain - left)
+        left = self.weight * self._left(poles)
+        self.independent = independent_rows(np.concatenate([left.real, left.imag]))
+        self._rounding = finest_power(np.abs(self.gain))
+
+    def _left(self, poles: ComplexArray) -> ComplexArray:
+        turned = self.gain * np.exp(1j * self.rate * self._delays_s[0])
+        return left_by_poles(self.rate, turned, poles, self.weight)
+
+    def _delays_and_poles(self) -> tuple[list[float], ComplexArray]:
+        """Delays beside which poles to spare leave little, the best first, and its poles."""
+        rate, gain = self.rate[self._coarse], self.gain[self._coarse]
+        strong = rate[np.abs(gain) > STRONG * np.abs(gain).max()]
+        turn_s = 2.0 * np.pi / strong[-1]
+        # Twice the mean slope of the phase is more than the delay.
+        turning = np.angle(gain[1:] * gain[:-1].conj()) / np.diff(rate)
+        slope_s = max(0.0, -float(np.median(turning[-turning.size // 3 :])))
+        longest_s = turn_s + 2.0 * slope_s
+        count = min(round(DELAYS_A_TURN * longest_s / turn_s), MOST_DELAYS)
+        tried = []
+        for delay_s in np.linspace(0.0, longest_s, count + 1):
+            check_cancelled()
+            turned = gain * np.exp(1j * rate * delay_s)
+            poles = vector_fit(rate, turned, min(SPARE_POLES, rate.size // 5), 8)
+            tried.append((np.linalg.norm(left_by_poles(rate, turned, poles)), delay_s, poles))
+        tried.sort(key=lambda entry: entry[0])
+        near = [delay_s for left, delay_s, _ in tried if left < NEARLY_AS_LITTLE * tried[0][0]]
+        return near[:1] + near[1::-(-len(near) // FEW_DELAYS)], tried[0][2]
+
+    def information(self, fit: ResponseFit) -> float:
+        """Bayesian information criterion; the least is best."""
+        rows = self.independent
+        mean_square = fit.cost / (2.0 * fit.frequencies) + self._rounding
+        return float(rows * np.log(mean_square) + fit.parameters * np.log(rows))
+
+    def residual(
+        self, form: RationalForm, vector: FloatArray, rows: slice = slice(None),
+    ) -> tuple[FloatArray, FloatArray]:
+        """Weighed error, shape (2 N,), and its derivatives, shape (2 N, P)."""
+        response, slopes = form.response(vector, self.rate[rows])
+        weight = self.weight[rows]
+        error, slopes = weight * (response - self.gain[rows]), weight[:, None] * slopes
+        return np.concatenate([error.real, error.imag]), np.vstack([slopes.real, slopes.imag])
+
+    def quick_fit(self, start: Reduced, steps: int = QUICK_STEPS) -> ResponseFit:
+        """Fit the frequencies of the search, in few steps."""
+        return self.fit(start, steps, rows=self._coarse)
+
+    def full_fit(self, fit: ResponseFit) -> ResponseFit:
+        """Fit on, first to the frequencies of the search, then to all."""
+        if self._coarse.step > 1:
+            fit = self.quick_fit((fit.form, fit.vector, fit.free), STEPS)
+        return self.fit((fit.form, fit.vector, fit.free))
+
+    def fit(
+        self, start: Reduced, steps: int = STEPS, rounding: float = ROUNDING,
+        rows: slice = slice(None),
+    ) -> ResponseFit:
+        """Least squares by damped steps within the bounds (Levenberg and Marquardt)."""
+        form, vector, free = start
+        low, high = form.bounds(self.rate)
+        vector = np.where(free, np.clip(vector, low, high), vector)
+        error, slopes = self.residual(form, vector, rows)
+        cost, damping, calm = float(error @ error), 1e-3, 0
+        for _ in range(steps):
+            check_cancelled()
+            slope = slopes.T @ error
+            held = ~free | ((vector <= low) & (slope > 0.0)) | ((vector >= high) & (slope < 0.0))
+            moved = np.flatnonzero(~held)
+            square = slopes[:, moved].T @ slopes[:, moved]
+            scale = np.sqrt(np.maximum(np.diag(square), np.finfo(float).tiny))
+            square = square / np.outer(scale, scale)
+            while damping < 1e8:
+                step = np.linalg.solve(
+                    square + damping * np.eye(moved.size), slope[moved] / scale) / scale
+                tried = vector.copy()
+                tried[moved] = np.clip(vector[moved] - step, low[moved], high[moved])
+                error, slopes_there = self.residual(form, tried, rows)
+                if error @ error < cost:
+                    break
+                damping *= 6.0
+            else:
+                break
+            gain, cost = cost - float(error @ error), float(error @ error)
+            vector, slopes, damping = tried, slopes_there, max(damping / 5.0, 1e-12)
+            calm = calm + 1 if gain < rounding * cost else 0
+            if calm == 2:
+                break
+        return ResponseFit(form, vector, free, cost, error.size // 2)
+
+    def grown(self, wanted: ResponseOrder, most_states: int) -> Iterator[ResponseFit]:
+        """Yield fits of modes side by side, one component more each time, with all else free."""
+        best_information, without_gain = np.inf, 0
+        fit = self.full_fit(self._fitted_poles(0, wanted.creep_pairs or 0))
+        while True:
+            yield fit
+            information = self.information(fit)
+            without_gain = 0 if information < best_information else without_gain + 1
+            best_information = min(information, best_information)
+            enough = without_gain >= PATIENCE if wanted.modes is None else (
+                fit.form.modes >= wanted.modes + PATIENCE)
+            if enough or 2 * fit.form.modes + fit.form.creep_pairs + 3 > most_states:
+                return
+            starts = list(self._further_modes(fit))
+            if wanted.creep_pairs is None and fit.form.creep_pairs < MOST_CREEP_PAIRS:
+                starts.append(self._further_pair(fit))
+            fits = [self.quick_fit(start) for start in starts]
+            fits.append(self._fitted_poles(
+                fit.form.modes + 1, fit.form.creep_pairs, fit.vector[DELAY] / self.rate[-1]))
+            fit = self.full_fit(min(fits, key=self.information))
+
+    def with_another_lag(self, fit: ResponseFit) -> ResponseFit:
+        """Fit modes side by side again from other lags, at the expense of the delay."""
+        form, tried = fit.form, [fit]
+        for lag in START_LAGS:
+            vector = fit.vector.copy()
+            vector[[DELAY, LAG]] = max(0.0, vector[DELAY] + min(vector[LAG], 1.0) - lag), lag
+            error, slopes = self.residual(form, vector)
+            linear = form.linear_places[fit.free[form.linear_places]]
+            vector[linear] -= np.linalg.lstsq(slopes[:, linear], error, rcond=None)[0]
+            tried.append(self.full_fit(self.quick_fit((form, vector, fit.free))))
+        return min(tried, key=lambda each: each.cost)
+
+    def with_real_parts(self, fit: ResponseFit) -> ResponseFit:
+        """Fit the same modes as those of a structure: no part follows velocity, or at once."""
+        form, vector, free = fit.form, fit.vector.copy(), fit.free.copy()
+        places = np.append(form.gain_place, form.mode_places[3])
+        vector[places], free[places] = 0.0, False
+        return self.with_another_lag(self.full_fit(self.quick_fit((form, vector, free))))
+
+    def _further_pair(self, fit: ResponseFit) -> Reduced:
+        """Return the form with the pair of creep that explains most of what is left."""
+        error, slopes = self.residual(fit.form, fit.vector, self._coarse)
+        basis = np.linalg.qr(slopes[:, fit.free])[0]
+        error = error - basis @ (basis.T @ error)
+        rate = self.rate[self._coarse]
+        poles = np.geomspace(0.3 * rate[0], np.sqrt(rate[0] * rate[-1]), CREEP_STARTS)
+        whole = self.weight[self._coarse] * fit.form.response(fit.vector, rate)[0]
+        pair = poles / (1j * rate[:, None] + poles) * whole[:, None]
+        columns = _orthogonal(np.vstack([pair.real, pair.imag]), basis)
+        power = np.maximum(np.sum(columns**2, axis=0), np.finfo(float).tiny)
+        along = -error @ columns
+        best = int(np.argmax(along**2 / power))
+        pole = float(np.log(poles[best]))
+        return fit.form.with_creep(
+            fit.vector, fit.free, pole, pole + float(np.clip(along[best] / power[best], -0.5, 0.5)))
+
+    def _further_modes(self, fit: ResponseFit) -> Iterator[Reduced]:
+        """Yield the two modes that explain most of what is left, whatever else then moves."""
+        error, slopes = self.residual(fit.form, fit.vector, self._coarse)
+        basis = np.linalg.qr(slopes[:, fit.free])[0]
+        error = error - basis @ (basis.T @ error)
+        rate = self.rate[self._coarse]
+        before = RationalForm(fit.form.creep_pairs, 0)
+        head, _ = before.response(np.append(fit.vector[: before.gain_place], 1.0), rate)
+        frequency, damping = np.meshgrid(rate, START_DAMPINGS)
+        frequency, damping = frequency.ravel(), damping.ravel()
+        ratio = 1j * rate[:, None] / frequency
+        position = (self.weight[self._coarse] * head)[:, None] / (
+            ratio**2 + 2.0 * damping * ratio + 1.0)
+        columns = [_orthogonal(np.vstack([part.real, part.imag]), basis)
+                   for part in (position, position * ratio)]
+        pp, pv, vv = (np.sum(columns[i] * columns[j], axis=0)
+                      for i, j in ((0, 0), (0, 1), (1, 1)))
+        p, v = (-error @ column for column in columns)
+        determinant = np.maximum(pp * vv - pv**2, 1e-12 * pp * vv)
+        parts = np.array([vv * p - pv * v, pp * v - pv * p]) / determinant
+        explained = parts[0] * p + parts[1] * v
+        first = int(np.argmax(explained))
+        apart = np.abs(np.log(frequency / frequency[first])) > 0.05
+        for place in (first, int(np.argmax(np.where(apart, explained, -np.inf)))):
+            yield fit.form.with_mode(fit.vector, fit.free, np.array([
+                np.log(frequency[place]), np.log(damping[place]), *parts[:, place]]))
+
+    def _fitted_poles(
+        self, modes: int, creep_pairs: int, *more_delays_s: float,
+    ) -> ResponseFit:
+        """Fit from the poles of a vector fit: the slowest are creep, one of the fast the lag."""
+        form = RationalForm(creep_pairs, modes)
+        rate, gain = self.rate[self._coarse], self.gain[self._coarse]
+        weight, tried = self.weight[self._coarse], []
+        for delay_s in (*self._delays_s, *more_delays_s):
+            check_cancelled()
+            turned = gain * np.exp(1j * rate * delay_s)
+            found = vector_fit(rate, turned, 2 * modes + creep_pairs + 1, 8, weight)
+            left = np.linalg.norm(weight * left_by_poles(rate, turned, found, weight))
+            tried.append((left, delay_s, found))
+        _, delay_s, poles = min(tried, key=lambda entry: entry[0])
+        relaxations = np.sort(-poles[poles.imag == 0.0].real)
+        creep, fast = np.split(relaxations, [min(creep_pairs, relaxations.size)])
+        pairs = [(abs(pole), -pole.real / abs(pole)) for pole in poles[poles.imag > 0.0]]
+        lag = 0.0
+        if fast.size % 2:
+            lag, fast = self.rate[-1] / fast[-1], fast[:-1]
+        pairs += [(np.sqrt(one * other), 0.5 * (one + other) / np.sqrt(one * other))
+                  for one, other in fast.reshape(-1, 2)]
+        pairs = pairs[:modes]
+        spare = np.full((modes - len(pairs), 2), [self.rate[-1], 1.0])
+        middle = np.full(creep_pairs - creep.size, np.sqrt(self.rate[0] * self.rate[-1]))
+        vector = np.zeros(form.size)
+        vector[[DELAY, LAG]] = delay_s * self.rate[-1], lag
+        vector[form.creep_places] = np.log(np.append(creep, middle))
+        vector[form.creep_places[1]] += 0.1
+        vector[form.mode_places[:2]] = np.log(np.vstack([*np.reshape(pairs, (-1, 2)), *spare])).T \
+            if modes else 0.0
+        low, high = form.bounds(self.rate)
+        vector = np.clip(vector, low, high)
+        error, slopes = self.residual(form, vector, self._coarse)
+        linear = form.linear_places
+        vector[linear] -= np.linalg.lstsq(slopes[:, linear], error, rcond=None)[0]
+        return self.quick_fit((form, vector, np.ones(form.size, dtype=bool)))
+
+    def reduced(
+        self, fit: ResponseFit, wanted: ResponseOrder, least: float = np.inf,
+    ) -> Iterator[ResponseFit]:
+        """Yield fits with fewer numbers, one component less each time, while evidence grows.
+
+        It ends where no smaller model could come below the information `least`.
+        """
+        while self.information(fit) - fit.parameters * np.log(self.independent) < least:
+            starts = [(self._promise(start), start) for start in fit.form.reduced(
+                fit.vector, fit.free) if _leads_to(start[0], wanted)]
+            starts.sort(key=lambda entry: entry[0])
+            if not starts:
+                return
+            quick = [self.quick_fit(start) for _, start in starts[:RANKED]]
+            smaller = self.full_fit(min(quick, key=self.information))
+            if _grants(fit.form, wanted) and self.information(smaller) >= self.information(fit):
+                return
+            fit = smaller
+            yield fit
+
+    def _promise(self, start: Reduced) -> float:
+        """Information after a single step, by linear terms."""
+        form, vector, free = start
+        error, slopes = self.residual(form, vector, self._coarse)
+        slopes = slopes[:, free]
+        basis = np.linalg.qr(slopes)[0]
+        left = error - basis @ (basis.T @ error)
+        return self.information(ResponseFit(
+            form, vector, free, float(left @ left), error.size // 2))
+
+    def in_series(self, fit: ResponseFit, antiresonances: int | None) -> ResponseFit:
+        """Fit the same modes one after the other, with the zeros between them."""
+        beside = fit.form
+        zeros = beside.zeros_between(fit.vector, self.rate)
+        missing = max(0, (antiresonances or 0) - zeros.shape[1])
+        if missing:
+            # On a mode each, which they cancel.
+            zeros = np.hstack([zeros, fit.vector[beside.mode_places[:2, :missing]]])
+        form = RationalForm(beside.creep_pairs, beside.modes, zeros.shape[1], is_beside=False)
+        vector = np.zeros(form.size)
+        vector[: form.gain_place] = fit.vector[: form.gain_place]
+        vector[form.mode_places] = fit.vector[beside.mode_places[:2]]
+        vector[form.zero_places] = zeros
+        vector[form.gain_place] = 1.0
+        error, slopes = self.residual(form, vector)
+        shape = slopes[:, form.gain_place]
+        vector[form.gain_place] -= shape @ error / (shape @ shape)
+        free = np.ones(form.size, dtype=bool)
+        return self.full_fit(self.quick_fit((form, vector, free)))
+
+
+def _leads_to(form: RationalForm, wanted: ResponseOrder) -> bool:
+    """Whether a form has as many of each component as are asked for, or more."""
+    return all(number >= (asked or 0) for number, asked in (
+        (form.creep_pairs, wanted.creep_pairs), (form.modes, wanted.modes),
+        (form.antiresonances, 0 if form.is_beside else wanted.antiresonances)))
+
+
+def _grants(form: RationalForm, wanted: ResponseOrder) -> bool:
+    return wanted.grants(ResponseOrder(
+        form.creep_pairs, form.modes, form.antiresonances, is_coupled=form.is_beside))
+
+
+def _orthogonal(columns: FloatArray, basis: FloatArray) -> FloatArray:
+    return columns - basis @ (basis.T @ columns)
+
+
+def weight_of_noise(left: ComplexArray, gain: ComplexArray) -> FloatArray:
+    """Return the inverse of the noise of each gain, which has a constant and a relative part.
+
+    Their ratio is that of the greatest likelihood of what a rich fit leaves.
+
+    Parameters
+    ----------
+    left, gain : ndarray of complex, shape (N,)
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Scaled so that the weighed error has the mean square of the plain one.
+    """
+    power, best = np.abs(gain) ** 2, (np.inf, np.ones(gain.size))
+    for relative in (0.0, *np.geomspace(1e-2, 1e3, 26)):
+        variance = 1.0 + relative**2 * power / power.max()
+        misfit = np.sum(np.log(variance)) + gain.size * np.log(np.mean(np.abs(left)**2 / variance))
+        best = min(best, (misfit, variance), key=lambda entry: entry[0])
+    return np.sqrt(np.mean(best[1]) / best[1])

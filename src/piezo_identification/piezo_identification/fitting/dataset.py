@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The rows of simulated recordings that are fitted, and those of the validation set."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_common.side_by_side import side_by_side
+from piezo_identification.fitting.parameter_sensitivities import parameter_sensitivities
+from piezo_identification.simulation.nuisance import nuisance_regressors
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect, Extent
+from piezo_recorder.reading.recording import Recording
+
+
+@dataclass(frozen=True)
+class SplitSettings:
+    """How rows are chosen, and which of them are the validation set.
+
+    Attributes
+    ----------
+    most_rows : int
+        Samples that are used, in chunks spread evenly over longer recordings, at least one of each:
+        so that a fit of a million samples takes seconds.
+    chunk : int
+        Neighbouring samples that stay together: slow and fast errors both show.
+    stretches : int
+        Of a recording. Each is fitted or held out as a whole, as neighbouring errors are alike.
+    held_out : int
+        One stretch in so many is held out.
+    """
+
+    most_rows: int = 30_000
+    chunk: int = 250
+    stretches: int = 120
+    held_out: int = 3
+
+
+SPLIT = SplitSettings()
+
+Sensitivities = Callable[[SimulatedRecording, NDArray[np.intp]], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Simulated recordings, the rows of them that are used, and their regressors.
+
+    Attributes
+    ----------
+    model : StageModel
+    recordings : tuple of Recording
+    simulated : tuple of SimulatedRecording
+    rows : tuple of array of int
+        Samples of each recording that are used, r in all.
+    stretch : (r,) array of int
+        Number of the stretch of each row.
+    for_estimation : (r,) array of bool
+        Rows that fits may use; the others are the validation set.
+    regressors : (r, m) array
+        The nuisance regressors of each recording, then the parameter sensitivities, in um.
+    nuisance_count : int
+        How many of the regressors are nuisance regressors.
+    extent : Extent
+        How far the recordings go.
+    """
+
+    model: StageModel
+    recordings: tuple[Recording, ...]
+    simulated: tuple[SimulatedRecording, ...]
+    rows: tuple[NDArray[np.intp], ...]
+    stretch: NDArray[np.intp]
+    for_estimation: BoolArray
+    regressors: FloatArray
+    nuisance_count: int
+    extent: Extent
+
+    def masks(self) -> Iterator[BoolArray]:
+        """Yield the mask of the rows of each recording, (r,)."""
+        edges = np.cumsum([0, *(rows.size for rows in self.rows)])
+        for start, end in zip(edges[:-1], edges[1:], strict=True):
+            mask = np.zeros(edges[-1], dtype=bool)
+            mask[start:end] = True
+            yield mask
+
+    def at_rows(self, signals: Sequence[NDArray]) -> NDArray:
+        """Return the values of a signal of each recording at the rows, (r,)."""
+        return np.concatenate(
+            [signal[rows] for signal, rows in zip(signals, self.rows, strict=True)])
+
+    def of_each(self, values: Sequence[float]) -> FloatArray:
+        """Return a value of each recording at its rows, (r,)."""
+        return np.concatenate(
+            [np.full(rows.size, value) for value, rows in zip(values, self.rows, strict=True)])
+
+    def difference_um(self, effects: Sequence[Effect] = (),
+                      quick: Sequence[Effect] = ()) -> FloatArray:
+        """Return measured minus simulated at the rows; see `SimulatedRecording.simulate`."""
+        return np.concatenate([
+            part.measured_um[rows] - part.simulate(effects, quick, rows)
+            for part, rows in zip(self.simulated, self.rows, strict=True)])
+
+
+def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
+                        past_v: tuple[float, ...] | None = None,
+                        sensitivities: Sensitivities = parameter_sensitivities,
+                        undivided: int = 0) -> Dataset:
+    """Simulate recordings, and split their samples into rows to fit and a validation set.
+
+    Parameters
+    ----------
+    model : StageModel
+    recordings : sequence of Recording
+        With the sign of the model, and their outliers marked.
+    past_v : (float, float) or (), optional
+        Voltages that the hysteresis met before each recording; by default those of
+        `starting_past_v`.
+    sensitivities : callable
+        Returns the change of the displacement with each parameter that is free.
+    undivided : int
+        So many recordings, the first ones, have `SplitSettings.most_rows` each; the others share
+        them, as all do by default.
+
+    Returns
+    -------
+    Dataset
+
+    Raises
+    ------
+    ValueError
+        If a recording cannot be used.
+    """
+    simulated = side_by_side(
+        lambda recording: SimulatedRecording(model, recording, past_v), recordings)
+    return dataset_of(simulated, recordings, sensitivities, undivided)
+
+
+def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Recording],
+               sensitivities: Sensitivities = parameter_sensitivities,
+               undivided: int = 0) -> Dataset:
+    """Split the samples of simulated recordings into rows to fit and a validation set.
+
+    Parameters
+    ----------
+    simulated : sequence of SimulatedRecording
+        At least one; all by the same model.
+    recordings : sequence of Recording
+        From which they come.
+    sensitivities : callable
+        See `simulate_recordings`.
+    undivided : int
+        See `simulate_recordings`.
+
+    Returns
+    -------
+    Dataset
+    """
+    simulated, model = tuple(simulated), simulated[0].model
+    rows, stretch, for_estimation = _split(simulated, undivided)
+    nuisance = [nuisance_regressors(part, used) for part, used in zip(simulated, rows, strict=True)]
+    changes = np.vstack(side_by_side(
+        lambda index: sensitivities(simulated[index], rows[index]), range(len(simulated))))
+    nuisance_count = sum(block.shape[1] for block in nuisance)
+    regressors = np.zeros((len(changes), nuisance_count + changes.shape[1]))
+    row = column = 0
+    for block in nuisance:
+        regressors[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    regressors[:, nuisance_count:] = changes
+    return Dataset(model, tuple(recordings), simulated, rows, stretch, for_estimation, regressors,
+                   nuisance_count, _extent(simulated))
+
+
+def _extent(simulated: Sequence[SimulatedRecording]) -> Extent:
+    """Tell how far the recordings go."""
+    return Extent(
+        max(float(np.ptp(part.measured_um[part.begin :])) for part in simulated),
+        min(float(part.voltage_v.min()) for part in simulated),
+        max(float(part.voltage_v.max()) for part in simulated),
+        max(part.time_s.size * part.sample_period_s for part in simulated),
+        min(part.sample_period_s for part in simulated),
+    )
+
+
+def _split(simulated: Sequence[SimulatedRecording], undivided: int,
+           ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.intp], BoolArray]:
+    """Return the rows of each recording, the stretch of each row, and whether it may be fitted."""
+    rows, numbers = [], []
+    for index, part in enumerate(simulated):
+        budget = SPLIT.most_rows // (1 if index < undivided else len(simulated))
+        settled = np.arange(part.begin, part.time_s.size)
+        if settled.size > budget:
+            # Chunks that do not keep step with a periodic waveform.
+            chunks = max(1, budget // SPLIT.chunk)
+            room = settled.size // chunks
+            shift = np.random.default_rng(0).integers(0, room - SPLIT.chunk + 1, chunks)
+            # The beginning alone shows how far the creep had come.
+            shift[0] = 0
+            starts = part.begin + np.arange(chunks) * room + shift
+            chosen = (starts[:, None] + np.arange(SPLIT.chunk)).ravel()
+        else:
+            chosen = settled
+        rows.append(chosen)
+        numbers.append(
+            index * SPLIT.stretches + (chosen - part.begin) * SPLIT.stretches // settled.size)
+    stretch = np.concatenate(numbers)
+    return tuple(rows), stretch, stretch % SPLIT.held_out != SPLIT.held_out // 2

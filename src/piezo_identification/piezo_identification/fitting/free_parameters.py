@@ -1,0 +1,361 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The parameters of a model that are free in a joint fit, and the model's derivatives by them.
+
+They are logarithms of rates and sizes of the creep and of the parameters of the dynamics, factors
+of the density on a surface, and additions to the reversible part of the hysteresis; the
+displacement is linear in the last two. Pole and zero of a creep pair lie so close that they change
+together: see `piezo_models.linear.creep_errors`.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Any
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.estimators.estimate import (
+    dynamics_of_vector,
+    dynamics_vector,
+    propagated,
+    split_dynamics_vector,
+)
+from piezo_identification.fitting.sensitivities import (
+    factor_surfaces,
+    sensitivity_systems,
+)
+from piezo_identification.simulation.nuisance import nuisance_regressors
+from piezo_identification.simulation.sampled_response import (
+    behind_lags,
+    leading_lags,
+    respond_each,
+)
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect
+from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.connections import in_parallel, in_series, matrices_of, scaled
+from piezo_models.linear.creep_errors import creep_error_map
+from piezo_models.linear.dynamics import CreepDynamics
+
+
+@dataclass(frozen=True)
+class FreeWidths:
+    """Prior widths of a joint fit: wide, as the recordings of the identification are fitted again.
+
+    Attributes
+    ----------
+    logarithm : float
+        Of a rate or a size of the creep, or of a parameter of the dynamics.
+    factor : float
+        Of a factor of the density.
+    reversible : float
+        Of the reversible part at a knot of the voltage, over the mean gain of the hysteresis.
+    reversible_knots : int
+    """
+
+    logarithm: float = 0.2
+    factor: float = 0.2
+    reversible: float = 0.05
+    reversible_knots: int = 4
+
+
+WIDTHS = FreeWidths()
+
+SMALL = 1e-6
+"""Step of the derivative through effects behind the linear part, over the travel."""
+
+
+def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
+                       about: StageModel | None = None,
+                       pieces_um: Iterable[FloatArray] | None = None) -> FloatArray:
+    """Return the change of the displacement with each free parameter, for one of its widths.
+
+    Parameters
+    ----------
+    part : SimulatedRecording
+        Of a model with its effects: the changes go through them.
+    rows : array of int
+        Samples.
+    about : StageModel, optional
+        From which `changed_model` led to the model of the part; by default it is that model.
+    pieces_um : iterable of (N,) array, optional
+        Of `piece_outputs_um`; a lag ahead of the hysteresis is taken behind the pieces, too, where
+        it does nearly the same to them. They are not used beside another effect on the voltage.
+
+    Returns
+    -------
+    (n, parameters) array
+        For the changes that `changed_model` takes.
+    """
+    model = part.model
+    given = model if about is None else about
+    lags, others = leading_lags(_behind(model), part.samples_per_mean)
+    linear, delay_s = behind_lags(model.linear(), lags)
+    at_once = all(effect.acts_at_once(part.sample_period_s) for effect in others)
+
+    def responses(system: control.StateSpace,
+                  inputs_um: Iterable[FloatArray]) -> Iterator[FloatArray]:
+        return respond_each(system, inputs_um, part.sample_period_s, part.samples_per_mean,
+                            delay_s - part.read_late_s, rows if at_once else None)
+
+    ahead, of_pieces = model.effects_at("voltage"), linear
+    if pieces_um is None or not all(type(effect) is AmplifierLag for effect in ahead):
+        pieces_um = piece_outputs_um(part, given)
+    else:
+        of_pieces = control.ss(*in_series(
+            [*(matrices_of(effect.lag()) for effect in ahead), matrices_of(linear)]))
+    changes_um: Iterable[FloatArray] = chain(
+        *(responses(system, [part.input_um]) for system in _moved_systems(model, given, lags)),
+        responses(of_pieces, pieces_um))
+    if others:
+        displacement_um = part.respond(linear, part.input_um, delay_s)
+        if at_once:
+            slope = _slope(others, part, displacement_um, rows)
+            changes_um = (slope * change_um for change_um in changes_um)
+        else:
+            changes_um = _through(others, part, displacement_um, changes_um, rows)
+    return np.column_stack(list(changes_um))
+
+
+def _moved_systems(model: StageModel, about: StageModel,
+                   lags: Sequence[Effect]) -> list[control.StateSpace]:
+    """Return what the linear part changes by, for one width of each parameter of its own."""
+    linear = matrices_of(behind_lags(model.linear(), lags)[0])
+    beside = model.effects_at("modes")
+    # The model's own modes move but a part of the displacement where others are beside them.
+    own_modes = replace(model, effects=tuple(
+        effect for effect in model.effects if effect not in beside))
+    share = 1.0 - sum(mode.participation for mode in beside)
+    of_modes = scaled(share, matrices_of(
+        behind_lags(own_modes.linear(), lags)[0])) if beside else linear
+    ahead_of_modes = 2 * len(model.creep.poles_rad_per_s) + (model.dynamics.time_constant_s > 0.0)
+    sensitivities = [*map(matrices_of, sensitivity_systems(model.creep, model.dynamics))]
+    systems = []
+    for number, weights in enumerate(_logarithms(model).T):
+        together = in_parallel([scaled(weight, sensitivities[index])
+                                for index, weight in enumerate(weights) if weight != 0.0])
+        ahead = linear if number < ahead_of_modes else of_modes
+        systems.append(control.ss(*in_series([ahead, together])))
+    return systems
+
+
+def piece_outputs_um(part: SimulatedRecording, about: StageModel) -> Iterator[FloatArray]:
+    """Yield what one width of each change adds to the output of the hysteresis, each (N,)."""
+    return map(part.hysteresis_output_um, _pieces(about.hysteresis))
+
+
+def decay_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp], sizes: FloatArray,
+                        about: StageModel) -> FloatArray:
+    """Return the change of the initial creep with each free parameter, for one of its widths.
+
+    The decay of the initial creep has the rate of its pole.
+
+    Parameters
+    ----------
+    part : SimulatedRecording
+    rows : array of int
+        Samples.
+    sizes : (1 + creep pairs or more,) array
+        Of the nuisance regressors.
+    about : StageModel
+        See `free_sensitivities`.
+
+    Returns
+    -------
+    (n, parameters of creep and dynamics) array
+    """
+    poles = np.array(part.model.creep.poles_rad_per_s)
+    decays = nuisance_regressors(part, rows)[:, 1 : 1 + poles.size]
+    by_pole = -sizes[1 : 1 + poles.size] * decays * np.outer(part.time_s[rows], poles)
+    return by_pole @ _logarithms(part.model)[: poles.size]
+
+
+def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
+    """Return a model with its free parameters changed.
+
+    Parameters
+    ----------
+    model : StageModel
+    changes : (n,) array
+        In widths, in the order of `free_sensitivities`; none of them for no change.
+
+    Returns
+    -------
+    StageModel
+    """
+    if not changes.size:
+        return model
+    dynamics, hysteresis = model.dynamics, model.hysteresis
+    pairs = len(model.creep.poles_rad_per_s)
+    physical = _physical(model)
+    # Only a lag that is not there is zero.
+    count = np.count_nonzero(physical)
+    factors = np.exp(WIDTHS.logarithm * changes[:count])
+    poles, zeros, rest = np.split(physical, [pairs, 2 * pairs])
+    sizes = (zeros - poles) / poles * factors[pairs : 2 * pairs]
+    poles = poles * factors[:pairs]
+    zeros = poles * (1.0 + sizes)
+    rest[rest > 0.0] *= factors[2 * pairs :]
+    surfaces, hats = _shapes(hysteresis)
+    factors, additions = np.split(changes[count:], [len(surfaces)])
+    surface = 1.0 + WIDTHS.factor * np.tensordot(factors, surfaces, axes=1)
+    added = WIDTHS.reversible * _mean_gain(hysteresis) * additions @ hats
+    return replace(
+        model, creep=CreepDynamics(tuple(poles), tuple(zeros)),
+        dynamics=dynamics_of_vector(rest, len(dynamics.mode_frequencies_rad_per_s),
+                                    len(dynamics.antiresonance_frequencies_rad_per_s)),
+        hysteresis=replace(
+            hysteresis,
+            density_um_per_v2=hysteresis.density_um_per_v2 * np.maximum(surface, 0.0),
+            reversible_um_per_v=np.maximum(hysteresis.reversible_um_per_v + added, 0.0)))
+
+
+def changes_between(model: StageModel, changed: StageModel) -> FloatArray:
+    """Return the changes that lead from the creep and dynamics of a model to those of another.
+
+    Parameters
+    ----------
+    model, changed : StageModel
+        Of one structure.
+
+    Returns
+    -------
+    (n,) array
+        In widths, the first of those that `changed_model` takes.
+    """
+    def logarithms(each: StageModel) -> FloatArray:
+        poles, zeros = (np.array(values) for values in (
+            each.creep.poles_rad_per_s, each.creep.zeros_rad_per_s))
+        rest = dynamics_vector(each.dynamics)
+        return np.log(np.concatenate([poles, (zeros - poles) / poles, rest[rest > 0.0]]))
+
+    return np.asarray((logarithms(changed) - logarithms(model)) / WIDTHS.logarithm)
+
+
+def lowest_changes(hysteresis: PreisachModel) -> FloatArray:
+    """Return the changes of a hysteresis, in widths, beyond which it would be negative, (n,)."""
+    surfaces, _ = _shapes(hysteresis)
+    size = len(hysteresis.density_um_per_v2)
+    at_knots = np.interp(np.linspace(0.0, 1.0, WIDTHS.reversible_knots),
+                         (np.arange(size) + 0.5) / size, hysteresis.reversible_um_per_v)
+    return np.concatenate([np.full(len(surfaces), -1.0 / WIDTHS.factor),
+                           -at_knots / (WIDTHS.reversible * _mean_gain(hysteresis))])
+
+
+def free_count(model: StageModel) -> int:
+    """Return how many parameters of a model are free."""
+    surfaces, hats = _shapes(model.hysteresis)
+    return int(np.count_nonzero(_physical(model))) + len(surfaces) + len(hats)
+
+
+def physical_count(model: StageModel) -> int:
+    """Return how many of them are those of creep and dynamics, which come first."""
+    return int(np.count_nonzero(_physical(model)))
+
+
+def physical_deviations(model: StageModel, covariance: FloatArray) -> dict[str, dict[str, Any]]:
+    """Return the standard deviations of creep and dynamics, under the names of their fields.
+
+    Parameters
+    ----------
+    model : StageModel
+    covariance : (n, n) array
+        Of the changes of creep and dynamics, in widths; infinite variances are unknown.
+
+    Returns
+    -------
+    dict of str to dict
+    """
+    physical = _physical(model)
+    free = physical > 0.0
+    logarithms = np.zeros(physical.size)
+    logarithms[free] = np.sqrt(np.diag(propagated(_logarithms(model), covariance)))
+    pairs = len(model.creep.poles_rad_per_s)
+    poles, zeros, rest = np.split(physical * logarithms, [pairs, 2 * pairs])
+    return {
+        "creep": {"poles_rad_per_s": tuple(poles.tolist()), "zeros_rad_per_s": tuple(
+            zeros.tolist())},
+        "dynamics": split_dynamics_vector(
+            rest, len(model.dynamics.mode_frequencies_rad_per_s),
+            len(model.dynamics.antiresonance_frequencies_rad_per_s))}
+
+
+def _physical(model: StageModel) -> FloatArray:
+    """Return the parameters of creep and dynamics."""
+    creep = model.creep
+    return np.concatenate([
+        creep.poles_rad_per_s, creep.zeros_rad_per_s, dynamics_vector(model.dynamics)])
+
+
+def _logarithms(model: StageModel) -> FloatArray:
+    """Return the changes of the logarithms of these that are free, for one width of each change."""
+    widths = np.eye(int(np.count_nonzero(_physical(model))))
+    pair = 2 * len(model.creep.poles_rad_per_s)
+    widths[:pair, :pair] = creep_error_map(model.creep)
+    return WIDTHS.logarithm * widths
+
+
+def _behind(model: StageModel) -> tuple[Effect, ...]:
+    return (*model.effects_at("displacement"), *model.effects_at("sensor"))
+
+
+def _slope(effects: Sequence[Effect], part: SimulatedRecording, displacement_um: FloatArray,
+           rows: NDArray[np.intp]) -> FloatArray:
+    """Return the slopes of effects that act at once, where the displacement is, (n,)."""
+    step_um = SMALL * np.ptp(displacement_um)
+    unmoved_um, moved_um = (
+        _behind_effects(effects, part, ahead_um, part.rest_um)[rows]
+        for ahead_um in (displacement_um, displacement_um + step_um))
+    return np.asarray((moved_um - unmoved_um) / step_um)
+
+
+def _through(effects: Sequence[Effect], part: SimulatedRecording, displacement_um: FloatArray,
+             changes_um: Iterable[FloatArray], rows: NDArray[np.intp]) -> Iterator[FloatArray]:
+    """Yield what small changes of the displacement become behind effects, each (n,)."""
+    unchanged_um = _behind_effects(effects, part, displacement_um, part.rest_um)[rows]
+    travel_um = np.ptp(displacement_um)
+    for change_um in changes_um:
+        step = SMALL * travel_um / max(np.abs(change_um).max(), SMALL)
+        moved_um = _behind_effects(effects, part, displacement_um + step * change_um,
+                                   part.rest_um + step * change_um[0])
+        yield (moved_um[rows] - unchanged_um) / step
+
+
+def _behind_effects(effects: Sequence[Effect], part: SimulatedRecording, signal_um: FloatArray,
+                    rest_um: float) -> FloatArray:
+    """Return what a displacement becomes behind effects, one after the other, (N,)."""
+    for effect in effects:
+        signal_um = effect.apply(signal_um, part.sample_period_s, rest_um)
+    return signal_um
+
+
+def _pieces(hysteresis: PreisachModel) -> list[PreisachModel]:
+    """Return what one width of each change adds to the hysteresis."""
+    surfaces, hats = _shapes(hysteresis)
+    density, nothing = hysteresis.density_um_per_v2, 0.0 * hysteresis.reversible_um_per_v
+    gain = WIDTHS.reversible * _mean_gain(hysteresis)
+    shares = [(WIDTHS.factor * density * surface, nothing) for surface in surfaces]
+    shares += [(0.0 * density, gain * hat) for hat in hats]
+    return [replace(hysteresis, density_um_per_v2=density, reversible_um_per_v=reversible,
+                    offset_um=0.0) for density, reversible in shares]
+
+
+def _shapes(hysteresis: PreisachModel) -> tuple[FloatArray, FloatArray]:
+    """Return the surfaces over the density and the hats over the voltage."""
+    size = len(hysteresis.density_um_per_v2)
+    knots = np.linspace(0.0, 1.0, WIDTHS.reversible_knots)
+    middles = (np.arange(size) + 0.5) / size
+    hats = np.array([np.interp(middles, knots, hat) for hat in np.eye(knots.size)])
+    surfaces = factor_surfaces(size)
+    return surfaces[[bool(np.any(hysteresis.density_um_per_v2 * surface))
+                     for surface in surfaces]], hats
+
+
+def _mean_gain(hysteresis: PreisachModel) -> float:
+    low_um, high_um = hysteresis.output_range_um
+    return float((high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v))

@@ -1,0 +1,393 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The evidence of a model with effects on several recordings, and its derivatives.
+
+With Gaussian errors of unknown variance in each recording r, and a prior of the model's changes x,
+
+    -ln p = n / 2 sum_r ln(m_r + l_r^2) + |x|^2 / 2
+
+is to be made least. Here m_r is the mean square that a simulation leaves on the rows to fit, l_r
+the accuracy that a good model has, and n the number of independent errors of a recording. Offset
+and initial creep of each recording are projected out, and of each recording of the identification
+what it has of its own of effects that recur, such as the phase of a disturbance. The logarithm is
+concave: at some m_r, a sum of squares with the weights n / (m_r + l_r^2) has the same gradient, and
+falls by no more than it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_common.side_by_side import side_by_side
+from piezo_identification.estimators.estimate import scaled_inverse
+from piezo_identification.fitting.clustered_covariance import clustered_covariance
+from piezo_identification.fitting.dataset import Dataset
+from piezo_identification.fitting.free_parameters import (
+    changed_model,
+    decay_sensitivities,
+    free_sensitivities,
+    lowest_changes,
+)
+from piezo_identification.fitting.regression import SETTINGS as TOLERANCE
+from piezo_identification.simulation.nuisance import nuisance_regressors
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect, fitted_values, with_fitted_values
+
+
+@dataclass(frozen=True)
+class ErrorSettings:
+    """Weights and steps.
+
+    Attributes
+    ----------
+    independent : float
+        Errors of each recording that count: as many as the evidence counts at most.
+    longest : float
+        Widths by which one step may change a parameter of the model.
+    derivative_step : float
+        Of a fitted number of an effect, over the number where it is larger than one.
+    """
+
+    independent: float = 1000.0
+    longest: float = 5.0
+    derivative_step: float = 1e-7
+
+
+SETTINGS = ErrorSettings()
+
+
+class RecordingBefore(SimulatedRecording):
+    """A recording that was made before some effects came, and at another time than the others."""
+
+    later: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(cls, part: SimulatedRecording, later: frozenset[str]) -> "RecordingBefore":
+        """Return a simulated recording as one that was made before the effects of some names."""
+        before = cls.__new__(cls)
+        vars(before).update(vars(part))
+        before.later = later
+        return before
+
+    def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
+                 rows: NDArray[np.intp] | None = None) -> FloatArray:
+        """Return the displacement with those effects of the stage that did not come later."""
+        return super().simulate(self.there(effects), self.there(quick), rows)
+
+    def there(self, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+        """Return those effects whose parameters hold for the recording."""
+        return tuple(effect for effect in effects
+                     if effect.of_the_stage and effect.name not in self.later)
+
+    def recurrences(self, effects: Sequence[Effect], rows: NDArray[np.intp]) -> list[FloatArray]:
+        """Return what the recording has of its own of each effect that recurs, (n, k)."""
+        time_s = self.time_s
+        return [effect.recurrence(time_s[rows], time_s[-1]) for effect in effects
+                if effect.recurs and effect.name not in self.later]
+
+
+def simulated_by(dataset: Dataset, model: StageModel, new_count: int,
+                 later: frozenset[str]) -> Dataset:
+    """Simulate another model on the same rows.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    model : StageModel
+    new_count : int
+        Recordings, the first ones, that effects which came later are in.
+    later : frozenset of str
+        Their names.
+
+    Returns
+    -------
+    Dataset
+    """
+    simulated = side_by_side(lambda part: part.with_model(model), dataset.simulated)
+    return replace(dataset, model=model, simulated=tuple(
+        part if number < new_count else RecordingBefore.of(part, later)
+        for number, part in enumerate(simulated)))
+
+
+def _projected_out(part: SimulatedRecording, rows: NDArray[np.intp],
+                   effects: Sequence[Effect]) -> FloatArray:
+    """Return what a recording does not tell, and what it has of its own of effects, (n, k)."""
+    own = part.recurrences(effects, rows) if isinstance(part, RecordingBefore) else []
+    return np.column_stack([nuisance_regressors(part, rows), *own])
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """What unknowns make of the recordings, and what offset and initial creep leave of it."""
+
+    dataset: Dataset
+    effects: tuple[Effect, ...]
+    nuisance: list[FloatArray]
+    sizes: list[FloatArray]
+    left_um: list[FloatArray]
+
+
+class JointErrors:
+    """Errors of a model with effects, by the changes of the model and the numbers of the effects.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Simulated by the model whose changes are zero, without effects.
+    fitted, good : (r,) array of bool
+        Rows that are fitted, and those that tell of offset and initial creep: the ends of a creep
+        that only held-out rows show would be anything otherwise.
+    new_count : int
+        See `simulated_by`.
+    effects : sequence of piezo_models.effects.effect.Effect
+    later : frozenset of str
+        Names of those that came later.
+    held : sequence of piezo_models.effects.effect.Effect
+        Others, which stay as they are.
+    pieces_um : sequence of sequences of (N,) array, optional
+        Of `free_parameters.piece_outputs_um`, for each recording: they are the same for all fits.
+    columns : (r, n) array, optional
+        Derivatives of the displacement by the unknowns, in um, that stand for those everywhere;
+        by default they are computed.
+    own_gain : sequence of bool, optional
+        Recordings whose gain is projected out, too; by default none.
+    independent : (R,) array, optional
+        Errors of each recording that count; by default as many as count at most.
+    hysteresis_width : float
+        Prior width of the changes of the hysteresis, over that of `free_parameters`.
+
+    Attributes
+    ----------
+    low, high, longest : (n,) array
+        See `levenberg_marquardt.Objective`.
+    """
+
+    def __init__(self, dataset: Dataset, fitted: BoolArray, good: BoolArray, new_count: int,
+                 effects: Sequence[Effect], later: frozenset[str],
+                 held: Sequence[Effect] = (),
+                 pieces_um: Sequence[Sequence[FloatArray]] | None = None,
+                 columns: FloatArray | None = None,
+                 own_gain: Sequence[bool] | None = None,
+                 independent: FloatArray | None = None,
+                 hysteresis_width: float = 1.0) -> None:
+        self.dataset, self.new_count, self.later = dataset, new_count, later
+        self._independent = np.full(
+            len(dataset.simulated), SETTINGS.independent) if independent is None else independent
+        self._own_gain = [False] * len(dataset.simulated) if own_gain is None else own_gain
+        self.count = dataset.regressors.shape[1] - dataset.nuisance_count
+        self._fitted = [fitted[mask] for mask in dataset.masks()]
+        self._good = [good[mask] for mask in dataset.masks()]
+        self._effects, self._held = tuple(effects), tuple(held)
+        numbers = [fitted_values(effect, dataset.extent) for effect in effects]
+        self._ends = self.count + np.cumsum([0, *(values.size for values, _, _ in numbers)])
+        lows, highs = ([bounds[index] for bounds in numbers] for index in (1, 2))
+        free = np.full(self.count, np.inf)
+        least, self._prior = -free, np.ones(self.count)
+        if self.count:
+            of_hysteresis = lowest_changes(dataset.model.hysteresis)
+            least[-of_hysteresis.size :] = of_hysteresis
+            self._prior[-of_hysteresis.size :] = 1.0 / hysteresis_width
+        self.low, self.high = np.concatenate([least, *lows]), np.concatenate([free, *highs])
+        self.longest = np.full(self.low.size, np.inf)
+        self.longest[: self.count] = SETTINGS.longest
+        self.accuracy_um = np.array([
+            TOLERANCE.model_tolerance * np.ptp(part.measured_um) for part in dataset.simulated])
+        self._own_count = [
+            nuisance_regressors(part, rows[:1]).shape[1] + has_gain for part, rows, has_gain in zip(
+                dataset.simulated, dataset.rows, self._own_gain, strict=True)]
+        self._pieces_um = pieces_um
+        self._points: dict[bytes, _Point] = {}
+        self._columns: tuple[bytes, list[FloatArray]] = b"", []
+        self._columns_are_given = columns is not None
+        if columns is not None:
+            self._columns = b"", [columns[mask] for mask in dataset.masks()]
+
+    def vector(self, changes: FloatArray, effects: Sequence[Effect]) -> FloatArray:
+        """Return the unknowns of a changed model with effects, (n,)."""
+        numbers = [fitted_values(effect, self.dataset.extent)[0] for effect in effects]
+        return np.clip(np.concatenate([changes, *numbers]), self.low, self.high)
+
+    def effects_at(self, vector: FloatArray) -> tuple[Effect, ...]:
+        """Return the effects of some unknowns, and those that are held behind them."""
+        return (*(with_fitted_values(effect, vector[start:end]) for effect, start, end in zip(
+            self._effects, self._ends[:-1], self._ends[1:], strict=True)), *self._held)
+
+    def dataset_at(self, vector: FloatArray) -> Dataset:
+        """Return the data set simulated by the changed model, with its nuisance regressors."""
+        point = self._at(vector)
+        nuisance = block_diag(*point.nuisance)
+        changes = self.dataset.regressors[:, self.dataset.nuisance_count :]
+        if self._columns[1]:
+            # Those of the last step, close to where it led.
+            changes = np.vstack(self._columns[1])[:, : self.count]
+        return replace(point.dataset, regressors=np.hstack([nuisance, changes]),
+                       nuisance_count=nuisance.shape[1])
+
+    @property
+    def columns_of_effects(self) -> FloatArray | None:
+        """Return the last derivatives by the effects' numbers, in um, (r, p); None before any."""
+        columns = [each[:, self.count :] for each in self._columns[1]]
+        return np.vstack(columns) if columns else None
+
+    def recurrence_count(self, vector: FloatArray) -> int:
+        """Return how many numbers are projected out for effects that recur."""
+        return sum(
+            signals.shape[1] for part, rows in zip(
+                self._at(vector).dataset.simulated, self.dataset.rows, strict=True)
+            if isinstance(part, RecordingBefore)
+            for signals in part.recurrences(self.effects_at(vector), rows[:1]))
+
+    def squares_um2(self, vector: FloatArray) -> FloatArray:
+        """Return the mean square that is left of the fitted rows of each recording, (R,)."""
+        return np.array([np.mean(left_um[fitted] ** 2) for left_um, fitted in zip(
+            self._at(vector).left_um, self._fitted, strict=True)])
+
+    def value(self, vector: FloatArray) -> float:
+        """Return the evidence against the unknowns; infinite where nothing can be simulated."""
+        squares = self.squares_um2(vector) + self.accuracy_um**2
+        changes = self._prior * vector[: self.count]
+        against = float(0.5 * self._independent @ np.log(squares) + 0.5 * changes @ changes)
+        return against if np.isfinite(against) else np.inf
+
+    def linearised(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return weighted errors and their derivatives, those of the prior behind them."""
+        return self._weighted(vector, self._columns_at(vector))
+
+    def covariance(self, vector: FloatArray) -> FloatArray | None:
+        """Return the covariance of the numbers of the effects, by the last derivatives.
+
+        Errors may be alike within a stretch of a recording.
+        """
+        if not self._columns[1] or vector.size == self.count:
+            return None
+        residual, jacobian = self._weighted(vector, self._columns[1])
+        stretch = self.dataset.stretch[np.concatenate(self._fitted)]
+        return clustered_covariance(jacobian, residual, stretch)[self.count :, self.count :]
+
+    def covariance_of_all(self, vector: FloatArray, physical: int) -> FloatArray:
+        """Return the covariance of all unknowns, without the prior of those that come first.
+
+        Parameters
+        ----------
+        vector : (n,) array
+        physical : int
+            Unknowns without a prior: the creep and the dynamics. Those of the effects have none.
+
+        Returns
+        -------
+        (n, n) array
+            Errors may be alike within a stretch of a recording. The variance of an unknown that the
+            recordings do not determine is infinite.
+        """
+        residual, jacobian = self._weighted(vector, self._columns_at(vector))
+        stretch = self.dataset.stretch[np.concatenate(self._fitted)]
+        jacobian[stretch.size : stretch.size + physical] = 0.0
+        covariance = clustered_covariance(jacobian, residual, stretch)
+        unknown = scaled_inverse(jacobian)[1]
+        covariance[unknown, :] = covariance[:, unknown] = 0.0
+        covariance[unknown, unknown] = np.inf
+        return covariance
+
+    def left_um(self, vector: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Return what is left of the fitted and of the held-out rows of each recording."""
+        return [(left_um[fitted], left_um[good & ~fitted]) for left_um, fitted, good in zip(
+            self._at(vector).left_um, self._fitted, self._good, strict=True)]
+
+    def _weighted(self, vector: FloatArray,
+                  columns: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+        point = self._at(vector)
+        squares = self.squares_um2(vector) + self.accuracy_um**2
+        residuals, jacobians = [], []
+        for index, (fitted, square) in enumerate(zip(self._fitted, squares, strict=True)):
+            weight = np.sqrt(self._independent[index] / (np.count_nonzero(fitted) * square))
+            left = self._left_beside(index, point.nuisance[index], columns[index])[0]
+            moved = self._moved_with_rates(point, index)
+            left[:, : moved.shape[1]] += moved
+            residuals.append(weight * point.left_um[index][fitted])
+            jacobians.append(-weight * left[fitted])
+        prior = np.eye(self.count, vector.size) * self._prior[:, None]
+        return (np.concatenate([*residuals, self._prior * vector[: self.count]]),
+                np.vstack([*jacobians, prior]))
+
+    def _at(self, vector: FloatArray) -> _Point:
+        """Simulate the model and the effects of some unknowns; the last two are kept."""
+        key = vector.tobytes()
+        if key not in self._points:
+            dataset = simulated_by(
+                self.dataset, changed_model(self.dataset.model, vector[: self.count]),
+                self.new_count, self.later)
+            effects = self.effects_at(vector)
+
+            def of_recording(index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+                part, rows = dataset.simulated[index], dataset.rows[index]
+                simulated_um = part.simulate(effects, rows=rows)
+                nuisance = _projected_out(part, rows, effects)
+                if self._own_gain[index]:
+                    nuisance = np.column_stack([nuisance, simulated_um])
+                return nuisance, *self._left_beside(
+                    index, nuisance, part.measured_um[rows] - simulated_um)
+
+            nuisance, left, sizes = (list(each) for each in zip(
+                *side_by_side(of_recording, range(len(dataset.rows))), strict=True))
+            self._points = dict([*self._points.items()][-1:])
+            self._points[key] = _Point(dataset, effects, nuisance, sizes, left)
+        return self._points[key]
+
+    def _columns_at(self, vector: FloatArray) -> list[FloatArray]:
+        """Return the changes of the displacement of each recording by the unknowns."""
+        key = vector.tobytes()
+        if self._columns[0] != key and not self._columns_are_given:
+            point = self._at(vector)
+            self._columns = key, side_by_side(
+                lambda index: self._of_recording(point, index, vector), range(len(point.nuisance)))
+        return self._columns[1]
+
+    def _of_recording(self, point: _Point, index: int, vector: FloatArray) -> FloatArray:
+        dataset, rows = point.dataset, point.dataset.rows[index]
+        given, part = self.dataset.model, dataset.simulated[index]
+        there = part.there(point.effects) if isinstance(part, RecordingBefore) else point.effects
+        behind = part.with_model(replace(dataset.model, effects=there))
+        pieces_um = None if self._pieces_um is None else self._pieces_um[index]
+        changes = free_sensitivities(behind, rows, given, pieces_um)
+        decays = decay_sensitivities(part, rows, point.sizes[index], given)
+        changes[:, : decays.shape[1]] += decays
+        unmoved_um, columns = part.simulate(point.effects, rows=rows), []
+        for number in range(self.count, vector.size):
+            step = SETTINGS.derivative_step * max(1.0, abs(vector[number]))
+            moved = vector.copy()
+            moved[number] += step if moved[number] + step <= self.high[number] else -step
+            effects = self.effects_at(moved)
+            moved_um = part.simulate(effects, rows=rows) - unmoved_um
+            if point.nuisance[index].shape[1] > self._own_count[index]:
+                moved_um += (_projected_out(part, rows, effects)
+                             - point.nuisance[index]) @ point.sizes[index]
+            columns.append(moved_um / (moved[number] - vector[number]))
+        gain = 1.0 + point.sizes[index][-1] if self._own_gain[index] else 1.0
+        return gain * np.column_stack([changes, *columns])
+
+    def _left_beside(self, index: int, nuisance: FloatArray,
+                     values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what the nuisance regressors leave of values at all rows, and their sizes."""
+        good = self._good[index]
+        sizes = np.asarray(
+            np.linalg.lstsq(nuisance[good], values[good], rcond=1e-12)[0], dtype=float)
+        return values - nuisance @ sizes, sizes
+
+    def _moved_with_rates(self, point: _Point, index: int) -> FloatArray:
+        """Return the part of the derivatives by which the sizes of decays follow their rates.
+
+        It is no part of what is left beside them (Golub and Pereyra 1973), but counts where sizes
+        are fitted to more rows than the others.
+        """
+        part, rows, good = (point.dataset.simulated[index], point.dataset.rows[index],
+                            self._good[index])
+        nuisance, model = point.nuisance[index], self.dataset.model
+        pairs = len(model.creep.poles_rad_per_s)
+        decays = decay_sensitivities(part, rows, np.ones(nuisance.shape[1]), model)[good, :pairs]
+        inverse = np.linalg.pinv(nuisance[good], rcond=1e-12)
+        by_size = nuisance @ (inverse @ inverse.T)[:, 1 : 1 + pairs]
+        return by_size * (decays.T @ point.left_um[index][good])

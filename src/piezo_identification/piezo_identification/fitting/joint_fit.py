@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Model and effects estimated together on several recordings, by Levenberg-Marquardt steps."""
+
+from collections.abc import Iterable, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_common.side_by_side import side_by_side
+from piezo_identification.fitting.dataset import Dataset, dataset_of
+from piezo_identification.fitting.effect_fit import fit_effects
+from piezo_identification.fitting.free_parameters import (
+    free_sensitivities,
+    piece_outputs_um,
+)
+from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
+from piezo_identification.fitting.levenberg_marquardt import descend
+from piezo_identification.fitting.noise_estimate import NoiseEstimate, estimate_noise
+from piezo_identification.fitting.regression import SETTINGS as TOLERANCE
+from piezo_identification.fitting.regression import Regression
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect, fitted_values
+from piezo_recorder.reading.recording import Recording
+
+
+@dataclass(frozen=True)
+class JointSettings:
+    """How far a joint fit goes.
+
+    Attributes
+    ----------
+    steps : int
+        Most steps of a fit, each with derivatives of its own.
+    worthwhile : float
+        Evidence, as a natural logarithm, that a step has to promise: half of it is a factor of 1.3
+        in a probability.
+    kept_samples : int
+        Of all recordings, up to which the outputs of some 40 pieces of the hysteresis are kept:
+        0.6 GB.
+    blocks : tuple of int
+        Neighbouring rows whose means tell how far errors are alike.
+    fewest_blocks : int
+        Of a recording, for their means to tell it.
+    """
+
+    steps: int = 2
+    worthwhile: float = 0.5
+    kept_samples: int = 2_000_000
+    blocks: tuple[int, ...] = (10, 100, 1000)
+    fewest_blocks: int = 10
+
+
+SETTINGS = JointSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """A model and effects that were estimated together.
+
+    Attributes
+    ----------
+    regression : Regression
+        With the model's parameters as estimated beside the effects.
+    effects : tuple of piezo_models.effects.effect.Effect
+        In all recordings, but for those that came later.
+    later : frozenset of str
+        Names of the effects that are in the new recordings only.
+    covariance : (p, p) array or None
+        Of the fitted values of the effects.
+    has_converged : bool
+        Another step would gain less evidence than is worthwhile.
+    changes : (m,) array
+        Of the model of the problem; see `free_parameters.changed_model`.
+    gain : float
+        Evidence that the last step gained.
+    against : float
+        Evidence against it; see `joint_errors.JointErrors.value`.
+    recurrence_count : int
+        Numbers of the effects that recordings of the identification have of their own.
+    problem : JointProblem or None
+        In which a fit goes on.
+    columns_of_effects : (r, p) array or None
+        Derivatives of the displacement by the fitted values of the effects, in um.
+    """
+
+    regression: Regression
+    effects: tuple[Effect, ...]
+    later: frozenset[str]
+    covariance: FloatArray | None = None
+    has_converged: bool = True
+    changes: FloatArray = field(default_factory=lambda: np.zeros(0))
+    gain: float = 0.0
+    against: float = np.inf
+    recurrence_count: int = 0
+    problem: "JointProblem | None" = field(default=None, repr=False)
+    columns_of_effects: FloatArray | None = None
+
+    @property
+    def model(self) -> StageModel:
+        """Return the model of the stage as it is now, effects and all."""
+        model = self.regression.dataset.model
+        return replace(model, effects=(*model.effects, *self.effects))
+
+    @property
+    def columns(self) -> FloatArray | None:
+        """Return the derivatives of the displacement by all that was fitted, in um.
+
+        Of shape (r, m + p), those by the m changes of the model first; None where none are known.
+        """
+        dataset = self.regression.dataset
+        return None if self.columns_of_effects is None else np.hstack(
+            [dataset.regressors[:, dataset.nuisance_count :], self.columns_of_effects])
+
+    @property
+    def count(self) -> int:
+        """Return how many numbers of effects were fitted."""
+        return self.recurrence_count + sum(
+            fitted_values(effect)[0].size for effect in self.effects)
+
+    def left_um(self) -> list[tuple[FloatArray, BoolArray]]:
+        """Return what is left at the rows of each recording, and which of them are held out."""
+        regression = self.regression
+        left_um = _left_um(regression, self.effects)
+        good = regression.estimation | regression.validation
+        return [(left_um[mask & good], regression.validation[mask & good])
+                for mask in regression.dataset.masks()]
+
+
+class JointProblem:
+    """Recordings, a model from which fits begin, and its derivatives.
+
+    Parameters
+    ----------
+    model : StageModel
+        Its own effects are fitted with the others.
+    new : sequence of Recording
+        With the sign of the model, and their outliers marked.
+    old : sequence of Recording
+        Those that the model was identified from.
+    undivided : int
+        New ones that count with as many rows each as all others together.
+    steps : int
+        Most steps of a fit.
+    simulated : sequence of SimulatedRecording
+        The first of the new recordings, where they are simulated already: their past, which takes
+        long to find, is not sought again.
+    """
+
+    def __init__(self, model: StageModel, new: Sequence[Recording],
+                 old: Sequence[Recording], undivided: int = 0,
+                 steps: int = SETTINGS.steps,
+                 simulated: Sequence[SimulatedRecording] = ()) -> None:
+        self.own, self.new_count = model.effects, len(new)
+        self.undivided, self.steps = undivided, steps
+        bare, recordings = replace(model, effects=()), [*new, *old]
+        self.dataset = self._dataset_of([
+            *(part.with_model(bare) for part in simulated),
+            *side_by_side(lambda recording: SimulatedRecording(bare, recording),
+                          recordings[len(simulated) :]),
+        ], recordings)
+        self.noise = estimate_noise(self.dataset, self.own)
+        self.start = self._started()
+
+    def about(self, model: StageModel) -> "JointProblem":
+        """Return the same problem with another model, without effects, to begin from."""
+        problem = copy(self)
+        vars(problem).pop("_pieces_um", None)
+        problem.dataset = self._dataset_of(
+            [part.with_model(model) for part in self.dataset.simulated], self.dataset.recordings)
+        problem.start = problem._started()
+        return problem
+
+    def _dataset_of(self, simulated: Sequence[SimulatedRecording],
+                    recordings: Sequence[Recording]) -> Dataset:
+        return dataset_of(simulated, recordings, free_sensitivities, self.undivided)
+
+    def against(self, model: StageModel, effects: Sequence[Effect]) -> float:
+        """Return the evidence against a model and effects as they are."""
+        dataset = simulated_by(self.dataset, model, self.new_count, frozenset())
+        nuisance = dataset.regressors[:, : dataset.nuisance_count]
+        errors = JointErrors(
+            replace(dataset, regressors=nuisance), self.start.estimation,
+            self.start.estimation | self.start.validation, self.new_count, effects, frozenset())
+        return errors.value(errors.vector(np.zeros(0), effects))
+
+    def _started(self) -> Regression:
+        """Weigh the rows by what the model leaves."""
+        first = _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise))
+        left_um = first.fit(self.own).residual * first.tolerance_um
+        return _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise, left_um))
+
+    @cached_property
+    def _pieces_um(self) -> list[list[FloatArray]] | None:
+        """Return the outputs of the pieces of the hysteresis; None where they are too many."""
+        parts = self.dataset.simulated
+        if sum(part.time_s.size for part in parts) > SETTINGS.kept_samples:
+            return None
+        return [list(piece_outputs_um(part, self.dataset.model)) for part in parts]
+
+    def fit(self, effects: Sequence[Effect], later: Iterable[str] = (),
+            begun: JointFit | None = None, held: Sequence[Effect] = ()) -> JointFit:
+        """Fit the model's parameters and those of effects.
+
+        Parameters
+        ----------
+        effects : sequence of piezo_models.effects.effect.Effect
+            To begin from: all of them, the model's own as well.
+        later : iterable of str
+            Names of the effects that came after the identification.
+        begun : JointFit, optional
+            From whose model the fit begins, and in whose problem it goes on; by default this one.
+        held : sequence of piezo_models.effects.effect.Effect
+            Others that stay as they are, behind those. The fit then takes one step alone, with the
+            derivatives of the fit from which it begins: enough to tell which of them may lead.
+
+        Returns
+        -------
+        JointFit
+        """
+        goes_on_in = None if begun is None else begun.problem
+        if goes_on_in is not None and goes_on_in is not self:
+            return goes_on_in.fit(effects, later, begun, held)
+        came, effects = frozenset(later), tuple(effects)
+        errors = JointErrors(
+            self.dataset, self.start.estimation, self.start.estimation | self.start.validation,
+            self.new_count, effects, came, held, self._pieces_um,
+            begun.columns if begun is not None and held else None)
+        changes = np.zeros(errors.count) if begun is None else begun.changes
+        first = errors.vector(changes, effects) if held else self._first(
+            errors, changes, effects, begun, came)
+        descent = descend(errors, first, 1 if held else self.steps, SETTINGS.worthwhile)
+        found = errors.effects_at(descent.vector)
+        dataset = errors.dataset_at(descent.vector)
+        return JointFit(
+            _reweighed(replace(self.start, dataset=dataset), found), found, came,
+            errors.covariance(descent.vector), descent.has_converged,
+            descent.vector[: errors.count], descent.gain, descent.value,
+            errors.recurrence_count(descent.vector), self, errors.columns_of_effects)
+
+    def _first(self, errors: JointErrors, changes: FloatArray, effects: tuple[Effect, ...],
+               begun: JointFit | None, came: frozenset[str]) -> FloatArray:
+        """Return unknowns to begin from: effects guessed, or fitted beside a linear model."""
+        guessed = errors.vector(changes, effects)
+        regression = self.start if begun is None else begun.regression
+        if not effects or begun is not None and begun.effects == effects:
+            return guessed
+        regression = replace(regression, dataset=simulated_by(
+            regression.dataset, regression.dataset.model, self.new_count, came))
+        fit = fit_effects(regression, effects, quick=True)
+        most = errors.longest[: errors.count]
+        moved = np.clip(fit.coefficients[regression.dataset.nuisance_count :], -most, most)
+        return min((guessed, errors.vector(changes, fit.effects),
+                    errors.vector(changes + moved, fit.effects)), key=errors.value)
+
+
+def _left_um(regression: Regression, effects: Sequence[Effect]) -> FloatArray:
+    return regression.tolerance_um * regression.nuisance_remainder(regression.difference(effects))
+
+
+def correlated_scale(residual: FloatArray) -> float:
+    """Return the RMS of a residual, times the root of how many neighbours err alike.
+
+    Parameters
+    ----------
+    residual : (N,) array
+
+    Returns
+    -------
+    float
+        Of white noise its standard deviation. The variance of a mean over a long block is that of
+        white noise of this standard deviation, over the length of the block.
+    """
+    squares = [np.mean(residual**2)]
+    for length in SETTINGS.blocks:
+        blocks = residual[: residual.size // length * length].reshape(-1, length)
+        if len(blocks) >= SETTINGS.fewest_blocks:
+            squares.append(length * np.mean(blocks.mean(axis=1) ** 2))
+    return float(np.sqrt(max(squares)))
+
+
+def _scale_um(dataset: Dataset, noise: NoiseEstimate,
+              left_um: FloatArray | None = None) -> FloatArray:
+    """Return the scale of each row, so that rows count for as many as err independently, (r,).
+
+    It is the tolerance of the recording, or more where more is left.
+    """
+    good = dataset.for_estimation & ~dataset.at_rows(noise.outliers)
+    scales = []
+    for part, noise_um, mask in zip(
+            dataset.simulated, noise.noise_um, dataset.masks(), strict=True):
+        least_um = np.hypot(noise_um, TOLERANCE.model_tolerance * np.ptp(part.measured_um))
+        scales.append(least_um if left_um is None else max(
+            least_um, correlated_scale(left_um[mask & good])))
+    return dataset.of_each(scales)
+
+
+def _reweighed(regression: Regression, effects: Sequence[Effect]) -> Regression:
+    """Weigh the rows by what is left beside effects."""
+    dataset, noise = regression.dataset, regression.noise
+    return _weighed(dataset, noise, _scale_um(dataset, noise, _left_um(regression, effects)))
+
+
+def _weighed(dataset: Dataset, noise: NoiseEstimate, scale_um: FloatArray) -> Regression:
+    """Weigh the rows by their scales; the prior of one width matters where no recording tells."""
+    good = ~dataset.at_rows(noise.outliers)
+    estimation, validation = dataset.for_estimation & good, ~dataset.for_estimation & good
+    prior = np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
+    return Regression(dataset, noise, scale_um, estimation, validation, prior)

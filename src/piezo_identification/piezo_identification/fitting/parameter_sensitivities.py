@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How a simulated displacement changes with the parameters of the model."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.fitting.sensitivities import (
+    factor_surfaces,
+    sensitivity_systems,
+)
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.creep_errors import creep_error_map
+
+
+@dataclass(frozen=True)
+class PriorWidths:
+    """Widths to which an identification knows the parameters of a model, as logarithms.
+
+    Attributes
+    ----------
+    dynamics_and_density : float
+        Of the time constant, the modes, and the surface by which the density is multiplied.
+    creep : float
+        Of the creep's rates and sizes: a recording covers few of their time constants.
+    reversible : float
+        Of the part of the gain that is reversible: small loops alone tell it from the rest.
+    middle_knots, span_knots : int
+        Of the surface by which the density may be multiplied: few enough to stay smooth.
+    near_diagonal : tuple of (float, float)
+        Further factors of the density, about its diagonal: the span over which each decays, as a
+        part of the voltage's range, and its width. An identification turns through small spans on
+        its way to large ones, and knows least of them. Chosen on seed 304 of
+        `piezo_studies.diagnosis_calibration`.
+    """
+
+    dynamics_and_density: float = 0.005
+    creep: float = 0.05
+    reversible: float = 0.02
+    middle_knots: int = 3
+    span_knots: int = 4
+    near_diagonal: tuple[tuple[float, float], ...] = ((0.005, 0.2), (0.015, 0.05), (0.05, 0.02))
+
+
+WIDTHS = PriorWidths()
+
+
+def parameter_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) -> FloatArray:
+    """Return the change of the displacement with each parameter, for a change by its prior width.
+
+    Parameters
+    ----------
+    part : SimulatedRecording
+    rows : array of int
+        Samples.
+
+    Returns
+    -------
+    (n, parameters) array
+        For the changes that `perturbed` takes.
+    """
+    model = part.model
+    linear = model.linear()
+    columns = [
+        part.respond(sensitivity * linear, part.input_um, at=rows)
+        for sensitivity in sensitivity_systems(model.creep, model.dynamics)
+    ]
+    without_offset = replace(model.hysteresis, offset_um=0.0)
+    unchanged = np.zeros(len(without_offset.density_um_per_v2))
+    multiplied = [_times(without_offset, surface, np.diagonal(surface))
+                  for surface in _smooth_surfaces(model)]
+    multiplied += [_times(without_offset, surface, unchanged) for surface in _near_surfaces(model)]
+    for hysteresis in multiplied:
+        columns.append(part.respond(linear, part.hysteresis_output_um(hysteresis), at=rows))
+    reversible_um, given_um = map(
+        part.hysteresis_output_um, (_traded(model.hysteresis, 1.0), model.hysteresis))
+    columns.append(part.respond(linear, reversible_um - given_um, at=rows))
+    return np.column_stack(columns) @ _width_map(model)
+
+
+def perturbed(model: StageModel, changes: FloatArray) -> StageModel:
+    """Return the model with its parameters multiplied by factors.
+
+    Parameters
+    ----------
+    model : StageModel
+    changes : (n,) array
+        In prior widths, in the order of `parameter_sensitivities`.
+
+    Returns
+    -------
+    StageModel
+    """
+    changes = _width_map(model) @ changes
+    used = 0
+
+    def factors(values: Sequence[float]) -> tuple[float, ...]:
+        nonlocal used
+        used += len(values)
+        return tuple(np.array(values) * np.exp(changes[used - len(values) : used]))
+
+    creep = type(model.creep)(
+        factors(model.creep.poles_rad_per_s), factors(model.creep.zeros_rad_per_s)
+    )
+    dynamics = model.dynamics
+    lag_s = factors((dynamics.time_constant_s,) if dynamics.time_constant_s > 0.0 else ())
+    dynamics = type(dynamics)(
+        lag_s[0] if lag_s else 0.0, factors(dynamics.mode_frequencies_rad_per_s),
+        factors(dynamics.damping_ratios), factors(dynamics.antiresonance_frequencies_rad_per_s),
+        factors(dynamics.antiresonance_damping_ratios),
+    )
+    near = _near_surfaces(model)
+    smooth = 1.0 + np.tensordot(
+        changes[used : -1 - len(near)], _smooth_surfaces(model), axes=1)
+    surface = smooth + np.tensordot(changes[-1 - len(near) : -1], near, axes=1)
+    hysteresis = _times(model.hysteresis, np.maximum(surface, 0.0),
+                        np.maximum(np.diagonal(smooth), 0.0))
+    hysteresis = _traded(hysteresis, changes[-1])
+    return replace(model, creep=creep, dynamics=dynamics, hysteresis=hysteresis)
+
+
+def _width_map(model: StageModel) -> FloatArray:
+    """Return the logarithms of the factors of the parameters, for a change of each by one width."""
+    pairs = len(model.creep.poles_rad_per_s)
+    dynamics = model.dynamics
+    others = (
+        (dynamics.time_constant_s > 0.0) + 2 * len(dynamics.mode_frequencies_rad_per_s)
+        + 2 * len(dynamics.antiresonance_frequencies_rad_per_s)
+        + len(_smooth_surfaces(model)) + len(WIDTHS.near_diagonal) + 1
+    )
+    widths = WIDTHS.dynamics_and_density * np.eye(2 * pairs + others)
+    widths[-1, -1] = WIDTHS.reversible
+    widths[: 2 * pairs, : 2 * pairs] = WIDTHS.creep * creep_error_map(model.creep)
+    return widths
+
+
+def _smooth_surfaces(model: StageModel) -> FloatArray:
+    """Return what is added to the factor of each cell, for a change of each knot by one."""
+    size = len(model.hysteresis.density_um_per_v2)
+    return factor_surfaces(size, WIDTHS.middle_knots, WIDTHS.span_knots)
+
+
+def _near_surfaces(model: StageModel) -> FloatArray:
+    """Return the same for changes about the diagonal, scaled so that all have one prior width.
+
+    They are errors of the density, and leave the reversible part as it is.
+    """
+    size = len(model.hysteresis.density_um_per_v2)
+    rising, falling = np.indices((size, size))
+    return np.array([
+        width / WIDTHS.dynamics_and_density * np.tril(np.exp((falling - rising) / (span * size)))
+        for span, width in WIDTHS.near_diagonal])
+
+
+def _traded(hysteresis: PreisachModel, part: float) -> PreisachModel:
+    """Make a part of the gain of the hysteresis over the whole range reversible.
+
+    A negative part makes no more irreversible than is reversible.
+    """
+    low_um, high_um = hysteresis.output_range_um
+    gain_um_per_v = (high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
+    reversible = hysteresis.reversible_um_per_v
+    rest = np.maximum(gain_um_per_v - reversible, np.finfo(float).tiny)
+    part = max(part, -float(np.min(reversible / rest)))
+    return replace(
+        hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * (1.0 - part),
+        reversible_um_per_v=np.maximum(
+            reversible * (1.0 - part) + part * gain_um_per_v, 0.0),
+    )
+
+
+def _times(hysteresis: PreisachModel, surface: FloatArray,
+           diagonal: FloatArray) -> PreisachModel:
+    """Multiply the density of the hysteresis by a surface, and its reversible part on a line."""
+    return replace(
+        hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * surface,
+        reversible_um_per_v=hysteresis.reversible_um_per_v * diagonal)

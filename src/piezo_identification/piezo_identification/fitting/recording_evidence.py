@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What each recording shows of the model's error, for the effects to guess their parameters."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.optimize import nnls
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.fitting.noise_estimate import residual_um
+from piezo_identification.fitting.regression import Regression
+from piezo_models.effects import Effect, Evidence
+
+
+def recording_evidence(regression: Regression, effects: Sequence[Effect] = ()) -> list[Evidence]:
+    """Return what each recording shows beside the model with some effects.
+
+    Parameters
+    ----------
+    regression : Regression
+    effects : sequence of piezo_models.effects.effect.Effect
+
+    Returns
+    -------
+    list of Evidence
+    """
+    return [_of_recording(regression, index, mask, effects)
+            for index, mask in enumerate(regression.dataset.masks())]
+
+
+def _of_recording(regression: Regression, index: int, mask: BoolArray,
+                  effects: Sequence[Effect]) -> Evidence:
+    dataset = regression.dataset
+    part, used = dataset.simulated[index], regression.estimation[mask]
+    tolerance_um = regression.tolerance_um[mask][0]
+    simulated_um = part.simulate(effects)
+    return Evidence(
+        part.sample_period_s, part.voltage_v, simulated_um,
+        residual_um(dataset, index, effects, regression.noise),
+        regression.noise.noise_um[index], dataset.model.dynamics, part.drive_um,
+        *_projections(dataset.regressors[mask][used] / tolerance_um, regression.prior,
+                      dataset.rows[index][used], tolerance_um, part.measured_um - simulated_um),
+        part.measured_um,
+    )
+
+
+def _projections(
+    regressors: FloatArray, prior: FloatArray, rows: NDArray[np.intp], tolerance_um: float,
+    difference_um: FloatArray,
+) -> tuple[Callable[..., tuple[FloatArray, float]], Callable[[FloatArray], float]]:
+    """Return how much a contribution explains of what the regressors leave, and how much shows.
+
+    Parameters
+    ----------
+    regressors : (n, m) array
+        At the rows, over the tolerance.
+    prior : (p, m) array
+    rows : (n,) array of int
+    tolerance_um : float
+    difference_um : (N,) array
+        Measured minus simulated.
+
+    Returns
+    -------
+    reduction, visible : callable
+        Of `piezo_models.effects.effect.Evidence`.
+    """
+    q, _ = np.linalg.qr(np.vstack([regressors, prior]))
+
+    def project(values: FloatArray) -> FloatArray:
+        zeros = np.zeros((len(prior), values.shape[1]))
+        padded = np.vstack([values[rows] / tolerance_um, zeros])
+        return padded - q @ (q.T @ padded)
+
+    left = project(difference_um[:, None])[:, 0]
+    energy = left @ left
+
+    def reduction(contributions: FloatArray,
+                  positive: bool = False) -> tuple[FloatArray, float]:
+        seen = project(contributions)
+        if positive:
+            triangle = qr(np.column_stack([seen, left]), mode="r")[0]
+            gains = nnls(triangle[:, :-1], triangle[:, -1])[0]
+        else:
+            gains = np.linalg.lstsq(seen, left, rcond=1e-10)[0]
+        rest = left - seen @ gains
+        return np.asarray(gains, dtype=float), float(1.0 - (rest @ rest) / energy)
+
+    def visible(contribution: FloatArray) -> float:
+        varying = (contribution[rows] - contribution[rows].mean()) / tolerance_um
+        whole = float(np.linalg.norm(varying))
+        return float(np.linalg.norm(project(contribution))) / max(whole, 1e-300)
+
+    return reduction, visible

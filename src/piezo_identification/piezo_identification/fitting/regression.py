@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Linear regression of the residual on what is unknown beside any effect.
+
+The nuisance regressors are free. The changes of the model's parameters have a prior variance, so
+that they explain an error only as far as they can be believed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.fitting.dataset import Dataset
+from piezo_identification.fitting.noise_estimate import NoiseEstimate, estimate_noise
+from piezo_identification.fitting.parameter_sensitivities import perturbed
+from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect, fitted_values
+from piezo_models.effects.outliers import Outliers
+
+
+@dataclass(frozen=True)
+class RegressionSettings:
+    """Weights of the regression.
+
+    Attributes
+    ----------
+    prior_share : float
+        Part of the energy of what is not explained, beyond the noise, that a change of a parameter
+        by its prior width costs. However large the error, the parameters then explain it only with
+        changes that can be believed.
+    least_share : float
+        Part of the noise's energy that counts as not explained at least.
+    model_tolerance : float
+        Part of the travel to which a good model is right: less is not worth an effect.
+    """
+
+    prior_share: float = 0.02
+    least_share: float = 0.05
+    model_tolerance: float = 1e-4
+
+
+SETTINGS = RegressionSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Effects as fitted, and what is left beside them.
+
+    Attributes
+    ----------
+    effects : tuple of piezo_models.effects.effect.Effect
+    residual : (r,) array
+        What the regressors leave of `difference`.
+    difference : (r,) array
+        Measured minus simulated of all rows, each over the tolerance of its recording.
+    coefficients : (m,) array
+        Of the regressors.
+    covariance : (p, p) array or None
+        Of the fitted values of the effects.
+    """
+
+    effects: tuple[Effect, ...]
+    residual: FloatArray
+    difference: FloatArray
+    coefficients: FloatArray
+    covariance: FloatArray | None = None
+
+    @property
+    def parameter_count(self) -> int:
+        """Return how many numbers were fitted."""
+        return sum(fitted_values(effect)[0].size for effect in self.effects
+                   if type(effect) is not Outliers)
+
+    def without(self, number: int) -> tuple[Effect, ...]:
+        """Return the effects but one."""
+        return (*self.effects[:number], *self.effects[number + 1 :])
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """A weighted regression on the estimation rows of a data set.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    noise : NoiseEstimate
+    tolerance_um : (r,) array
+        The noise and what a good model may be wrong by.
+    estimation, validation : (r,) array of bool
+        Rows without outliers that are fitted, and those of the validation set.
+    prior : (p, m) array
+        Rows that carry the prior of the parameters.
+    """
+
+    dataset: Dataset
+    noise: NoiseEstimate
+    tolerance_um: FloatArray
+    estimation: BoolArray
+    validation: BoolArray
+    prior: FloatArray
+
+    @property
+    def weighted(self) -> FloatArray:
+        """Return the regressors over the tolerance, (r, m)."""
+        return np.asarray(self.dataset.regressors / self.tolerance_um[:, None])
+
+    @cached_property
+    def _factors(self) -> tuple[FloatArray, FloatArray]:
+        """Return the QR factors of the estimation rows and the prior together.
+
+        They are as large as the recordings, and many fits are never asked for them.
+        """
+        q, r = np.linalg.qr(np.vstack([self.weighted[self.estimation], self.prior]))
+        return q, r
+
+    def difference(self, effects: Sequence[Effect], quick: Sequence[Effect] = ()) -> FloatArray:
+        """Return measured minus simulated over the tolerance, (r,)."""
+        return self.dataset.difference_um(effects, quick) / self.tolerance_um
+
+    def remainder(self, difference: FloatArray) -> FloatArray:
+        """Return what the regressors leave of the estimation rows, with their own deviations."""
+        padded, (q, _) = self._padded(difference), self._factors
+        return padded - q @ (q.T @ padded)
+
+    def fit(self, effects: Sequence[Effect], covariance: FloatArray | None = None,
+            quick: Sequence[Effect] = ()) -> Fit:
+        """Fit the regressors beside effects as they are.
+
+        Parameters
+        ----------
+        effects : sequence of piezo_models.effects.effect.Effect
+        covariance : (p, p) array, optional
+            Of the fitted values of the effects, where they were fitted.
+        quick : sequence of piezo_models.effects.effect.Effect
+            See `SimulatedRecording.simulate`.
+
+        Returns
+        -------
+        Fit
+        """
+        difference, (q, r) = self.difference(effects, quick), self._factors
+        coefficients = np.linalg.lstsq(r, q.T @ self._padded(difference), rcond=1e-12)[0]
+        explained = self.dataset.regressors @ coefficients / self.tolerance_um
+        return Fit(tuple(effects), difference - explained, difference,
+                   np.asarray(coefficients, dtype=float), covariance)
+
+    def nuisance_remainder(self, difference: FloatArray) -> FloatArray:
+        """Return what the nuisance regressors alone leave at all rows, (r,).
+
+        They belong to a recording and not to a model. So all rows tell of them: the ends of an
+        initial creep that only held-out rows show would be anything otherwise.
+        """
+        dataset = self.dataset
+        nuisance = dataset.regressors[:, : dataset.nuisance_count] / self.tolerance_um[:, None]
+        rows = self.estimation | self.validation
+        sizes = np.linalg.lstsq(nuisance[rows], difference[rows], rcond=1e-12)[0]
+        return difference - nuisance @ sizes
+
+    def noise_of_rows(self) -> FloatArray:
+        """Return the sensor's noise at all rows, in tolerances, (r,)."""
+        return self.dataset.of_each(self.noise.noise_um) / self.tolerance_um
+
+    def left_um(self, fit: Fit) -> float:
+        """Return the RMS of what a fit leaves on the validation set, noise and all."""
+        return float(np.sqrt(np.mean((fit.residual * self.tolerance_um)[self.validation] ** 2)))
+
+    def extended_model(self, fit: Fit) -> StageModel:
+        """Return the model with the effects of a fit, and its parameters as fitted beside them."""
+        dataset = self.dataset
+        model = perturbed(dataset.model, fit.coefficients[dataset.nuisance_count :])
+        return replace(model, effects=(*dataset.model.effects, *fit.effects))
+
+    def _padded(self, difference: FloatArray) -> FloatArray:
+        parameters = self.dataset.regressors.shape[1] - self.dataset.nuisance_count
+        return np.concatenate([difference[self.estimation], np.zeros(parameters)])
+
+
+def regression_beside(dataset: Dataset, noise: NoiseEstimate,
+                      effects: Sequence[Effect] = ()) -> Regression:
+    """Weigh the rows, with the prior that fits to what is left beside some effects.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    noise : NoiseEstimate
+    effects : sequence of piezo_models.effects.effect.Effect
+        The more they explain, the less the model's parameters may change.
+
+    Returns
+    -------
+    Regression
+    """
+    tolerance_um = dataset.of_each([
+        np.hypot(noise_um, SETTINGS.model_tolerance * np.ptp(part.measured_um))
+        for part, noise_um in zip(dataset.simulated, noise.noise_um, strict=True)
+    ])
+    good = ~dataset.at_rows(noise.outliers)
+    estimation, validation = dataset.for_estimation & good, ~dataset.for_estimation & good
+    nuisance = (dataset.regressors[:, : dataset.nuisance_count]
+                / tolerance_um[:, None])[estimation]
+    left = (dataset.difference_um(effects) / tolerance_um)[estimation]
+    left = left - nuisance @ np.linalg.lstsq(nuisance, left, rcond=1e-12)[0]
+    noise_energy = float(
+        np.sum((dataset.of_each(noise.noise_um) / tolerance_um)[estimation] ** 2))
+    energy = max(left @ left - noise_energy, SETTINGS.least_share * noise_energy)
+    cost = np.sqrt(SETTINGS.prior_share * energy)
+    prior = cost * np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
+    return Regression(dataset, noise, tolerance_um, estimation, validation, prior)
+
+
+def first_regression(dataset: Dataset) -> Regression:
+    """Weigh the rows by the noise and outliers that the model as given shows."""
+    return regression_beside(dataset, estimate_noise(dataset))
+
+
+def reweighted(regression: Regression, effects: Sequence[Effect]) -> Regression:
+    """Estimate noise and outliers once more beside effects, and weigh the rows by them."""
+    noise = estimate_noise(regression.dataset, effects, regression.noise)
+    return regression_beside(regression.dataset, noise, effects)
+
+
+def fit_without_effects(regression: Regression) -> Fit:
+    """Fit the regressors alone, with the prior that fits to what they leave themselves."""
+    return regression_beside(regression.dataset, regression.noise).fit(())
+
+
+def with_fixed_parameters(regression: Regression, effects: Sequence[Effect]) -> Regression:
+    """Hold the model's parameters as they are, beside some effects."""
+    dataset = regression.dataset
+    regressors = dataset.regressors.copy()
+    regressors[:, dataset.nuisance_count :] = 0.0
+    return regression_beside(
+        replace(dataset, regressors=regressors), regression.noise, effects)

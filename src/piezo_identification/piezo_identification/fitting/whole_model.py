@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One fit of the whole model to all recordings of its identification, and models compared by it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_common.side_by_side import side_by_side
+from piezo_identification.fitting.dataset import dataset_of
+from piezo_identification.fitting.free_parameters import (
+    changed_model,
+    changes_between,
+    free_count,
+    physical_count,
+    physical_deviations,
+    piece_outputs_um,
+)
+from piezo_identification.fitting.joint_errors import SETTINGS as ERRORS
+from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
+from piezo_identification.fitting.joint_fit import SETTINGS as JOINT
+from piezo_identification.fitting.joint_fit import correlated_scale
+from piezo_identification.fitting.levenberg_marquardt import descend
+from piezo_identification.fitting.noise_estimate import estimate_noise
+from piezo_identification.fitting.recording_evidence import recording_evidence
+from piezo_identification.fitting.regression import Regression
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect, Evidence, fitted_values, units_of_fitted
+from piezo_models.effects.delay import Delay
+from piezo_recorder.reading.recording import Recording
+
+EARLIEST = 1.0
+"""Shortest sample periods by which a fitted delay may be negative: rows are then read late."""
+
+
+HYSTERESIS_WIDTH = 0.1
+"""Prior width of the changes of the hysteresis, over that of a joint fit with new recordings: the
+loops were fitted before, so that a factor of their density is known to a few percent."""
+
+
+@dataclass(frozen=True, eq=False)
+class WholeFit:
+    """A model, and what it leaves of all recordings.
+
+    Attributes
+    ----------
+    model : StageModel
+        With its effects, but for its delay.
+    delay_s : float or None
+        Of the displacement behind the rows as they were said to be read; negative where rows are
+        read later still. None for a model without a delay.
+    left_um : list of ((n,) array, (m,) array)
+        Of each recording: what is left of its fitted rows, and of those that are held out.
+    accuracy_um : (R,) array
+        Of a good model of each recording.
+    covariance : (p, p) array or None
+        Of all unknowns; None before any fit.
+    has_converged : bool
+    """
+
+    model: StageModel
+    delay_s: float | None
+    left_um: list[tuple[FloatArray, FloatArray]]
+    accuracy_um: FloatArray
+    errors: JointErrors = field(repr=False)
+    vector: FloatArray = field(repr=False)
+    has_converged: bool = False
+
+    @property
+    def numbers(self) -> int:
+        """Return how many numbers of creep, dynamics and effects were estimated."""
+        return (physical_count(self.model) + (self.delay_s is not None)
+                + sum(fitted_values(effect)[0].size for effect in self.model.effects))
+
+    @property
+    def density_changes(self) -> FloatArray:
+        """Return the changes of the hysteresis that was given, in widths."""
+        return self.vector[physical_count(self.model) : self.errors.count]
+
+    @cached_property
+    def independent(self) -> FloatArray:
+        """Return how many of the errors of each recording count as independent, (R,)."""
+        return np.array([
+            min(ERRORS.independent,
+                left.size * float(np.mean(left**2)) / max(correlated_scale(left) ** 2, 1e-300))
+            for left, _ in self.left_um])
+
+    def evidence_over(self, other: "WholeFit") -> float:
+        """Return by how much the evidence for this model is more than for another.
+
+        That is the logarithm of the ratio of their likelihoods, less half the logarithm of the
+        number of errors for each number more (Schwarz 1978). Rows are as many as err independently
+        beside the better of the two.
+        """
+        independent = np.maximum(self.independent, other.independent)
+        price = 0.5 * np.log(independent.sum())
+        return self._likelihood_over(other, 0) - price * (self.numbers - other.numbers)
+
+    def held_out_over(self, other: "WholeFit") -> float:
+        """Return the logarithm of the ratio of likelihoods on the rows that are held out."""
+        return self._likelihood_over(other, 1)
+
+    def _likelihood_over(self, other: "WholeFit", rows: int) -> float:
+        independent = np.maximum(self.independent, other.independent)
+        mine, others = (np.array([np.mean(left[rows] ** 2) for left in fit.left_um])
+                        + self.accuracy_um**2 for fit in (self, other))
+        return float(0.5 * independent @ np.log(others / mine))
+
+    def deviations(self) -> tuple[dict[str, dict[str, Any]], list[dict[str, float]], float]:
+        """Return standard deviations: of creep and dynamics, of the effects, and of the delay."""
+        count = physical_count(self.errors.dataset.model)
+        covariance = self.errors.covariance_of_all(self.vector, count)
+        of_effects = np.sqrt(np.diag(covariance)[self.errors.count :])
+        return (physical_deviations(self.errors.dataset.model, covariance[:count, :count]),
+                *_split_deviations(self.errors.effects_at(self.vector), of_effects))
+
+
+class WholeModel:
+    """Recordings to which whole models are fitted, from one that was identified step by step.
+
+    Parameters
+    ----------
+    model : StageModel
+    recordings : sequence of Recording
+        With the sign of the model, and their outliers marked.
+    read_late_s : sequence of float
+        Time after its voltage at which each reads its rows.
+    own_gain : sequence of bool
+        Recordings whose gain is their own.
+
+    Raises
+    ------
+    ValueError
+        If a recording is too short.
+    """
+
+    def __init__(self, model: StageModel, recordings: Sequence[Recording],
+                 read_late_s: Sequence[float], own_gain: Sequence[bool]) -> None:
+        bare, self._own_gain = replace(model, effects=()), own_gain
+        self._given = model
+        self._independent = np.full(len(recordings), ERRORS.independent)
+        simulated = side_by_side(
+            lambda index: SimulatedRecording(
+                model, recordings[index], read_late_s=read_late_s[index]).with_model(bare),
+            range(len(recordings)))
+        self.sample_period_s = min(part.sample_period_s for part in simulated)
+        # Means cannot be read at another time.
+        is_sampled = all(part.samples_per_mean == 1 for part in simulated)
+        self._earliest_s = EARLIEST * self.sample_period_s if is_sampled else 0.0
+        self._dataset = dataset_of(simulated, recordings, lambda _, rows: np.zeros((rows.size, 0)))
+        self.noise = estimate_noise(self._dataset, model.effects)
+        good = ~self._dataset.at_rows(self.noise.outliers)
+        self._fitted, self._good = self._dataset.for_estimation & good, good
+
+    def as_it_is(self, model: StageModel) -> WholeFit:
+        """Return what a model leaves, its delay among its effects."""
+        delay_s = sum(effect.delay_s for effect in model.effects if type(effect) is Delay)
+        return self.fit(model, delay_s or None, 0)
+
+    def count_as(self, fit: WholeFit) -> None:
+        """Let errors of each recording count for as many as are independent beside a fit."""
+        self._independent = fit.independent
+
+    def fit(self, model: StageModel, delay_s: float | None, steps: int,
+            density_changes: FloatArray | None = None) -> WholeFit:
+        """Fit all parameters of a model, its effects and its delay.
+
+        Parameters
+        ----------
+        model : StageModel
+            To begin from; its delays are not looked at.
+        delay_s : float or None
+            To begin from; None for no delay.
+        steps : int
+            At most; 0 for the model as it is.
+        density_changes : (n,) array, optional
+            Of the hysteresis that was given, of an earlier fit; by default none.
+
+        Returns
+        -------
+        WholeFit
+        """
+        effects = tuple(effect for effect in model.effects if type(effect) is not Delay)
+        shift_s = 0.0
+        if delay_s is not None:
+            shift_s = self._earliest_s
+            behind = next((place for place, effect in enumerate(effects)
+                           if effect.place in ("displacement", "sensor")), len(effects))
+            effects = (*effects[:behind], Delay(max(delay_s + shift_s, 0.0)), *effects[behind:])
+        # What is known before is what the separate steps found.
+        about = replace(model, hysteresis=self._given.hysteresis, effects=())
+        if len(model.creep.poles_rad_per_s) == len(self._given.creep.poles_rad_per_s):
+            about = replace(about, creep=self._given.creep)
+        errors = self._errors(about, effects, shift_s)
+        changes = np.zeros(errors.count)
+        begun = changes_between(about, model)
+        changes[: begun.size] = begun
+        if density_changes is not None:
+            changes[begun.size :] = density_changes
+        descent = descend(errors, errors.vector(changes, effects), steps, JOINT.worthwhile)
+        found = errors.effects_at(descent.vector)
+        fitted = changed_model(errors.dataset.model, descent.vector[: errors.count])
+        delays_s = [effect.delay_s - shift_s for effect in found if type(effect) is Delay]
+        return WholeFit(
+            replace(fitted, effects=tuple(each for each in found if type(each) is not Delay)),
+            delays_s[0] if delays_s else None, errors.left_um(descent.vector),
+            errors.accuracy_um, errors, descent.vector, descent.has_converged)
+
+    def fastest_over_noise(self, fit: WholeFit) -> float:
+        """Return what is left of the recording with the shortest sample period, over its noise."""
+        parts = self._dataset.simulated
+        fastest = min(range(len(parts)), key=lambda index: parts[index].sample_period_s)
+        left_um = float(np.sqrt(np.mean(fit.left_um[fastest][0] ** 2)))
+        return left_um / float(np.hypot(self.noise.noise_um[fastest], fit.accuracy_um[fastest]))
+
+    def evidence(self, fit: WholeFit) -> list[Evidence]:
+        """Return what each recording shows beside a fitted model, for effects to guess by."""
+        dataset = fit.errors.dataset_at(fit.vector)
+        prior = np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
+        scale_um = dataset.of_each(
+            [np.hypot(np.sqrt(np.mean(left**2)), accuracy_um)
+             for (left, _), accuracy_um in zip(fit.left_um, fit.accuracy_um, strict=True)])
+        regression = Regression(dataset, self.noise, scale_um, self._fitted,
+                                self._good & ~self._fitted, prior)
+        return recording_evidence(regression, fit.errors.effects_at(fit.vector))
+
+    def again(self, fit: WholeFit, steps: int) -> WholeFit:
+        """Go on from a fit."""
+        return self.fit(fit.model, fit.delay_s, steps, fit.density_changes)
+
+    def _errors(self, bare: StageModel, effects: Sequence[Effect], shift_s: float) -> JointErrors:
+        dataset = self._dataset
+        if shift_s:
+            dataset = replace(dataset, simulated=tuple(
+                part.read_at(part.read_late_s + shift_s) for part in dataset.simulated))
+        dataset = simulated_by(dataset, bare, len(dataset.simulated), frozenset())
+        rows = dataset.regressors.shape[0]
+        dataset = replace(dataset, regressors=np.broadcast_to(
+            0.0, (rows, dataset.nuisance_count + free_count(bare))))
+        return JointErrors(
+            dataset, self._fitted, self._good, len(dataset.simulated), effects, frozenset(),
+            pieces_um=self._pieces_um, own_gain=self._own_gain, independent=self._independent,
+            hysteresis_width=HYSTERESIS_WIDTH)
+
+    @cached_property
+    def _pieces_um(self) -> list[list[FloatArray]] | None:
+        """Return the outputs of the pieces of the hysteresis; None where they are too many."""
+        parts = self._dataset.simulated
+        if sum(part.time_s.size for part in parts) > JOINT.kept_samples:
+            return None
+        return side_by_side(lambda part: list(piece_outputs_um(part, self._given)), parts)
+
+
+def _split_deviations(
+    effects: Sequence[Effect], of_numbers: FloatArray,
+) -> tuple[list[dict[str, float]], float]:
+    """Return the standard deviations of each effect but the delay, by name, and of the delay."""
+    deviations, delay_s, used = [], 0.0, 0
+    for effect in effects:
+        of_effect = {}
+        units = units_of_fitted(effect)
+        for name, unit in zip(_fitted_names(effect), units, strict=True):
+            # A logarithm is known to a part of the value.
+            of_effect[name] = float(
+                of_numbers[used] * (1.0 if unit is not None else getattr(effect, name)))
+            used += 1
+        if type(effect) is Delay:
+            delay_s = of_effect["delay_s"]
+        else:
+            deviations.append(of_effect)
+    return deviations, delay_s
+
+
+def _fitted_names(effect: Effect) -> list[str]:
+    return [each.name for each in fields(effect) if each.metadata["scale"] != "fixed"]

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The last step of an identification: one fit of the whole model to all of its recordings."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from piezo_identification.conditioning.generator_edges import generator_edges
+from piezo_identification.conditioning.recording_start import square_part
+from piezo_identification.conditioning.row_alignment import LATEST_READING
+from piezo_identification.conditioning.segments import experiment_of
+from piezo_identification.conditioning.waveforms import played, square_wave
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.fitting.structure_search import search
+from piezo_identification.fitting.whole_model import WholeFit, WholeModel
+from piezo_identification.identification.fitted_model import FittedModel
+from piezo_identification.identification.given_data import Data
+from piezo_identification.identification.linear_dynamics import BEFORE_DELAY, is_square_wave
+from piezo_models.effects.delay import Delay
+
+COMPONENTS_OF = {"creep": ("creep",), "dynamics": ("dynamics", "effects")}
+"""What is estimated from the recordings of an experiment, as the model file names it."""
+
+
+def fitted_together(
+    fitted: FittedModel, recordings: Mapping[str, Data], read_at: Mapping[str, float],
+    report: Callable[[str, float], object], tell: Callable[[str], object],
+) -> tuple[FittedModel, dict[str, float]]:
+    """Fit all parameters of a model together, and let the evidence choose its structure.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+        From the steps before: a guess to begin from.
+    recordings : dict of str to Recording or FrequencyResponse
+        Conditioned, their rows as they were given; all but the validation are fitted.
+    read_at : dict of str to float
+        When their rows are read, in sample periods after their voltage.
+    report : callable
+        Called with what is tried, and the fraction done.
+    tell : callable
+        Called with text for people.
+
+    Returns
+    -------
+    fitted : FittedModel
+        The best model of all that were tried, the given one included.
+    read_at : dict of str to float
+        As fitted.
+    """
+    samples = {name: data for name, data in recordings.items()
+               if not isinstance(data, FrequencyResponse)}
+    if len(samples) < len(recordings):
+        # The fit simulates instants, of which a response says nothing.
+        return fitted, dict(read_at)
+    used = {name: data for name, data in samples.items() if experiment_of(name) != "validation"}
+    parts = {name: played(data) for name, data in used.items()}
+    square = [is_square_wave(data) for data in used.values()]
+    if any(each and generator_edges(square_wave(square_part(part))) is not None
+           for each, part in zip(square, parts.values(), strict=True)):
+        tell("the model is as the separate steps left it: a generator that runs freely changes its "
+             "voltage between the rows, which only the steps heed")
+        return fitted, dict(read_at)
+    try:
+        problem = WholeModel(
+            fitted.model, list(used.values()),
+            [read_at[name] * part.sample_period_s for name, part in parts.items()],
+            # The gain under a voltage of two levels is that of loops that it does not show.
+            [each and not all(square) for each in square])
+    except ValueError as error:
+        tell(f"the model is as the separate steps left it, as {error}")
+        return fitted, dict(read_at)
+    best, tried = search(problem, fitted.model, report)
+    tell(f"one fit of the whole model:\n{table_of(tried, best)}")
+    late_s = max(0.0, -(best.delay_s or 0.0))
+    read_later = {
+        name: read_at[name] + late_s / played(data).sample_period_s
+        for name, data in samples.items()}
+    if max(read_later.values()) > LATEST_READING:
+        return fitted, dict(read_at)
+    return with_fit(fitted, best), read_later
+
+
+def with_fit(fitted: FittedModel, fit: WholeFit) -> FittedModel:
+    """Return the model of a fit with its standard deviations."""
+    of_parts, of_effects, of_delay_s = fit.deviations()
+    effects = list(zip(fit.model.effects, of_effects, strict=True))
+    if fit.delay_s is not None and fit.delay_s > 0.0:
+        effects.append((Delay(fit.delay_s), {"delay_s": of_delay_s}))
+    # The sort is stable: what is behind the delay stays in its order.
+    effects.sort(key=lambda each: 0 if each[0].place in BEFORE_DELAY else
+                 1 if isinstance(each[0], Delay) else 2)
+    uncertainties: dict[str, Any] = dict(of_parts)
+    if effects:
+        uncertainties["effects"] = [deviations for _, deviations in effects]
+    model = replace(fit.model, effects=tuple(effect for effect, _ in effects))
+    return replace(fitted, model=model, uncertainties=uncertainties)
+
+
+def reliable(uncertainties: Mapping[str, Any],
+             adequacy: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Leave out the standard deviations of what an inadequate component shows.
+
+    What it leaves is no noise, so that they would be too small.
+
+    Parameters
+    ----------
+    uncertainties : dict of str to dict
+    adequacy : dict of str to dict
+        Of the model file.
+    """
+    unknown = {part for name, each in adequacy.items() if each["verdict"] == "inadequate"
+               for part in COMPONENTS_OF.get(experiment_of(name), ())}
+    return {part: each for part, each in uncertainties.items() if part not in unknown}
+
+
+def table_of(tried: list[tuple[str, WholeFit]], best: WholeFit) -> str:
+    """Return what was tried as a table for people, the best marked."""
+    first = tried[0][1]
+    lines = [f"{'structure':45}{'parameters':>12}{'evidence':>12}  left (um)"]
+    for change, fit in tried:
+        left_um = ", ".join(f"{np.sqrt(np.mean(left**2)):.3g}" for left, _ in fit.left_um)
+        lines.append(f"{change:45}{fit.numbers:12d}{fit.evidence_over(first):12.1f}  {left_um}"
+                     f"{'  <- written' if fit is best else ''}")
+    return "\n".join(lines)

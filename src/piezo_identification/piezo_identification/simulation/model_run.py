@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A recording, and what a model makes of its voltage after different pasts."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.conditioning.outlier_samples import good_samples, with_outliers_marked
+from piezo_identification.conditioning.sensor_sign import moves_against, reversed_displacement
+from piezo_identification.conditioning.settling import first_settled
+from piezo_identification.conditioning.waveforms import (
+    played,
+    samples_per_mean,
+    with_voltage_before,
+)
+from piezo_identification.simulation.sampled_response import (
+    behind_lags,
+    leading_lags,
+    respond,
+)
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.first_rise import CYCLED
+from piezo_recorder.reading.recording import Recording
+
+NEAR_THE_END = 1e-3
+"""Part of the range of the voltage from which an end of it counts as reached."""
+
+PastVoltages = tuple[float, float] | tuple[()]
+"""Highest and then lowest voltage before a recording, or nothing where it begins saturated."""
+
+
+@dataclass(frozen=True)
+class PastSearchSettings:
+    """Numbers that steer the search for the voltages before a recording.
+
+    Attributes
+    ----------
+    searched_samples : int
+        Samples at the start of the recording that are simulated for each candidate. The past shows
+        in the first turning points; more samples cost time and tell no more of it.
+    grid_points : int
+        Highest, and lowest, voltages that are tried in each round.
+    rounds : int
+        Grids, each around the best candidate of the one before. Three of six points resolve a
+        hundredth of the voltage range.
+    largest_error_ratio : float
+        A past is accepted if it leaves less than this part of the error without it. With two more
+        numbers any error falls a little.
+    """
+
+    searched_samples: int = 200_000
+    grid_points: int = 6
+    rounds: int = 3
+    largest_error_ratio: float = 0.9
+
+
+SETTINGS = PastSearchSettings()
+
+
+def conditioned(model: StageModel, recording: Recording) -> tuple[Recording, bool]:
+    """Return the recording with the sign of the model and its outliers marked.
+
+    Parameters
+    ----------
+    model : StageModel
+    recording : Recording
+
+    Returns
+    -------
+    recording : Recording
+    is_reversed : bool
+        The sign of its displacement was changed.
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps, or is too short to settle.
+    """
+    recording = with_outliers_marked(recording)
+    is_reversed = ModelRun(model, recording).is_reversed
+    return (reversed_displacement(recording) if is_reversed else recording), is_reversed
+
+
+def starting_past_v(model: StageModel, recording: Recording,
+                    settings: PastSearchSettings = SETTINGS) -> PastVoltages:
+    """Estimate the voltages that the stage had before a recording, as far as that tells.
+
+    A recording that does not begin with the hysteresis switched off or on all over depends on what
+    came before. The highest and then the lowest voltage of the past are fitted, in which the first
+    turning points of any past show. They count where they explain more than a past without them,
+    which comes from negative saturation.
+
+    Parameters
+    ----------
+    model : StageModel
+    recording : Recording
+    settings : PastSearchSettings
+
+    Returns
+    -------
+    (float, float) or ()
+        The highest and the lowest voltage.
+    """
+    early = np.cumsum(recording.playing | recording.tracking) <= settings.searched_samples
+    run = ModelRun(model, recording.select(early))
+    if run.starts_saturated:
+        return ()
+    past_v = run.fitted_past_v(settings)
+    explains_more = run.error_um(past_v) < settings.largest_error_ratio * run.error_um(())
+    return past_v if explains_more else ()
+
+
+class ModelRun:
+    """A recording, and what a model makes of it after different pasts.
+
+    Parameters
+    ----------
+    model : StageModel
+    recording : Recording
+
+    Attributes
+    ----------
+    part : Recording
+        The samples in which the waveform plays.
+    settled : ndarray of int, shape (N,)
+        Samples of the part from when its start has settled.
+    good : ndarray of bool, shape (N,)
+        Which of the settled samples count; may be replaced.
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps, or is too short to settle.
+    """
+
+    def __init__(self, model: StageModel, recording: Recording) -> None:
+        self.model, self.part = model, played(recording)
+        period_s = self.part.sample_period_s
+        joined_v, lead = with_voltage_before(recording, self.part)
+        amplified_v = model.amplified(joined_v, period_s)
+        # As far as the first voltage of the part, from which it is simulated.
+        self._before_v, self._voltage_v = amplified_v[: lead + 1], amplified_v[lead:]
+        self._samples = samples_per_mean(self.part)
+        lags, self._effects = leading_lags(
+            model.effects_at("displacement") + model.effects_at("sensor"), self._samples)
+        self._system, self._delay_s = behind_lags(model.linear(), lags)
+        time_s = self.part.time_s
+        self.settled = np.arange(first_settled(model.dynamics, time_s), time_s.size)
+        rates_rad_per_s = list(model.creep.poles_rad_per_s)
+        if model.hysteretic_creep is not None:
+            rates_rad_per_s += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
+        time_s = time_s[self.settled]
+        self.good = good_samples(self.part)[self.settled]
+        self._nuisance = np.column_stack([
+            np.ones(time_s.size), *(np.exp(-rate * time_s) for rate in rates_rad_per_s)
+        ])
+        self._span_of: tuple[BoolArray, FloatArray] | None = None
+        if np.count_nonzero(self.good) <= self._nuisance.shape[1]:
+            raise ValueError(
+                f"{recording.path} has {self.part.time_s.size} samples: record longer")
+
+    @property
+    def measured_um(self) -> FloatArray:
+        """Return the measured displacement of the settled samples, shape (N,)."""
+        return self.part.displacement_um[self.settled]
+
+    @property
+    def is_reversed(self) -> bool:
+        """Tell whether the measured displacement moves against the model's."""
+        simulated_um = self._response_um(())
+        return moves_against(
+            self.measured_um[self.good], simulated_um[self.good], self._nuisance[self.good])
+
+    @property
+    def starts_saturated(self) -> bool:
+        """Tell whether the first samples begin at either end of the model's voltages."""
+        hysteresis = self.model.hysteresis
+        near_v = NEAR_THE_END * (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
+        return bool(np.any((self._before_v <= hysteresis.voltage_min_v + near_v)
+                           | (self._before_v >= hysteresis.voltage_max_v - near_v)))
+
+    def fitted_past_v(self, settings: PastSearchSettings = SETTINGS) -> tuple[float, float]:
+        """Find the highest and then the lowest voltage before the first sample that explain most.
+
+        Parameters
+        ----------
+        settings : PastSearchSettings
+        """
+        hysteresis, first_v = self.model.hysteresis, self._before_v[0]
+        bounds_v = np.array([[first_v, max(first_v, hysteresis.voltage_max_v)],
+                             [min(first_v, hysteresis.voltage_min_v), first_v]])
+        for _ in range(settings.rounds):
+            candidates = list(product(
+                *(np.linspace(low_v, high_v, settings.grid_points) for low_v, high_v in bounds_v)))
+            best_v = min(candidates, key=self.error_um)
+            spacing_v = np.diff(bounds_v).ravel() / (settings.grid_points - 1)
+            around_v = np.array(best_v)[:, None] + np.outer(spacing_v, [-1.0, 1.0])
+            bounds_v = np.clip(around_v, bounds_v[:, :1], bounds_v[:, 1:])
+        highest_v, lowest_v = best_v
+        return float(highest_v), float(lowest_v)
+
+    @cached_property
+    def highest_v(self) -> float:
+        """Voltage up to which the stage had risen before: cycled, unless less explains more.
+
+        Only a model with a first rise tells; the past of its hysteresis is that of no reversals.
+        """
+        first_rise = self.model.first_rise
+        if first_rise is None:
+            return CYCLED
+        candidates = np.linspace(
+            first_rise.voltages_v[0], first_rise.voltages_v[-1], SETTINGS.grid_points)
+        errors_um = [self.error_um((), float(highest_v)) for highest_v in candidates]
+        least = int(np.argmin(errors_um))
+        explains_more = errors_um[least] < SETTINGS.largest_error_ratio * self.error_um((), CYCLED)
+        return float(candidates[least]) if explains_more else CYCLED
+
+    def error_um(self, past_v: PastVoltages, highest_v: float | None = None) -> float:
+        """Return the RMS of the difference that remains with a past."""
+        difference_um = (self.measured_um - self._response_um(past_v, highest_v))[self.good]
+        difference_um -= self._span @ (self._span.T @ difference_um)
+        return float(np.sqrt(np.mean(difference_um**2)))
+
+    def simulated_um(self, past_v: PastVoltages, highest_v: float | None = None) -> FloatArray:
+        """Simulate the displacement after a past, with offset and initial creep fitted.
+
+        Parameters
+        ----------
+        past_v : (float, float) or ()
+            Of `starting_past_v`.
+        highest_v : float, optional
+            Up to which the stage has risen before; by default `highest_v` of this run.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+        """
+        simulated_um = self._response_um(past_v, highest_v)
+        difference_um = self.measured_um - simulated_um
+        nuisance, good = self._nuisance, self.good
+        return simulated_um + nuisance @ np.linalg.lstsq(
+            nuisance[good], difference_um[good], rcond=1e-12)[0]
+
+    @property
+    def _span(self) -> FloatArray:
+        """Orthonormal columns of what is fitted, at the samples that count; kept while these do."""
+        if self._span_of is None or self._span_of[0] is not self.good:
+            left, values, _ = np.linalg.svd(self._nuisance[self.good], full_matrices=False)
+            self._span_of = self.good, left[:, values > 1e-12 * values[0]]
+        return self._span_of[1]
+
+    def _response_um(self, past_v: PastVoltages, highest_v: float | None = None) -> FloatArray:
+        """Return the displacement after a past, without offset and initial creep."""
+        model, part = self.model, self.part
+        memory = model.hysteresis.memory()
+        model.hysteresis.simulate([*past_v, *self._before_v], memory)
+        extremes_v = memory.extremes_v[: memory.top + 1].copy()
+        hysteresis_um = model.hysteresis.simulate(self._voltage_v, memory)
+        if model.hysteretic_creep is not None:
+            hysteresis_um += model.hysteretic_creep.simulate(
+                self._voltage_v, part.sample_period_s, model.hysteretic_creep.memory(extremes_v))
+        if model.first_rise is not None:
+            highest_v = self.highest_v if highest_v is None else highest_v
+            hysteresis_um += model.first_rise.simulate(
+                self._voltage_v, max(highest_v, self._before_v.max()))
+        simulated_um = respond(
+            self._system, hysteresis_um, part.sample_period_s, self._samples, self._delay_s)
+        for effect in self._effects:
+            simulated_um = effect.apply(simulated_um, part.sample_period_s)
+        return simulated_um[self.settled]

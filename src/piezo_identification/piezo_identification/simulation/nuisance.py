@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a recording does not tell beside any model: its offset, and how far the creep had come."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_models.cascade import StageModel
+
+
+def nuisance_regressors(part: SimulatedRecording, rows: NDArray[np.intp]) -> FloatArray:
+    """Return what a recording does not tell: its offset, and how far the creep had come.
+
+    Parameters
+    ----------
+    part : SimulatedRecording
+    rows : array of int
+        Samples.
+
+    Returns
+    -------
+    (n, 1 + creep pairs) array
+    """
+    time_s = part.time_s[rows]
+    return np.column_stack([np.exp(-p * time_s) for p in _nuisance_rates(part.model)])
+
+
+def nuisance_signal(part: SimulatedRecording, sizes: FloatArray) -> FloatArray:
+    """Return the sum of the nuisance regressors times their sizes at all samples, (N,).
+
+    Parameters
+    ----------
+    part : SimulatedRecording
+    sizes : (1 + creep pairs,) array
+    """
+    summed = np.zeros(part.time_s.size)
+    for size, rate in zip(sizes, _nuisance_rates(part.model), strict=True):
+        summed += size * np.exp(-rate * part.time_s)
+    return summed
+
+
+def _nuisance_rates(model: StageModel) -> list[float]:
+    """Return the rates by which the nuisance regressors decay; that of the offset is zero."""
+    rates = [0.0, *model.creep.poles_rad_per_s]
+    if model.hysteretic_creep is not None:
+        rates += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
+    return rates

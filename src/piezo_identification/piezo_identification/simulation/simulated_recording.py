@@ -1,0 +1,299 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A recording beside many simulations of it, by a model with one effect or another."""
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Self
+
+import control
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.outlier_samples import OUTLIER, good_samples
+from piezo_identification.conditioning.sensor_noise import repeated_period
+from piezo_identification.conditioning.settling import first_settled
+from piezo_identification.conditioning.waveforms import (
+    played,
+    samples_per_mean,
+    with_voltage_before,
+)
+from piezo_identification.simulation.model_run import ModelRun, starting_past_v
+from piezo_identification.simulation.sampled_response import (
+    behind_lags,
+    leading_lags,
+    respond,
+)
+from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect
+from piezo_models.hysteresis.first_rise import CYCLED
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_recorder.reading.recording import Recording
+
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """Numbers of the simulation of a recording.
+
+    Attributes
+    ----------
+    fewest_samples : int
+        Samples that a recording needs: a third of them is held out, and a dozen effects are fitted.
+    kept_outputs : int
+        Outputs of the linear part that are remembered beside the first, and signals between effects
+        behind it. A fit varies one effect at a time, so that the last few are what it asks for
+        again; a few fits go on side by side.
+    """
+
+    fewest_samples: int = 500
+    kept_outputs: int = 6
+
+
+KEPT = 32
+"""Linear parts that are kept: a fit asks all its recordings for the same few."""
+
+SETTINGS = SimulationSettings()
+
+
+class SimulatedRecording:
+    """The part of a recording in which a waveform plays, and a model's simulation of it.
+
+    Parameters
+    ----------
+    model : StageModel
+    recording : Recording
+        With the sign of the model, and its outliers marked.
+    past_v : (float, float) or (), optional
+        Voltages that the hysteresis met before the recording; by default those of
+        `starting_past_v`.
+    read_late_s : float
+        Time after its voltage at which the displacement of a row is read; not of means.
+
+    Attributes
+    ----------
+    time_s, voltage_v, measured_um : (N,) array
+        Of the part in which the waveform plays.
+    outlier : (N,) array of bool
+        Samples that were marked as outliers.
+    off_um : (N,) array
+        By how much the outliers were off before they were put back among their neighbours.
+    begin : int
+        First sample at which the start has settled.
+    hysteresis_um, input_um : (N,) array
+        Output of the hysteresis, and the same with its creep: the input of the linear part.
+
+    Raises
+    ------
+    ValueError
+        If the recording has gaps, or is too short.
+    """
+
+    def __init__(self, model: StageModel, recording: Recording,
+                 past_v: tuple[float, ...] | None = None, read_late_s: float = 0.0) -> None:
+        part = played(recording)
+        self.read_late_s = read_late_s
+        self.path = recording.path
+        self.model = model
+        self.sample_period_s = part.sample_period_s
+        self.samples_per_mean = samples_per_mean(part)
+        self.time_s = part.time_s - part.time_s[0]
+        self.voltage_v = np.ascontiguousarray(part.voltage_v, dtype=float)
+        self.measured_um = np.ascontiguousarray(part.displacement_um, dtype=float)
+        self.outlier = ~good_samples(part)
+        self.off_um = part.columns.get(OUTLIER, np.zeros(self.time_s.size))
+        self._joined_v, self._samples_before = with_voltage_before(recording, part)
+        self.begin = first_settled(model.dynamics, self.time_s)
+        if self.time_s.size - self.begin < SETTINGS.fewest_samples:
+            raise ValueError(
+                f"{self.path} has {self.time_s.size} samples, fewer than "
+                f"{SETTINGS.fewest_samples} after the start has settled: record longer"
+            )
+        self.past_v = starting_past_v(model, recording) if past_v is None else past_v
+        self._highest_v = CYCLED if model.first_rise is None else (
+            ModelRun(model, recording).highest_v)
+        self._simulate_hysteresis()
+        self._simulate_linear()
+
+    def with_model(self, model: StageModel) -> Self:
+        """Return the same recording simulated by another model, after the same past.
+
+        What the recording tells of the past is told by one model: so it stays while a fit changes
+        another, and is not sought once more for each.
+        """
+        other, given = copy(self), self.model
+        other.model = model
+        if not (model.hysteresis is given.hysteresis and model.first_rise is given.first_rise
+                and model.hysteretic_creep is given.hysteretic_creep
+                and model.effects_at("voltage") == given.effects_at("voltage")):
+            other._simulate_hysteresis()
+        other._simulate_linear()
+        return other
+
+    def read_at(self, read_late_s: float) -> Self:
+        """Return the same recording, its displacements read at another time after its voltages."""
+        other = copy(self)
+        other.read_late_s = read_late_s
+        other._simulate_linear()
+        return other
+
+    def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
+                 rows: NDArray[np.intp] | None = None) -> FloatArray:
+        """Return the displacement that the model with these effects besides its own would measure.
+
+        Parameters
+        ----------
+        effects : sequence of piezo_models.effects.effect.Effect
+        quick : sequence of piezo_models.effects.effect.Effect
+            Those among them that may act on the sampled displacement where they are linear. That
+            is a little less exact than a system in series with the others, and much faster.
+        rows : (n,) array of int, optional
+            Samples that are asked for, sorted; by default all. A few of many cost less.
+
+        Returns
+        -------
+        (N,) or (n,) array
+        """
+        on_voltage = tuple(effect for effect in effects if effect.place == "voltage")
+        in_series = tuple(
+            effect for effect in effects
+            if effect.place == "modes" or effect.place == "linear" and effect not in quick
+        )
+        behind = tuple(
+            effect for stage in (effects, self.model.effects)
+            for place in ("displacement", "sensor") for effect in stage if effect.place == place
+        )
+        lags, others = leading_lags(behind, self.samples_per_mean)
+        quick = tuple(effect for effect in quick if effect.place == "linear")
+        linear_part, in_turn = (on_voltage, in_series, lags), (*quick, *others)
+        if rows is None:
+            return self._behind(linear_part, in_turn)
+        # Where a fit differentiates, never one sum by all samples and the other by some.
+        if in_turn or not any(linear_part):
+            return self._behind(linear_part, in_turn)[rows]
+        return self._output(*linear_part, rows)
+
+    def hysteresis_output_um(self, hysteresis: PreisachModel) -> FloatArray:
+        """Return the output of another hysteresis at the same voltages, in um, (N,).
+
+        A first rise adds nothing to it: so outputs of parts of a hysteresis sum to that of it.
+        """
+        return self._cycled_um(hysteresis, self._amplified_v)[self._samples_before :]
+
+    def respond(self, system: control.StateSpace, input_um: FloatArray, delay_s: float = 0.0,
+                at: NDArray[np.intp] | None = None) -> FloatArray:
+        """Return the output of a continuous system, sampled as the recording is; see `respond`."""
+        return respond(system, input_um, self.sample_period_s, self.samples_per_mean,
+                       delay_s - self.read_late_s, at)
+
+    def _simulate_hysteresis(self) -> None:
+        """Simulate what is ahead of the linear part of the model."""
+        model = self.model
+        self._amplified_v = model.amplified(self._joined_v, self.sample_period_s)
+        self.hysteresis_um, self._rest_input_um = self._hysteresis(
+            model.hysteresis, self._amplified_v)
+        self.input_um = self._with_creep(self.hysteresis_um, self._amplified_v)
+
+    def _simulate_linear(self) -> None:
+        """Simulate the linear part without more effects, and forget what others gave."""
+        for name in ("rest_um", "drive_um"):
+            vars(self).pop(name, None)
+        self._outputs: dict[tuple, FloatArray] = {}
+        self._ahead: dict[tuple, FloatArray] = {}
+
+    @cached_property
+    def rest_um(self) -> float:
+        """Return the displacement at which the stage rested before."""
+        moved_um = self.hysteresis_um[0] - self._rest_input_um
+        return float(self._output((), (), ())[0] - moved_um)
+
+    @cached_property
+    def repeated_period(self) -> int | None:
+        """Return samples after which the voltage repeats, once the start has settled; or None."""
+        return repeated_period(self.voltage_v[self.begin :])
+
+    @cached_property
+    def drive_um(self) -> FloatArray:
+        """Return what drives the modes: the displacement if they followed at once, (N,)."""
+        lag = type(self.model.dynamics)(self.model.dynamics.time_constant_s)
+        without_modes = replace(self.model, dynamics=lag, effects=self.model.effects_at("linear"))
+        return self.respond(without_modes.linear(), self.input_um)
+
+    def _hysteresis(self, hysteresis: PreisachModel,
+                    amplified_v: FloatArray) -> tuple[FloatArray, float]:
+        """Return the output while the waveform plays, and at the first sample of the recording."""
+        output_um = self._cycled_um(hysteresis, amplified_v)
+        if self.model.first_rise is not None:
+            output_um += self.model.first_rise.simulate(amplified_v, self._highest_v)
+        return output_um[self._samples_before :], output_um[0]
+
+    def _cycled_um(self, hysteresis: PreisachModel, amplified_v: FloatArray) -> FloatArray:
+        """Return the output of a stage that was cycled, from the first sample of the recording."""
+        memory = hysteresis.memory()
+        hysteresis.simulate(self.past_v, memory)
+        return hysteresis.simulate(amplified_v, memory)
+
+    def _with_creep(self, hysteresis_um: FloatArray, amplified_v: FloatArray) -> FloatArray:
+        """Input of the linear part: the output of the hysteresis with its creep."""
+        model = self.model
+        if model.hysteretic_creep is None:
+            return hysteresis_um
+        past = model.hysteresis.memory()
+        model.hysteresis.simulate(
+            [*self.past_v, *amplified_v[: self._samples_before + 1]], past)
+        memory = model.hysteretic_creep.memory(past.extremes_v[: past.top + 1])
+        return hysteresis_um + model.hysteretic_creep.simulate(
+            amplified_v[self._samples_before :], self.sample_period_s, memory)
+
+    def _behind(self, linear_part: tuple, effects: tuple[Effect, ...]) -> FloatArray:
+        """Return the displacement behind effects that follow the linear part one after another.
+
+        What enters the last of them is kept for the next time.
+        """
+        if not effects:
+            return self._output(*linear_part)
+        others, last = effects[:-1], effects[-1]
+        key = linear_part, others
+        ahead_um = self._ahead.pop(key, None)
+        if ahead_um is None:
+            ahead_um = self._behind(linear_part, others)
+        if others:
+            # What was used last goes last.
+            self._ahead[key] = ahead_um
+            for old in list(self._ahead)[: -SETTINGS.kept_outputs]:
+                self._ahead.pop(old, None)  # another fit beside this one may have been first
+        return last.apply(ahead_um, self.sample_period_s, self.rest_um)
+
+    def _output(self, on_voltage: tuple[Effect, ...], in_series: tuple[Effect, ...],
+                lags: tuple[Effect, ...], at: NDArray[np.intp] | None = None) -> FloatArray:
+        """Return the output of the linear part and the lags behind it, kept for the next time."""
+        key = on_voltage, in_series, lags, None if at is None else at.tobytes()
+        output = self._outputs.get(key)
+        if output is None:
+            output = self._response(on_voltage, in_series, lags, at)
+            # A fit tries many; the first and the last few are worth the memory.
+            for old in list(self._outputs)[1 : -SETTINGS.kept_outputs]:
+                self._outputs.pop(old, None)  # another fit beside this one may have been first
+            self._outputs[key] = output
+        return output
+
+    def _response(self, on_voltage: tuple[Effect, ...], in_series: tuple[Effect, ...],
+                  lags: tuple[Effect, ...], at: NDArray[np.intp] | None = None) -> FloatArray:
+        """Return the output of the linear part and the lags behind it, at all samples or some."""
+        input_um = self.input_um
+        if on_voltage:
+            voltage_v = self._joined_v
+            for effect in on_voltage:
+                voltage_v = effect.apply(voltage_v, self.sample_period_s)
+            amplified_v = self.model.amplified(voltage_v, self.sample_period_s)
+            hysteresis_um, _ = self._hysteresis(self.model.hysteresis, amplified_v)
+            input_um = self._with_creep(hysteresis_um, amplified_v)
+        system, delay_s = behind_lags(_linear_part(self.model, in_series), lags)
+        return self.respond(system, input_um, delay_s, at)
+
+
+@lru_cache(maxsize=KEPT)
+def _linear_part(model: StageModel, more: tuple[Effect, ...]) -> control.StateSpace:
+    """Return the linear part of a model with more effects; nobody may change it."""
+    return replace(model, effects=(*model.effects, *more)).linear()

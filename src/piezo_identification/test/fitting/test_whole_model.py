@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One fit of the whole model: it corrects every component, and finds the right structure."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezo_identification.conditioning.outlier_samples import with_outliers_marked
+from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.fitting.structure_search import is_better, search
+from piezo_identification.fitting.whole_model import WholeModel
+from piezo_identification.prediction import unseen_errors
+from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+
+pytestmark = pytest.mark.kernels
+
+LAG_S, NOISE_UM = 3e-4, 0.009
+
+
+@pytest.fixture(scope="module")
+def recordings(play):
+    return [with_outliers_marked(each) for each in (
+        play(experiments.creep(period_s=60.0), 1, 100.0),
+        play(experiments.dynamics(duration_s=0.2), 1),
+        play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0))]
+
+
+@pytest.fixture(scope="module")
+def unseen(play):
+    return play(experiments.validation(arc_s=0.05, tones_s=0.2), 2)
+
+
+@pytest.fixture(scope="module")
+def wrong(plant):
+    """The plant with errors in every component."""
+    density = plant.hysteresis.density_um_per_v2
+    tilt = 1.0 + np.linspace(-0.03, 0.03, len(density))[:, None]
+    return replace(
+        plant,
+        hysteresis=replace(plant.hysteresis, density_um_per_v2=density * tilt),
+        creep=CreepDynamics((0.0145, 0.165, 1.08, 17.0), (0.0149, 0.1685, 1.1, 17.8)),
+        dynamics=ElectricVibrationDynamics(0.0005, (2800.0, 4930.0), (0.70, 0.085)),
+    )
+
+
+@pytest.fixture(scope="module")
+def searched(wrong, recordings):
+    problem = WholeModel(wrong, recordings, [0.0] * 3, [True, True, False])
+    return search(problem, wrong)
+
+
+def test_one_fit_corrects_every_component(plant, searched):
+    model = searched[0].model
+    frequency_hz = np.geomspace(0.01, 2000.0, 200)
+    ratio = model.response(frequency_hz) / plant.response(frequency_hz)
+    np.testing.assert_allclose(np.abs(ratio), 1.0, atol=2e-2)
+    np.testing.assert_allclose(
+        model.hysteresis.output_range_um[1], plant.hysteresis.output_range_um[1], rtol=2e-3)
+
+
+def test_one_fit_is_as_good_on_another_input(wrong, searched, unseen):
+    before, after = unseen_errors(wrong, unseen), unseen_errors(searched[0].model, unseen)
+    assert after["e_y_percent"] < 0.3 * before["e_y_percent"]
+
+
+def test_the_standard_deviations_cover_the_errors_of_the_fast_dynamics(plant, searched):
+    fit = searched[0]
+    deviations = fit.deviations()[0]["dynamics"]
+    for name in ("time_constant_s", "mode_frequencies_rad_per_s", "damping_ratios"):
+        error = np.subtract(getattr(fit.model.dynamics, name), getattr(plant.dynamics, name))
+        assert np.all(np.abs(error) < 4.0 * np.array(deviations[name])), name
+        assert np.all(np.array(deviations[name]) < 0.05 * np.abs(getattr(fit.model.dynamics, name)))
+
+
+def test_nothing_that_was_tried_has_more_evidence_and_held_out_rows_that_agree(searched):
+    best, tried = searched
+    assert not any(is_better(fit, best) for _, fit in tried if fit is not best)
+
+
+def test_a_model_that_is_right_is_not_replaced_by_a_worse_one(plant, recordings):
+    problem = WholeModel(plant, recordings, [0.0] * 3, [True, True, False])
+    best, tried = search(problem, plant)
+    assert best.evidence_over(tried[0][1]) >= 0.0
+    assert not best.model.effects
+
+
+def test_a_lag_that_stands_behind_the_hysteresis_is_moved_to_the_front(plant, play):
+    stage = replace(plant, effects=(AmplifierLag(LAG_S),))
+    parts = [play(experiments.dynamics(duration_s=0.2), 1, stage=stage),
+             play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0,
+                  stage=stage)]
+    behind = replace(plant, dynamics=replace(
+        plant.dynamics, time_constant_s=plant.dynamics.time_constant_s + LAG_S))
+    problem = WholeModel(behind, parts, [0.0, 0.0], [True, False])
+    best, tried = search(problem, behind)
+    lags_s = [effect.time_constant_s for effect in best.model.effects
+              if isinstance(effect, AmplifierLag)]
+    left_um, before_um = (np.std(fit.left_um[0][0]) for fit in (best, tried[0][1]))
+    assert len(lags_s) == 1
+    assert left_um < 1.1 * NOISE_UM < before_um
+    assert lags_s[0] == pytest.approx(LAG_S, rel=0.1)
+
+
+def test_rows_that_are_read_late_within_their_hold_are_found(plant, play):
+    """A logger at half the clock reads each row at an instant of its own, 0.5 periods late."""
+    whole = play(experiments.dynamics(duration_s=0.2), 1)
+    held = np.repeat(whole.voltage_v[::2], 2)[: whole.voltage_v.size]
+    measured_um = plant.simulate(held, 1.0 / 40_000.0)
+    noise = np.random.default_rng(5).normal(size=measured_um.size)
+    late = replace(
+        whole.select(np.arange(whole.voltage_v.size) % 2 == 0),
+        sample_rate_hz=20_000.0, sample_index=np.arange(measured_um[1::2].size),
+        sample_periods_s=np.full(measured_um[1::2].size, 5e-5), voltage_v=held[::2],
+        displacement_um=measured_um[1::2] + NOISE_UM * noise[1::2])
+    problem = WholeModel(plant, [late], [0.0], [False])
+    best, _ = search(problem, plant)
+    assert best.delay_s == pytest.approx(-2.5e-5, abs=2e-6)

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Effects one behind another: which of them are simulated anew when one of them changes."""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+import piezo_identification.simulation.simulated_recording as module
+from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.simulation.simulated_recording import (
+    SETTINGS,
+    SimulatedRecording,
+)
+from piezo_models.effects.backlash import Backlash
+from piezo_models.effects.effect import parameter
+from piezo_models.effects.sensor_lag import SensorLag
+from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
+from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.effects.voltage_clipping import VoltageClipping
+from piezo_models.hysteresis.first_rise import FirstRise
+
+
+@dataclass(frozen=True)
+class CountedBacklash(Backlash):
+    """Tells of each time that it is applied."""
+
+    applied: ClassVar[list] = []
+    number: float = parameter("1", default=0.0)
+
+    def apply(self, signal, sample_period_s, rest=None):
+        self.applied.append(self.number)
+        return super().apply(signal, sample_period_s, rest)
+
+
+def sensor(cubic):
+    return SensorNonlinearity(0.1, 0.5, cubic, 0.1, 50.0, 50.0)
+
+
+@pytest.fixture
+def recording(plant, play):
+    CountedBacklash.applied.clear()
+    return SimulatedRecording(plant, play(experiments.validation(arc_s=0.02, tones_s=0.2), 1))
+
+
+def test_an_effect_is_simulated_once_while_only_what_lies_behind_it_changes(recording):
+    ahead = CountedBacklash(0.05)
+    for cubic in (0.1, 0.2, 0.3):
+        expected_um = sensor(cubic).apply(
+            Backlash(0.05).apply(recording.simulate(), recording.sample_period_s,
+                                 recording.rest_um),
+            recording.sample_period_s, recording.rest_um)
+        np.testing.assert_array_equal(recording.simulate((ahead, sensor(cubic))), expected_um)
+    assert CountedBacklash.applied == [0.0]
+
+
+def test_what_is_used_is_kept_and_what_is_not_goes(recording):
+    kept = CountedBacklash(0.05)
+    for number in range(1, 2 * SETTINGS.kept_outputs):
+        recording.simulate((kept, sensor(0.1 * number)))
+        recording.simulate((CountedBacklash(0.05, number), sensor(0.1)))
+    assert CountedBacklash.applied.count(0.0) == 1
+    recording.simulate((CountedBacklash(0.05, 1), sensor(0.1)))
+    assert CountedBacklash.applied.count(1.0) == 2
+
+
+MODE, LAG = VibrationMode(9000.0, 0.01, 0.01), SensorLag(1e-4)
+
+
+@pytest.mark.parametrize("effects", [
+    (), (MODE,), (LAG,), (VoltageClipping(-10.0, 40.0), MODE), (MODE, Backlash(0.05)),
+], ids=lambda effects: "_and_".join(effect.name for effect in effects) or "none")
+def test_rows_are_those_of_the_whole_simulation(recording, effects):
+    rows = np.concatenate([np.arange(20), recording.time_s.size - np.arange(9, 0, -1)])
+    some_um = recording.simulate(effects, rows=rows)
+    np.testing.assert_allclose(some_um, recording.simulate(effects)[rows], rtol=0.0, atol=1e-8)
+
+
+def test_the_same_rows_are_simulated_once(recording):
+    rows = np.arange(9)
+    some_um = recording.simulate((MODE,), rows=rows)
+    assert recording.simulate((MODE,), rows=rows.copy()) is some_um
+    assert recording.simulate((MODE,), rows=rows + 1) is not some_um
+
+
+@pytest.mark.parametrize("change", [
+    lambda model: replace(model, dynamics=replace(model.dynamics, time_constant_s=6e-4)),
+    lambda model: replace(model, hysteresis=replace(
+        model.hysteresis, density_um_per_v2=1.1 * model.hysteresis.density_um_per_v2)),
+    lambda model: replace(model, effects=(LAG,)),
+    lambda model: replace(model, effects=(VoltageClipping(-10.0, 40.0), MODE)),
+], ids=["dynamics", "hysteresis", "sensor", "voltage"])
+def test_another_model_is_simulated_as_if_the_recording_had_been_read_for_it(
+        recording, plant, play, change):
+    model, effects = change(plant), (Backlash(0.05),)
+    recording.simulate(effects)
+    anew = SimulatedRecording(
+        model, play(experiments.validation(arc_s=0.02, tones_s=0.2), 1), recording.past_v)
+    moved = recording.with_model(model)
+    assert moved.rest_um == anew.rest_um
+    np.testing.assert_array_equal(moved.simulate(), anew.simulate())
+    np.testing.assert_array_equal(moved.simulate(effects), anew.simulate(effects))
+    np.testing.assert_array_equal(moved.drive_um, anew.drive_um)
+
+
+def test_how_far_a_stage_had_risen_is_not_sought_for_every_model(plant, play, monkeypatch):
+    """The search simulates the recording some eight times, and a fit changes its model often."""
+    rising = replace(plant, first_rise=FirstRise((0.0, 60.0), (0.0, 2.0)))
+    recording = SimulatedRecording(rising, play(experiments.validation(arc_s=0.02, tones_s=0.2), 1))
+    monkeypatch.setattr(module, "ModelRun", None)
+    monkeypatch.setattr(module, "starting_past_v", None)
+    same = recording.with_model(replace(rising, hysteresis=replace(rising.hysteresis)))
+    np.testing.assert_array_equal(same.simulate(), recording.simulate())

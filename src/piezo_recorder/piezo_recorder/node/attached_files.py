@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Attachments of a recording that come as the path and the hash of a file."""
+
+import hashlib
+from itertools import zip_longest
+
+from piezo_interfaces.srv import StartRecording
+
+from piezo_common.regular_file import open_regular
+
+MOST_BYTES = 64_000_000
+"""A model of 1000 levels has a third of that."""
+
+
+def read_attachments(request: StartRecording.Request) -> tuple[dict[str, bytes], list[str], str]:
+    """Read what is to be kept inside a recording.
+
+    Parameters
+    ----------
+    request : StartRecording.Request
+
+    Returns
+    -------
+    contents : dict of str to bytes
+        By name.
+    unread : list of str
+        Names whose files cannot be read, or hold something else than they did.
+    refusal : str
+        Says so; empty where everything was read.
+    """
+    contents, unread, reasons = {}, [], []
+    for name, content, path, sha256 in zip_longest(
+            request.attachment_names, request.attachment_contents, request.attachment_paths,
+            request.attachment_sha256, fillvalue=""):
+        contents[name] = content.encode()
+        if not path:
+            continue
+        try:
+            contents[name] = _read(path, sha256)
+        except (OSError, ValueError) as error:
+            unread.append(name)
+            reasons.append(f"the attachment {name} cannot be kept: {path!r}: "
+                           f"{getattr(error, 'strerror', None) or error}")
+    return contents, unread, reasons and f"{'; '.join(reasons)}; send its content instead." or ""
+
+
+def _read(path: str, sha256: str) -> bytes:
+    """Return what a file holds; raise ValueError unless it is what the client has read."""
+    with open_regular(path, MOST_BYTES) as file:
+        content = file.read(MOST_BYTES)
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise ValueError("has another sha256 than the request says")
+    return content

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Keep what one node takes from the memory of the stage: a limit, and who is ended first."""
+
+import os
+import resource
+from contextlib import suppress
+from pathlib import Path
+
+OOM_SCORE = 500
+"""Added to the kernel's score of a process that is to be ended before the stage; 1000 at most."""
+
+CONTROL_GROUP_LIMITS = ("/sys/fs/cgroup/memory.max",
+                        "/sys/fs/cgroup/memory/memory.limit_in_bytes")
+
+
+def machine_bytes() -> int:
+    """Return the memory of this machine, or of the container that runs this process."""
+    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    for path in CONTROL_GROUP_LIMITS:
+        with suppress(OSError, ValueError):  # "max" for none
+            limits.append(int(Path(path).read_text(encoding="ascii")))
+    return min(limits)
+
+
+def limit_memory(percent: float) -> None:
+    """Let allocations of this process fail beyond a share of the machine's memory.
+
+    What is mapped from files and shared with others does not count, and neither does address space
+    that is only reserved, as for the heaps of threads.
+
+    Parameters
+    ----------
+    percent : float
+        Of `machine_bytes`.
+    """
+    _, most = resource.getrlimit(resource.RLIMIT_DATA)
+    limit = int(machine_bytes() * percent / 100.0)
+    resource.setrlimit(
+        resource.RLIMIT_DATA, (limit if most == resource.RLIM_INFINITY else min(limit, most), most))
+
+
+def end_before_stage() -> None:
+    """Have the kernel end this process before the stage when memory runs out."""
+    score = Path("/proc/self/oom_score_adj")
+    with suppress(OSError, ValueError):  # only Linux has it
+        score.write_text(str(max(OOM_SCORE, int(score.read_text(encoding="ascii")))),
+                         encoding="ascii")

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Other methods than that of `design_at_sample_rate`, searched by trial for the largest margin.
+
+The H-infinity synthesis over its weights and constant scalings (D and K at once, as `dk_iteration`
+has it), and the classical forms of `classical_candidates`: both have few numbers.
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+import control
+import numpy as np
+from scipy.optimize import minimize
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_controller.feedback.feedback_design import FeedbackController
+from piezo_controller.feedback.sample_rate.demands import Demands
+from piezo_controller.feedback.sample_rate.fast_design import (
+    METHOD,
+    check_modes,
+    design_at_sample_rate,
+    measured_design,
+)
+from piezo_controller.feedback.sample_rate.perturbed_loops import PerturbedLoops, light_mode
+from piezo_controller.feedback.synthesis.dk_iteration import scale, tick_frequencies
+from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.h_infinity import NoController, close, synthesise
+from piezo_controller.feedback.synthesis.structured_singular_value import (
+    sampled_response,
+    structured_singular_values,
+)
+from piezo_models.cascade import StageModel
+from piezo_studies.high_bandwidth.classical_candidates import CANDIDATES
+from piezo_studies.high_bandwidth.light_mode_problem import (
+    UNCERTAINTIES,
+    SampleRateWeights,
+    light_mode_problem,
+)
+
+H_INFINITY = "h_infinity"
+METHODS = (METHOD, H_INFINITY, *CANDIDATES)
+
+COARSE = 0.03
+"""Relative width to which a norm is bisected; the search needs no more."""
+
+SLACK = 0.05
+VIOLATION = 3.0
+"""What a decibel beyond a limit costs, in decibels of margin."""
+
+NO_CONTROLLER = 1e3
+
+STEPS = (0.05, 0.15, 0.4)
+"""Sizes of the steps nearby, as parts of a number."""
+
+
+def design_by(method: str, model: StageModel, demands: Demands, clock_period_s: float = 25e-6,
+              effort: float = 1.0, seed: int = 0, delay_ticks: int = 0) -> FeedbackController:
+    """Design a feedback that answers every sample by a method of `METHODS`.
+
+    Parameters
+    ----------
+    method : str
+    model : piezo_models.cascade.StageModel
+    demands : Demands
+    clock_period_s, effort, seed, delay_ticks
+        See `design_at_sample_rate`.
+
+    Returns
+    -------
+    FeedbackController
+        See `measured_design`; its report holds ``numbers`` of the family, too, and for
+        ``h_infinity`` ``gamma`` and ``mu``.
+
+    Raises
+    ------
+    UnstableLoop, ValueError
+        See `design_at_sample_rate`.
+    """
+    if method == METHOD:
+        return design_at_sample_rate(model, demands, clock_period_s=clock_period_s, effort=effort,
+                                     seed=seed, delay_ticks=delay_ticks)
+    check_modes(model)
+    loops = demands.loops(model, clock_period_s, delay_ticks)
+    first_mode_hz = min(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
+    family = (_HInfinityFamily(model, clock_period_s, delay_ticks) if method == H_INFINITY
+              else _ClassicalFamily(model, method, clock_period_s))
+    numbers = _search_by_trial(family, loops, demands, first_mode_hz, effort, seed)
+    return measured_design(family.controller(numbers), model, demands, loops, method,
+                           family.report(numbers), delay_ticks=delay_ticks)
+
+
+def _search_by_trial(family: "_Family", loops: PerturbedLoops, demands: Demands,
+                     first_mode_hz: float, effort: float, seed: int) -> FloatArray:
+    """Return the numbers of the largest margin that was found."""
+    def cost(logarithms: FloatArray) -> float:
+        try:
+            figures = loops.measure(family.controller(np.exp(logarithms)))
+        except NoController:
+            return NO_CONTROLLER
+        margin_db = demands.margin_db(figures, first_mode_hz)
+        return VIOLATION * demands.violation_db(figures) - margin_db
+
+    return np.asarray(np.exp(_search(cost, family, effort, seed)))
+
+
+class _ClassicalFamily:
+    """A form of `CANDIDATES`."""
+
+    ANYWHERE, NEARBY, SIMPLEX = 60, 60, 250
+
+    def __init__(self, model: StageModel, method: str, clock_period_s: float) -> None:
+        self._model, self._clock_period_s = model, clock_period_s
+        self._candidate = CANDIDATES[method]
+        self.start, self.bounds = self._candidate.start, self._candidate.bounds
+
+    def controller(self, numbers: FloatArray) -> control.StateSpace:
+        """Return the controller of some numbers."""
+        return self._candidate.controller(self._model, numbers, self._clock_period_s)
+
+    def report(self, numbers: FloatArray) -> dict[str, Any]:
+        """Return the part of the report that only this family has."""
+        return {"numbers": dict(zip(self._candidate.names, map(float, numbers), strict=True))}
+
+
+class _HInfinityFamily:
+    """H-infinity controllers over their weights and constant scalings."""
+
+    ANYWHERE, NEARBY, SIMPLEX = 0, 60, 80
+    NAMES = ("crossover", "corner", "peak", "control_gain", "roll_off", "noise",
+             "gain_uncertainty", "mode_uncertainty", "gain_scaling", "mode_scaling")
+    start = (0.67, 0.36, 7.6, 0.66, 13.7, 0.001, 0.22, 0.10, 17.0, 3.9)
+    """Frequencies as ratios to that of the light mode."""
+
+    bounds = ((0.3, 10.0), (0.02, 0.6), (1.2, 8.0), (0.5, 8.0), (1.0, 15.0), (1e-4, 0.3),
+              (0.05, 0.6), (0.01, 0.5), (0.05, 50.0), (0.05, 50.0))
+
+    def __init__(self, model: StageModel, clock_period_s: float, delay_ticks: int) -> None:
+        self._model, self._clock_period_s = model, clock_period_s
+        self._delay_ticks = delay_ticks
+        self._mode_hz = (model.dynamics.mode_frequencies_rad_per_s[light_mode(model)]
+                         / (2 * np.pi))
+        self._gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
+
+    def _synthesised(self, numbers: FloatArray) -> tuple[
+            SampleRateWeights, control.StateSpace, control.StateSpace, float]:
+        crossover, corner, peak, control_gain, roll_off, noise, of_gain, of_mode, *scalings = (
+            map(float, numbers))
+        weights = SampleRateWeights(
+            crossover * self._mode_hz, corner * self._mode_hz, peak, control_gain,
+            roll_off * self._mode_hz, noise, of_gain, of_mode)
+        problem = light_mode_problem(
+            self._model, weights, self._clock_period_s, self._delay_ticks)
+        controller, gamma = synthesise(scale(problem, scalings), SLACK, tolerance=COARSE)
+        return weights, problem, controller, gamma
+
+    def controller(self, numbers: FloatArray) -> control.StateSpace:
+        """Return the controller of some numbers."""
+        return self._synthesised(numbers)[2] * (1 / self._gain_um_per_v)
+
+    def report(self, numbers: FloatArray) -> dict[str, Any]:
+        """Return the part of the report that only this family has."""
+        weights, problem, controller, gamma = self._synthesised(numbers)
+        points: ComplexArray = np.exp(
+            2j * np.pi * tick_frequencies(self._clock_period_s, 200) * self._clock_period_s)
+        mu, _ = structured_singular_values(
+            sampled_response(close(problem, controller), points), UNCERTAINTIES)
+        return {"numbers": dict(zip(self.NAMES, map(float, numbers), strict=True)),
+                "sample_rate_weights": asdict(weights), "gamma": float(gamma),
+                "mu": float(mu.max())}
+
+
+_Family = _ClassicalFamily | _HInfinityFamily
+
+
+def _search(cost: Callable[[FloatArray], float], family: _Family, effort: float,
+            seed: int) -> FloatArray:
+    """Return the logarithms of the best numbers: from anywhere, then nearby, then by a simplex."""
+    rng = np.random.default_rng(seed)
+    low, high = np.log(family.bounds).T
+    best = np.log(family.start)
+    least = cost(best)
+    anywhere, nearby = round(effort * family.ANYWHERE), round(effort * family.NEARBY)
+    for trial in range(anywhere + nearby):
+        numbers = (rng.uniform(low, high) if trial < anywhere
+                   else best + rng.normal(size=best.size) * rng.choice(STEPS))
+        value = cost(np.clip(numbers, low, high))
+        if value < least:
+            least, best = value, np.clip(numbers, low, high)
+    simplex = best + np.vstack([np.zeros(best.size), 0.1 * np.eye(best.size)])
+    return minimize(cost, best, method="Nelder-Mead", options={
+        "initial_simplex": simplex, "maxfev": max(10, round(effort * family.SIMPLEX)),
+        "adaptive": True}).x

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hystereses of other forms than relays: plays between curves, Maxwell's slip, equations.
+
+Each is a function of a voltage (N,) that begins at 0 V on a stage that was never cycled, and
+returns what drives the linear part (um), shape (N,). None knows the time.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numba import njit
+
+from piezo_common.arrays import FloatArray
+
+
+class Hysteresis(Protocol):
+    """What makes a displacement of the voltage's history."""
+
+    def __call__(self, voltage_v: FloatArray) -> FloatArray:
+        """Return what drives the linear part (um), shape (N,)."""
+
+
+@dataclass(frozen=True)
+class Plays:
+    """A sum of plays, whose sides are different curves of the voltage.
+
+    Attributes
+    ----------
+    half_widths_v : ndarray, shape (P,)
+    weights_um_per_v : ndarray, shape (P,)
+    rising, falling : tuple of float
+        Coefficients of the voltage's powers from the first on: the curves of the two sides.
+    """
+
+    half_widths_v: FloatArray
+    weights_um_per_v: FloatArray
+    rising: tuple[float, ...]
+    falling: tuple[float, ...]
+
+    def __call__(self, voltage_v: FloatArray) -> FloatArray:
+        """Return what drives the linear part (um), shape (N,)."""
+        rising, falling = (np.polynomial.polynomial.polyval(voltage_v, (0.0, *side))
+                           for side in (self.rising, self.falling))
+        return _plays(rising, falling, self.half_widths_v, self.weights_um_per_v)
+
+
+@njit(cache=True)
+def _plays(rising: FloatArray, falling: FloatArray, half_widths: FloatArray,
+           weights: FloatArray) -> FloatArray:
+    driven = np.zeros(rising.size)
+    states = np.zeros(half_widths.size)
+    for n in range(rising.size):
+        for p in range(half_widths.size):
+            states[p] = max(rising[n] - half_widths[p],
+                            min(falling[n] + half_widths[p], states[p]))
+            driven[n] += weights[p] * states[p]
+    return driven
+
+
+@dataclass(frozen=True)
+class MaxwellSlip:
+    """A spring beside massless blocks on springs, each of which slips at a force of its own.
+
+    Goldfarb and Celanovic (1997). The displacement is what the voltage asks for, less what the
+    blocks hold back.
+
+    Attributes
+    ----------
+    gain_um_per_v : float
+    stiffnesses_um_per_v : ndarray, shape (B,)
+    limits_v : ndarray, shape (B,)
+        Way of the voltage after which a block slips.
+    curvature_per_v : float
+        Of the gain over the voltage.
+    """
+
+    gain_um_per_v: float
+    stiffnesses_um_per_v: FloatArray
+    limits_v: FloatArray
+    curvature_per_v: float = 0.0
+
+    def __call__(self, voltage_v: FloatArray) -> FloatArray:
+        """Return what drives the linear part (um), shape (N,)."""
+        free_um = self.gain_um_per_v * voltage_v * (1.0 + self.curvature_per_v * voltage_v)
+        return free_um - _blocks(voltage_v, self.stiffnesses_um_per_v, self.limits_v)
+
+
+@njit(cache=True)
+def _blocks(voltage: FloatArray, stiffnesses: FloatArray, limits: FloatArray) -> FloatArray:
+    held = np.zeros(voltage.size)
+    stretched = np.zeros(limits.size)
+    before = 0.0
+    for n in range(voltage.size):
+        for b in range(limits.size):
+            stretched[b] = min(max(stretched[b] + voltage[n] - before, -limits[b]), limits[b])
+            held[n] += stiffnesses[b] * stretched[b]
+        before = voltage[n]
+    return held
+
+
+@dataclass(frozen=True)
+class Duhem:
+    """The equation of Coleman and Hodgdon, s' = rate v' + slope |v'| (middle v - s).
+
+    Attributes
+    ----------
+    direct_um_per_v, state_um_per_v : float
+        By which voltage and state are multiplied.
+    rate, slope_per_v, middle : float
+    """
+
+    direct_um_per_v: float
+    state_um_per_v: float
+    rate: float
+    slope_per_v: float
+    middle: float
+
+    def __call__(self, voltage_v: FloatArray) -> FloatArray:
+        """Return what drives the linear part (um), shape (N,)."""
+        state = _duhem(voltage_v, self.rate, self.slope_per_v, self.middle)
+        return self.direct_um_per_v * voltage_v + self.state_um_per_v * state
+
+
+@njit(cache=True)
+def _duhem(voltage: FloatArray, rate: float, slope: float, middle: float) -> FloatArray:
+    # Between two voltages the equation is linear: its solution is a line and an exponential.
+    states = np.empty(voltage.size)
+    state, before = 0.0, 0.0
+    for n in range(voltage.size):
+        way = voltage[n] - before
+        sign = 1.0 if way > 0.0 else -1.0
+        lag = (middle - rate) * sign / slope
+        state = (middle * voltage[n] - lag
+                 + (state - middle * before + lag) * np.exp(-slope * abs(way)))
+        before = voltage[n]
+        states[n] = state
+    return states
+
+
+@dataclass(frozen=True)
+class JilesAtherton:
+    """Domain walls that are pinned, after Jiles and Atherton (1986), about a polarised state.
+
+    Attributes
+    ----------
+    gain_um_per_v, saturation_um : float
+        Linear gain, and the largest displacement of the domains.
+    shape_v, pinning_v : float
+        Of the curve without hysteresis, and of the loops.
+    coupling_v_per_um, reversible : float
+        Field of the domains on themselves, and the part of them that moves reversibly.
+    middle_v : float
+        Voltage about which the curves are odd.
+    """
+
+    gain_um_per_v: float
+    saturation_um: float
+    shape_v: float
+    pinning_v: float
+    coupling_v_per_um: float
+    reversible: float
+    middle_v: float
+
+    def __call__(self, voltage_v: FloatArray) -> FloatArray:
+        """Return what drives the linear part (um), shape (N,)."""
+        return self.gain_um_per_v * voltage_v + _domains(
+            voltage_v - self.middle_v, -self.middle_v, self.saturation_um, self.shape_v,
+            self.pinning_v, self.coupling_v_per_um, self.reversible)
+
+
+@njit(cache=True)
+def _langevin(field: float) -> float:
+    if abs(field) < 1e-3:
+        return field / 3.0
+    return 1.0 / np.tanh(field) - 1.0 / field
+
+
+@njit(cache=True)
+def _slope(pinned: float, voltage: float, sign: float, saturation: float, shape: float,
+           pinning: float, coupling: float) -> float:
+    aimed = saturation * _langevin((voltage + coupling * pinned) / shape)
+    missing = aimed - pinned
+    # Walls never move against the voltage.
+    return 0.0 if missing * sign <= 0.0 else missing / (pinning * sign - coupling * missing)
+
+
+@njit(cache=True)
+def _domains(voltage: FloatArray, before: float, saturation: float, shape: float, pinning: float,
+             coupling: float, reversible: float) -> FloatArray:
+    longest = 0.02 * pinning
+    moved = np.empty(voltage.size)
+    pinned = 0.0
+    for n in range(voltage.size):
+        way = voltage[n] - before
+        parts = int(abs(way) / longest) + 1
+        step, sign = way / parts, 1.0 if way > 0.0 else -1.0
+        for _ in range(parts if way != 0.0 else 0):
+            halfway = pinned + 0.5 * step * _slope(
+                pinned, before, sign, saturation, shape, pinning, coupling)
+            pinned += step * _slope(
+                halfway, before + 0.5 * step, sign, saturation, shape, pinning, coupling)
+            before += step
+        before = voltage[n]
+        aimed = saturation * _langevin((voltage[n] + coupling * pinned) / shape)
+        moved[n] = (1.0 - reversible) * pinned + reversible * aimed
+    return moved

@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Linear systems as sums of their poles: lags, modes, creep by a continuum of rates, flexures."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import reduce
+from math import gamma
+from typing import Any, Self
+
+import numpy as np
+from numba import njit
+
+from piezo_common.arrays import ComplexArray, FloatArray
+
+RATES_PER_DECADE = 4
+"""Of a continuum of rates; the rule of trapezoids over their logarithm is then exact to 1e-7."""
+
+SMALL = 1e-3
+"""Step times pole below which a series replaces a difference of exponentials."""
+
+
+@dataclass(frozen=True)
+class LinearSystem:
+    """A direct part, and a sum of residues over s minus poles.
+
+    Attributes
+    ----------
+    poles_per_s : ndarray of complex, shape (P,)
+        One of each conjugate pair, all different.
+    residues : ndarray of complex, shape (P,)
+    direct : float
+    """
+
+    poles_per_s: ComplexArray
+    residues: ComplexArray
+    direct: float = 0.0
+
+    def at(self, s: complex | ComplexArray) -> Any:
+        """Return the transfer function at complex frequencies (rad/s), in their shape."""
+        s = np.asarray(s, dtype=complex)[..., None]
+        paired = self.poles_per_s.imag != 0.0
+        return self.direct + (
+            self.residues / (s - self.poles_per_s)
+            + paired * self.residues.conj() / (s - self.poles_per_s.conj())).sum(axis=-1)
+
+    def then(self, following: Self) -> Self:
+        """Return the two in series; they have no pole in common."""
+        return type(self)(
+            np.append(self.poles_per_s, following.poles_per_s),
+            np.append(self.residues * following.at(self.poles_per_s),
+                      following.residues * self.at(following.poles_per_s)),
+            self.direct * following.direct)
+
+    def beside(self, other: Self) -> Self:
+        """Return the sum of the two."""
+        return type(self)(np.append(self.poles_per_s, other.poles_per_s),
+                          np.append(self.residues, other.residues), self.direct + other.direct)
+
+    def weights(self) -> ComplexArray:
+        """Return the residues, twice those of a pair: the response is the real part of the sum."""
+        return np.where(self.poles_per_s.imag != 0.0, 2.0, 1.0) * self.residues
+
+
+def unchanged() -> LinearSystem:
+    """Return what passes everything on at once."""
+    return LinearSystem(np.empty(0, complex), np.empty(0, complex), 1.0)
+
+
+def lag(time_constant_s: float, share: float = 1.0) -> LinearSystem:
+    """Return a lag of first order."""
+    return LinearSystem(np.array([-1.0 / time_constant_s + 0j]),
+                        np.array([share / time_constant_s + 0j]))
+
+
+def mode(frequency_hz: float, damping: float, share: float = 1.0) -> LinearSystem:
+    """Return an oscillator with a damping ratio below one; the share is its static gain."""
+    w = 2.0 * np.pi * frequency_hz
+    damped = w * np.sqrt(1.0 - damping**2)
+    return LinearSystem(np.array([-damping * w + 1j * damped]),
+                        np.array([share * w**2 / (2j * damped)]))
+
+
+def beside_each_other(systems: Iterable[LinearSystem]) -> LinearSystem:
+    """Return the sum of systems."""
+    return reduce(LinearSystem.beside, systems)
+
+
+def coupled_flexures(mass: FloatArray, damping: FloatArray, stiffness: FloatArray,
+                     force: FloatArray, reading: FloatArray, direct: float) -> LinearSystem:
+    """Return bodies on springs that a force moves, of a static gain of one with the direct part.
+
+    Parameters
+    ----------
+    mass, damping, stiffness : ndarray, shape (B, B)
+    force, reading : ndarray, shape (B,)
+        How the force acts on the bodies, and how the sensor reads them.
+    direct : float
+        Part of the gain that follows at once.
+
+    Returns
+    -------
+    LinearSystem
+    """
+    bodies = len(mass)
+    a = np.block([[np.zeros((bodies, bodies)), np.eye(bodies)],
+                  [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]])
+    b = np.append(np.zeros(bodies), np.linalg.solve(mass, force))
+    c = np.append(reading, np.zeros(bodies))
+    poles, vectors = np.linalg.eig(a)
+    residues = (c @ vectors) * np.linalg.solve(vectors, b.astype(complex))
+    one_of_pair = poles.imag > 0.0
+    system = LinearSystem(poles[one_of_pair], residues[one_of_pair])
+    scale = (1.0 - direct) / system.at(0.0).real
+    return LinearSystem(system.poles_per_s, scale * system.residues, direct)
+
+
+def spectrum(share_of: Callable[[FloatArray], FloatArray], fastest_s: float,
+             slowest_s: float) -> LinearSystem:
+    """Return one plus a continuum of relaxations.
+
+    Parameters
+    ----------
+    share_of : callable
+        Share of the relaxations per unit of the natural logarithm of their time constants (s).
+    fastest_s, slowest_s : float
+        Time constants between which they lie.
+
+    Returns
+    -------
+    LinearSystem
+    """
+    count = round(RATES_PER_DECADE * np.log10(slowest_s / fastest_s)) + 1
+    times_s = np.geomspace(fastest_s, slowest_s, count)
+    shares = share_of(times_s) * np.log(slowest_s / fastest_s) / (count - 1)
+    return LinearSystem(-1.0 / times_s + 0j, shares / times_s + 0j, 1.0)
+
+
+def logarithmic_creep(per_decade: float, fastest_s: float = 1e-3,
+                      slowest_s: float = 1e6) -> LinearSystem:
+    """Return creep by a share of the displacement in every decade of time."""
+    return spectrum(lambda times_s: np.full(times_s.size, per_decade / np.log(10.0)),
+                    fastest_s, slowest_s)
+
+
+def power_creep(share: float, exponent: float, fastest_s: float = 1e-4,
+                slowest_s: float = 1e7) -> LinearSystem:
+    """Return creep by a power of time: the displacement grows by the share in the first second.
+
+    Relaxations that are faster than the fastest count as done at once.
+    """
+    def share_of(times_s: FloatArray) -> FloatArray:
+        return share * exponent / gamma(1.0 - exponent) * times_s**exponent
+
+    system = spectrum(share_of, fastest_s, slowest_s)
+    half_step = 0.5 * np.log(10.0) / RATES_PER_DECADE
+    faster = share_of(np.array([fastest_s * np.exp(-half_step)]))[0] / exponent
+    return LinearSystem(system.poles_per_s, system.residues, 1.0 + faster)
+
+
+def fractional_creep(share: float, time_s: float, order: float, fastest_s: float = 1e-5,
+                     slowest_s: float = 1e6) -> LinearSystem:
+    """Return 1 + share / (1 + (s T)^order), by the distribution of Cole and Cole (1941)."""
+    def share_of(times_s: FloatArray) -> FloatArray:
+        return share * np.sin(order * np.pi) / (2.0 * np.pi) / (
+            np.cosh(order * np.log(times_s / time_s)) + np.cos(order * np.pi))
+
+    return spectrum(share_of, fastest_s, slowest_s)
+
+
+def knots_s(period_s: float, fastest_per_s: float, read_s: float) -> FloatArray:
+    """Return instants within a row between which its signals are straight lines.
+
+    They are dense after the edge of the row, and far apart once the front is settled.
+
+    Parameters
+    ----------
+    period_s : float
+        Of the rows.
+    fastest_per_s : float
+        Magnitude of the fastest pole of what is in front of the hysteresis; 0 for none.
+    read_s : float
+        An instant that must be among them.
+
+    Returns
+    -------
+    ndarray
+        From 0 to the period.
+    """
+    times = [0.0]
+    if fastest_per_s > 0.0:
+        step = FINEST / fastest_per_s
+        while times[-1] + 1.5 * step < period_s:
+            times.append(times[-1] + step)
+            if times[-1] * fastest_per_s > DENSE:
+                step *= GROWTH
+    return np.unique([*times, read_s, period_s])
+
+
+FINEST, DENSE, GROWTH = 0.03, 6.0, 1.25
+"""First step and time that it is kept, times the fastest pole; by what later steps grow."""
+
+
+def held_response(system: LinearSystem, voltage_v: FloatArray, knots: FloatArray,
+                  state: ComplexArray) -> tuple[FloatArray, ComplexArray]:
+    """Return the exact response to a voltage that every row holds, at the knots of each row.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    voltage_v : ndarray, shape (N,)
+    knots : ndarray, shape (K,)
+    state : ndarray of complex, shape (P,)
+        Before the first row.
+
+    Returns
+    -------
+    response_v : ndarray, shape (N, K)
+    state : ndarray of complex, shape (P,)
+    """
+    if system.poles_per_s.size == 0:
+        return np.repeat(system.direct * voltage_v[:, None], knots.size, axis=1), state
+    kept = np.exp(np.multiply.outer(knots, system.poles_per_s))
+    return _held(kept, (kept - 1.0) / system.poles_per_s, system.weights(), system.direct,
+                 voltage_v, state)
+
+
+def straight_response(system: LinearSystem, input_um: FloatArray, knots: FloatArray, read: int,
+                      state: ComplexArray) -> tuple[FloatArray, ComplexArray]:
+    """Return the exact response to straight lines between the knots of each row.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    input_um : ndarray, shape (N, K)
+        It may jump from the last knot of a row to the first of the next one.
+    knots : ndarray, shape (K,)
+    read : int
+        The knot at which the response is read; at the first one before the jump.
+    state : ndarray of complex, shape (P,)
+        Before the first row.
+
+    Returns
+    -------
+    response_um : ndarray, shape (N,)
+    state : ndarray of complex, shape (P,)
+    """
+    steps = np.diff(knots)[:, None]
+    reached = steps * system.poles_per_s
+    kept = np.exp(reached)
+    small = np.abs(reached) < SMALL
+    safe = np.where(small, 1.0, reached)
+    level = steps * np.where(small, 1.0 + reached / 2.0 + reached**2 / 6.0,
+                             (kept - 1.0) / safe)
+    slope = steps * np.where(small, 0.5 + reached / 6.0 + reached**2 / 24.0,
+                             (kept - 1.0 - safe) / safe**2)
+    return _straight(kept, level - slope, slope, system.weights(), system.direct, input_um, read,
+                     state)
+
+
+@njit(cache=True)
+def _held(kept: ComplexArray, driven: ComplexArray, weights: ComplexArray, direct: float,
+          voltage_v: FloatArray, state: ComplexArray) -> tuple[FloatArray, ComplexArray]:
+    rows, knots, poles = voltage_v.size, kept.shape[0], state.size
+    response = np.empty((rows, knots))
+    state = state.copy()
+    for n in range(rows):
+        for k in range(knots):
+            value = direct * voltage_v[n]
+            for p in range(poles):
+                value += (weights[p] * (kept[k, p] * state[p] + driven[k, p] * voltage_v[n])).real
+            response[n, k] = value
+        for p in range(poles):
+            state[p] = kept[-1, p] * state[p] + driven[-1, p] * voltage_v[n]
+    return response, state
+
+
+@njit(cache=True)
+def _straight(kept: ComplexArray, first: ComplexArray, second: ComplexArray,
+              weights: ComplexArray, direct: float, signal: FloatArray, read: int,
+              state: ComplexArray) -> tuple[FloatArray, ComplexArray]:
+    rows, knots = signal.shape
+    response = np.empty(rows)
+    state = state.copy()
+    for n in range(rows):
+        for k in range(knots):
+            if k == read:
+                at = signal[max(n - 1, 0), knots - 1] if read == 0 else signal[n, k]
+                value = direct * at
+                for p in range(state.size):
+                    value += (weights[p] * state[p]).real
+                response[n] = value
+            if k < knots - 1:
+                for p in range(state.size):
+                    state[p] = (kept[k, p] * state[p] + first[k, p] * signal[n, k]
+                                + second[k, p] * signal[n, k + 1])
+    return response, state
