@@ -92,7 +92,8 @@ def test_published_reference_beyond_its_declaration_stops_the_stage_at_rest(
     followed = publisher.follow(model, tmp_path, "feedforward", 0.8)
     assert followed.degraded and not followed.success
     assert "beyond its declared 10 um about 50 um" in followed.degraded_reason
-    assert followed.message.startswith(followed.degraded_reason)
+    # Behind it stands what was left out meanwhile, which depends on the speed of the machine.
+    assert followed.degraded_reason.startswith(followed.message)
     played = client.samples()
     assert played.displacement_um.max() < CENTRE_UM + 6.0
     assert played.voltage_v[-1] == 0.0
