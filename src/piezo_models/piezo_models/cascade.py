@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.summary_table import SummaryTable
+from piezo_models.effects.amplifier_lag import parts_of_rows
 from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.first_rise import CYCLED, FirstRise
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
@@ -203,18 +204,21 @@ class StageModel:
             of a model without hysteretic creep.
         """
         memory = self.memory() if memory is None else memory
-        system = zoh(self.linear(), sample_period_s)
-        applied_v = self.amplified(voltage_v, sample_period_s, memory)
+        parts = parts_of_rows(self.effects_at("voltage"), sample_period_s)
+        part_s = sample_period_s / parts
+        system = zoh(self.linear(), part_s)
+        applied_v = self.amplified(
+            np.repeat(np.asarray(voltage_v, dtype=float), parts), part_s, memory)
         hysteresis = self.hysteresis.simulate(applied_v, memory.hysteresis)
         if self.hysteretic_creep is not None:
             if memory.hysteretic_creep is None:
                 raise ValueError("the memory has no part for the hysteretic creep; "
                                  "take one from this model's memory()")
             hysteresis += self.hysteretic_creep.simulate(
-                applied_v, sample_period_s, memory.hysteretic_creep
+                applied_v, part_s, memory.hysteretic_creep
             )
         if self.first_rise is not None and applied_v.size:
             hysteresis += self.first_rise.simulate(applied_v, memory.highest_v)
             memory.highest_v = max(memory.highest_v, float(applied_v.max()))
         displacement, memory.linear_state = continue_linear(system, hysteresis, memory.linear_state)
-        return self.sensed(displacement, sample_period_s, memory)
+        return self.sensed(displacement[::parts], sample_period_s, memory)

@@ -32,6 +32,7 @@ from piezo_identification.simulation.sampled_response import (
     respond,
 )
 from piezo_models.cascade import StageModel
+from piezo_models.effects.amplifier_lag import parts_of_rows
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
@@ -152,7 +153,8 @@ def _of_square_wave(
 
     def left_um(level: FloatArray) -> FloatArray:
         driving = _behind_amplifier(model, part, level) if component == "dynamics" else level
-        response = respond(system, driving, part.sample_period_s, samples, behind_s + delay_s)
+        response = respond(system, driving, part.sample_period_s, samples, behind_s + delay_s,
+                           parts=driving.size // level.size)
         columns = np.column_stack([response, beside])[first:]
         fitted = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
         return np.asarray(measured_um - columns @ fitted)
@@ -187,12 +189,15 @@ def _first_used(part: Recording, steps: NDArray[np.intp], creep: CreepDynamics) 
 
 def _behind_amplifier(model: StageModel, part: Recording, level: FloatArray) -> FloatArray:
     """Output of the hysteresis where the voltage between the levels passes it; else the levels."""
-    if not model.effects_at("voltage"):
+    ahead = model.effects_at("voltage")
+    if not ahead:
         return level
     low_v, high_v = float(np.min(part.voltage_v)), float(np.max(part.voltage_v))
     voltage_v = low_v + (high_v - low_v) * (level - level.min()) / np.ptp(level)
+    parts = parts_of_rows(ahead, part.sample_period_s, samples_per_mean(part))
     return model.hysteresis.simulate(
-        model.amplified(voltage_v, part.sample_period_s), model.hysteresis.memory())
+        model.amplified(np.repeat(voltage_v, parts), part.sample_period_s / parts),
+        model.hysteresis.memory())
 
 
 def _of_any_wave(free_gain: bool, model: StageModel, data: Recording) -> ComponentResidual:

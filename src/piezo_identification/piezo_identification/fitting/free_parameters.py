@@ -31,7 +31,6 @@ from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
     leading_lags,
-    respond_each,
 )
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
@@ -72,7 +71,8 @@ SMALL = 1e-6
 
 def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
                        about: StageModel | None = None,
-                       pieces_um: Iterable[FloatArray] | None = None) -> FloatArray:
+                       pieces_um: Iterable[FloatArray] | None = None,
+                       of_pieces_um: FloatArray | None = None) -> FloatArray:
     """Return the change of the displacement with each free parameter, for one of its widths.
 
     Parameters
@@ -86,6 +86,8 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
     pieces_um : iterable of (N,) array, optional
         Of `piece_outputs_um`; a lag ahead of the hysteresis is taken behind the pieces, too, where
         it does nearly the same to them. They are not used beside another effect on the voltage.
+    of_pieces_um : (n, pieces) array, optional
+        What the displacement changes by with them, where that is known from a model nearby.
 
     Returns
     -------
@@ -100,8 +102,7 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
 
     def responses(system: control.StateSpace,
                   inputs_um: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        return respond_each(system, inputs_um, part.sample_period_s, part.samples_per_mean,
-                            delay_s - part.read_late_s, rows if at_once else None)
+        return part.respond_each(system, inputs_um, delay_s, rows if at_once else None)
 
     ahead, of_pieces = model.effects_at("voltage"), linear
     if pieces_um is None or not all(type(effect) is AmplifierLag for effect in ahead):
@@ -111,7 +112,7 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
             [*(matrices_of(effect.lag()) for effect in ahead), matrices_of(linear)]))
     changes_um: Iterable[FloatArray] = chain(
         *(responses(system, [part.input_um]) for system in _moved_systems(model, given, lags)),
-        responses(of_pieces, pieces_um))
+        () if of_pieces_um is not None else responses(of_pieces, pieces_um))
     if others:
         displacement_um = part.respond(linear, part.input_um, delay_s)
         if at_once:
@@ -119,7 +120,8 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
             changes_um = (slope * change_um for change_um in changes_um)
         else:
             changes_um = _through(others, part, displacement_um, changes_um, rows)
-    return np.column_stack(list(changes_um))
+    columns = np.column_stack([np.empty((rows.size, 0)), *changes_um])
+    return columns if of_pieces_um is None else np.hstack([columns, of_pieces_um])
 
 
 def _moved_systems(model: StageModel, about: StageModel,

@@ -30,6 +30,7 @@ from piezo_identification.fitting.free_parameters import (
     decay_sensitivities,
     free_sensitivities,
     lowest_changes,
+    physical_count,
 )
 from piezo_identification.fitting.regression import SETTINGS as TOLERANCE
 from piezo_identification.simulation.nuisance import nuisance_regressors
@@ -150,6 +151,9 @@ class JointErrors:
         Others, which stay as they are.
     pieces_um : sequence of sequences of (N,) array, optional
         Of `free_parameters.piece_outputs_um`, for each recording: they are the same for all fits.
+    of_pieces_um : dict of int to (n, pieces) array, optional
+        What the displacement of each recording changes by with them: those that it has are taken
+        for those of a model nearby, the others are added.
     columns : (r, n) array, optional
         Derivatives of the displacement by the unknowns, in um, that stand for those everywhere;
         by default they are computed.
@@ -173,7 +177,9 @@ class JointErrors:
                  columns: FloatArray | None = None,
                  own_gain: Sequence[bool] | None = None,
                  independent: FloatArray | None = None,
-                 hysteresis_width: float = 1.0) -> None:
+                 hysteresis_width: float = 1.0,
+                 of_pieces_um: dict[int, FloatArray] | None = None) -> None:
+        self._of_pieces_um = of_pieces_um
         self.dataset, self.new_count, self.later = dataset, new_count, later
         self._independent = np.full(
             len(dataset.simulated), SETTINGS.independent) if independent is None else independent
@@ -226,6 +232,11 @@ class JointErrors:
             changes = np.vstack(self._columns[1])[:, : self.count]
         return replace(point.dataset, regressors=np.hstack([nuisance, changes]),
                        nuisance_count=nuisance.shape[1])
+
+    @property
+    def own_gains(self) -> int:
+        """Return how many recordings have a gain of their own."""
+        return sum(self._own_gain)
 
     @property
     def columns_of_effects(self) -> FloatArray | None:
@@ -352,7 +363,10 @@ class JointErrors:
         there = part.there(point.effects) if isinstance(part, RecordingBefore) else point.effects
         behind = part.with_model(replace(dataset.model, effects=there))
         pieces_um = None if self._pieces_um is None else self._pieces_um[index]
-        changes = free_sensitivities(behind, rows, given, pieces_um)
+        known = self._of_pieces_um or {}
+        changes = free_sensitivities(behind, rows, given, pieces_um, known.get(index))
+        if self._of_pieces_um is not None:
+            self._of_pieces_um.setdefault(index, changes[:, physical_count(given) :])
         decays = decay_sensitivities(part, rows, point.sizes[index], given)
         changes[:, : decays.shape[1]] += decays
         unmoved_um, columns = part.simulate(point.effects, rows=rows), []

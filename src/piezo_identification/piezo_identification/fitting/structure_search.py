@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Search for the structure of a model: one part more, less or elsewhere, all else fitted anew."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from piezo_identification.fitting.whole_model import WholeFit, WholeModel
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import CreepDynamics
@@ -22,45 +23,57 @@ class SearchSettings:
     Attributes
     ----------
     steps : int
-        Of the first fit, and of the last.
+        Of a fit from each start, and of the last.
     screening_steps : int
-        Of each alternative.
+        Of each structure that is tried.
     followed_steps : int
-        Further steps of an alternative that these have made promising.
+        Further steps of one that these have made promising.
     followed : int
-        Alternatives of each round that are followed.
+        Structures of each round that are followed.
     rounds : int
         Changes of the structure at most.
     promise : float
-        Evidence, as a natural logarithm, by which an alternative may be behind then; one that is
+        Evidence, as a natural logarithm, by which a structure may be behind then; one that is
         further behind is not tried again.
+    modes_less : int
+        Modes of each round, those that matter least, without which the model is tried.
     above_noise : float
-        What has to be left of the fastest recording, over its noise, for a mode to be sought there.
+        What has to be left of the fastest recording, over its noise, for more to be sought there.
     wrong : float
-        What is left of the fastest recording, over its noise, from which every alternative gets as
+        What is left of the fastest recording, over its noise, from which every structure gets as
         many steps as the first fit.
     highest : float
         Frequency of such a mode at most, over that of the samples.
-    worse : float
-        The same by which rows that are held out may be worse: chance alone.
+    most_damped : float
+        Damping ratio of a mode that is kept in the plainest start.
     first_lag : float
         Least time constant, in sample periods, from which a new lag is fitted.
+    faster_creep : float
+        Rate of a new pair of the creep over that of the fastest.
+    widest_gap : float
+        Rate of a pair over that of the next slower one beyond which a start has one between them.
     """
 
     steps: int = 12
     screening_steps: int = 2
-    followed_steps: int = 4
+    followed_steps: int = 6
     followed: int = 2
-    rounds: int = 4
+    rounds: int = 10
     promise: float = 100.0
-    above_noise: float = 1.2
-    highest: float = 0.3
+    modes_less: int = 2
+    above_noise: float = 1.05
     wrong: float = 3.0
-    worse: float = 0.5
+    highest: float = 0.3
+    most_damped: float = 0.5
     first_lag: float = 0.5
+    faster_creep: float = 8.0
+    widest_gap: float = 12.0
 
 
 SETTINGS = SearchSettings()
+
+Tried = tuple[str, WholeFit]
+"""What was changed, and how that fitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +86,21 @@ class Structure:
         What it has more or less than the one before.
     model : StageModel
     delay_s : float or None
+    is_far : bool
+        Its values are far from where they would be right: it gets as many steps as a start.
     """
 
     change: str
     model: StageModel
     delay_s: float | None
+    is_far: bool = False
 
 
-def search(problem: WholeModel, given: StageModel,
-           report: Callable[[str, float], object] = lambda *_: None,
-           ) -> tuple[WholeFit, list[tuple[str, WholeFit]]]:
-    """Fit the whole model, and change its structure as long as that has more evidence.
+def begun(problem: WholeModel, given: StageModel,
+          report: Callable[[str, float], object] = lambda *_: None,
+          is_asked_for: Callable[[StageModel], bool] = lambda _: True,
+          ) -> tuple[WholeFit, list[Tried], WholeModel]:
+    """Fit the whole model from several starts.
 
     Parameters
     ----------
@@ -92,6 +109,8 @@ def search(problem: WholeModel, given: StageModel,
         That was identified step by step.
     report : callable
         Called with what is tried, and the fraction done, before each.
+    is_asked_for : callable
+        Tells whether a model may be tried.
 
     Returns
     -------
@@ -99,24 +118,62 @@ def search(problem: WholeModel, given: StageModel,
         Of all that were tried, the given model included.
     tried : list of (str, WholeFit)
         All that were tried, in their order.
+    problem : WholeModel
+        That the best was fitted to: the gain of each recording is its own or that of the model.
     """
     before = problem.as_it_is(given)
     tried = [("step by step", before)]
     report("everything together", 0.0)
     # The first fit tells how many errors are independent, the second one counts them so.
     problem.count_as(problem.fit(given, before.delay_s, SETTINGS.steps))
-    fitted = problem.fit(given, before.delay_s, SETTINGS.steps)
-    tried.append(("everything together", fitted))
-    best, refuted = fitted if is_better(fitted, before) else before, set[str]()
+    problem.about_here()
+    best, beside = before, problem
+    for structure, of_gain in starts(problem, given, before.delay_s):
+        if not is_asked_for(structure.model):
+            continue
+        report(structure.change, 0.5)
+        fitted = of_gain.fit(structure.model, structure.delay_s, SETTINGS.steps)
+        tried.append((structure.change, fitted))
+        if is_better(fitted, best):
+            best, beside = fitted, of_gain
+    return best, tried, beside
+
+
+def searched(problem: WholeModel, best: WholeFit,
+             report: Callable[[str, float], object] = lambda *_: None,
+             is_asked_for: Callable[[StageModel], bool] = lambda _: True,
+             ) -> tuple[WholeFit, list[Tried]]:
+    """Change the structure of a fitted model as long as that has more evidence.
+
+    Parameters
+    ----------
+    problem : WholeModel
+    best : WholeFit
+        Of this problem.
+    report, is_asked_for : callable
+        As of `begun`.
+
+    Returns
+    -------
+    best : WholeFit
+    tried : list of (str, WholeFit)
+    """
+    refuted, tried = set[str](), list[Tried]()
     for turn in range(SETTINGS.rounds):
         screened = []
+        if not best.has_converged:
+            # Others would win by their steps alone.
+            again = problem.again(best, SETTINGS.followed_steps)
+            tried.append(("the same, on from there", again))
+            best = again if is_better(again, best) else best
         # What is clearly wrong is far from where it would be right.
         is_wrong = problem.fastest_over_noise(best) > SETTINGS.wrong
-        steps = SETTINGS.steps if is_wrong else SETTINGS.screening_steps
         for structure in structures(problem, best):
-            if structure.change in refuted:
+            if structure.change in refuted or not is_asked_for(structure.model):
                 continue
-            report(structure.change, (turn + 1) / (SETTINGS.rounds + 1))
+            report(structure.change, turn / SETTINGS.rounds)
+            steps = (SETTINGS.steps if is_wrong or structure.is_far
+                     else SETTINGS.screening_steps)
             fit = problem.fit(structure.model, structure.delay_s, steps, best.density_changes)
             screened.append((structure.change, fit))
         screened.sort(key=lambda entry: -entry[1].evidence_over(best))
@@ -132,24 +189,116 @@ def search(problem: WholeModel, given: StageModel,
                   if is_better(fit, best) and has_modes_in_band(problem, fit)]
         if not better:
             break
-        best = max(better, key=lambda fit: fit.evidence_over(before))
-    if best is not before and not best.has_converged:
-        last = problem.again(best, SETTINGS.steps)
-        tried.append(("everything together, on from there", last))
-        best = last if is_better(last, best) else best
-    return best, tried
+        best = max(better, key=lambda fit: fit.evidence_over(best))
+    problem.about_here()
+    last = problem.again(best, SETTINGS.steps)
+    tried.append(("the same, on from there", last))
+    return (last if is_better(last, best) else best), tried
+
+
+def starts(problem: WholeModel, given: StageModel,
+           delay_s: float | None) -> Iterator[tuple[Structure, WholeModel]]:
+    """Yield what the search may begin from, with recordings whose gain is their own or the model's.
+
+    A gain of its own hides what the creep between two recordings does to it.
+    """
+    plain = list(plain_starts(problem, given, delay_s))
+    for structure in [Structure("everything together", given, delay_s), *plain]:
+        yield structure, problem
+    if problem.has_own_gains:
+        shared = problem.sharing_gains()
+        for structure in plain:
+            yield replace(structure, change=f"{structure.change}, no gain of its own"), shared
+
+
+def plain_starts(problem: WholeModel, given: StageModel,
+                 delay_s: float | None) -> Iterator[Structure]:
+    """Yield the modes that ring alone, with a lag on either side of the hysteresis.
+
+    A search without the hysteresis takes what its loops do for dynamics, from which no step by
+    step leads back.
+
+    Parameters
+    ----------
+    problem : WholeModel
+    given : StageModel
+    delay_s : float or None
+
+    Yields
+    ------
+    Structure
+    """
+    ringing = _in_phase([effect for effect in given.effects
+                         if isinstance(effect, VibrationMode) and _rings(problem, effect)])
+    others = tuple(effect for effect in given.effects
+                   if not isinstance(effect, VibrationMode | AmplifierLag | SensorLag))
+    if given.dynamics.is_static and not ringing:
+        return
+    lag_s = next((effect.time_constant_s for effect in given.effects
+                  if type(effect) is AmplifierLag), problem.sample_period_s)
+    bare = replace(_electric(given, 0.0), creep=_creep_as_far_as(_without_gaps(given.creep), min(
+        (mode.frequency_rad_per_s for mode in ringing), default=0.0)))
+    yield Structure("modes that ring, with an amplifier's lag", replace(
+        bare, effects=(AmplifierLag(lag_s), *ringing, *others)), delay_s)
+    if any(isinstance(effect, VibrationMode) for effect in given.effects):
+        yield Structure("modes that ring, with an electric time constant", replace(
+            _electric(bare, lag_s), effects=(*ringing, *others)), delay_s)
+
+
+def _without_gaps(creep: CreepDynamics) -> CreepDynamics:
+    """Return a creep with a further pair wherever two rates are far apart, of the same gain."""
+    poles = np.array(creep.poles_rad_per_s)
+    gains = np.log(creep.zeros_rad_per_s) - np.log(poles)
+    gaps = np.flatnonzero(poles[1:] > SETTINGS.widest_gap * poles[:-1])
+    between = np.sqrt(poles[gaps] * poles[gaps + 1])
+    shares = 0.25 * (gains[gaps] + gains[gaps + 1])
+    np.subtract.at(gains, gaps, 0.5 * shares)
+    np.subtract.at(gains, gaps + 1, 0.5 * shares)
+    poles, gains = np.insert(poles, gaps + 1, between), np.insert(gains, gaps + 1, shares)
+    return CreepDynamics(tuple(poles.tolist()), tuple((poles * np.exp(gains)).tolist()))
+
+
+def _creep_as_far_as(creep: CreepDynamics, rate_rad_per_s: float,
+                     pairs: int | None = None) -> CreepDynamics:
+    """Return a creep with faster pairs of the size of its fastest, below some rate."""
+    poles, zeros = creep.poles_rad_per_s, creep.zeros_rad_per_s
+    factor, added = SETTINGS.faster_creep, 0
+    while poles and factor * poles[-1] < rate_rad_per_s and added != pairs:
+        poles, zeros = (*poles, factor * poles[-1]), (*zeros, factor * zeros[-1])
+        added += 1
+    return CreepDynamics(poles, zeros)
+
+
+def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
+    """Return coupled modes as those of a structure, which together make up the displacement."""
+    coupled = [mode for mode in modes if type(mode) is CoupledMode]
+    whole = sum(mode.participation for mode in coupled)
+    if not coupled or whole <= 0.0:
+        return tuple(modes)
+    return tuple(
+        replace(mode, participation=mode.participation / whole, velocity_participation=0.0)
+        if type(mode) is CoupledMode else mode for mode in modes)
+
+
+def _rings(problem: WholeModel, mode: VibrationMode) -> bool:
+    return (mode.damping_ratio < SETTINGS.most_damped
+            and mode.frequency_rad_per_s <= _highest_rad_per_s(problem))
 
 
 def is_better(fit: WholeFit, other: WholeFit) -> bool:
-    """Tell whether a fit has more evidence than another, and held-out rows do not object."""
-    return fit.evidence_over(other) > 0.0 and fit.held_out_over(other) > -SETTINGS.worse
+    """Tell whether a fit has more evidence than another, and held-out rows lose less than that."""
+    gain = fit.evidence_over(other)
+    return gain > 0.0 and gain + fit.held_out_over(other) > 0.0
 
 
 def has_modes_in_band(problem: WholeModel, fit: WholeFit) -> bool:
     """Tell whether all modes beside the others are slow enough for the samples to show them."""
-    highest_rad_per_s = 2.0 * np.pi * SETTINGS.highest / problem.sample_period_s
-    return all(effect.frequency_rad_per_s <= highest_rad_per_s for effect in fit.model.effects
-               if isinstance(effect, VibrationMode))
+    return all(effect.frequency_rad_per_s <= _highest_rad_per_s(problem)
+               for effect in fit.model.effects if type(effect) is VibrationMode)
+
+
+def _highest_rad_per_s(problem: WholeModel) -> float:
+    return 2.0 * np.pi * SETTINGS.highest / problem.sample_period_s
 
 
 def structures(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
@@ -165,7 +314,8 @@ def structures(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
     Structure
     """
     yield from _with_less(fit)
-    yield from _elsewhere(fit)
+    for structure in _elsewhere(fit):
+        yield replace(structure, is_far=True)
     yield from _with_more(problem, fit)
 
 
@@ -173,8 +323,16 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
     model, delay_s = fit.model, fit.delay_s
     if delay_s is not None:
         yield Structure("without the delay", *_later(model, None, delay_s))
+    weights = fit.weights_of_effects()
+    modes = {place: effect for place, effect in enumerate(model.effects)
+             if isinstance(effect, VibrationMode)}
+    for place in sorted(modes, key=lambda place: weights[place])[: SETTINGS.modes_less]:
+        mode = modes[place]
+        yield Structure(f"without the {mode.name} of {mode.frequency_rad_per_s:.4g} rad/s",
+                        _without(model, place), delay_s)
     for place, effect in enumerate(model.effects):
-        yield Structure(f"without the {effect.name}", _without(model, place), delay_s)
+        if place not in modes:
+            yield Structure(f"without the {effect.name}", _without(model, place), delay_s)
     if model.dynamics.time_constant_s > 0.0:
         yield Structure("without the electric time constant", *_later(
             _electric(model, 0.0), delay_s, model.dynamics.time_constant_s))
@@ -183,11 +341,12 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
         least = int(np.argmin(np.log(zeros) - np.log(poles)))
         creep = CreepDynamics((*poles[:least], *poles[least + 1 :]),
                               (*zeros[:least], *zeros[least + 1 :]))
-        yield Structure("without a pair of the creep", replace(model, creep=creep), delay_s)
+        yield Structure(f"without the creep of {poles[least]:.4g} rad/s",
+                        replace(model, creep=creep), delay_s)
 
 
 def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
-    """Yield a lag on the other side of the hysteresis."""
+    """Yield a lag on the other side of the hysteresis, and modes that are no longer in phase."""
     model, delay_s = fit.model, fit.delay_s
     behind_s = model.dynamics.time_constant_s
     ahead = [place for place, effect in enumerate(model.effects) if type(effect) is AmplifierLag]
@@ -195,11 +354,21 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
         yield Structure(
             "its electric lag in front of the hysteresis",
             _with(_electric(model, 0.0), AmplifierLag(behind_s)), delay_s)
+    if delay_s is not None and delay_s > 0.0 and not ahead:
+        yield Structure("its delay as an amplifier's lag",
+                        _with(model, AmplifierLag(delay_s)), None)
+    if any(type(effect) is VibrationMode for effect in model.effects):
+        yield Structure("its modes out of phase", replace(model, effects=tuple(
+            CoupledMode(*effect.parameters().values()) if type(effect) is VibrationMode else effect
+            for effect in model.effects)), delay_s)
     for place in ahead:
         moved_s = model.effects[place].parameters()["time_constant_s"]
         yield Structure(
             "its amplifier's lag behind the hysteresis",
             _electric(_without(model, place), behind_s + moved_s), delay_s)
+        if behind_s > 0.0:
+            yield Structure("its lags exchanged", _with(_electric(
+                _without(model, place), moved_s), AmplifierLag(behind_s)), delay_s)
 
 
 def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
@@ -223,9 +392,17 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
         yield Structure("with an electric time constant", _electric(earlier, lag_s), earlier_s)
     if problem.fastest_over_noise(fit) < SETTINGS.above_noise:
         return
+    creep = _creep_as_far_as(model.creep, 1.0 / problem.sample_period_s, 1)
+    if creep != model.creep:
+        yield Structure("with faster creep", replace(model, creep=creep), delay_s)
     shown = min(problem.evidence(fit), key=lambda evidence: evidence.sample_period_s)
     for mode in VibrationMode.starts(shown)[:1]:
-        yield Structure("with a mode at the peak of what is left", _with(model, mode), delay_s)
+        yield Structure(f"with a mode of {mode.frequency_rad_per_s:.4g} rad/s",
+                        _with(model, mode), delay_s)
+        # In the company of such modes a further one may be out of phase, or damped beyond ringing.
+        if any(type(effect) is CoupledMode for effect in model.effects):
+            yield Structure(f"with a coupled mode of {mode.frequency_rad_per_s:.4g} rad/s", _with(
+                model, CoupledMode(*mode.parameters().values())), delay_s)
 
 
 def _later(model: StageModel, delay_s: float | None,

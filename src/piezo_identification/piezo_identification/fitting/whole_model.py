@@ -2,6 +2,7 @@
 """One fit of the whole model to all recordings of its identification, and models compared by it."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -31,15 +32,16 @@ from piezo_identification.simulation.simulated_recording import SimulatedRecordi
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Evidence, fitted_values, units_of_fitted
 from piezo_models.effects.delay import Delay
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
 
 EARLIEST = 1.0
 """Shortest sample periods by which a fitted delay may be negative: rows are then read late."""
 
 
-HYSTERESIS_WIDTH = 0.1
-"""Prior width of the changes of the hysteresis, over that of a joint fit with new recordings: the
-loops were fitted before, so that a factor of their density is known to a few percent."""
+HYSTERESIS_WIDTH = 2.0
+"""Prior width of the changes of the hysteresis, over that of a joint fit with new recordings: loops
+that were fitted beside a rough creep are wrong by as much as that moves them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +74,8 @@ class WholeFit:
 
     @property
     def numbers(self) -> int:
-        """Return how many numbers of creep, dynamics and effects were estimated."""
-        return (physical_count(self.model) + (self.delay_s is not None)
+        """Return how many numbers of creep, dynamics, effects and own gains were estimated."""
+        return (physical_count(self.model) + (self.delay_s is not None) + self.errors.own_gains
                 + sum(fitted_values(effect)[0].size for effect in self.model.effects))
 
     @property
@@ -119,6 +121,28 @@ class WholeFit:
                 *_split_deviations(self.errors.effects_at(self.vector), of_effects))
 
 
+    def weights_of_effects(self) -> FloatArray:
+        """Return how much the evidence falls where each effect is taken away alone, (E,).
+
+        That is by the Wald statistic of the numbers in which the displacement is linear, all others
+        free; infinite where an effect has none.
+        """
+        covariance = self.errors.covariance_of_all(
+            self.vector, physical_count(self.errors.dataset.model))
+        weights, place = [], self.errors.count
+        for effect in self.errors.effects_at(self.vector):
+            is_linear = np.array([unit is not None for unit in units_of_fitted(effect)])
+            numbers = place + np.flatnonzero(is_linear)
+            place += is_linear.size
+            if type(effect) is Delay:
+                continue
+            values, spread = self.vector[numbers], covariance[np.ix_(numbers, numbers)]
+            known = bool(numbers.size) and bool(np.isfinite(spread).all())
+            weights.append(0.5 * float(values @ np.linalg.lstsq(spread, values, rcond=1e-12)[0])
+                           if known else np.inf if not numbers.size else 0.0)
+        return np.array(weights)
+
+
 class WholeModel:
     """Recordings to which whole models are fitted, from one that was identified step by step.
 
@@ -130,7 +154,7 @@ class WholeModel:
     read_late_s : sequence of float
         Time after its voltage at which each reads its rows.
     own_gain : sequence of bool
-        Recordings whose gain is their own.
+        Recordings whose gain is their own, unless `sharing_gains` is asked for.
 
     Raises
     ------
@@ -155,11 +179,42 @@ class WholeModel:
         self.noise = estimate_noise(self._dataset, model.effects)
         good = ~self._dataset.at_rows(self.noise.outliers)
         self._fitted, self._good = self._dataset.for_estimation & good, good
+        self._of_pieces_um: dict[int, FloatArray] = {}
+
+    def with_hysteresis(self, hysteresis: PreisachModel) -> "WholeModel":
+        """Return the same problem, another hysteresis given."""
+        problem = copy(self)
+        vars(problem).pop("_pieces_um", None)
+        problem.about_here()
+        problem._given = replace(self._given, hysteresis=hysteresis)
+        bare = replace(problem._given, effects=())
+        problem._dataset = replace(self._dataset, model=bare, simulated=tuple(side_by_side(
+            lambda part: part.with_model(bare), self._dataset.simulated)))
+        return problem
+
+    def sharing_gains(self) -> "WholeModel":
+        """Return the same problem, the gain of every recording that of the model."""
+        problem = copy(self)
+        problem.about_here()
+        problem._own_gain = [False] * len(self._own_gain)
+        return problem
+
+    @property
+    def has_own_gains(self) -> bool:
+        """Tell whether the gain of some recording is its own."""
+        return any(self._own_gain)
 
     def as_it_is(self, model: StageModel) -> WholeFit:
         """Return what a model leaves, its delay among its effects."""
         delay_s = sum(effect.delay_s for effect in model.effects if type(effect) is Delay)
         return self.fit(model, delay_s or None, 0)
+
+    def about_here(self) -> None:
+        """Let the next fit compute anew what the pieces of the hysteresis do to the displacement.
+
+        Fits of models that differ by a part share it.
+        """
+        self._of_pieces_um = {}
 
     def count_as(self, fit: WholeFit) -> None:
         """Let errors of each recording count for as many as are independent beside a fit."""
@@ -244,7 +299,7 @@ class WholeModel:
         return JointErrors(
             dataset, self._fitted, self._good, len(dataset.simulated), effects, frozenset(),
             pieces_um=self._pieces_um, own_gain=self._own_gain, independent=self._independent,
-            hysteresis_width=HYSTERESIS_WIDTH)
+            hysteresis_width=HYSTERESIS_WIDTH, of_pieces_um=self._of_pieces_um)
 
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:

@@ -7,6 +7,7 @@ recordings -> conditioned -> linear dynamics -> hysteresis -> model -> one fit o
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from piezo_common.cancellation import checking
@@ -36,12 +37,12 @@ from piezo_identification.identification.given_data import (
 from piezo_identification.identification.given_hysteresis import (
     CHOSEN_BY_DATA,
     DensityOptions,
+    estimate_hysteresis_of,
 )
 from piezo_identification.identification.linear_dynamics import (
     METHODS,
     LinearDynamics,
     estimate_linear_dynamics,
-    with_lag_in_front,
 )
 from piezo_identification.identification.one_fit import fitted_together, reliable
 from piezo_identification.identification.progress import (
@@ -59,6 +60,7 @@ from piezo_identification.identification.told_by_data import failures_explained
 from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
 from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.delay import Delay
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import origin_of
@@ -156,14 +158,13 @@ def identify(
             tell_implausible(refuse_impossible_loops(
                 loops, linear.creep, linear.slow_dynamics, linear.slow_delay_s), tell)
         estimate, first_rise, cycled = estimate_loops(recordings, linear, density)
-        if of_kind(said, "hysteresis") and method == METHODS[0] and not isinstance(
-                dynamics, FrequencyResponse):
-            linear = with_lag_in_front(linear, fast, estimate.model(), order)
         tell_estimates(linear, estimate, tell)
         tell_starts(recordings, cycled, linear, first_rise, tell)
         fitted = fitted_model(linear, estimate, first_rise)
         fitted, read_at = fitted_together(
-            fitted, said, read_at, stages.part(0.75, 0.2), tell)
+            fitted, said, read_at,
+            partial(_loops_beside, cycled, linear, density) if of_kind(said, "hysteresis")
+            and not first_rise else None, order, stages.part(0.75, 0.2), tell)
         tell_effects(fitted, tell)
         recordings, read_at = validation_as_read(
             fitted.model, said, aligned(said, read_at), read_at)
@@ -180,6 +181,15 @@ def identify(
             uncertainties=reliable(fitted.uncertainties, adequacy))
         stages.begin("done", 1.0)
     return identified
+
+
+def _loops_beside(recordings: Mapping[str, Data], linear: LinearDynamics, density: DensityOptions,
+                  model: StageModel) -> DensityEstimate:
+    """Estimate the hysteresis beside the creep and the dynamics of a fitted model."""
+    delay_s = sum(effect.delay_s for effect in model.effects if type(effect) is Delay)
+    return estimate_hysteresis_of(recordings, replace(
+        linear, creep=model.creep, dynamics=model.dynamics, delay_s=delay_s,
+        effects=tuple(effect for effect in model.effects if type(effect) is not Delay)), density)
 
 
 def tell_estimates(linear: LinearDynamics, density: DensityEstimate,

@@ -24,7 +24,6 @@ from piezo_identification.estimators.armax.armax_dynamics import estimate_dynami
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
-from piezo_identification.estimators.dynamics.lag_in_front import lag_in_front
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
 from piezo_identification.estimators.estimate import SIGNIFICANT, Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -230,32 +229,6 @@ def estimate_linear_dynamics(
         density = None if driving is None else driving.model()
         found = found.with_dynamics(_from_samples(fast, found.creep, density, method, order))
     return found
-
-
-def with_lag_in_front(
-    found: LinearDynamics, fast: Sequence[Recording], hysteresis: PreisachModel,
-    order: ResponseOrder = ANY_ORDER,
-) -> LinearDynamics:
-    """Add a lag in front of the hysteresis, where the step of a periodic square wave shows one.
-
-    Parameters
-    ----------
-    found : LinearDynamics
-    fast : sequence of Recording
-        Of the dynamics; more than one, or another voltage, tell nothing of it.
-    hysteresis : PreisachModel
-        From loops of its own.
-    order : ResponseOrder
-
-    Returns
-    -------
-    LinearDynamics
-    """
-    if len(fast) != 1 or not _is_periodic(fast[0]):
-        return found
-    estimate = lag_in_front(
-        fast[0], found.creep, hysteresis, found.estimates["dynamics"], order.modes)
-    return found if estimate is None else found.with_dynamics(estimate)
 
 
 def creep_of(

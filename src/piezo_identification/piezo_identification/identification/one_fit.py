@@ -2,7 +2,8 @@
 """The last step of an identification: one fit of the whole model to all of its recordings."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,19 +14,41 @@ from piezo_identification.conditioning.row_alignment import LATEST_READING
 from piezo_identification.conditioning.segments import experiment_of
 from piezo_identification.conditioning.waveforms import played, square_wave
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
-from piezo_identification.fitting.structure_search import search
+from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
+from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
+from piezo_identification.fitting.structure_search import (
+    SETTINGS,
+    begun,
+    is_better,
+    searched,
+)
 from piezo_identification.fitting.whole_model import WholeFit, WholeModel
 from piezo_identification.identification.fitted_model import FittedModel
 from piezo_identification.identification.given_data import Data
 from piezo_identification.identification.linear_dynamics import BEFORE_DELAY, is_square_wave
+from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
+from piezo_models.effects.vibration_mode import VibrationMode
 
 COMPONENTS_OF = {"creep": ("creep",), "dynamics": ("dynamics", "effects")}
 """What is estimated from the recordings of an experiment, as the model file names it."""
 
+LOOPS = 2
+"""Times at most that the loops are estimated anew beside what is fitted, in the end."""
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """A model so far, its best fit, and the recordings with its hysteresis."""
+
+    fitted: FittedModel
+    best: WholeFit
+    problem: WholeModel
+
 
 def fitted_together(
     fitted: FittedModel, recordings: Mapping[str, Data], read_at: Mapping[str, float],
+    loops_beside: Callable[[StageModel], DensityEstimate] | None, order: ResponseOrder,
     report: Callable[[str, float], object], tell: Callable[[str], object],
 ) -> tuple[FittedModel, dict[str, float]]:
     """Fit all parameters of a model together, and let the evidence choose its structure.
@@ -38,6 +61,11 @@ def fitted_together(
         Conditioned, their rows as they were given; all but the validation are fitted.
     read_at : dict of str to float
         When their rows are read, in sample periods after their voltage.
+    loops_beside : callable, optional
+        Estimates the hysteresis of a fitted model anew, beside its creep and dynamics. None where
+        no recording of loops was given.
+    order : ResponseOrder
+        Numbers asked for, which the search keeps.
     report : callable
         Called with what is tried, and the fraction done.
     tell : callable
@@ -72,7 +100,33 @@ def fitted_together(
     except ValueError as error:
         tell(f"the model is as the separate steps left it, as {error}")
         return fitted, dict(read_at)
-    best, tried = search(problem, fitted.model, report)
+    is_asked_for = partial(_has_order, order)
+
+    def with_loops_anew(before: _State) -> _State:
+        """Estimate the loops beside what is fitted; the fit bends them, but not their lines."""
+        if loops_beside is None:
+            return before
+        report("loops anew", 0.5)
+        density = loops_beside(with_fit(before.fitted, before.best).model)
+        renewed = before.problem.with_hysteresis(density.model())
+        again = renewed.fit(replace(before.best.model, hysteresis=density.model()),
+                            before.best.delay_s, SETTINGS.steps)
+        tried.append(("loops anew", again))
+        if not is_better(again, before.best):
+            return before
+        return _State(replace(before.fitted, visited=density.visited), again, renewed)
+
+    best, tried, problem = begun(problem, fitted.model, report, is_asked_for)
+    state = with_loops_anew(_State(fitted, best, problem))
+    best, changed = searched(state.problem, state.best, report, is_asked_for)
+    tried += changed
+    state = replace(state, best=best)
+    for _ in range(LOOPS):
+        renewed = with_loops_anew(state)
+        if renewed is state:
+            break
+        state = renewed
+    fitted, best = state.fitted, state.best
     tell(f"one fit of the whole model:\n{table_of(tried, best)}")
     late_s = max(0.0, -(best.delay_s or 0.0))
     read_later = {
@@ -81,6 +135,14 @@ def fitted_together(
     if max(read_later.values()) > LATEST_READING:
         return fitted, dict(read_at)
     return with_fit(fitted, best), read_later
+
+
+def _has_order(order: ResponseOrder, model: StageModel) -> bool:
+    """Tell whether a model has as many pairs of the creep and modes as were asked for."""
+    modes = len(model.dynamics.mode_frequencies_rad_per_s) + sum(
+        isinstance(effect, VibrationMode) for effect in model.effects)
+    return (order.creep_pairs in (None, len(model.creep.poles_rad_per_s))
+            and order.modes in (None, modes))
 
 
 def with_fit(fitted: FittedModel, fit: WholeFit) -> FittedModel:

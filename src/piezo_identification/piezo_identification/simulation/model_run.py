@@ -22,6 +22,7 @@ from piezo_identification.simulation.sampled_response import (
     respond,
 )
 from piezo_models.cascade import StageModel
+from piezo_models.effects.amplifier_lag import parts_of_rows
 from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_recorder.reading.recording import Recording
 
@@ -140,10 +141,12 @@ class ModelRun:
         self.model, self.part = model, played(recording)
         period_s = self.part.sample_period_s
         joined_v, lead = with_voltage_before(recording, self.part)
-        amplified_v = model.amplified(joined_v, period_s)
+        self._samples = samples_per_mean(self.part)
+        parts = parts_of_rows(model.effects_at("voltage"), period_s, self._samples)
+        amplified_v = model.amplified(np.repeat(joined_v, parts), period_s / parts)
+        lead *= parts
         # As far as the first voltage of the part, from which it is simulated.
         self._before_v, self._voltage_v = amplified_v[: lead + 1], amplified_v[lead:]
-        self._samples = samples_per_mean(self.part)
         lags, self._effects = leading_lags(
             model.effects_at("displacement") + model.effects_at("sensor"), self._samples)
         self._system, self._delay_s = behind_lags(model.linear(), lags)
@@ -259,15 +262,18 @@ class ModelRun:
         model.hysteresis.simulate([*past_v, *self._before_v], memory)
         extremes_v = memory.extremes_v[: memory.top + 1].copy()
         hysteresis_um = model.hysteresis.simulate(self._voltage_v, memory)
+        parts = self._voltage_v.size // part.time_s.size
         if model.hysteretic_creep is not None:
             hysteresis_um += model.hysteretic_creep.simulate(
-                self._voltage_v, part.sample_period_s, model.hysteretic_creep.memory(extremes_v))
+                self._voltage_v, part.sample_period_s / parts,
+                model.hysteretic_creep.memory(extremes_v))
         if model.first_rise is not None:
             highest_v = self.highest_v if highest_v is None else highest_v
             hysteresis_um += model.first_rise.simulate(
                 self._voltage_v, max(highest_v, self._before_v.max()))
         simulated_um = respond(
-            self._system, hysteresis_um, part.sample_period_s, self._samples, self._delay_s)
+            self._system, hysteresis_um, part.sample_period_s, self._samples, self._delay_s,
+            parts=parts)
         for effect in self._effects:
             simulated_um = effect.apply(simulated_um, part.sample_period_s)
         return simulated_um[self.settled]

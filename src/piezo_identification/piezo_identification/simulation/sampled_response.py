@@ -71,7 +71,7 @@ def behind_lags(
 
 def respond(
     system: control.StateSpace, input_um: FloatArray, sample_period_s: float, samples: int,
-    delay_s: float = 0.0, at: NDArray[np.intp] | None = None,
+    delay_s: float = 0.0, at: NDArray[np.intp] | None = None, parts: int = 1,
 ) -> FloatArray:
     """Response from the equilibrium under the first input.
 
@@ -79,8 +79,8 @@ def respond(
     ----------
     system : control.StateSpace
         Continuous.
-    input_um : (N,) array
-        Each held for a sample period.
+    input_um : (N parts,) array
+        Each held for a part of a sample period.
     sample_period_s : float
     samples : int
         As in `leading_lags`.
@@ -89,17 +89,19 @@ def respond(
         response is read later than the input changes; the last input is held. Not with means.
     at : (n,) array of int, optional
         Samples that are asked for, sorted; by default all. A few of many cost less.
+    parts : int
+        Of a sample period; one where rows are means.
 
     Returns
     -------
     (N,) or (n,) array
     """
-    return next(respond_each(system, [input_um], sample_period_s, samples, delay_s, at))
+    return next(respond_each(system, [input_um], sample_period_s, samples, delay_s, at, parts))
 
 
 def respond_each(
     system: control.StateSpace, inputs_um: Iterable[FloatArray], sample_period_s: float,
-    samples: int, delay_s: float = 0.0, at: NDArray[np.intp] | None = None,
+    samples: int, delay_s: float = 0.0, at: NDArray[np.intp] | None = None, parts: int = 1,
 ) -> Iterator[FloatArray]:
     """Yield the responses to several inputs, each by itself.
 
@@ -107,8 +109,8 @@ def respond_each(
     ----------
     system : control.StateSpace
         Continuous.
-    inputs_um : iterable of (N,) array
-        Each held for a sample period.
+    inputs_um : iterable of (N parts,) array
+        Each held for a part of a sample period.
     sample_period_s : float
     samples : int
         As in `leading_lags`.
@@ -116,13 +118,16 @@ def respond_each(
         As in `respond`.
     at : (n,) array of int, optional
         As in `respond`.
+    parts : int
+        Of a sample period; one where rows are means.
 
     Yields
     ------
     (N,) or (n,) array
     """
     discrete, late = _sampled(*(matrix.tobytes() for matrix in matrices_of(system)),
-                              sample_period_s, samples, delay_s)
+                              sample_period_s / parts, samples, delay_s)
+    at = None if at is None else at * parts
     held = equilibrium_state(system)
     for input_um in inputs_um:
         delayed, early = min(max(late, 0), input_um.size), max(-late, 0)
@@ -132,7 +137,7 @@ def respond_each(
                 np.full(delayed, input_um[0]), input_um[: input_um.size - delayed],
                 np.full(early, input_um[-1])])
         if at is None:
-            yield simulate_linear(discrete, played_um, input_um[0] * held)[early:]
+            yield simulate_linear(discrete, played_um, input_um[0] * held)[early::parts]
         else:
             yield simulate_linear_at(discrete, played_um, input_um[0] * held, at + early)
 

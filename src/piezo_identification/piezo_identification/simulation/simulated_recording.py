@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A recording beside many simulations of it, by a model with one effect or another."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import chain
 from typing import Self
 
 import control
@@ -24,10 +25,11 @@ from piezo_identification.simulation.model_run import ModelRun, starting_past_v
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
     leading_lags,
-    respond,
+    respond_each,
 )
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
+from piezo_models.effects.amplifier_lag import parts_of_rows
 from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
@@ -81,8 +83,9 @@ class SimulatedRecording:
         By how much the outliers were off before they were put back among their neighbours.
     begin : int
         First sample at which the start has settled.
-    hysteresis_um, input_um : (N,) array
-        Output of the hysteresis, and the same with its creep: the input of the linear part.
+    hysteresis_um, input_um : (N parts,) array
+        Output of the hysteresis, and the same with its creep: the input of the linear part. A row
+        has several parts where a lag in front of them moves within it, see `parts_of_rows`.
 
     Raises
     ------
@@ -175,22 +178,33 @@ class SimulatedRecording:
         return self._output(*linear_part, rows)
 
     def hysteresis_output_um(self, hysteresis: PreisachModel) -> FloatArray:
-        """Return the output of another hysteresis at the same voltages, in um, (N,).
+        """Return the output of another hysteresis at the same voltages, in um, (N parts,).
 
         A first rise adds nothing to it: so outputs of parts of a hysteresis sum to that of it.
         """
-        return self._cycled_um(hysteresis, self._amplified_v)[self._samples_before :]
+        output_um = self._cycled_um(hysteresis, self._amplified_v)
+        return output_um[self._before(output_um) :]
 
     def respond(self, system: control.StateSpace, input_um: FloatArray, delay_s: float = 0.0,
                 at: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the output of a continuous system, sampled as the recording is; see `respond`."""
-        return respond(system, input_um, self.sample_period_s, self.samples_per_mean,
-                       delay_s - self.read_late_s, at)
+        return next(self.respond_each(system, [input_um], delay_s, at))
+
+    def respond_each(self, system: control.StateSpace, inputs_um: Iterable[FloatArray],
+                     delay_s: float = 0.0,
+                     at: NDArray[np.intp] | None = None) -> Iterator[FloatArray]:
+        """Yield the outputs of a continuous system for several inputs of one length."""
+        inputs = iter(inputs_um)
+        first = next(inputs, None)
+        if first is not None:
+            yield from respond_each(
+                system, chain([first], inputs), self.sample_period_s, self.samples_per_mean,
+                delay_s - self.read_late_s, at, first.size // self.time_s.size)
 
     def _simulate_hysteresis(self) -> None:
         """Simulate what is ahead of the linear part of the model."""
         model = self.model
-        self._amplified_v = model.amplified(self._joined_v, self.sample_period_s)
+        self._amplified_v = self._amplified(())
         self.hysteresis_um, self._rest_input_um = self._hysteresis(
             model.hysteresis, self._amplified_v)
         self.input_um = self._with_creep(self.hysteresis_um, self._amplified_v)
@@ -226,7 +240,20 @@ class SimulatedRecording:
         output_um = self._cycled_um(hysteresis, amplified_v)
         if self.model.first_rise is not None:
             output_um += self.model.first_rise.simulate(amplified_v, self._highest_v)
-        return output_um[self._samples_before :], output_um[0]
+        return output_um[self._before(output_um) :], output_um[0]
+
+    def _before(self, values: FloatArray) -> int:
+        """Return how many of the values of all rows, in their parts, come before the part."""
+        return self._samples_before * (values.size // self._joined_v.size)
+
+    def _amplified(self, effects: Sequence[Effect]) -> FloatArray:
+        """Return the voltage behind effects and those of the model, in the parts of all rows."""
+        parts = parts_of_rows((*effects, *self.model.effects_at("voltage")), self.sample_period_s,
+                              self.samples_per_mean)
+        voltage_v, period_s = np.repeat(self._joined_v, parts), self.sample_period_s / parts
+        for effect in effects:
+            voltage_v = effect.apply(voltage_v, period_s)
+        return self.model.amplified(voltage_v, period_s)
 
     def _cycled_um(self, hysteresis: PreisachModel, amplified_v: FloatArray) -> FloatArray:
         """Return the output of a stage that was cycled, from the first sample of the recording."""
@@ -239,12 +266,12 @@ class SimulatedRecording:
         model = self.model
         if model.hysteretic_creep is None:
             return hysteresis_um
-        past = model.hysteresis.memory()
-        model.hysteresis.simulate(
-            [*self.past_v, *amplified_v[: self._samples_before + 1]], past)
+        past, before = model.hysteresis.memory(), self._before(amplified_v)
+        model.hysteresis.simulate([*self.past_v, *amplified_v[: before + 1]], past)
         memory = model.hysteretic_creep.memory(past.extremes_v[: past.top + 1])
+        period_s = self.sample_period_s * self._joined_v.size / amplified_v.size
         return hysteresis_um + model.hysteretic_creep.simulate(
-            amplified_v[self._samples_before :], self.sample_period_s, memory)
+            amplified_v[before:], period_s, memory)
 
     def _behind(self, linear_part: tuple, effects: tuple[Effect, ...]) -> FloatArray:
         """Return the displacement behind effects that follow the linear part one after another.
@@ -283,10 +310,7 @@ class SimulatedRecording:
         """Return the output of the linear part and the lags behind it, at all samples or some."""
         input_um = self.input_um
         if on_voltage:
-            voltage_v = self._joined_v
-            for effect in on_voltage:
-                voltage_v = effect.apply(voltage_v, self.sample_period_s)
-            amplified_v = self.model.amplified(voltage_v, self.sample_period_s)
+            amplified_v = self._amplified(on_voltage)
             hysteresis_um, _ = self._hysteresis(self.model.hysteresis, amplified_v)
             input_um = self._with_creep(hysteresis_um, amplified_v)
         system, delay_s = behind_lags(_linear_part(self.model, in_series), lags)

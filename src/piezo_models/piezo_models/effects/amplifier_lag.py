@@ -14,6 +14,11 @@ from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, p
 from piezo_models.effects.filtering import slowed
 from piezo_models.effects.sensor_lag import SensorLag
 
+PARTS, SHORTEST, LONGEST = 4, 0.02, 5.0
+"""Parts of a row in which a lag in front of the hysteresis is followed, if it is longer and shorter
+than so many rows: of one that is shorter the mean is enough, and a longer one hardly moves within a
+row. A quarter leaves an error of 0.04 % at a mode of a fifteenth of the sample rate."""
+
 
 @dataclass(frozen=True)
 class AmplifierLag(Effect):
@@ -87,3 +92,24 @@ def lag_behind_hysteresis(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     """
     return tuple(SensorLag(effect.time_constant_s) if isinstance(effect, AmplifierLag) else effect
                  for effect in effects)
+
+
+def parts_of_rows(effects: Iterable[Effect], sample_period_s: float,
+                  samples_per_mean: int = 1) -> int:
+    """Return in how many parts a row is simulated where lags stand in front of the hysteresis.
+
+    Parameters
+    ----------
+    effects : iterable of Effect
+        On the voltage.
+    sample_period_s : float
+    samples_per_mean : int
+        Rows that are means of several samples stay whole.
+
+    Returns
+    -------
+    int
+    """
+    moves = any(SHORTEST < effect.time_constant_s / sample_period_s < LONGEST
+                for effect in effects if isinstance(effect, AmplifierLag))
+    return PARTS if moves and samples_per_mean == 1 else 1

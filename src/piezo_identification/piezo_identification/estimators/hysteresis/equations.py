@@ -75,10 +75,14 @@ class Equations:
     ----------
     offset_columns : ndarray of int
         For each segment the column, of those, of the offset of its samples of a known past.
+    about : ndarray
+        Unknowns of the hysteresis of which the output was relieved, and about which the rest is
+        smoothed; zero by default. What is solved for is the difference from them.
     """
 
-    def __init__(self, size: int, others: int) -> None:
+    def __init__(self, size: int, others: int, about: FloatArray | None = None) -> None:
         unknowns = size * (size + 3) // 2
+        self.about = np.zeros(unknowns) if about is None else about
         self.size, self.count = size, 0
         self.quadratic, self.linear = csr_array((unknowns, unknowns)), np.zeros(unknowns)
         self.border, self.corner = np.zeros((unknowns, others)), np.zeros((others, others))
@@ -97,7 +101,7 @@ class Equations:
 
     def plus(self, other: "Equations", sign: float = 1.0) -> "Equations":
         """Return the equations of the samples of both; with sign -1, without those of the other."""
-        result = Equations(self.size, self.corner.shape[0])
+        result = Equations(self.size, self.corner.shape[0], self.about)
         result.count = self.count + int(sign) * other.count
         result.offset_columns = self.offset_columns
         for name in ("quadratic", "linear", "border", "corner", "border_linear", "square"):
@@ -113,11 +117,15 @@ class Equations:
             roughness = roughness + penalties.translation * _sliding(self.size)
         if not penalties.is_reversible:
             roughness = roughness + _held_at_zero(self.size)
-        return nonnegative_minimum(
-            self.quadratic / self.count + roughness,
-            self.linear / self.count, _bounded(self.size), self.border / self.count,
-            self.corner / self.count, self.border_linear / self.count, multiplier,
+        quadratic = self.quadratic / self.count + roughness
+        border = self.border / self.count
+        # The bounds hold for the sum.
+        unknowns, beside, forces = nonnegative_minimum(
+            quadratic, self.linear / self.count + quadratic @ self.about, _bounded(self.size),
+            border, self.corner / self.count,
+            self.border_linear / self.count + self.about @ border, multiplier,
         )
+        return unknowns - self.about, beside, forces
 
     def solve_line(self) -> tuple[FloatArray, FloatArray]:
         """Return unknowns of a line through the data, and coefficients of the other columns."""
@@ -151,7 +159,7 @@ def line_unknowns(size: int) -> FloatArray:
 
 def equations_of_folds(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray,
-    folds: Sequence[NDArray[np.intp]] | None = None,
+    folds: Sequence[NDArray[np.intp]] | None = None, about: FloatArray | None = None,
 ) -> list[Equations]:
     """Return the equations of the samples whose memory is known well enough, by folds.
 
@@ -162,6 +170,8 @@ def equations_of_folds(
     levels_v : ndarray, shape (n + 1,)
     folds : sequence of ndarray of int, optional
         For every segment the number of the fold of each of its samples to fit; one by default.
+    about : ndarray, optional
+        See `Equations`.
 
     Returns
     -------
@@ -185,7 +195,7 @@ def equations_of_folds(
             "no sample lies where the voltage has been before: record at least one reversal"
         )
     count = 1 + max((int(fold.max(initial=0)) for fold in folds), default=0)
-    equations = [Equations(levels_v.size - 1, sum(widths)) for _ in range(count)]
+    equations = [Equations(levels_v.size - 1, sum(widths), about) for _ in range(count)]
     first = 0
     for each in equations:
         each.offset_columns = np.cumsum([0, *widths[:-1]])

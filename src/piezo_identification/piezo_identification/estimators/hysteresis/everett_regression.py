@@ -77,6 +77,33 @@ def everett_regression(
     return EverettRegression(matrix, history)
 
 
+def remembered_pairs(
+    voltage_v: FloatArray, levels_v: FloatArray, samples: NDArray[np.intp],
+) -> tuple[FloatArray, IntArray]:
+    """Return the pairs of remembered voltages whose Everett values make up the output.
+
+    Parameters
+    ----------
+    voltage_v : ndarray, shape (N,)
+    levels_v : ndarray, shape (n + 1,)
+        Uniform and increasing; only their ends matter.
+    samples : ndarray of int
+        Increasing indices.
+
+    Returns
+    -------
+    pairs : ndarray, shape (P, 4)
+        Place among the samples, upper and lower voltage where the range reaches from -1 to 1, and
+        the sign with which the value counts.
+    history : ndarray of int
+        As in `EverettRegression`; a sample of a negative one has no pairs.
+    """
+    size = levels_v.size - 1
+    pairs, history = _pairs(_positions(voltage_v, levels_v), size, samples.astype(np.int64))
+    pairs[:, 1:3] = 2.0 * pairs[:, 1:3] / size - 1.0
+    return pairs, history
+
+
 def density_operator(size: int) -> csr_array:
     """Densities of the cells, times the area of a full one, from the unknowns of the regression.
 
@@ -287,6 +314,35 @@ def _rows(position: FloatArray, size: int,
             row += 1
             starts[row] = count
     return values[:count], columns[:count], starts, history
+
+
+@njit(cache=True)
+def _pairs(position: FloatArray, size: int, samples: IntArray) -> tuple[FloatArray, IntArray]:
+    pairs = np.empty((16 * samples.size + 64, 4))
+    history = np.empty(samples.size, np.int64)
+    extremes = np.empty(16)
+    seen = np.zeros(4)
+    top, row, count = 0, 0, 0
+    for n in range(position.size):
+        extremes, top, number = _follow(position, n, extremes, top, seen, size)
+        if row == samples.size:
+            break
+        if samples[row] != n:
+            continue
+        history[row] = number
+        if number >= 0:
+            if count + top > len(pairs):
+                longer = np.empty((2 * len(pairs) + top, 4))
+                longer[:count] = pairs[:count]
+                pairs = longer
+            for k in range(1, top + 1):
+                pairs[count, 0] = row
+                pairs[count, 1] = max(extremes[k], extremes[k - 1])
+                pairs[count, 2] = min(extremes[k], extremes[k - 1])
+                pairs[count, 3] = 1.0 if k % 2 == 1 else -1.0
+                count += 1
+        row += 1
+    return pairs[:count], history
 
 
 @njit(cache=True)

@@ -18,8 +18,12 @@ from piezo_identification.estimators.hysteresis.equations import (
     Penalties,
     equations_of_folds,
 )
-from piezo_identification.estimators.hysteresis.everett_regression import visited_cells
+from piezo_identification.estimators.hysteresis.everett_regression import (
+    everett_regression,
+    visited_cells,
+)
 from piezo_identification.estimators.hysteresis.penalties import bounded_operator
+from piezo_identification.estimators.hysteresis.play_fit import PlaySum, fit_plays
 from piezo_identification.estimators.hysteresis.smoothing_choice import (
     PenaltyChoice,
     choose_penalties,
@@ -31,6 +35,19 @@ SAMPLES_PER_CELL = 4
 
 CELLS_FOR_THE_WEIGHT = 30
 """Cells along a threshold on which the weights are chosen: they mean the same on any grid."""
+
+LEAST_GAIN = 1.2
+"""Factor by which plays have to lessen the squares that are left of branches held out: the cells on
+which they are compared are too few for a density that is as good on more."""
+
+PARTS_OF_CELLS = (1, 2, 4)
+"""Parts of a cell along each threshold in which plays may be written: their density is narrow."""
+
+ROUNDED = 0.5
+"""Part of the noise by which half as wide cells may change the output of plays at most."""
+
+ROWS_OF_PARTS = 2_000
+"""Samples at which that is looked at."""
 
 
 def smoothed_density(
@@ -124,25 +141,33 @@ def density_of_segments(
     seen = np.any([
         visited_cells(segment.voltage_v, np.linspace(levels_v[0], levels_v[-1], level_count + 1))
         for segment in segments], axis=0)
-    cell = np.arange(size) * level_count // size
-    visited = np.tril(seen[np.ix_(cell, cell)])
     whole_plane = bool(seen[np.tril_indices(level_count)].all())
     if translation_weight is None and (whole_plane or smoothing_weight is not None):
         translation_weight = 0.0
-    multiplier = None
+    plays, parts, multiplier, is_enough = None, 1, None, is_line
     if is_line:
         penalties = Penalties(0.0)
     elif smoothing_weight is None:
-        choice = _penalties_for(segments, levels_v, translation_weight, whole_plane)
-        penalties, multiplier, is_line = choice.penalties, choice.forces, choice.is_line
+        choice, plays, segments, parts = _choice_for(
+            segments, levels_v, translation_weight, whole_plane)
+        if plays is not None and size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT:
+            # What is smooth needs fewer cells.
+            levels_v, size, parts = levels_v[::2], size // 2, 2 * parts
+        choice = _on_finer_grids(segments, levels_v, choice, whole_plane, plays)
+        penalties, multiplier, is_enough = choice.penalties, choice.forces, choice.is_enough
     else:
         penalties = Penalties(smoothing_weight, translation_weight or 0.0)
-    [equations] = equations_of_folds(segments, levels_v)
+    about = None if plays is None else plays.unknowns(size)
+    [equations] = equations_of_folds(segments, levels_v, about=about)
+    is_line = is_enough and plays is None
     if is_line:
         unknowns, beside = equations.solve_line()
+    elif is_enough:
+        unknowns = 0.0 * equations.linear
+        beside = equations.beside(unknowns)
     else:
         unknowns, beside, _ = equations.solve(penalties, multiplier)
-        if translation_weight is None and penalties.translation:
+        if translation_weight is None and penalties.translation and plays is None:
             # Loops that were alike on the coarse grid need not be on the fine one.
             free = choice.without_translation
             others = equations.solve(free, multiplier)[:2]
@@ -153,32 +178,105 @@ def density_of_segments(
         if equations.misfit(*without) < (
                 LARGEST_REVERSIBLE_GAIN * equations.misfit(unknowns, beside)):
             penalties, (unknowns, beside) = replace(penalties, is_reversible=False), without
-    bounded = np.maximum(bounded_operator(size) @ unknowns, 0.0)
-    if not penalties.is_reversible:
-        bounded[-size:] = 0.0
-    density, reversible = np.split(bounded, [-size])
-    width_v = (levels_v[-1] - levels_v[0]) / size
     # The first column of a segment is the offset of its samples of a known past.
     known = np.flatnonzero(np.diag(equations.corner)[equations.offset_columns] > 0.0)
-    offset_um = beside[equations.offset_columns[known[0]]] if known.size else 0.0
+    offset_um = float(beside[equations.offset_columns[known[0]]]) if known.size else 0.0
     if is_line:
         return DensityEstimate(
-            LINE, levels_v[[0, -1]], np.zeros((1, 1)), float(offset_um),
-            np.ones((1, 1), dtype=bool),
-            reversible_um_per_v=np.array([reversible.mean() / width_v]))
+            LINE, levels_v[[0, -1]], np.zeros((1, 1)), offset_um, np.ones((1, 1), dtype=bool),
+            reversible_um_per_v=np.array([
+                unknowns[-size:].mean() * size / (levels_v[-1] - levels_v[0])]))
+    levels_v = np.linspace(levels_v[0], levels_v[-1], parts * size + 1)
+    density, reversible = _per_volt(bounded_operator(size) @ unknowns, size, levels_v)
+    if not penalties.is_reversible:
+        reversible = 0.0 * reversible
+    if plays is not None:
+        of_plays = _per_volt(
+            bounded_operator(parts * size) @ plays.unknowns(parts * size), parts * size, levels_v)
+        of_cells = _per_volt(bounded_operator(size) @ about, size, levels_v)
+        cell = np.arange(parts * size) // parts
+        square = np.ix_(cell, cell)
+        density = _added(np.tril(density[square]), of_plays[0], of_cells[0][square])
+        reversible = _added(reversible[cell], of_plays[1], of_cells[1][cell])
+    cell = np.arange(parts * size) * level_count // (parts * size)
     return DensityEstimate(
-        "smoothed non-negative least squares", levels_v,
-        lower_triangle(density, size) / width_v**2, float(offset_um), visited,
-        smoothing_weight=penalties.smoothing, reversible_um_per_v=reversible / width_v,
+        "smoothed non-negative least squares" + (", about a sum of plays" if plays else ""),
+        levels_v, np.maximum(density, 0.0), offset_um, np.tril(seen[np.ix_(cell, cell)]),
+        smoothing_weight=penalties.smoothing, reversible_um_per_v=np.maximum(reversible, 0.0),
         translation_weight=penalties.translation,
     )
 
 
-def _penalties_for(
+def _per_volt(bounded_um: FloatArray, size: int,
+              levels_v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the density (um/V^2) and the reversible part (um/V) of the cells of a grid."""
+    density_um, reversible_um = np.split(bounded_um, [-size])
+    width_v = (levels_v[-1] - levels_v[0]) / size
+    return lower_triangle(density_um, size) / width_v**2, reversible_um / width_v
+
+
+def _added(more: FloatArray, of_plays: FloatArray, of_cells: FloatArray) -> FloatArray:
+    """Add to the narrow densities of plays; what is taken away is so in proportion in a cell."""
+    part = np.divide(more, of_cells, out=np.zeros_like(more), where=of_cells > 0.0)
+    return of_plays * (1.0 + np.clip(part, -1.0, 0.0)) + np.maximum(more, 0.0)
+
+
+def _choice_for(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None,
     whole_plane: bool,
+) -> tuple[PenaltyChoice, PlaySum | None, Sequence[HysteresisSegment], int]:
+    """Choose the weights, and whether the density is smoothed about a sum of plays.
+
+    It is where that predicts branches held out better. The output is then relieved of the plays,
+    and its cells divided into parts in which they are written.
+    """
+    size = levels_v.size - 1
+    coarse_v = np.linspace(levels_v[0], levels_v[-1], min(size, CELLS_FOR_THE_WEIGHT) + 1)
+    choice = choose_penalties(segments, coarse_v, translation)
+    plays = None if choice.is_enough else fit_plays(segments, levels_v)
+    parts = 1
+    if plays is not None:
+        parts = _parts_for(segments, levels_v, plays)
+        relieved = [replace(segment, output_um=segment.output_um - _output_um(
+            segment, levels_v, plays, parts)) for segment in segments]
+        beside = choose_penalties(
+            relieved, coarse_v, translation, plays.unknowns(coarse_v.size - 1))
+        if LEAST_GAIN * beside.misfit < choice.misfit:
+            choice, segments = beside, relieved
+        else:
+            plays, parts = None, 1
+    return choice, plays, segments, parts
+
+
+def _parts_for(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
+               plays: PlaySum) -> int:
+    """Return the parts of a cell in which plays are written as well as in half as wide ones."""
+    stride = max(1, sum(segment.samples.size for segment in segments) // ROWS_OF_PARTS)
+    few = [replace(segment, samples=segment.samples[::stride]) for segment in segments]
+    before = None
+    for place, parts in enumerate(PARTS_OF_CELLS):
+        output_um = np.concatenate([_output_um(segment, levels_v, plays, parts, segment.samples)
+                                    for segment in few])
+        if before is not None and np.std(output_um - before) < ROUNDED * plays.noise_um:
+            return PARTS_OF_CELLS[place - 1]
+        before = output_um
+    return PARTS_OF_CELLS[-1]
+
+
+def _output_um(segment: HysteresisSegment, levels_v: FloatArray, plays: PlaySum, parts: int,
+               samples: NDArray[np.intp] | None = None) -> FloatArray:
+    """Return what plays give at some samples of a segment, written in parts of cells."""
+    size = parts * (levels_v.size - 1)
+    finer_v = np.linspace(levels_v[0], levels_v[-1], size + 1)
+    regression = everett_regression(segment.voltage_v, finer_v, samples)
+    return np.asarray(regression.matrix @ plays.unknowns(size))
+
+
+def _on_finer_grids(
+    segments: Sequence[HysteresisSegment], levels_v: FloatArray, choice: PenaltyChoice,
+    whole_plane: bool, plays: PlaySum | None,
 ) -> PenaltyChoice:
-    """Choose the weights on few cells, and the smoothing anew on twice as many if the data allow.
+    """Choose the smoothing anew on twice as many cells if the data allow.
 
     They do where the whole plane is visited, or there are several samples for each cell.
 
@@ -186,15 +284,14 @@ def _penalties_for(
     """
     size = levels_v.size - 1
     cells = min(size, CELLS_FOR_THE_WEIGHT)
-    choice = choose_penalties(
-        segments, np.linspace(levels_v[0], levels_v[-1], cells + 1), translation)
-    while 2 * cells < size and not choice.is_line:
+    while 2 * cells < size and not choice.is_enough:
         finer_v = np.linspace(levels_v[0], levels_v[-1], 2 * cells + 1)
+        about = None if plays is None else plays.unknowns(2 * cells)
         forces = _on_finer_grid(choice.forces, cells, 2 * cells)
         if (whole_plane or _many(segments, 2 * cells)) and cells == CELLS_FOR_THE_WEIGHT:
-            choice = refine_smoothing(segments, finer_v, choice, forces)
+            choice = refine_smoothing(segments, finer_v, choice, forces, about)
         else:
-            [equations] = equations_of_folds(segments, finer_v)
+            [equations] = equations_of_folds(segments, finer_v, about=about)
             *_, forces = equations.solve(choice.penalties, forces)
             choice = replace(choice, forces=forces)
         cells *= 2

@@ -52,14 +52,17 @@ class PenaltyChoice:
         Those to take where the density's change along the diagonal is not to be charged.
     forces : ndarray
         Of the bounds, on the grid on which the weights were chosen.
-    is_line : bool
-        A line predicts what was held out as well.
+    misfit : float
+        Sum of the squared errors of what was held out.
+    is_enough : bool
+        A line, or what it is smoothed about alone, predicts what was held out as well.
     """
 
     penalties: Penalties
     without_translation: Penalties
     forces: FloatArray
-    is_line: bool
+    misfit: float
+    is_enough: bool
 
 
 def branch_folds(segments: Sequence[HysteresisSegment]) -> list[NDArray[np.intp]]:
@@ -100,6 +103,7 @@ def _branches(segment: HysteresisSegment) -> NDArray[np.intp]:
 
 def choose_penalties(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None = None,
+    about: FloatArray | None = None,
 ) -> PenaltyChoice:
     """Choose the weights that predict branches held out as well as any.
 
@@ -114,12 +118,14 @@ def choose_penalties(
     levels_v : ndarray, shape (n + 1,)
     translation : float, optional
         Weight of the change along the diagonal; by default chosen too.
+    about : ndarray, optional
+        See `Equations`.
 
     Returns
     -------
     PenaltyChoice
     """
-    trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments)))
+    trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments), about))
     penalties = free = trials.best(
         Penalties(weight, translation or 0.0) for weight in SMOOTHING_WEIGHTS)
     if translation is None:
@@ -129,12 +135,13 @@ def choose_penalties(
         penalties = trials.best(
             replace(penalties, smoothing=weight) for weight in SMOOTHING_WEIGHTS)
     return PenaltyChoice(
-        penalties, free, trials.forces(penalties), trials.line_predicts(penalties))
+        penalties, free, trials.forces(penalties), float(trials.misfits(penalties).sum()),
+        trials.nothing_more_predicts(penalties))
 
 
 def refine_smoothing(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, choice: PenaltyChoice,
-    forces: FloatArray,
+    forces: FloatArray, about: FloatArray | None = None,
 ) -> PenaltyChoice:
     """Go on from weights that were chosen on few cells to a smoothing for more of them.
 
@@ -150,12 +157,15 @@ def refine_smoothing(
     choice : PenaltyChoice
     forces : ndarray
         Of the bounds on the finer grid, about.
+    about : ndarray, optional
+        See `Equations`; on the finer grid.
 
     Returns
     -------
     PenaltyChoice
     """
-    trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments)), forces)
+    trials = _Trials(
+        equations_of_folds(segments, levels_v, branch_folds(segments), about), forces)
     first = SMOOTHING_WEIGHTS.index(choice.penalties.smoothing)
     tried = [choice.penalties]
     for weights in (SMOOTHING_WEIGHTS[first + 1 :], SMOOTHING_WEIGHTS[:first][::-1]):
@@ -214,10 +224,12 @@ class _Trials:
         """Return the forces of the bounds with all samples."""
         return self._whole.solve(penalties, self._forces[0])[2]
 
-    def line_predicts(self, penalties: Penalties) -> bool:
-        """Tell whether a line predicts as well as a density with these penalties."""
+    def nothing_more_predicts(self, penalties: Penalties) -> bool:
+        """Tell whether a line, or nothing beside what is given, predicts as well as a density."""
+        nothing = np.zeros(self._whole.about.size)
         misfits = np.array([
-            self._unseen_misfit(unseen, fitted.solve_line()[0])
+            self._unseen_misfit(
+                unseen, nothing if self._whole.about.any() else fitted.solve_line()[0])
             for fitted, unseen in zip(self._fitted, self._unseen, strict=True)
         ])
         return self._as_well(misfits, penalties)

@@ -239,7 +239,8 @@ def test_a_reversible_part_is_there_only_where_the_loops_ask_for_it(part, most_u
     output_um = displacement_um(voltage_v)
     output_um += NOISE_UM * np.random.default_rng(0).standard_normal(output_um.size)
     found = smoothed_density(voltage_v, output_um, np.linspace(-20.0, 120.0, 141))
-    assert bool(found.reversible_um_per_v.any()) == bool(part)
+    # A thousandth of the gain, 1 um/V, is beyond what the noise tells.
+    assert (found.reversible_um_per_v.max() > 1e-3) == bool(part)
     small_v = 50.0 + np.repeat([5.0, 2.0, 1.0], 200) * np.sin(np.linspace(0.0, 6.0 * np.pi, 600))
     played_v = np.concatenate(
         [np.linspace(-20.0, 120.0, 500), np.linspace(120.0, 50.0, 300), small_v])

@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 from independent_stage import IndependentStage, square_wave_v
 
-from piezo_identification.estimators.dynamics.lag_in_front import lag_in_front
-from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
-from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
@@ -62,23 +59,6 @@ def loops():
     return recording(voltage_v, 0.1, stage.hysteresis_um(voltage_v))
 
 
-@pytest.fixture(scope="module")
-def known():
-    return identify(hysteresis=loops(), density=GRID).model.hysteresis
-
-
-@pytest.mark.parametrize("lag_s", [3.3e-5, pytest.param(1e-4, marks=pytest.mark.long)])
-def test_a_lag_in_front_of_the_hysteresis_is_found_and_told_from_that_behind(known, lag_s):
-    measured = square_wave(lag_s)
-    behind = estimate_dynamics(measured, CreepDynamics(), mode_count=1)
-    found = lag_in_front(measured, CreepDynamics(), known, behind, mode_count=1)
-    assert found.residual_rms < 0.3 * behind.residual_rms
-    lag = found.effects[0]
-    assert lag.name == "amplifier_lag"
-    assert lag.time_constant_s == pytest.approx(lag_s, rel=0.1)
-    assert found.model.time_constant_s == pytest.approx(LAG_BEHIND_S, rel=0.05)
-
-
 @pytest.mark.parametrize(("lag_s", "names"), [(3.3e-5, ["amplifier_lag"]), (0.0, [])])
 def test_identify_names_a_lag_in_front_only_where_there_is_one(lag_s, names):
     found = identify(hysteresis=loops(), dynamics=square_wave(lag_s), density=GRID,
@@ -86,9 +66,3 @@ def test_identify_names_a_lag_in_front_only_where_there_is_one(lag_s, names):
     lags = [effect for effect in found.effects if effect.name == "amplifier_lag"]
     assert [lag.name for lag in lags] == names
     assert [lag.time_constant_s for lag in lags] == pytest.approx([lag_s] * len(names), rel=0.1)
-
-
-def test_no_lag_is_found_where_there_is_none(known):
-    measured = square_wave(0.0)
-    behind = estimate_dynamics(measured, CreepDynamics(), mode_count=1)
-    assert lag_in_front(measured, CreepDynamics(), known, behind, mode_count=1) is None

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Sums of plays against plays that are followed sample by sample, which share no code with them."""
+
+import numpy as np
+import pytest
+
+from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
+from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
+from piezo_identification.estimators.hysteresis.play_fit import fit_plays
+
+LEVELS_V = np.linspace(0.0, 100.0, 201)
+HALF_WIDTHS_V, WEIGHTS = np.array([0.0, 2.0, 5.0, 9.0]), np.array([0.08, 0.03, 0.02, 0.01])
+
+
+def followed_um(voltage_v, bent):
+    """Follow plays, one side of which is bent, on a stage that was swept from 0 to 100 V before."""
+    voltage_v = np.concatenate([[100.0, 0.0], voltage_v])
+    rising_v, falling_v = voltage_v, (1.0 + bent) * voltage_v - bent * voltage_v**2 / 100.0
+    states, output = np.zeros(4), []
+    for up_v, down_v in zip(rising_v, falling_v, strict=True):
+        states = np.maximum(up_v - HALF_WIDTHS_V, np.minimum(down_v + HALF_WIDTHS_V, states))
+        output.append(WEIGHTS @ states)
+    return np.array(output)[2:]
+
+
+def loops_v(turns_v, rows=4000):
+    ways = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(turns_v)))])
+    return np.interp(np.linspace(0.0, ways[-1], rows), ways, turns_v)
+
+
+def segment(voltage_v, output_um):
+    return HysteresisSegment(voltage_v, output_um, np.arange(voltage_v.size),
+                             np.empty((voltage_v.size, 0)))
+
+
+@pytest.mark.parametrize("bent", [0.0, 0.05])
+def test_plays_are_found_and_predict_loops_that_they_were_not_fitted_to(bent):
+    fitted_v = loops_v([0.0, 100.0, *np.ravel([(5.0 * k, 100.0) for k in range(1, 19)]), 0.0])
+    noise_um = 1e-3 * np.random.default_rng(0).standard_normal(fitted_v.size)
+    plays = fit_plays([segment(fitted_v, followed_um(fitted_v, bent) + noise_um)], LEVELS_V)
+    assert plays.noise_um == pytest.approx(1e-3, rel=0.1)
+    assert bool(np.any(np.append(plays.rising, plays.falling))) == bool(bent)
+    unseen_v = loops_v([0.0, 100.0, 30.0, 62.0, 41.0, 55.0, 44.0, 90.0, 10.0])
+    truth_um = followed_um(unseen_v, bent)
+    predicted_um = everett_regression(unseen_v, LEVELS_V).matrix @ plays.unknowns(200)
+    error_um = (predicted_um - truth_um)[unseen_v.size // 4 :]
+    # Plays turn within a cell of 0.5 V.
+    assert np.std(error_um) < 4e-3 * np.std(truth_um)
+
+
+def test_too_few_samples_are_not_fitted():
+    voltage_v = loops_v([0.0, 100.0, 20.0, 80.0], rows=200)
+    assert fit_plays([segment(voltage_v, followed_um(voltage_v, 0.0))], LEVELS_V) is None
+
+
+def test_the_unknowns_of_all_grids_are_those_of_one_hysteresis():
+    """The Everett value of the whole range does not depend on the cells."""
+    voltage_v = loops_v([0.0, 100.0, 0.0, 100.0, 40.0, 100.0, 60.0, 90.0, 0.0])
+    plays = fit_plays([segment(voltage_v, followed_um(voltage_v, 0.05))], LEVELS_V)
+    whole_um = [plays.unknowns(size)[size * (size - 1) // 2] for size in (20, 50, 200)]
+    assert whole_um == pytest.approx([whole_um[0]] * 3, rel=1e-12)
