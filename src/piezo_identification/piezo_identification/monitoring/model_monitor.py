@@ -27,6 +27,10 @@ STATISTICS = {
 BAND_EDGES_HZ = (0.0, 10.0, 100.0, 1000.0, np.inf)
 """Of the bands in which the residual is told to have grown: a decade each."""
 
+LEAST_OFFSET = 0.1
+"""Part of the usual residual that a deviation of its mean is at least: a creep that the model has
+not quite moves it by less for ever."""
+
 REMEMBERED_BLOCKS = 4096
 """Of which the beginning is remembered, for when a change began."""
 
@@ -297,6 +301,9 @@ class ModelMonitor:
         self._usual = learned.mean(axis=0)
         self._spread = np.array([long_run_deviation(column) for column in learned.T])
         self._power = np.mean(self._powers, axis=0)
+        mean = list(STATISTICS).index("mean")
+        self._spread[mean] = max(
+            self._spread[mean], LEAST_OFFSET * float(np.sqrt(self._power.sum())))
         self._learned, self._powers = [], []
         threshold, allowance = self._settings.threshold, self._settings.allowance
         self._tests = [Cusum(threshold, allowance) for _ in STATISTICS]

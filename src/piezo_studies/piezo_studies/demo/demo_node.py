@@ -221,7 +221,7 @@ def _identify(client, processes, plant, directory, progress):
         progress.show(f"identify, {feedback.stage}", feedback.fraction, feedback.seconds_left)
 
     with _blaming(processes, "identification"):
-        goal = RunningGoal(client, "identify", show, directory=directory, **plant.declared)
+        goal = RunningGoal(client, "identify", show, directory=directory)
         if goal.wait_until(lambda: goal.stage.startswith("estimate")):
             _rest(client, processes)
         return goal.result()

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The simulated stage of a demo: which plant it is, and what the identification is told of it."""
+"""The simulated stage of a demo."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from piezo_sim.plant.named_plants import PLANTS
 from piezo_sim.plant.plant_file import read_plant
 from piezo_studies.demo.demo_command import USUAL
 
-# What the identification is told of each plant as if it were known.
-DECLARED = {"undeclared": {"modes": 2}}
 SENTENCES = {
     "default": "The stage has the form of the model: a Preisach hysteresis, creep by poles and "
     "zeros, an electric lag and two modes.",
-    "undeclared": "The stage does more than the model was allowed to describe: it has a third mode "
+    "undeclared": "The stage does more than the model of the thesis describes: it has a third mode "
     "and a creep with the logarithm of time.",
     "beam": "The stage shares no mathematical form with the model: its hysteresis is made of "
     "rate-dependent plays and has loops that no Preisach density has, it creeps by a power of "
@@ -35,14 +33,11 @@ class DemoPlant:
         For people and for the directory of the results.
     sentence : str
         What the stage is, for the report.
-    declared : dict of str to int
-        Orders that the identification is told; it finds the others.
     """
 
     plant: str
     name: str
     sentence: str
-    declared: dict[str, int] = field(default_factory=dict)
 
     @property
     def directory(self) -> Path:
@@ -65,6 +60,6 @@ def demo_plant(plant: str = USUAL) -> DemoPlant:
     """
     read_plant(plant)
     if plant in PLANTS:
-        return DemoPlant(plant, plant, SENTENCES[plant], DECLARED.get(plant, {}))
+        return DemoPlant(plant, plant, SENTENCES[plant])
     path = Path(plant).absolute()
     return DemoPlant(str(path), path.stem, f"The stage is that of the plant file {path.name}.")

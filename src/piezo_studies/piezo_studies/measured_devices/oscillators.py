@@ -18,6 +18,7 @@ from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_identification.prediction import predict
 from piezo_identification.prediction.row_reading import read_as_identified
 from piezo_models.cascade import StageModel
+from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear.dynamics import CreepDynamics
@@ -150,7 +151,10 @@ def _rms_um(model: StageModel, recording: Recording) -> float:
 
 
 def _frequency_hz(model: StageModel) -> float:
-    return model.dynamics.mode_frequencies_rad_per_s[0] / (2.0 * np.pi)
+    """Return the frequency of the slowest mode, in series or beside others."""
+    beside = [effect.frequency_rad_per_s for effect in model.effects
+              if isinstance(effect, VibrationMode)]
+    return min((*model.dynamics.mode_frequencies_rad_per_s, *beside)) / (2.0 * np.pi)
 
 
 def _finding(data: str, poor_model: str, diagnosis: Diagnosis, held_out: str) -> Finding:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which stage the demo runs on, and what it tells the identification of it."""
+"""Which stage the demo runs on, and where its results go."""
 
 from importlib import resources
 from pathlib import Path
@@ -8,23 +8,19 @@ import pytest
 
 from piezo_sim.plant.plant_file import PLANTS
 from piezo_studies.demo.demo_command import main as demo_main
-from piezo_studies.demo.demo_plant import DECLARED, SENTENCES, demo_plant
+from piezo_studies.demo.demo_plant import SENTENCES, demo_plant
 
 
-def test_usual_demo_declares_two_modes_and_writes_to_runs_demo():
+def test_usual_demo_writes_to_runs_demo():
     usual = demo_plant()
-    assert (usual.plant, usual.declared) == ("undeclared", {"modes": 2})
+    assert usual.plant == "undeclared"
     assert usual.directory == Path("runs/demo")
 
 
 def test_every_plant_of_the_simulator_has_its_sentence_and_its_directory():
-    assert SENTENCES.keys() == PLANTS.keys() >= DECLARED.keys()
+    assert SENTENCES.keys() == PLANTS.keys()
     assert len({demo_plant(name).directory for name in PLANTS}) == len(PLANTS)
     assert demo_plant("beam").directory == Path("runs/demo-beam")
-
-
-def test_identification_of_the_beam_is_told_nothing():
-    assert demo_plant("beam").declared == {}
 
 
 def test_plant_file_is_given_to_the_node_by_its_absolute_path(tmp_path, monkeypatch):

@@ -108,8 +108,8 @@ def estimate_density(
         raise ValueError(
             f"the voltage of {parts[0].path} is {lowest_v:g} V throughout: give a recording in "
             "which it moves")
-    _check_sign(parts)
     segments = [_segment(part, creep, dynamics, delay_s) for part in parts]
+    _check_sign(parts[0].path, segments)
     passed = levels_passed(parts, highest_v - lowest_v)
     is_line = passed < FEWEST_LEVELS
     if level_count is None:
@@ -214,9 +214,10 @@ def _has_means(recording: Recording) -> bool:
     return recording.sample_period_s > 1.5 / recording.sample_rate_hz
 
 
-def _check_sign(parts: Sequence[Recording]) -> None:
-    """Refuse a displacement that, as measured, falls where the voltage rises."""
-    products = [(part.voltage_v - part.voltage_v.mean()) @ part.displacement_um for part in parts]
+def _check_sign(path: str, segments: Sequence[HysteresisSegment]) -> None:
+    """Refuse a hysteresis that falls where the voltage rises, the dynamics removed."""
+    products = [(segment.voltage_v - segment.voltage_v.mean()) @ segment.output_um
+                for segment in segments]
     if sum(products) <= 0.0:
-        raise ValueError(f"{parts[0].path}: the displacement falls where the voltage rises: "
+        raise ValueError(f"{path}: the displacement falls where the voltage rises: "
                          "reverse the sign of one")
