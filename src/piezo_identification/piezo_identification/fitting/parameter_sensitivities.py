@@ -165,7 +165,7 @@ def _traded(hysteresis: PreisachModel, part: float) -> PreisachModel:
     low_um, high_um = hysteresis.output_range_um
     gain_um_per_v = (high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
     reversible = hysteresis.reversible_um_per_v
-    rest = np.maximum(gain_um_per_v - reversible, np.finfo(float).tiny)
+    rest = np.maximum(gain_um_per_v - reversible, np.finfo(float).eps * gain_um_per_v)
     part = max(part, -float(np.min(reversible / rest)))
     return replace(
         hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * (1.0 - part),

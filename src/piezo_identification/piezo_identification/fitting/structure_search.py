@@ -35,6 +35,8 @@ class SearchSettings:
     promise : float
         Evidence, as a natural logarithm, by which a structure may be behind then; one that is
         further behind is not tried again.
+    chance : float
+        The same by which rows that are held out may be worse, by chance alone.
     modes_less : int
         Modes of each round, those that matter least, without which the model is tried.
     above_noise : float
@@ -60,6 +62,7 @@ class SearchSettings:
     followed: int = 2
     rounds: int = 10
     promise: float = 100.0
+    chance: float = 3.0
     modes_less: int = 2
     above_noise: float = 1.05
     wrong: float = 3.0
@@ -286,9 +289,12 @@ def _rings(problem: WholeModel, mode: VibrationMode) -> bool:
 
 
 def is_better(fit: WholeFit, other: WholeFit) -> bool:
-    """Tell whether a fit has more evidence than another, and held-out rows lose less than that."""
-    gain = fit.evidence_over(other)
-    return gain > 0.0 and gain + fit.held_out_over(other) > 0.0
+    """Tell whether a fit has more evidence than another, and held-out rows lose less than that.
+
+    A model of fewer numbers may lose there what chance makes.
+    """
+    gain, chance = fit.evidence_over(other), SETTINGS.chance * (fit.numbers < other.numbers)
+    return gain > 0.0 and gain + fit.held_out_over(other) > -chance
 
 
 def has_modes_in_band(problem: WholeModel, fit: WholeFit) -> bool:
@@ -320,6 +326,7 @@ def structures(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
 
 
 def _with_less(fit: WholeFit) -> Iterator[Structure]:
+    """Yield the model without one of its parts, or with its only mode in series."""
     model, delay_s = fit.model, fit.delay_s
     if delay_s is not None:
         yield Structure("without the delay", *_later(model, None, delay_s))
@@ -330,6 +337,11 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
         mode = modes[place]
         yield Structure(f"without the {mode.name} of {mode.frequency_rad_per_s:.4g} rad/s",
                         _without(model, place), delay_s)
+    if len(modes) == 1 and not model.dynamics.mode_frequencies_rad_per_s:
+        [(place, mode)] = modes.items()
+        yield Structure("its mode in series", replace(_without(model, place), dynamics=replace(
+            model.dynamics, mode_frequencies_rad_per_s=(mode.frequency_rad_per_s,),
+            damping_ratios=(mode.damping_ratio,))), delay_s)
     for place, effect in enumerate(model.effects):
         if place not in modes:
             yield Structure(f"without the {effect.name}", _without(model, place), delay_s)
@@ -354,6 +366,8 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
         yield Structure(
             "its electric lag in front of the hysteresis",
             _with(_electric(model, 0.0), AmplifierLag(behind_s)), delay_s)
+    if behind_s > 0.0 and delay_s is None:
+        yield Structure("its electric lag as a delay", _electric(model, 0.0), behind_s)
     if delay_s is not None and delay_s > 0.0 and not ahead:
         yield Structure("its delay as an amplifier's lag",
                         _with(model, AmplifierLag(delay_s)), None)
