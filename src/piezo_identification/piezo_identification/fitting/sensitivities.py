@@ -2,6 +2,8 @@
 """How the displacement depends on each parameter of the model."""
 
 
+from functools import lru_cache
+
 import control
 import numpy as np
 
@@ -57,6 +59,7 @@ def sensitivity_systems(
     return systems
 
 
+@lru_cache(maxsize=4)
 def factor_surfaces(
     size: int, middle_knots: int = MIDDLE_KNOTS, span_knots: int = SPAN_KNOTS,
 ) -> FloatArray:

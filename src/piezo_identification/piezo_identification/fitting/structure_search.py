@@ -40,7 +40,9 @@ class SearchSettings:
     modes_less : int
         Modes of each round, those that matter least, without which the model is tried.
     above_noise : float
-        What has to be left of the fastest recording, over its noise, for more to be sought there.
+        What has to be left of a recording, over its noise, for more to be sought there.
+    adequate : float
+        Error of an adequate model, over that of a good one: 2e-5 of the travel, as `adequacy` has.
     wrong : float
         What is left of the fastest recording, over its noise, from which every structure gets as
         many steps as the first fit.
@@ -65,6 +67,7 @@ class SearchSettings:
     chance: float = 3.0
     modes_less: int = 2
     above_noise: float = 1.05
+    adequate: float = 0.2
     wrong: float = 3.0
     highest: float = 0.3
     most_damped: float = 0.5
@@ -132,7 +135,7 @@ def begun(problem: WholeModel, given: StageModel,
     problem.about_here()
     best, beside = before, problem
     for structure, of_gain in starts(problem, given, before.delay_s):
-        if not is_asked_for(structure.model):
+        if not is_asked_for(structure.model) or is_at_noise(beside, best):
             continue
         report(structure.change, 0.5)
         fitted = of_gain.fit(structure.model, structure.delay_s, SETTINGS.steps)
@@ -286,6 +289,11 @@ def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
 def _rings(problem: WholeModel, mode: VibrationMode) -> bool:
     return (mode.damping_ratio < SETTINGS.most_damped
             and mode.frequency_rad_per_s <= _highest_rad_per_s(problem))
+
+
+def is_at_noise(problem: WholeModel, fit: WholeFit) -> bool:
+    """Tell whether a fit leaves of each recording what its noise and an adequate model make."""
+    return bool(np.all(problem.over_noise(fit, SETTINGS.adequate) < SETTINGS.above_noise))
 
 
 def is_better(fit: WholeFit, other: WholeFit) -> bool:

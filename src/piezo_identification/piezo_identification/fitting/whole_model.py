@@ -265,12 +265,16 @@ class WholeModel:
             delays_s[0] if delays_s else None, errors.left_um(descent.vector),
             errors.accuracy_um, errors, descent.vector, descent.has_converged)
 
+    def over_noise(self, fit: WholeFit, of_accuracy: float = 1.0) -> FloatArray:
+        """Return what is left of each recording over its noise and a part of its accuracy, (R,)."""
+        left_um = [np.sqrt(np.mean(left**2)) for left, _ in fit.left_um]
+        return np.array(left_um) / np.hypot(self.noise.noise_um, of_accuracy * fit.accuracy_um)
+
     def fastest_over_noise(self, fit: WholeFit) -> float:
         """Return what is left of the recording with the shortest sample period, over its noise."""
         parts = self._dataset.simulated
         fastest = min(range(len(parts)), key=lambda index: parts[index].sample_period_s)
-        left_um = float(np.sqrt(np.mean(fit.left_um[fastest][0] ** 2)))
-        return left_um / float(np.hypot(self.noise.noise_um[fastest], fit.accuracy_um[fastest]))
+        return float(self.over_noise(fit)[fastest])
 
     def evidence(self, fit: WholeFit) -> list[Evidence]:
         """Return what each recording shows beside a fitted model, for effects to guess by."""

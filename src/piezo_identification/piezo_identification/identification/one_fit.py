@@ -19,6 +19,7 @@ from piezo_identification.estimators.hysteresis.density_estimate import DensityE
 from piezo_identification.fitting.structure_search import (
     SETTINGS,
     begun,
+    is_at_noise,
     is_better,
     searched,
 )
@@ -102,11 +103,14 @@ def fitted_together(
         return fitted, dict(read_at)
     is_asked_for = partial(_has_order, order)
 
-    def with_loops_anew(before: _State) -> _State:
+    def part(begin: float, length: float) -> Callable[[str, float], object]:
+        return lambda what, fraction: report(what, begin + length * fraction)
+
+    def with_loops_anew(before: _State, fraction: float) -> _State:
         """Estimate the loops beside what is fitted; the fit bends them, but not their lines."""
-        if loops_beside is None:
+        if loops_beside is None or is_at_noise(before.problem, before.best):
             return before
-        report("loops anew", 0.5)
+        report("loops anew", fraction)
         density = loops_beside(with_fit(before.fitted, before.best).model)
         renewed = before.problem.with_hysteresis(density.model())
         again = renewed.fit(replace(before.best.model, hysteresis=density.model()),
@@ -116,13 +120,14 @@ def fitted_together(
             return before
         return _State(replace(before.fitted, visited=density.visited), again, renewed)
 
-    best, tried, problem = begun(problem, fitted.model, report, is_asked_for)
-    state = with_loops_anew(_State(fitted, best, problem))
-    best, changed = searched(state.problem, state.best, report, is_asked_for)
+    best, tried, problem = begun(
+        problem, fitted.model, part(0.0, 0.3), is_asked_for)
+    state = with_loops_anew(_State(fitted, best, problem), 0.3)
+    best, changed = searched(state.problem, state.best, part(0.4, 0.5), is_asked_for)
     tried += changed
     state = replace(state, best=best)
     for _ in range(LOOPS):
-        renewed = with_loops_anew(state)
+        renewed = with_loops_anew(state, 0.9)
         if renewed is state:
             break
         state = renewed
