@@ -164,7 +164,7 @@ def identify(
         fitted, read_at = fitted_together(
             fitted, said, read_at,
             partial(_loops_beside, cycled, linear, density) if of_kind(said, "hysteresis")
-            and not first_rise else None, order, stages.part(0.75, 0.2), tell)
+            and linear.estimates and not first_rise else None, order, stages.part(0.75, 0.2), tell)
         tell_effects(fitted, tell)
         recordings, read_at = validation_as_read(
             fitted.model, said, aligned(said, read_at), read_at)
