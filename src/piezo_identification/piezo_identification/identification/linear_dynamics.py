@@ -227,7 +227,11 @@ def estimate_linear_dynamics(
         if needs_hysteresis:
             driving = aligned_density(hysteresis, found, driving)[0]
         density = None if driving is None else driving.model()
-        found = found.with_dynamics(_from_samples(fast, found.creep, density, method, order))
+        estimate = _from_samples(fast, found.creep, density, method, order)
+        if order.creep_pairs is not None and found.creep.poles_rad_per_s:
+            # As many pairs were asked for as there are; the one fit estimates them beside the rest.
+            estimate = replace(estimate, creep=CreepDynamics())
+        found = found.with_dynamics(estimate)
     return found
 
 

@@ -24,8 +24,8 @@ def files(play, csv_of, tmp_path_factory):
     directory = tmp_path_factory.mktemp("with a space")
     makers = {
         "creep": lambda: play(experiments.creep(), 1, 100.0),
-        "dynamics": lambda: play(experiments.dynamics(), 1),
-        "hysteresis": lambda: play(experiments.hysteresis(level_count=35), 1, 1000.0),
+        "dynamics": lambda: play(experiments.dynamics(duration_s=0.6), 1),
+        "hysteresis": lambda: play(experiments.hysteresis(level_count=16), 1, 1000.0),
         "validation": lambda: play(experiments.validation(), 1),
     }
     return {name: csv_of(makers[name](), directory / f"{name}.csv") for name in NAMES}
@@ -204,6 +204,7 @@ def test_identify_takes_the_dynamics_from_a_multisine(files, play, csv_of, tmp_p
     assert model.dynamics.time_constant_s == pytest.approx(490e-6, rel=0.01)
 
 
+@pytest.mark.long
 def test_identify_fits_a_square_wave_by_armax(
         plant, files, play, csv_of, tmp_path, capsys):
     path = csv_of(play(experiments.dynamics(duration_s=0.6), 1), tmp_path / "dynamics.csv")

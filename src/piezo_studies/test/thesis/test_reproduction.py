@@ -44,6 +44,7 @@ def fault_free(study, picture_faults):
     return study
 
 
+@pytest.mark.long
 def test_few_noisy_samples_give_no_density_by_least_squares_and_a_good_one_when_smoothed(
         picture_faults):
     study = fault_free(known_density.study(), picture_faults)
