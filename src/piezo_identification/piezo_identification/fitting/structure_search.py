@@ -102,7 +102,7 @@ class Structure:
     is_far: bool = False
 
 
-def begun(problem: WholeModel, given: StageModel,
+def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
           report: Callable[[str, float], object] = lambda *_: None,
           is_asked_for: Callable[[StageModel], bool] = lambda _: True,
           ) -> tuple[WholeFit, list[Tried], WholeModel]:
@@ -113,6 +113,8 @@ def begun(problem: WholeModel, given: StageModel,
     problem : WholeModel
     given : StageModel
         That was identified step by step.
+    delay_s : float or None
+        Of it, negative where its rows are read later than the problem says.
     report : callable
         Called with what is tried, and the fraction done, before each.
     is_asked_for : callable
@@ -127,14 +129,14 @@ def begun(problem: WholeModel, given: StageModel,
     problem : WholeModel
         That the best was fitted to: the gain of each recording is its own or that of the model.
     """
-    before = problem.as_it_is(given)
+    before = problem.fit(given, delay_s, 0)
     tried = [("step by step", before)]
     report("everything together", 0.0)
     # The first fit tells how many errors are independent, the second one counts them so.
-    problem.count_as(problem.fit(given, before.delay_s, SETTINGS.steps))
+    problem.count_as(problem.fit(given, delay_s, SETTINGS.steps))
     problem.about_here()
     best, beside = before, problem
-    for structure, of_gain in starts(problem, given, before.delay_s):
+    for structure, of_gain in starts(problem, given, delay_s):
         if not is_asked_for(structure.model) or is_at_noise(beside, best):
             continue
         report(structure.change, 0.5)

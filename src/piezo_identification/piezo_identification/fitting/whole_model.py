@@ -204,11 +204,6 @@ class WholeModel:
         """Tell whether the gain of some recording is its own."""
         return any(self._own_gain)
 
-    def as_it_is(self, model: StageModel) -> WholeFit:
-        """Return what a model leaves, its delay among its effects."""
-        delay_s = sum(effect.delay_s for effect in model.effects if type(effect) is Delay)
-        return self.fit(model, delay_s or None, 0)
-
     def about_here(self) -> None:
         """Let the next fit compute anew what the pieces of the hysteresis do to the displacement.
 

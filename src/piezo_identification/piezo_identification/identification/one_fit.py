@@ -30,6 +30,7 @@ from piezo_identification.identification.linear_dynamics import BEFORE_DELAY, is
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_recorder.reading.recording import Recording
 
 COMPONENTS_OF = {"creep": ("creep",), "dynamics": ("dynamics", "effects")}
 """What is estimated from the recordings of an experiment, as the model file names it."""
@@ -92,10 +93,17 @@ def fitted_together(
         tell("the model is as the separate steps left it: a generator that runs freely changes its "
              "voltage between the rows, which only the steps heed")
         return fitted, dict(read_at)
+    # Rows read within their hold are a delay below zero, which the evidence may leave out.
+    within_s = _within_hold_s(read_at, parts)
+    read_late_s = {
+        name: max(read_at[name] * played(data).sample_period_s - within_s, 0.0)
+        for name, data in samples.items()}
+    delay_s = sum(effect.delay_s for effect in fitted.model.effects
+                  if type(effect) is Delay) - within_s
     try:
         problem = WholeModel(
             fitted.model, list(used.values()),
-            [read_at[name] * part.sample_period_s for name, part in parts.items()],
+            [read_late_s[name] for name in parts],
             # The gain under a voltage of two levels is that of loops that it does not show.
             [each and not all(square) for each in square])
     except ValueError as error:
@@ -121,7 +129,7 @@ def fitted_together(
         return _State(replace(before.fitted, visited=density.visited), again, renewed)
 
     best, tried, problem = begun(
-        problem, fitted.model, part(0.0, 0.3), is_asked_for)
+        problem, fitted.model, delay_s or None, part(0.0, 0.3), is_asked_for)
     state = with_loops_anew(_State(fitted, best, problem), 0.3)
     best, changed = searched(state.problem, state.best, part(0.4, 0.5), is_asked_for)
     tried += changed
@@ -133,13 +141,18 @@ def fitted_together(
         state = renewed
     fitted, best = state.fitted, state.best
     tell(f"one fit of the whole model:\n{table_of(tried, best)}")
-    late_s = max(0.0, -(best.delay_s or 0.0))
-    read_later = {
-        name: read_at[name] + late_s / played(data).sample_period_s
-        for name, data in samples.items()}
+    later_s = max(0.0, -(best.delay_s or 0.0))
+    read_later = {name: (late_s + later_s) / played(samples[name]).sample_period_s
+                  for name, late_s in read_late_s.items()}
     if max(read_later.values()) > LATEST_READING:
         return fitted, dict(read_at)
     return with_fit(fitted, best), read_later
+
+
+def _within_hold_s(read_at: Mapping[str, float], parts: Mapping[str, Recording]) -> float:
+    """Return how far within its hold the fastest recording reads its rows; 0 for its end."""
+    fastest = min(parts, key=lambda name: parts[name].sample_period_s)
+    return (read_at[fastest] % 1.0) * parts[fastest].sample_period_s
 
 
 def _has_order(order: ResponseOrder, model: StageModel) -> bool:

@@ -46,7 +46,7 @@ def wrong(plant):
 
 
 def sought(problem, model):
-    best, tried, problem = begun(problem, model)
+    best, tried, problem = begun(problem, model, None)
     best, more = searched(problem, best)
     return best, tried + more
 

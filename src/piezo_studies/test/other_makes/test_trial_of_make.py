@@ -100,7 +100,7 @@ def test_a_lag_that_is_truly_zero_counts_only_where_the_model_has_one():
 def test_a_stage_that_ends_badly_does_not_end_the_study(program, said, tmp_path, monkeypatch,
                                                         capsys):
     script = tmp_path / "python"
-    script.write_text(f'#!/bin/sh\nulimit -S -t 1\nexec {sys.executable} -c "{program}"\n')
+    script.write_text(f'#!/bin/sh\nulimit -S -t 1\nexec "{sys.executable}" -c "{program}"\n')
     script.chmod(0o755)
     monkeypatch.setattr(__main__.sys, "executable", str(script))
     __main__.main(["--stage", "plays_15um", "tube_11um", "--output", str(tmp_path)])
