@@ -115,6 +115,7 @@ class Client:
         self._actions = {
             name: PatientActionClient(self.node, action_type, topic)
             for name, (action_type, topic) in ACTIONS.items()}
+        self._services: dict[tuple[MessageType, str], rclpy.client.Client] = {}
         self._running: str | None = None
 
     def __enter__(self) -> Self:
@@ -133,6 +134,9 @@ class Client:
         for client in self._actions.values():
             client.destroy()
         self._actions.clear()
+        for service in self._services.values():
+            self.node.destroy_client(service)
+        self._services.clear()
         self.node.destroy_node()
         self._context.try_shutdown()
 
@@ -324,14 +328,15 @@ class Client:
             If nobody serves, or the node that serves ends before it answers.
         """
         with self._signals.hold():
-            client = self.node.create_client(service_type, name)
-            try:
-                self._await(client.service_is_ready, name)
-                request = service_type.Request(**with_absolute_paths(fields))
-                set_deadline(request, CALL_TIMEOUT_S)
-                return self._answer(client, name, request)
-            finally:
-                self.node.destroy_client(client)
+            # A server may answer a new client before it has met it: the answer is lost.
+            client = self._services.get((service_type, name))
+            if client is None:
+                client = self.node.create_client(service_type, name)
+                self._services[service_type, name] = client
+            self._await(client.service_is_ready, name)
+            request = service_type.Request(**with_absolute_paths(fields))
+            set_deadline(request, CALL_TIMEOUT_S)
+            return self._answer(client, name, request)
 
     def _answer(self, client: rclpy.client.Client, name: str, request: Message) -> Message:
         repeatable = may_be_repeated(request)

@@ -93,7 +93,7 @@ def test_a_model_that_is_right_is_not_replaced_by_a_worse_one(plant, recordings)
 
 def test_a_lag_that_stands_behind_the_hysteresis_is_moved_to_the_front(plant, play):
     stage = replace(plant, effects=(AmplifierLag(LAG_S),))
-    parts = [play(experiments.dynamics(duration_s=0.2), 1, stage=stage),
+    parts = [play(experiments.dynamics(duration_s=0.1), 1, stage=stage),
              play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0,
                   stage=stage)]
     behind = replace(plant, dynamics=replace(
