@@ -443,6 +443,7 @@ def tell(model: StageModel, given: Conditioned, selection: Selection, validation
         before=errors.before, after=errors.after,
         noise_floor_um=float(np.median(regression.noise.noise_um)), holdout=errors.where,
         not_decidable=_not_decidable(selection, decision, effects),
+        not_told_from=_not_told_from(selection, effects),
         left=_left(regression, decision, predictable),
         reversed=given.reversed, left_out=[*left_out(regression), *validation.left_out()],
         ceiling=None if predictable is None else asdict(predictable), selection=selection,
@@ -460,15 +461,21 @@ def _left(regression: Regression, decision: Decision, predictable: "Ceiling | No
     return " ".join(told)
 
 
+def _not_told_from(selection: Selection, effects: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """Return the effects that the data does not tell from one that is named, and which."""
+    named = {entry["name"] for entry in effects}
+    return {name: found for name, found in selection.indistinguishable.items()
+            if name not in named and found in named}
+
+
 def _not_decidable(selection: Selection, decision: Decision,
                    effects: Sequence[dict[str, Any]]) -> dict[str, str]:
     """Return the effects that are not named though they are not excluded either, and why."""
     named = {entry["name"] for entry in effects}
     reasons = {name: why for name, why in (selection.not_shown | decision.refused).items()
                if name not in named}
-    for name, found in selection.indistinguishable.items():
-        if name not in named and found in named:
-            reasons[name] = f"the data does not tell it from {found}"
+    for name, found in _not_told_from(selection, effects).items():
+        reasons[name] = f"the data does not tell it from {found}"
     kinds = known_effects()
     for found in sorted(named & kinds.keys()):
         for name in kinds[found].same_without_dynamics:

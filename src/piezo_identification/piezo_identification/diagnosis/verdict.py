@@ -43,6 +43,8 @@ class Verdict:
         Where the held-out data is from, and how many samples.
     not_decidable : dict of str to str
         Effects that the data cannot tell, and why.
+    not_told_from : dict of str to str
+        Of these, the ones that the data cannot tell from an effect that is named, and which.
     left : str
         What is left if it is more than noise; empty otherwise.
     reversed : list of str
@@ -78,6 +80,7 @@ class Verdict:
     reversed: list[str]
     left_out: list[str]
     ceiling: dict[str, float] | None
+    not_told_from: dict[str, str] = field(default_factory=dict, kw_only=True)
     probabilities: dict[str, float] = field(default_factory=dict, kw_only=True)
     identified_from: dict[str, object] = field(default_factory=dict, kw_only=True)
     recording_faults: list[dict[str, object]] = field(default_factory=list, kw_only=True)
@@ -108,6 +111,7 @@ class Verdict:
             "holdout": self.holdout,
             "not_decidable": list(self.not_decidable),
             "not_decidable_because": self.not_decidable,
+            "not_told_from": self.not_told_from,
             "left": self.left,
             "reversed": self.reversed,
             "outliers_left_out": self.left_out,

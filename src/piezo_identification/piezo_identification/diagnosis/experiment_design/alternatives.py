@@ -287,13 +287,13 @@ def _undecided(regression: Regression, found: Effects,
                verdict: Mapping[str, Any]) -> list[Effects]:
     """Guess the effects that are not decidable: in place of one that was found, or as one more."""
     kinds, sets = known_effects(), []
-    because = verdict.get("not_decidable_because", {})
+    because, not_told_from = (
+        verdict.get(key, {}) for key in ("not_decidable_because", "not_told_from"))
     for name in verdict.get("not_decidable", []):
-        reason = because.get(name, "")
         places = [number for number, effect in enumerate(found)
-                  if reason.endswith(f"from {effect.name}")]
+                  if effect.name == not_told_from.get(name)]
         # Other effects are excluded, or the recordings say nothing of them.
-        if name not in kinds or not (places or reason == SAME_AS_OTHER_PARAMETERS):
+        if name not in kinds or not (places or because.get(name) == SAME_AS_OTHER_PARAMETERS):
             continue
         others = (*found[: places[0]], *found[places[0] + 1 :]) if places else found
         # As one more it does what other parameters of the model do: they then stay as they are.

@@ -65,9 +65,11 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     left = competition.indistinguishable()
     found = sorted(entry["name"] for entry in diagnosis.effects if entry["name"] != Outliers.name)
     if list(names) == found:
-        reasons = {name: why for name, why in diagnosis.not_decidable.items()
-                   if name in left or not any(why.endswith(f"from {each}") for each in found)}
-        return replace(diagnosis, probabilities=chances, not_decidable=reasons)
+        decided = diagnosis.not_told_from.keys() - left.keys()
+        return replace(diagnosis, probabilities=chances, not_decidable={
+            name: why for name, why in diagnosis.not_decidable.items() if name not in decided
+        }, not_told_from={name: other for name, other in diagnosis.not_told_from.items()
+                          if name not in decided})
     given = condition(model, recordings, holdout)
     first = first_regression(simulate_recordings(model, given.recordings))
     beside = beside_alternative(

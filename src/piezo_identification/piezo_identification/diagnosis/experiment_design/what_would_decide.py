@@ -45,9 +45,7 @@ def several_remain(verdict: Mapping[str, Any]) -> bool:
     likely = [share for share in shares.values() if share >= LEAST_PROBABLE]
     if likely and max(likely) < SURE * sum(likely):
         return True
-    found = [entry["name"] for entry in verdict["effects"]]
-    return any(reason.endswith(f"from {name}") for name in found
-               for reason in verdict["not_decidable_because"].values())
+    return bool(verdict.get("not_told_from"))
 
 
 def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecordings,

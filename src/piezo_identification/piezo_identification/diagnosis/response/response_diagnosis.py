@@ -71,8 +71,10 @@ class ResponseSelection:
         Entries of the verdict.
     tried : list of list of (str, float)
         See `ResponseDiagnosis`.
-    not_decidable : dict of str to str
-        Effects that the response does not tell from one found, and why.
+    not_told_from : dict of str to str
+        Effects that the response does not tell from one found, and which.
+    refused : dict of str to str
+        Effects that are not taken, and why.
     is_explained : bool
         Little enough is left.
     """
@@ -80,7 +82,8 @@ class ResponseSelection:
     fit: ResponseFit
     effects: list[dict[str, Any]]
     tried: list[list[tuple[str, float]]]
-    not_decidable: dict[str, str]
+    not_told_from: dict[str, str]
+    refused: dict[str, str]
     is_explained: bool
 
 
@@ -145,7 +148,7 @@ def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
     found = [start]
     effects: list[dict[str, Any]] = []
     tried: list[list[tuple[str, float]]] = []
-    not_decidable: dict[str, str] = {}
+    not_told_from: dict[str, str] = {}
     while (len(effects) < CRITERIA.most_effects
            and lack_of_fit(problem, current) > CRITERIA.explained):
         fits = fit_each_candidate(problem, current)
@@ -156,8 +159,7 @@ def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
         best = fits[0]
         for other in fits[1:]:
             if reduction_percent(problem, best, other) > -CRITERIA.told_apart_percent:
-                not_decidable[other.effects[-1].name] = (
-                    f"the response does not tell it from {best.effects[-1].name}")
+                not_told_from[other.effects[-1].name] = best.effects[-1].name
         effects.append({
             "name": best.effects[-1].name,
             "error_reduction_percent": reduction_percent(problem, current, best)})
@@ -167,9 +169,8 @@ def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
     current, effects = found[kept], effects[:kept]
     for entry, effect in zip(effects, current.effects, strict=True):
         entry["parameters"] = effect.parameters()
-        not_decidable.pop(entry["name"], None)
-    not_decidable |= refused
-    return ResponseSelection(current, effects, tried, not_decidable,
+        not_told_from.pop(entry["name"], None)
+    return ResponseSelection(current, effects, tried, not_told_from, refused,
                              lack_of_fit(problem, current) <= CRITERIA.explained
                              and times_the_noise(problem, current) <= CRITERIA.near_noise)
 
@@ -206,7 +207,9 @@ def _told(problem: ResponseProblem, selection: ResponseSelection,
         noise_floor_um=problem.noise,
         holdout={"source": "frequencies that were not fitted",
                  "samples": int(np.sum(~problem.estimation))},
-        not_decidable=selection.not_decidable, left=left,
+        not_decidable={name: f"the response does not tell it from {found}"
+                       for name, found in selection.not_told_from.items()} | selection.refused,
+        not_told_from=selection.not_told_from, left=left,
         reversed=[fault.recording for fault in faults], left_out=[],
         recording_faults=[fault.document() for fault in faults],
         ceiling=None,

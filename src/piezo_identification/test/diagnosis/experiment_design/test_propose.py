@@ -32,6 +32,7 @@ VERDICT = {
     "not_decidable_because": {
         "sensor_lag": "the data does not tell it from delay",
         "thermal_drift": "in so short a time, a drift looks like creep that had begun before"},
+    "not_told_from": {"sensor_lag": "delay"},
 }
 LIMITS = StageLimits(-20.0, 120.0, 1e5, 10_000.0)
 SLOW = Experiment("scan", 50.0 - 25.0 * np.cos(0.02 * np.pi * np.arange(1000)), 1e-3, 1, "")

@@ -19,18 +19,17 @@ from piezo_models.model_file import save_model
 SCAN = Experiment("scan", 50.0 - 25.0 * np.cos(2e-3 * np.pi * np.arange(3000)), 1e-4, 1, "")
 
 
-@pytest.mark.parametrize(("shares", "because", "expected"), [
+@pytest.mark.parametrize(("shares", "not_told_from", "expected"), [
     ({"delay": 0.7, "sensor_lag": 0.28, "something_else": 0.02}, {}, True),
     ({"delay": 0.97, "sensor_lag": 0.02, "something_else": 0.01}, {}, False),
     ({"delay": 0.93, "something_else": 0.07}, {}, False),
     ({"delay": 0.3, "sensor_lag": 0.1, "something_else": 0.6}, {}, False),
-    ({"delay": 0.99}, {"sensor_lag": "the data does not tell it from delay"}, True),
-    ({"delay": 0.99}, {"thermal_drift": "in so short a time, a drift looks like creep"}, False),
+    ({"delay": 0.99}, {"sensor_lag": "delay"}, True),
     ({}, {}, False),
 ])
-def test_several_remain_where_no_explanation_of_the_list_is_sure(shares, because, expected):
+def test_several_remain_where_no_explanation_of_the_list_is_sure(shares, not_told_from, expected):
     verdict = {"effects": [{"name": "delay"}], "probabilities": shares,
-               "not_decidable_because": because}
+               "not_told_from": not_told_from}
     assert module.several_remain(verdict) == expected
 
 
