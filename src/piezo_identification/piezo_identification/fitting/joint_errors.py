@@ -157,8 +157,6 @@ class JointErrors:
     columns : (r, n) array, optional
         Derivatives of the displacement by the unknowns, in um, that stand for those everywhere;
         by default they are computed.
-    own_gain : sequence of bool, optional
-        Recordings whose gain is projected out, too; by default none.
     independent : (R,) array, optional
         Errors of each recording that count; by default as many as count at most.
     hysteresis_width : float
@@ -175,7 +173,6 @@ class JointErrors:
                  held: Sequence[Effect] = (),
                  pieces_um: Sequence[Sequence[FloatArray]] | None = None,
                  columns: FloatArray | None = None,
-                 own_gain: Sequence[bool] | None = None,
                  independent: FloatArray | None = None,
                  hysteresis_width: float = 1.0,
                  of_pieces_um: dict[int, FloatArray] | None = None) -> None:
@@ -183,7 +180,6 @@ class JointErrors:
         self.dataset, self.new_count, self.later = dataset, new_count, later
         self._independent = np.full(
             len(dataset.simulated), SETTINGS.independent) if independent is None else independent
-        self._own_gain = [False] * len(dataset.simulated) if own_gain is None else own_gain
         self.count = dataset.regressors.shape[1] - dataset.nuisance_count
         self._fitted = [fitted[mask] for mask in dataset.masks()]
         self._good = [good[mask] for mask in dataset.masks()]
@@ -202,9 +198,8 @@ class JointErrors:
         self.longest[: self.count] = SETTINGS.longest
         self.accuracy_um = np.array([
             TOLERANCE.model_tolerance * np.ptp(part.measured_um) for part in dataset.simulated])
-        self._own_count = [
-            nuisance_regressors(part, rows[:1]).shape[1] + has_gain for part, rows, has_gain in zip(
-                dataset.simulated, dataset.rows, self._own_gain, strict=True)]
+        self._own_count = [nuisance_regressors(part, rows[:1]).shape[1] for part, rows in zip(
+            dataset.simulated, dataset.rows, strict=True)]
         self._pieces_um = pieces_um
         self._points: dict[bytes, _Point] = {}
         self._columns: tuple[bytes, list[FloatArray]] = b"", []
@@ -232,11 +227,6 @@ class JointErrors:
             changes = np.vstack(self._columns[1])[:, : self.count]
         return replace(point.dataset, regressors=np.hstack([nuisance, changes]),
                        nuisance_count=nuisance.shape[1])
-
-    @property
-    def own_gains(self) -> int:
-        """Return how many recordings have a gain of their own."""
-        return sum(self._own_gain)
 
     @property
     def columns_of_effects(self) -> FloatArray | None:
@@ -337,8 +327,6 @@ class JointErrors:
                 part, rows = dataset.simulated[index], dataset.rows[index]
                 simulated_um = part.simulate(effects, rows=rows)
                 nuisance = _projected_out(part, rows, effects)
-                if self._own_gain[index]:
-                    nuisance = np.column_stack([nuisance, simulated_um])
                 return nuisance, *self._left_beside(
                     index, nuisance, part.measured_um[rows] - simulated_um)
 
@@ -380,8 +368,7 @@ class JointErrors:
                 moved_um += (_projected_out(part, rows, effects)
                              - point.nuisance[index]) @ point.sizes[index]
             columns.append(moved_um / (moved[number] - vector[number]))
-        gain = 1.0 + point.sizes[index][-1] if self._own_gain[index] else 1.0
-        return gain * np.column_stack([changes, *columns])
+        return np.column_stack([changes, *columns])
 
     def _left_beside(self, index: int, nuisance: FloatArray,
                      values: FloatArray) -> tuple[FloatArray, FloatArray]:

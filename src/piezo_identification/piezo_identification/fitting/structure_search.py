@@ -35,6 +35,8 @@ class SearchSettings:
     promise : float
         Evidence, as a natural logarithm, by which a structure may be behind then; one that is
         further behind is not tried again.
+    rivals : int
+        Starts beside the best from which the search goes on, if they are as promising.
     chance : float
         The same by which rows that are held out may be worse, by chance alone.
     modes_less : int
@@ -64,6 +66,7 @@ class SearchSettings:
     followed: int = 2
     rounds: int = 10
     promise: float = 100.0
+    rivals: int = 1
     chance: float = 3.0
     modes_less: int = 2
     above_noise: float = 1.05
@@ -105,7 +108,7 @@ class Structure:
 def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
           report: Callable[[str, float], object] = lambda *_: None,
           is_asked_for: Callable[[StageModel], bool] = lambda _: True,
-          ) -> tuple[WholeFit, list[Tried], WholeModel]:
+          ) -> tuple[list[WholeFit], list[Tried]]:
     """Fit the whole model from several starts.
 
     Parameters
@@ -122,12 +125,11 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
 
     Returns
     -------
-    best : WholeFit
-        Of all that were tried, the given model included.
+    promising : list of WholeFit
+        The best of all that were tried, the given model included, and those that are not far
+        behind it: which of them leads farthest is not known before.
     tried : list of (str, WholeFit)
         All that were tried, in their order.
-    problem : WholeModel
-        That the best was fitted to: the gain of each recording is its own or that of the model.
     """
     before = problem.fit(given, delay_s, 0)
     tried = [("step by step", before)]
@@ -135,16 +137,19 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     # The first fit tells how many errors are independent, the second one counts them so.
     problem.count_as(problem.fit(given, delay_s, SETTINGS.steps))
     problem.about_here()
-    best, beside = before, problem
-    for structure, of_gain in starts(problem, given, delay_s):
-        if not is_asked_for(structure.model) or is_at_noise(beside, best):
+    best = before
+    for structure in starts(problem, given, delay_s):
+        if not is_asked_for(structure.model) or is_at_noise(problem, best):
             continue
         report(structure.change, 0.5)
-        fitted = of_gain.fit(structure.model, structure.delay_s, SETTINGS.steps)
+        fitted = problem.fit(structure.model, structure.delay_s, SETTINGS.steps)
         tried.append((structure.change, fitted))
         if is_better(fitted, best):
-            best, beside = fitted, of_gain
-    return best, tried, beside
+            best = fitted
+    others = [fit for _, fit in tried[1:]
+              if fit is not best and fit.evidence_over(best) > -SETTINGS.promise]
+    others.sort(key=lambda fit: -fit.evidence_over(best))
+    return [best, *others[: SETTINGS.rivals]], tried
 
 
 def searched(problem: WholeModel, best: WholeFit,
@@ -205,26 +210,12 @@ def searched(problem: WholeModel, best: WholeFit,
 
 
 def starts(problem: WholeModel, given: StageModel,
-           delay_s: float | None) -> Iterator[tuple[Structure, WholeModel]]:
-    """Yield what the search may begin from, with recordings whose gain is their own or the model's.
+           delay_s: float | None) -> Iterator[Structure]:
+    """Yield what the search may begin from.
 
-    A gain of its own hides what the creep between two recordings does to it.
-    """
-    plain = list(plain_starts(problem, given, delay_s))
-    for structure in [Structure("everything together", given, delay_s), *plain]:
-        yield structure, problem
-    if problem.has_own_gains:
-        shared = problem.sharing_gains()
-        for structure in plain:
-            yield replace(structure, change=f"{structure.change}, no gain of its own"), shared
-
-
-def plain_starts(problem: WholeModel, given: StageModel,
-                 delay_s: float | None) -> Iterator[Structure]:
-    """Yield the modes that ring alone, with a lag on either side of the hysteresis.
-
-    A search without the hysteresis takes what its loops do for dynamics, from which no step by
-    step leads back.
+    That is the given model, and the modes that ring alone with a lag on either side of the
+    hysteresis: a search without the hysteresis takes what its loops do for dynamics, from which no
+    step by step leads back.
 
     Parameters
     ----------
@@ -236,33 +227,52 @@ def plain_starts(problem: WholeModel, given: StageModel,
     ------
     Structure
     """
-    ringing = _in_phase([effect for effect in given.effects
-                         if isinstance(effect, VibrationMode) and _rings(problem, effect)])
-    others = tuple(effect for effect in given.effects
-                   if not isinstance(effect, VibrationMode | AmplifierLag | SensorLag))
+    yield Structure("everything together", given, delay_s)
+    ringing = [effect for effect in given.effects
+               if isinstance(effect, VibrationMode) and _rings(problem, effect)]
     if given.dynamics.is_static and not ringing:
         return
+    others = tuple(effect for effect in given.effects
+                   if not isinstance(effect, VibrationMode | AmplifierLag | SensorLag))
     lag_s = next((effect.time_constant_s for effect in given.effects
                   if type(effect) is AmplifierLag), problem.sample_period_s)
     bare = replace(_electric(given, 0.0), creep=_creep_as_far_as(_without_gaps(given.creep), min(
         (mode.frequency_rad_per_s for mode in ringing), default=0.0)))
-    yield Structure("modes that ring, with an amplifier's lag", replace(
-        bare, effects=(AmplifierLag(lag_s), *ringing, *others)), delay_s)
-    if any(isinstance(effect, VibrationMode) for effect in given.effects):
-        yield Structure("modes that ring, with an electric time constant", replace(
-            _electric(bare, lag_s), effects=(*ringing, *others)), delay_s)
+    apart = _apart(ringing)
+    for modes in [ringing, apart] if len(apart) < len(ringing) else [ringing]:
+        effects = (*_in_phase(modes), *others)
+        what = f"{len(modes)} modes that ring"
+        yield Structure(f"{what}, with an amplifier's lag", replace(
+            bare, effects=(AmplifierLag(lag_s), *effects)), delay_s)
+        if any(isinstance(effect, VibrationMode) for effect in given.effects):
+            yield Structure(f"{what}, with an electric lag", replace(
+                _electric(bare, lag_s), effects=effects), delay_s)
 
 
 def _without_gaps(creep: CreepDynamics) -> CreepDynamics:
-    """Return a creep with a further pair wherever two rates are far apart, of the same gain."""
+    """Return a creep with further pairs wherever two rates are far apart, of the same gain."""
+    while len(creep.poles_rad_per_s) > 1 and _widest_gap(creep)[1] > SETTINGS.widest_gap:
+        creep = _with_pair_between(creep)
+    return creep
+
+
+def _widest_gap(creep: CreepDynamics) -> tuple[int, float]:
+    """Return which rate is farthest from the next, and their ratio."""
+    poles = np.array(creep.poles_rad_per_s)
+    ratios = poles[1:] / poles[:-1]
+    gap = int(np.argmax(ratios))
+    return gap, float(ratios[gap])
+
+
+def _with_pair_between(creep: CreepDynamics) -> CreepDynamics:
+    """Return a creep with a further pair in its widest gap, of the same gain."""
     poles = np.array(creep.poles_rad_per_s)
     gains = np.log(creep.zeros_rad_per_s) - np.log(poles)
-    gaps = np.flatnonzero(poles[1:] > SETTINGS.widest_gap * poles[:-1])
-    between = np.sqrt(poles[gaps] * poles[gaps + 1])
-    shares = 0.25 * (gains[gaps] + gains[gaps + 1])
-    np.subtract.at(gains, gaps, 0.5 * shares)
-    np.subtract.at(gains, gaps + 1, 0.5 * shares)
-    poles, gains = np.insert(poles, gaps + 1, between), np.insert(gains, gaps + 1, shares)
+    gap, _ = _widest_gap(creep)
+    share = 0.25 * (gains[gap] + gains[gap + 1])
+    gains[gap : gap + 2] -= 0.5 * share
+    poles = np.insert(poles, gap + 1, np.sqrt(poles[gap] * poles[gap + 1]))
+    gains = np.insert(gains, gap + 1, share)
     return CreepDynamics(tuple(poles.tolist()), tuple((poles * np.exp(gains)).tolist()))
 
 
@@ -286,6 +296,20 @@ def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
     return tuple(
         replace(mode, participation=mode.participation / whole, velocity_participation=0.0)
         if type(mode) is CoupledMode else mode for mode in modes)
+
+
+def _apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
+    """Return modes of which those that overlap are one: a fit may split one to follow its loops."""
+    apart = list[VibrationMode]()
+    for mode in sorted(modes, key=lambda mode: mode.frequency_rad_per_s):
+        last = apart[-1] if apart else None
+        if last is not None and mode.frequency_rad_per_s - last.frequency_rad_per_s < (
+                last.damping_ratio + mode.damping_ratio) * mode.frequency_rad_per_s:
+            larger = max(last, mode, key=lambda each: abs(each.participation))
+            apart[-1] = replace(larger, participation=last.participation + mode.participation)
+        else:
+            apart.append(mode)
+    return apart
 
 
 def _rings(problem: WholeModel, mode: VibrationMode) -> bool:
@@ -371,7 +395,8 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
     """Yield a lag on the other side of the hysteresis, and modes that are no longer in phase."""
     model, delay_s = fit.model, fit.delay_s
     behind_s = model.dynamics.time_constant_s
-    ahead = [place for place, effect in enumerate(model.effects) if type(effect) is AmplifierLag]
+    ahead = [place for place, effect in enumerate(model.effects)
+             if isinstance(effect, AmplifierLag)]
     if behind_s > 0.0 and not ahead:
         yield Structure(
             "its electric lag in front of the hysteresis",
@@ -438,7 +463,7 @@ def _later(model: StageModel, delay_s: float | None,
     """
     for place, effect in enumerate(model.effects):
         if isinstance(effect, AmplifierLag) and effect.time_constant_s + by_s > 0.0:
-            longer = AmplifierLag(effect.time_constant_s + by_s)
+            longer = replace(effect, time_constant_s=effect.time_constant_s + by_s)
             return replace(model, effects=(
                 *model.effects[:place], longer, *model.effects[place + 1 :])), delay_s
     electric_s = model.dynamics.time_constant_s

@@ -74,8 +74,8 @@ class WholeFit:
 
     @property
     def numbers(self) -> int:
-        """Return how many numbers of creep, dynamics, effects and own gains were estimated."""
-        return (physical_count(self.model) + (self.delay_s is not None) + self.errors.own_gains
+        """Return how many numbers of creep, dynamics and effects were estimated."""
+        return (physical_count(self.model) + (self.delay_s is not None)
                 + sum(fitted_values(effect)[0].size for effect in self.model.effects))
 
     @property
@@ -153,8 +153,6 @@ class WholeModel:
         With the sign of the model, and their outliers marked.
     read_late_s : sequence of float
         Time after its voltage at which each reads its rows.
-    own_gain : sequence of bool
-        Recordings whose gain is their own, unless `sharing_gains` is asked for.
 
     Raises
     ------
@@ -163,8 +161,8 @@ class WholeModel:
     """
 
     def __init__(self, model: StageModel, recordings: Sequence[Recording],
-                 read_late_s: Sequence[float], own_gain: Sequence[bool]) -> None:
-        bare, self._own_gain = replace(model, effects=()), own_gain
+                 read_late_s: Sequence[float]) -> None:
+        bare = replace(model, effects=())
         self._given = model
         self._independent = np.full(len(recordings), ERRORS.independent)
         simulated = side_by_side(
@@ -191,18 +189,6 @@ class WholeModel:
         problem._dataset = replace(self._dataset, model=bare, simulated=tuple(side_by_side(
             lambda part: part.with_model(bare), self._dataset.simulated)))
         return problem
-
-    def sharing_gains(self) -> "WholeModel":
-        """Return the same problem, the gain of every recording that of the model."""
-        problem = copy(self)
-        problem.about_here()
-        problem._own_gain = [False] * len(self._own_gain)
-        return problem
-
-    @property
-    def has_own_gains(self) -> bool:
-        """Tell whether the gain of some recording is its own."""
-        return any(self._own_gain)
 
     def about_here(self) -> None:
         """Let the next fit compute anew what the pieces of the hysteresis do to the displacement.
@@ -297,7 +283,7 @@ class WholeModel:
             0.0, (rows, dataset.nuisance_count + free_count(bare))))
         return JointErrors(
             dataset, self._fitted, self._good, len(dataset.simulated), effects, frozenset(),
-            pieces_um=self._pieces_um, own_gain=self._own_gain, independent=self._independent,
+            pieces_um=self._pieces_um, independent=self._independent,
             hysteresis_width=HYSTERESIS_WIDTH, of_pieces_um=self._of_pieces_um)
 
     @cached_property

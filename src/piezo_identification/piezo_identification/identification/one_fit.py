@@ -2,7 +2,7 @@
 """The last step of an identification: one fit of the whole model to all of its recordings."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -35,6 +35,9 @@ from piezo_recorder.reading.recording import Recording
 COMPONENTS_OF = {"creep": ("creep",), "dynamics": ("dynamics", "effects")}
 """What is estimated from the recordings of an experiment, as the model file names it."""
 
+BEGUN = 0.3
+"""Part of the time that the starts take, as it is reported."""
+
 LOOPS = 2
 """Times at most that the loops are estimated anew beside what is fitted, in the end."""
 
@@ -46,6 +49,63 @@ class _State:
     fitted: FittedModel
     best: WholeFit
     problem: WholeModel
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The search for the best model from several starts, and all that was tried in it."""
+
+    problem: WholeModel
+    given: FittedModel
+    loops_beside: Callable[[StageModel], DensityEstimate] | None
+    is_asked_for: Callable[[StageModel], bool]
+    report: Callable[[str, float], object]
+    tried: list[tuple[str, WholeFit]] = field(default_factory=list)
+
+    def best(self, delay_s: float | None) -> _State:
+        """Return the best model that the search leads to from the promising starts."""
+        promising, tried = begun(
+            self.problem, self.given.model, delay_s, self._part(0.0, BEGUN), self.is_asked_for)
+        self.tried.extend(tried)
+        length = (1.0 - BEGUN) / len(promising)
+        state = self._from(promising[0], BEGUN, length)
+        for number, start in enumerate(promising[1:], 1):
+            if not is_at_noise(state.problem, state.best):
+                other = self._from(start, BEGUN + number * length, length)
+                state = other if is_better(other.best, state.best) else state
+        return state
+
+    def _from(self, start: WholeFit, begin: float, length: float) -> _State:
+        """Estimate the loops anew, change the structure, and estimate the loops anew."""
+        state = self._with_loops_anew(_State(self.given, start, self.problem), begin)
+        end = begin + 0.9 * length
+        best, changed = searched(
+            state.problem, state.best, self._part(begin, end - begin), self.is_asked_for)
+        self.tried.extend(changed)
+        state = replace(state, best=best)
+        for _ in range(LOOPS):
+            renewed = self._with_loops_anew(state, end)
+            if renewed is state:
+                break
+            state = renewed
+        return state
+
+    def _with_loops_anew(self, before: _State, fraction: float) -> _State:
+        """Estimate the loops beside what is fitted; the fit bends them, but not their lines."""
+        if self.loops_beside is None or is_at_noise(before.problem, before.best):
+            return before
+        self.report("loops anew", fraction)
+        density = self.loops_beside(with_fit(before.fitted, before.best).model)
+        problem = before.problem.with_hysteresis(density.model())
+        again = problem.fit(replace(before.best.model, hysteresis=density.model()),
+                            before.best.delay_s, SETTINGS.steps)
+        self.tried.append(("loops anew", again))
+        if not is_better(again, before.best):
+            return before
+        return _State(replace(before.fitted, visited=density.visited), again, problem)
+
+    def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
+        return lambda what, fraction: self.report(what, begin + length * fraction)
 
 
 def fitted_together(
@@ -87,9 +147,9 @@ def fitted_together(
         return fitted, dict(read_at)
     used = {name: data for name, data in samples.items() if experiment_of(name) != "validation"}
     parts = {name: played(data) for name, data in used.items()}
-    square = [is_square_wave(data) for data in used.values()]
-    if any(each and generator_edges(square_wave(square_part(part))) is not None
-           for each, part in zip(square, parts.values(), strict=True)):
+    if any(is_square_wave(used[name])
+           and generator_edges(square_wave(square_part(part))) is not None
+           for name, part in parts.items()):
         tell("the model is as the separate steps left it: a generator that runs freely changes its "
              "voltage between the rows, which only the steps heed")
         return fitted, dict(read_at)
@@ -103,44 +163,14 @@ def fitted_together(
     try:
         problem = WholeModel(
             fitted.model, list(used.values()),
-            [read_late_s[name] for name in parts],
-            # The gain under a voltage of two levels is that of loops that it does not show.
-            [each and not all(square) for each in square])
+            [read_late_s[name] for name in parts])
     except ValueError as error:
         tell(f"the model is as the separate steps left it, as {error}")
         return fitted, dict(read_at)
-    is_asked_for = partial(_has_order, order)
-
-    def part(begin: float, length: float) -> Callable[[str, float], object]:
-        return lambda what, fraction: report(what, begin + length * fraction)
-
-    def with_loops_anew(before: _State, fraction: float) -> _State:
-        """Estimate the loops beside what is fitted; the fit bends them, but not their lines."""
-        if loops_beside is None or is_at_noise(before.problem, before.best):
-            return before
-        report("loops anew", fraction)
-        density = loops_beside(with_fit(before.fitted, before.best).model)
-        renewed = before.problem.with_hysteresis(density.model())
-        again = renewed.fit(replace(before.best.model, hysteresis=density.model()),
-                            before.best.delay_s, SETTINGS.steps)
-        tried.append(("loops anew", again))
-        if not is_better(again, before.best):
-            return before
-        return _State(replace(before.fitted, visited=density.visited), again, renewed)
-
-    best, tried, problem = begun(
-        problem, fitted.model, delay_s or None, part(0.0, 0.3), is_asked_for)
-    state = with_loops_anew(_State(fitted, best, problem), 0.3)
-    best, changed = searched(state.problem, state.best, part(0.4, 0.5), is_asked_for)
-    tried += changed
-    state = replace(state, best=best)
-    for _ in range(LOOPS):
-        renewed = with_loops_anew(state, 0.9)
-        if renewed is state:
-            break
-        state = renewed
+    search = _Search(problem, fitted, loops_beside, partial(_has_order, order), report)
+    state = search.best(delay_s or None)
     fitted, best = state.fitted, state.best
-    tell(f"one fit of the whole model:\n{table_of(tried, best)}")
+    tell(f"one fit of the whole model:\n{table_of(search.tried, best)}")
     later_s = max(0.0, -(best.delay_s or 0.0))
     read_later = {name: (late_s + later_s) / played(samples[name]).sample_period_s
                   for name, late_s in read_late_s.items()}

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 import control
-import numpy as np
-from scipy.signal import lfilter
 
 from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
-from piezo_models.effects.filtering import slowed
+from piezo_models.effects.filtering import filtered, filtered_on, slowed, unfiltered_period
 from piezo_models.effects.sensor_lag import SensorLag
 
 PARTS, SHORTEST, LONGEST = 4, 0.02, 5.0
@@ -37,36 +35,28 @@ class AmplifierLag(Effect):
 
     time_constant_s: float = parameter("s", "logarithm", LEAST, MOST)
 
+    # The mean over a period behind a held voltage is what a sample is behind a straight one.
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
         """Return the signal behind the effect, as `Effect.apply` describes."""
-        return self.advance(signal, sample_period_s, rest)[0]
+        return filtered([1.0], self._denominator(), signal, sample_period_s, rest)
 
     def advance(self, signal: FloatArray, sample_period_s: float,
                 past: Any = None) -> tuple[FloatArray, Any]:
-        """Continue the signal behind the effect; the past is the voltage that was reached."""
-        signal = np.asarray(signal, dtype=float)
-        start = float(signal[0] if past is None else past)
-        decay, share = self._decay_and_share(sample_period_s)
-        reached, _ = lfilter([1.0 - decay], [1.0, -decay], signal, zi=[decay * start])
-        begun = np.concatenate([[start], reached[:-1]])
-        return signal + share * (begun - signal), float(reached[-1])
+        """Continue the signal behind the effect; the past is the filter's state."""
+        return filtered_on([1.0], self._denominator(), signal, sample_period_s, past)
 
     def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
         """Divide the period by the lag, harmonic by harmonic."""
-        decay, share = self._decay_and_share(sample_period_s)
-        back = np.exp(-2j * np.pi * np.fft.rfftfreq(wanted.size))
-        begun = (1.0 - decay) * back / (1.0 - decay * back)
-        return np.fft.irfft(np.fft.rfft(wanted) / (1.0 - share + share * begun), wanted.size)
+        return unfiltered_period([1.0], self._denominator(), wanted, sample_period_s)
 
     def lag(self) -> control.StateSpace | None:
         """Return the lag as a continuous system, as `Effect.lag` describes."""
         return slowed([1.0], [1.0, 1.0], self.time_constant_s)
 
-    def _decay_and_share(self, sample_period_s: float) -> tuple[float, float]:
-        """Return what is left of a difference after a sample period, and on the mean in it."""
-        periods = sample_period_s / self.time_constant_s
-        return float(np.exp(-periods)), float(-np.expm1(-periods) / periods)
+    def _denominator(self) -> list[float]:
+        # With a square of zero the filter has a closed form, however short the lag is.
+        return [0.0, self.time_constant_s, 1.0]
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:

@@ -162,8 +162,8 @@ def intervals(identified: IdentifiedModel, true: dict[str, list[float]]) -> list
     """Set the parameters of a model beside those that are true.
 
     Each true mode is compared with that mode of the model which is nearest in frequency, in series
-    with others or added as an effect. A lag or
-    delay that is truly zero counts where the model has one.
+    with others or added as an effect. A lag or delay that is truly zero counts where the model has
+    one.
 
     Parameters
     ----------
