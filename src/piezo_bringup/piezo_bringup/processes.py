@@ -87,10 +87,8 @@ class Processes:
 
         Parameters
         ----------
-        name : str
         parameters : dict, optional
             ROS parameters.
-        namespace : str, optional
         parameter_file : path-like, optional
             YAML file of ROS parameters.
         """

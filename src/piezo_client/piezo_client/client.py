@@ -56,12 +56,7 @@ class GoalFailed(RuntimeError):
 
 
 class ServiceFailed(GoalFailed):
-    """A service gave no answer.
-
-    Parameters
-    ----------
-    text : str
-    """
+    """A service gave no answer."""
 
     def __init__(self, text: str) -> None:
         RuntimeError.__init__(self, text)
@@ -75,12 +70,7 @@ def nobody_serves(namespace: str) -> ServiceFailed:
 
 
 class StoodStill(ServiceFailed):
-    """Tell that the nodes gave this process up, as it did nothing for so long, and ended its goals.
-
-    Parameters
-    ----------
-    standstill_s : float
-    """
+    """Tell that the nodes gave this idle process up and ended its goals."""
 
     def __init__(self, standstill_s: float) -> None:
         super().__init__(f"this process stood still for {standstill_s:.1f} s, and the nodes have "

@@ -22,16 +22,11 @@ def monitor_follows(client: Client, from_s: float, to_s: float, wait_s: float) -
 
     Parameters
     ----------
-    client : Client
     from_s, to_s : float
         Between which the time lies: the monitor may still watch a stage before, whose clock is
         another.
     wait_s : float
         How long to wait for the monitor to tell so.
-
-    Returns
-    -------
-    bool
     """
     told_s: list[float] = []
 
@@ -52,7 +47,6 @@ def offered_model(client: Client, wait_s: float = LATCHED_S) -> OfferedModel | N
 
     Parameters
     ----------
-    client : Client
     wait_s : float
         How long to wait for an offer.
 
@@ -80,7 +74,6 @@ def accept_extended_model(client: Client, model: AnyPath, extended_model: AnyPat
 
     Parameters
     ----------
-    client : Client
     model : path-like
         That goals name.
     extended_model : path-like

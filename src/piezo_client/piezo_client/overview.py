@@ -21,7 +21,6 @@ def stages_seen(client: Client, wait_s: float) -> list[str]:
 
     Parameters
     ----------
-    client : Client
     wait_s : float
         How long to look where none is seen.
 

@@ -15,15 +15,10 @@ def harmonic(frequency_hz: float, amplitude_um: float, centre_um: float) -> dict
 
     Parameters
     ----------
-    frequency_hz : float
     amplitude_um : float
         Peak to peak.
     centre_um : float
         Mean displacement.
-
-    Returns
-    -------
-    dict
     """
     return _of_components("harmonic", [frequency_hz], [amplitude_um], [], centre_um)
 
@@ -33,15 +28,10 @@ def triangle(frequency_hz: float, amplitude_um: float, centre_um: float) -> dict
 
     Parameters
     ----------
-    frequency_hz : float
     amplitude_um : float
         Peak to peak.
     centre_um : float
         Mean displacement.
-
-    Returns
-    -------
-    dict
     """
     return _of_components("triangle", [frequency_hz], [amplitude_um], [], centre_um)
 
@@ -58,10 +48,6 @@ def multi_frequency(frequencies_hz: Sequence[float], amplitudes_um: Sequence[flo
         Mean displacement.
     phases_rad : sequence of float, optional
         Of each sine; zero by default.
-
-    Returns
-    -------
-    dict
     """
     return _of_components("multi_frequency", frequencies_hz, amplitudes_um, phases_rad, centre_um)
 
@@ -77,10 +63,6 @@ def sampled(displacement_um: ArrayLike, path: str | PathLike[str],
         CSV file to write, from which the controller reads the period.
     sample_rate_hz : float
         Of the stage's sample clock.
-
-    Returns
-    -------
-    dict
 
     Raises
     ------

@@ -90,15 +90,10 @@ class Stage:
         voltage_v : array_like, shape (N,)
         sample_period_s : float, optional
             A whole multiple of the sample clock's, at most 1 s; by default that of the clock.
-        repeats : int
         directory : path-like
             Where the recording is made.
         name : str
             Of the recording, to which a number is added where it is taken.
-
-        Returns
-        -------
-        Played
         """
         if sample_period_s is None:
             sample_period_s = 1.0 / self.description.sample_rate_hz
@@ -138,10 +133,6 @@ class Stage:
             creep, dynamics, multisine, relay, hysteresis, validation, diagnostic or probe.
         directory : path-like
             Where the recording is made; by default where the node's parameter says.
-
-        Returns
-        -------
-        piezo_client.results.Experiment
         """
         result = self.client.run_experiment(name, directory, on_feedback=self._shown(""))
         return Experiment(Path(result.recording), result.summary)
@@ -161,10 +152,6 @@ class Stage:
             Orders of the model; 0 to choose them from the data.
         probe_first : bool
             Whether to measure the stage first, and fit the experiments to it.
-
-        Returns
-        -------
-        Identification
         """
         result = self.client.identify(
             directory, recordings=recordings, creep_pairs=creep_pairs, modes=modes,
@@ -193,10 +180,6 @@ class Stage:
             Where the recording is made; by default where the node's parameter says.
         controller : path-like
             File that ``design`` wrote, for the composite modes; by default the node's own.
-
-        Returns
-        -------
-        Tracking
         """
         result = self.client.track(
             reference, model, mode, duration_s, directory, controller=controller,
@@ -223,10 +206,6 @@ class Stage:
             That the stage may play until one explanation has a probability of 95 %.
         longest_s : float
             That each of them may last; 30 s where it is 0.
-
-        Returns
-        -------
-        piezo_client.results.Diagnosis
         """
         result = self.client.diagnose(
             model, recordings, directory, holdout, on_feedback=self._shown("diagnose: "),

@@ -111,7 +111,6 @@ def add_report_option(parser: argparse.ArgumentParser, where: str) -> None:
 
     Parameters
     ----------
-    parser : argparse.ArgumentParser
     where : str
         Where the page is written otherwise.
     """
@@ -124,7 +123,6 @@ def write_report(path: Path, page: str) -> None:
 
     Parameters
     ----------
-    path : Path
     page : str
         HTML.
     """

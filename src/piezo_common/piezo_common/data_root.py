@@ -64,10 +64,6 @@ class DataRoot:
         path : str
             A relative one is taken from the folder; empty for none, which it stays.
 
-        Returns
-        -------
-        str
-
         Raises
         ------
         DataRootError

@@ -57,10 +57,6 @@ def interactive_item(figure: Figure) -> dict[str, Any] | None:
 
     Panels stand as in the figure; those that share an axis zoom together.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-
     Returns
     -------
     dict or None

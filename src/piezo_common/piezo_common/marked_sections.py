@@ -12,16 +12,11 @@ def with_sections(page: str, sections: Mapping[str, str], kind: str = "") -> str
 
     Parameters
     ----------
-    page : str
     sections : mapping of str to str
         What each section holds, by the name in its mark; it ends with a new line.
     kind : str
         How the names begin of the sections that the program writes, all of which must be given.
         By default only those that are given are looked for.
-
-    Returns
-    -------
-    str
 
     Raises
     ------

@@ -43,10 +43,6 @@ def picture_csv(figure: Figure) -> str:
 
     Lines across the whole picture, such as limits, are left out: the legend or the text tells them.
 
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-
     Returns
     -------
     str
@@ -81,12 +77,7 @@ def panels(figure: Figure) -> list[Axes]:
 
 
 def numbers_of(axes: Axes) -> Iterator[Numbers]:
-    """Yield what the lines, the areas and the maps of axes show.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-    """
+    """Yield what the lines, the areas and the maps of axes show."""
     x_label, y_label = axis_label(axes, "x"), axis_label(axes, "y")
     for line in axes.get_lines():
         if line.get_transform() == axes.transData:
@@ -125,7 +116,6 @@ def axis_label(axes: Axes, direction: str) -> str:
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
     direction : str
         "x" or "y".
     """

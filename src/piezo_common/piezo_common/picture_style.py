@@ -115,7 +115,6 @@ def thinned(x: FloatArray, y: FloatArray,
     Parameters
     ----------
     x, y : ndarray, shape (N,)
-    most : int
 
     Returns
     -------

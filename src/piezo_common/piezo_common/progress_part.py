@@ -16,10 +16,6 @@ def part_of(progress: Progress | None, begin: float, end: float) -> Progress:
         Of the whole; nobody is told where it is None.
     begin, end : float
         Fractions of the whole at which the part begins and ends.
-
-    Returns
-    -------
-    callable
     """
     if progress is None:
         return lambda what, fraction: None

@@ -19,11 +19,6 @@ def open_regular(path: str | PathLike[str], largest_bytes: int) -> FileIO:
 
     Neither a pipe, which would block, nor a device, which may have no end, is opened.
 
-    Parameters
-    ----------
-    path : path-like
-    largest_bytes : int
-
     Returns
     -------
     raw binary stream

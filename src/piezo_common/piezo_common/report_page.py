@@ -132,10 +132,6 @@ def pictured(name: str, figure: Figure, caption: str, tall: bool = False, wide: 
 
     Parameters
     ----------
-    name : str
-    figure : matplotlib.figure.Figure
-    caption : str
-    tall, wide : bool
     closer : bool
         Whether looking closer matters: the page then has the curves to zoom, too.
     """
@@ -149,10 +145,8 @@ def render_page(title: str, paragraphs: Sequence[str], sections: Sequence[Sectio
 
     Parameters
     ----------
-    title : str
     paragraphs : sequence of str
         Below the title.
-    sections : sequence of Section
     """
     body = "\n".join([f"<h1>{escape(title)}</h1>", *map(_paragraph, paragraphs),
                       *map(_section, sections)])

@@ -37,17 +37,12 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
     ----------
     work : callable
         Depends on its item alone.
-    items : sequence
     report : callable, optional
         Called with the number of each item, in their order, by the caller's thread. What it raises,
         or Ctrl-C, ends the work when the items that have begun are done.
     threads : int, optional
         By default one for each core, but no more than `MOST_THREADS`; within an item that is done
         beside others one alone, as the cores are busy.
-
-    Returns
-    -------
-    list
     """
     if threads is None:
         is_beside = getattr(_this_thread, "is_beside_others", False)

@@ -17,15 +17,6 @@ PART_BYTES = 1 << 18
 def read_bounded_text(path: str | PathLike[str], largest_bytes: int = LARGEST_BYTES) -> str:
     """Read a text file of a bounded size; the work may be cancelled between its parts.
 
-    Parameters
-    ----------
-    path : path-like
-    largest_bytes : int
-
-    Returns
-    -------
-    str
-
     Raises
     ------
     UnreadableFile
@@ -74,10 +65,8 @@ def is_something_else(path: str | PathLike[str], file_format: str,
 
     Parameters
     ----------
-    path : path-like
     file_format : str
         What its entry ``format`` says.
-    largest_bytes : int
     """
     if not Path(path).exists():
         return False

@@ -61,9 +61,6 @@ class StageModel:
 
     Parameters
     ----------
-    hysteresis : PreisachModel
-    creep : CreepDynamics
-    dynamics : ElectricVibrationDynamics
     hysteretic_creep : HystereticCreep, optional
         Added to the output of the hysteresis. Simulations have it; inversions leave its slow
         motion to the feedback.
@@ -156,10 +153,6 @@ class StageModel:
         highest_v : float
             Up to which the stage has risen so far; by default it was cycled. Only a model with a
             first rise heeds it.
-
-        Returns
-        -------
-        StageMemory
         """
         if hysteresis is None:
             hysteresis = self.hysteresis.memory()
@@ -185,7 +178,6 @@ class StageModel:
         ----------
         voltage_v : (N,) array_like
             Each held for a sample period.
-        sample_period_s : float
         memory : StageMemory, optional
             Past of the stage; continued, and updated in place. By default the stage has rested at
             0 V, reached from negative saturation, until the creep was over. Effects that are not

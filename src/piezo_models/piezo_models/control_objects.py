@@ -37,7 +37,6 @@ def to_control(model: StageModel, sample_period_s: float | None = None) -> contr
 
     Parameters
     ----------
-    model : StageModel
     sample_period_s : float, optional
         Sample it exactly for an input held so long; continuous by default.
 

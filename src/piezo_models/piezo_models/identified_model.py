@@ -23,7 +23,6 @@ class IdentifiedModel:
 
     Parameters
     ----------
-    model : StageModel
     voltage_range_v : (float, float)
         Voltages that the identification covered.
     sample_periods_s : dict of str to float
@@ -83,7 +82,6 @@ class IdentifiedModel:
         voltage_v : (N,) array_like
             Each value held for a sample period. The stage has rested at the first one, reached
             from the lowest voltage.
-        sample_period_s : float
 
         Returns
         -------

@@ -23,11 +23,6 @@ LARGEST_FILE_BYTES = 32 * 2**20
 def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
     """Write a model file; the file at `path` is replaced at once or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-    identified : IdentifiedModel
-
     Raises
     ------
     ModelFileError
@@ -52,14 +47,6 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
 
 def load_model(path: str | PathLike[str]) -> IdentifiedModel:
     """Read a model file.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    IdentifiedModel
 
     Raises
     ------

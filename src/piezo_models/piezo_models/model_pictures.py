@@ -39,13 +39,8 @@ def draw_model(model: "StageModel", visited: NDArray[np.bool_] | None = None) ->
 
     Parameters
     ----------
-    model : StageModel
     visited : ndarray of bool, shape (L, L), optional
         Cells that recordings determine; the others are hatched.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure = new_figure(6.4, WIDE_IN)
     (plane, gain), (loops, phase) = figure.subplots(2, 2)
@@ -62,8 +57,6 @@ def density_on(axes: "Axes", hysteresis: PreisachModel,
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
-    hysteresis : PreisachModel
     visited : ndarray of bool, shape (L, L), optional
 
     Returns

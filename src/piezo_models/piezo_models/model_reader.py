@@ -40,10 +40,6 @@ def identified_model_of(document: object, path: str | PathLike[str]) -> Identifi
     path : path-like
         Named in refusals.
 
-    Returns
-    -------
-    IdentifiedModel
-
     Raises
     ------
     ModelFileError

@@ -45,7 +45,6 @@ def model_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> list[tu
 
     Parameters
     ----------
-    model : StageModel
     uncertainties : dict
         Standard deviations, see `piezo_models.identified_model.IdentifiedModel`.
 
@@ -87,16 +86,7 @@ def summary_of_model(model: "StageModel") -> SummaryTable:
 
 
 def summary_of_identified(identified: "IdentifiedModel") -> SummaryTable:
-    """Return the table of an identified model: parameters, coverage, errors, adequacy.
-
-    Parameters
-    ----------
-    identified : IdentifiedModel
-
-    Returns
-    -------
-    SummaryTable
-    """
+    """Return the table of an identified model: parameters, coverage, errors, adequacy."""
     rows = model_rows(identified.model, identified.uncertainties)
     if identified.visited is not None:
         rows.insert(3, _row("Preisach plane visited",

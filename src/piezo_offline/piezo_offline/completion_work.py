@@ -22,11 +22,6 @@ def script_for(shell: str, parser: argparse.ArgumentParser) -> str:
     ----------
     shell : str
         "bash" or "zsh".
-    parser : argparse.ArgumentParser
-
-    Returns
-    -------
-    str
     """
     for action in _actions(parser):
         if action.type is Path:

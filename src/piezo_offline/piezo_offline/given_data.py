@@ -50,10 +50,6 @@ def read(
     name : str
         What to call arrays or a frame.
 
-    Returns
-    -------
-    piezo_recorder.Recording
-
     Raises
     ------
     piezo_recorder.RecordingError
@@ -77,13 +73,8 @@ def recordings_of(given: Any, columns: Sequence[str], name: str) -> list[Recordi
     Parameters
     ----------
     given : as `read` takes, or a list or tuple of such
-    columns : sequence of str
     name : str
         Of arrays and frames, numbered where there are several.
-
-    Returns
-    -------
-    list of Recording
     """
     several = isinstance(given, list | tuple)
     listed = list(given) if several else [given]

@@ -82,10 +82,6 @@ def identify(
         Called with sentences on orders, coverage and starts, such as ``print``. Those on what is
         implausible are also said as a `DataWarning`.
 
-    Returns
-    -------
-    IdentifiedModel
-
     Raises
     ------
     ValueError
@@ -203,10 +199,6 @@ def plot_residuals(verdict: Diagnosis, recording: int = 0) -> "Figure":
         Of recordings, by `diagnose`.
     recording : int
         Which of those that were diagnosed.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     from piezo_identification.diagnosis.report.diagnosis_pictures import residuals_of
 
@@ -221,10 +213,8 @@ def extend(model: IdentifiedModel | str | PathLike[str], verdict: Verdict, data:
     ----------
     model : IdentifiedModel or path-like
         That was diagnosed.
-    verdict : Verdict
     data : as `diagnose` took
         What was diagnosed: the model keeps where it came from.
-    columns : sequence of str
 
     Returns
     -------

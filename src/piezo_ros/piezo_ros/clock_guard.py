@@ -17,7 +17,6 @@ def keep_clock(node: Node, why_busy: Callable[[], str]) -> None:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     why_busy : callable
         Returns what runs, such as ``"a goal runs"``; empty if nothing does.
     """

@@ -13,19 +13,12 @@ def diagnostic(node: Node, name: str, level: bytes, message: str, values: Mappin
 
     Parameters
     ----------
-    node : rclpy.node.Node
     name : str
         Of the part.
     level : bytes
         Of ``DiagnosticStatus``.
     message : str
         One line.
-    values : dict
-    hardware_id : str
-
-    Returns
-    -------
-    DiagnosticArray
     """
     status = DiagnosticStatus(
         name=f"{node.get_fully_qualified_name()}: {name}", hardware_id=hardware_id, level=level,

@@ -39,10 +39,6 @@ def make_executor(context: Context | None = None) -> Executor:
     ----------
     context : rclpy.context.Context, optional
         The default one where it is left out.
-
-    Returns
-    -------
-    rclpy.executors.Executor
     """
     names = vars(rclpy.task)
     usual, names["Task"] = names["Task"], _Task  # looked up by the executor as it is made
@@ -59,7 +55,6 @@ def spin_once(executor: Executor, timeout_s: float) -> None:
     ----------
     executor : rclpy.executors.Executor
         Of `make_executor`.
-    timeout_s : float
 
     Raises
     ------

@@ -18,7 +18,6 @@ class LateResponse:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     response : message
         To be filled in.
 
@@ -76,15 +75,8 @@ def create_late_service(node: Node, service_type: MessageType, name: str,
 
     Parameters
     ----------
-    node : rclpy.node.Node
-    service_type : type
-    name : str
     callback : callable
         ``callback(request, late)`` with a `LateResponse`, which somebody gives in the end.
-
-    Returns
-    -------
-    rclpy.service.Service
     """
     def begin(request: Message, response: Message) -> LateResponse:
         late = LateResponse(node, response)

@@ -27,7 +27,6 @@ def declare(node: Node, name: str, default: Value, description: str, minimum: fl
 
     Parameters
     ----------
-    node : rclpy.node.Node
     name : str
         Ends in the unit where the value has one.
     default : bool, int, float, str or list
@@ -71,10 +70,6 @@ def declare(node: Node, name: str, default: Value, description: str, minimum: fl
 
 def declare_data_root(node: Node) -> DataRoot:
     """Declare the parameter ``data_root`` and return the folder of the node's files.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
 
     Returns
     -------

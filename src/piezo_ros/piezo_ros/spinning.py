@@ -69,7 +69,6 @@ def autostart(node: LifecycleNode, default: bool = True) -> None:
 
     Parameters
     ----------
-    node : rclpy.lifecycle.LifecycleNode
     default : bool
         Of the parameter.
 

@@ -28,10 +28,6 @@ def node_entry(module: str, description: str) -> Callable[[list[str] | None], No
         Full name of the node's module, whose function ``main`` runs the node.
     description : str
         What the node does, a sentence.
-
-    Returns
-    -------
-    callable
     """
     def main(args: list[str] | None = None) -> None:
         given = sys.argv[1:] if args is None else args

@@ -21,7 +21,6 @@ def load_document(kind: type[D], path: str | PathLike[str],
     ----------
     kind : type
         A class of documents.
-    path : path-like
     largest_bytes : int
         A larger file is not read.
 

@@ -25,7 +25,6 @@ def answer_times_s(feedback: MultirateFeedback, samples_per_tick: int,
     ----------
     feedback : MultirateFeedback
         Is reset afterwards.
-    samples_per_tick, repeats : int
     clock_s : callable
         Returns the time (s).
 

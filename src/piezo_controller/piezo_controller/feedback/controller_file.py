@@ -80,11 +80,6 @@ class ControllerDocument(Document):
 def save_controller(path: str | Path, controller: FeedbackController) -> None:
     """Write a controller file; the file at `path` is replaced at once or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-    controller : FeedbackController
-
     Raises
     ------
     ControllerFileError
@@ -112,14 +107,6 @@ def save_controller(path: str | Path, controller: FeedbackController) -> None:
 def load_controller(path: str | PathLike[str]) -> FeedbackController:
     """Read a controller file.
 
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    FeedbackController
-
     Raises
     ------
     ControllerFileError
@@ -145,14 +132,8 @@ def load_stabilising_controller(path: str | Path, model: StageModel, tick_s: flo
 
     Parameters
     ----------
-    path : path-like
-    model : piezo_models.cascade.StageModel
     tick_s, clock_period_s : float
         Of the stage (s).
-
-    Returns
-    -------
-    FeedbackController
 
     Raises
     ------

@@ -56,16 +56,7 @@ def text_of_controller(controller: "FeedbackController") -> str:
 
 
 def summary_of_controller(controller: "FeedbackController") -> SummaryTable:
-    """Return the table of a controller and of the loop that it was designed for.
-
-    Parameters
-    ----------
-    controller : FeedbackController
-
-    Returns
-    -------
-    SummaryTable
-    """
+    """Return the table of a controller and of the loop that it was designed for."""
     report = controller.report
     rows: list[tuple[str | float | None, ...]] = [
         ("method", report.get("method", ""), ""),
@@ -86,15 +77,10 @@ def draw_controller(controller: "FeedbackController", model: "StageModel | None"
 
     Parameters
     ----------
-    controller : FeedbackController
     model : StageModel, optional
         With it, open loop and sensitivity are drawn over frequency, and the Nyquist diagram.
     clock_period_s : float
         Of the stage's sample clock.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     return _draw_response(controller) if model is None else _draw_loop(
         controller, model, clock_period_s)

@@ -38,15 +38,10 @@ def design_page(report: Mapping[str, Any], rows: Sequence[tuple[str, str]],
         Of the controller.
     rows : sequence of (str, str)
         What the command prints: rates, rules and measures.
-    robustness : Robustness
     figures : dict of str to matplotlib.figure.Figure
         By the names of `CAPTIONS`.
     origin : sequence of str
         Files.
-
-    Returns
-    -------
-    str
     """
     pictures = [pictured(name, figures[key], caption, closer=True,
                          wide=key in ("bode", "steps", "weights", "mu"))

@@ -30,7 +30,6 @@ class FeedbackBeforeInverse:
         Whose hysteresis is inverted.
     plan : FeedforwardPlan
         What is played beside the feedback.
-    samples_per_tick : int
     max_feedback_v : float
         Largest voltage given, of either sign (V).
     rest_voltage_v : float

@@ -125,7 +125,6 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
 
     Parameters
     ----------
-    model : piezo_models.cascade.StageModel
     weights : DesignWeights
         PID and PI take no more than the tick from it.
     clock_period_s : float
@@ -197,7 +196,6 @@ def feedback_from_control(system: control.StateSpace | control.TransferFunction,
     system : control.StateSpace or control.TransferFunction
         Discrete, its period that of the tick: from the mean tracking error of the last tick (um)
         to the voltage of the next (V).
-    model : piezo_models.cascade.StageModel
     clock_period_s : float
         Period of the sample clock (s).
     model_sha256 : str
@@ -245,8 +243,6 @@ def check_stabilises(controller: FeedbackController, model: StageModel,
 
     Parameters
     ----------
-    controller : FeedbackController
-    model : piezo_models.cascade.StageModel
     clock_period_s : float
         Period of the sample clock (s).
 
@@ -274,7 +270,6 @@ def structured_singular_value(problem: control.StateSpace,
     ----------
     problem : control.StateSpace
         From `generalised_plant`.
-    controller : control.StateSpace
 
     Returns
     -------

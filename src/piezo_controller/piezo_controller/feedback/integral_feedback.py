@@ -22,14 +22,8 @@ def design_integral_feedback(model: StageModel, tick_s: float = 1e-3, clock_peri
 
     Parameters
     ----------
-    model : piezo_models.cascade.StageModel
-    tick_s, clock_period_s : float
     model_sha256 : str
         Hash of the model's file.
-
-    Returns
-    -------
-    FeedbackController
 
     Raises
     ------

@@ -47,7 +47,6 @@ def loop_responses(plant: control.StateSpace, controller: control.StateSpace,
     ----------
     plant, controller : control.StateSpace
         Discrete, one input, one output.
-    frequency_hz : ndarray
 
     Returns
     -------
@@ -126,10 +125,6 @@ def margins_of(frequency_hz: FloatArray, loop: ComplexArray) -> Margins:
     frequency_hz : ndarray, shape (F,)
         Up to half the tick's rate.
     loop : ndarray of complex, shape (F,)
-
-    Returns
-    -------
-    Margins
     """
     real, imaginary, size = loop.real, loop.imag, np.abs(loop)
     crossing = np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0)

@@ -50,10 +50,6 @@ def bode_figure(plant: control.StateSpace, controller: control.StateSpace,
         Discrete; the plant with its gain in um/V.
     weights : DesignWeights or None
         None for a design without weights.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     frequency_hz = _frequencies(plant.dt)
     points = np.exp(2j * np.pi * frequency_hz * plant.dt)
@@ -115,10 +111,6 @@ def nyquist_figure(plant: control.StateSpace, controller: control.StateSpace,
         Discrete; the plant with its gain in um/V.
     gain_spread : float
         The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     loop, sensitivity = loop_responses(plant, controller, _frequencies(plant.dt))
     peak = np.abs(sensitivity).max()
@@ -162,10 +154,6 @@ def step_figure(plant: control.StateSpace, controller: control.StateSpace, gain_
         The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
     drawn : sequence of control.StateSpace
         Plants with errors, whose responses make the band.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     time_s = np.arange(_shown_ticks(plant, controller)) * plant.dt
     figure = new_figure(5.6, WIDE_IN)
@@ -208,11 +196,6 @@ def sensitivity_figure(plant: control.StateSpace, controller: control.StateSpace
     ----------
     plant, controller : control.StateSpace
         Discrete; the plant with its gain in um/V.
-    drawn : sequence of control.StateSpace
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     frequency_hz = _frequencies(plant.dt)[::4]
     figure = new_figure(4.4)
@@ -233,16 +216,7 @@ def sensitivity_figure(plant: control.StateSpace, controller: control.StateSpace
 
 
 def weights_figure(weights: DesignWeights) -> Figure:
-    """Draw the weights over frequency.
-
-    Parameters
-    ----------
-    weights : DesignWeights
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw the weights over frequency."""
     tick_s = weights.sample_period_s
     frequency_hz = _frequencies(tick_s)
     figure = new_figure(5.0, WIDE_IN)
@@ -272,11 +246,6 @@ def mu_figure(frequency_hz: FloatArray, mu: FloatArray, history: list[float]) ->
     ----------
     frequency_hz, mu : ndarray, shape (F,)
         Of the final controller; zero frequency is left out.
-    history : list of float
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure = new_figure(4.0, WIDE_IN)
     over_frequency, over_iterates = figure.subplots(1, 2, sharey=True, width_ratios=(2, 1))

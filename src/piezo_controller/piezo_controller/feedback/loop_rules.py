@@ -49,15 +49,10 @@ def choose_rates(ultimate_hz: float, clock_hz: float, computing_s: float,
         Rate of the stage's sample clock, f_max.
     computing_s : float
         What one answer of the feedback takes, T_FB.
-    usual_samples_per_tick : int
     disturbance_hz : float
         Bandwidth of the disturbances, ``omega_d``.
     suppression : float
         Bandwidth of the feedback over theirs, at least: ``gamma``.
-
-    Returns
-    -------
-    LoopRules
 
     Raises
     ------

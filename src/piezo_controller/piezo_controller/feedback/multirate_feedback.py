@@ -17,7 +17,6 @@ class MultirateFeedback:
 
     Parameters
     ----------
-    controller : FeedbackController
     max_feedback_v : float
         Largest voltage given, of either sign (V).
 

@@ -38,7 +38,6 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
         That it was designed for.
     plan : FeedforwardPlan
         What is played beside it.
-    clock_period_s : float
     max_feedback_v : float
         Largest voltage given, of either sign (V).
     before_inverse : bool
@@ -48,10 +47,6 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
         the answer of a node.
     max_error_um : float
         See `FeedbackLaw`.
-
-    Returns
-    -------
-    FeedbackLaw
 
     Raises
     ------

@@ -55,24 +55,15 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
 
     Parameters
     ----------
-    model : piezo_models.cascade.StageModel
     controller : control.StateSpace
         Discrete, from error (um) to voltage (V).
-    clock_period_s : float
     gain_spread : float
         The hysteresis' gain lies within ``1 +- gain_spread`` of its nominal value.
     parameter_error : float
         Relative error of rate and size of every creep pair, and of every parameter of the
         dynamics, of either sign.
-    samples : int
-    seed : int
-    at_once : bool
     delay_ticks : int
         See `design_plant`.
-
-    Returns
-    -------
-    Robustness
     """
     frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
     draws = _draws(model, samples, seed)
@@ -107,20 +98,10 @@ def drawn_plants(model: StageModel, tick_s: float, clock_period_s: float, gain_s
 
     Parameters
     ----------
-    model : piezo_models.cascade.StageModel
-    tick_s, clock_period_s : float
-    gain_spread : float
     samples : int
         How many.
-    parameter_error : float
-    seed : int
-    at_once : bool
     delay_ticks : int
         See `check_robustness`.
-
-    Returns
-    -------
-    list of control.StateSpace
     """
     return [_plant(model, errors, tick_s, clock_period_s, gain_spread, parameter_error, at_once,
                    delay_ticks) for errors in _draws(model, samples, seed)]

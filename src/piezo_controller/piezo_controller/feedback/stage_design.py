@@ -50,7 +50,6 @@ def design_for_stage(
 
     Parameters
     ----------
-    model : StageModel
     weights : str or Path
         "default", "thesis", or a file (YAML); of `h_infinity` alone.
     method, scaling, at_once, reduce, delay_ticks, model_sha256
@@ -59,10 +58,6 @@ def design_for_stage(
         Bandwidth of the disturbances.
     samples_per_tick : int, optional
         Feedback period; by the rules (5.10) by default.
-
-    Returns
-    -------
-    StageDesign
 
     Raises
     ------

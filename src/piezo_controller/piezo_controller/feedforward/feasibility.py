@@ -40,8 +40,6 @@ def check_range(values: FloatArray, lowest: float, highest: float,
 
     Parameters
     ----------
-    values : ndarray
-    lowest, highest : float
     quantity : tuple of str
         Name and unit, such as `VOLTAGE`.
 
@@ -76,13 +74,8 @@ def unreachable(plan: Callable[[float, float], object], reference_um: FloatArray
         The reference, or as much of it as shows its mean and its extremes.
     output_range_um : tuple of float
         Of the hysteresis.
-    reason : Infeasible
     watch : callable, optional
         Called now and then with the part that is done; may raise.
-
-    Returns
-    -------
-    UnreachableReference
     """
     mean_um, travel_um = reference_um.mean(), np.ptp(reference_um)
     watch = watch or (lambda fraction: None)

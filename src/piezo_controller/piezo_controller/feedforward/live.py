@@ -67,7 +67,6 @@ class LivePlan:
 
     Parameters
     ----------
-    planner : StreamPlanner
     live : LiveReference
         In which a value has come.
     band_hz, amplitude_um : float
@@ -301,15 +300,8 @@ def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samp
         Highest frequency and peak-to-peak amplitude of what is published.
     run_samples : int
         How much of the reference is followed.
-    model : piezo_models.cascade.StageModel
     centre_um : float
         Of what is published; 0 if it is not declared.
-    voltage_range_v : tuple of float
-    slew_limit_v_per_s, sample_period_s, start_voltage_v : float
-
-    Returns
-    -------
-    LivePlan
 
     Raises
     ------

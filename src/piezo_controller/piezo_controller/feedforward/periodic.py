@@ -109,20 +109,13 @@ def plan_feedforward(reference_um: ArrayLike, model: StageModel, mode: str = "fe
     ----------
     reference_um : ndarray, shape (m,)
         One period of the displacement.
-    model : piezo_models.cascade.StageModel
     mode : str
         ``feedforward``; or ``open_loop``, which knows no more than the gain of the whole range
         and the mean, and compensates nothing.
-    voltage_range_v : tuple of float
-    slew_limit_v_per_s, sample_period_s, start_voltage_v : float
     duration_s : float
         How long the periodic part is to be played (s).
     watch : callable, optional
         Called now and then with the part that is done; may raise.
-
-    Returns
-    -------
-    FeedforwardPlan
 
     Raises
     ------
@@ -319,7 +312,6 @@ def bandwidth_hz(reference_um: FloatArray, sample_period_s: float) -> float:
     ----------
     reference_um : ndarray, shape (m,)
         One period.
-    sample_period_s : float
 
     Returns
     -------

@@ -69,7 +69,6 @@ class PreviewInverse:
         ----------
         reference : ndarray, shape (N,)
             From `preview_samples` after the first sample of the result on.
-        state : ndarray
 
         Returns
         -------
@@ -88,7 +87,6 @@ def preview_inverse(system: control.StateSpace, sample_period_s: float,
     ----------
     system : control.StateSpace
         Continuous, strictly proper, without creep.
-    sample_period_s : float
     method : str
         ``least_squares``: a finite filter that fits the inverse up to `BANDWIDTH_HZ`.
         ``zero_phase``: zero phase error tracking (Tomizuka), whose gain error is removed by as many
@@ -96,11 +94,6 @@ def preview_inverse(system: control.StateSpace, sample_period_s: float,
         ``derivatives``: the polynomial in s of the inverse on the derivatives of the polynomial
         that fits the samples around best; these average noise (Savitzky and Golay), for measured
         or operator-given references. Half a sample of advance makes up for the hold.
-    preview_samples : int
-
-    Returns
-    -------
-    PreviewInverse
 
     Raises
     ------
@@ -145,15 +138,10 @@ def short_preview_inverse(system: control.StateSpace, sample_period_s: float,
     ----------
     system : control.StateSpace
         Continuous, strictly proper, without creep.
-    sample_period_s : float
     preview_samples : int
         With `PREVIEW_SAMPLES` or more it is that of `preview_inverse`, whatever the band.
     band_hz : float
         Highest frequency of the reference.
-
-    Returns
-    -------
-    PreviewInverse
 
     Raises
     ------
@@ -248,8 +236,6 @@ def _projection_taps(half_window: int, degree: int, functional: FloatArray) -> F
 
     Parameters
     ----------
-    half_window : int
-    degree : int
     functional : ndarray, shape (degree + 1,)
         Its value for each Legendre polynomial on the window. In powers of time the same least
         squares have a condition of 1e12, and what is left of the taps depends on the processor.

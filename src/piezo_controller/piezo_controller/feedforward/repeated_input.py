@@ -20,7 +20,6 @@ def mean_over_repeats(system: control.StateSpace, once: np.ndarray, period: np.n
         Discrete, one input and one output, n states; it begins with all of them zero.
     once : ndarray, shape (N,)
     period : ndarray, shape (m,)
-    repeats : int
 
     Returns
     -------

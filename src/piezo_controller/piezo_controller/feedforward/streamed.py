@@ -204,18 +204,10 @@ def plan_stream(reference: Trajectory, samples: int, model: StageModel,
         Displacement. `approach_samples` before its beginning it is faded in.
     samples : int
         How much of it is played.
-    model : piezo_models.cascade.StageModel
     method : str
         Of `preview_inverse`.
-    voltage_range_v : tuple of float
-    slew_limit_v_per_s, sample_period_s, start_voltage_v : float
-    preview_samples : int
     watch : callable, optional
         Called now and then with the part that is done; may raise.
-
-    Returns
-    -------
-    StreamPlan
 
     Raises
     ------

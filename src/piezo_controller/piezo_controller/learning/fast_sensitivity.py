@@ -20,10 +20,7 @@ def fast_sensitivity(model: StageModel, controller: FeedbackController, frequenc
 
     Parameters
     ----------
-    model : piezo_models.cascade.StageModel
-    controller : FeedbackController
     frequency_hz : (F,) array
-    clock_period_s : float
 
     Returns
     -------

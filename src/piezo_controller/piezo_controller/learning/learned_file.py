@@ -100,13 +100,6 @@ def load_correction(path: str | Path, reference: Reference, model_sha256: str,
                     sample_rate_hz: float) -> FloatArray:
     """Read the correction of a file, which must have been learned for the same.
 
-    Parameters
-    ----------
-    path : path-like
-    reference : Reference
-    model_sha256 : str
-    sample_rate_hz : float
-
     Returns
     -------
     (P,) array
@@ -133,13 +126,6 @@ def find_like(directory: str | Path, reference: Reference, model_sha256: str,
 
     Like are references that differ only in their centre and by one factor of all amplitudes: the
     errors of a model grow about in proportion with the amplitude.
-
-    Parameters
-    ----------
-    directory : path-like
-    reference : Reference
-    model_sha256 : str
-    sample_rate_hz : float
 
     Returns
     -------

@@ -30,7 +30,6 @@ class LearningFeedforward:
 
     Parameters
     ----------
-    planner : FeedforwardPlanner
     reference_um : (P,) array
         One period.
     learner : PeriodicLearner
@@ -39,7 +38,6 @@ class LearningFeedforward:
         At most.
     run_samples : int
         How long to play the best.
-    samples_per_tick : int
 
     Attributes
     ----------

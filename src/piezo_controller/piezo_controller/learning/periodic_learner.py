@@ -74,7 +74,6 @@ class PeriodicLearner:
         sensitivity of the feedback, where there is one.
     effort : callable
         Expected size of what must drive the stage for a displacement of one, at frequencies in Hz.
-    sample_period_s : float
     correction_um : (P,) array, optional
         To begin with.
 
@@ -132,10 +131,6 @@ class PeriodicLearner:
         ----------
         displacement_um : (n P,) array
             Measured over whole periods, two at least; their linear drift is removed.
-
-        Returns
-        -------
-        Measured
         """
         error_um = np.resize(self._reference_um, displacement_um.size) - displacement_um
         periods = error_um.reshape(-1, self._period)
@@ -154,10 +149,6 @@ class PeriodicLearner:
         ----------
         displacement_um : (n P,) array
             See `measure`.
-
-        Returns
-        -------
-        Measured
         """
         measured = self.measure(displacement_um)
         self.iterations += 1

@@ -16,12 +16,7 @@ SAMPLES_PER_MESSAGE = 4000
 
 
 class FollowedReference:
-    """Publish the displacement to expect of the samples that a stage has measured.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    """
+    """Publish the displacement to expect of the samples that a stage has measured."""
 
     def __init__(self, node: Node) -> None:
         self._publisher = node.create_publisher(TrackedReference, "controller/reference", FEEDBACK)

@@ -23,7 +23,6 @@ class ModelService:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     readable : callable
         Returns the path of a file to read, given what was asked for.
     check : callable

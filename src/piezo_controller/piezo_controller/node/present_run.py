@@ -21,7 +21,6 @@ class PresentRun:
 
     Parameters
     ----------
-    request : TrackRequest
     named : ModelText
         The model that the goal names.
     prepared : PreparedRun
@@ -30,7 +29,6 @@ class PresentRun:
         Prepares the same request for another model; raises ValueError where that cannot be.
     tracker : StageTracker
         That plays it.
-    tick_s : float
 
     Attributes
     ----------
@@ -56,7 +54,6 @@ class PresentRun:
 
         Parameters
         ----------
-        model : ModelText
         told : callable
             Called once the stage has gone over.
 

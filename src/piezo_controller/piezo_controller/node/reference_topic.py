@@ -24,7 +24,6 @@ class ReferenceTopic:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     wake : callable
         Called once there is something new.
     """
@@ -45,7 +44,6 @@ class ReferenceTopic:
             Of the stage's clock.
         lockstep : bool
             Whether the stage waits for who publishes.
-        offset_um : float
         check : callable
             Called now and then; may raise.
 

@@ -27,7 +27,6 @@ class BoundedMotion:
         Where the motion is at rest, and the value before the first that is followed.
     band_hz, amplitude_um : float
         Highest frequency and peak-to-peak amplitude of values that are followed exactly.
-    sample_period_s : float
 
     Attributes
     ----------

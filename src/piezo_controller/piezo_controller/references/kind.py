@@ -122,8 +122,6 @@ def components(reference: Reference, sample_rate_hz: float,
 
     Parameters
     ----------
-    reference : Reference
-    sample_rate_hz : float
     most : float
         How many components the reference may have.
 

@@ -43,9 +43,6 @@ class RandomTrajectory(Trajectory):
         Edges of the band.
     amplitude_um : float
         Peak-to-peak range that is used and not left.
-    centre_um : float
-    seed : int
-    sample_rate_hz : float
     """
 
     def __init__(self, low_hz: float, high_hz: float, amplitude_um: float, centre_um: float = 0.0,

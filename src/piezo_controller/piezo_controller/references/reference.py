@@ -64,11 +64,6 @@ def sample_reference(reference: Reference,
     The period is the shortest that holds whole cycles of every component, so that its
     repetition is exactly periodic; a triangle is its Fourier series up to 2 kHz.
 
-    Parameters
-    ----------
-    reference : Reference
-    sample_rate_hz : float
-
     Returns
     -------
     displacement_um : ndarray, shape (samples per period,)
@@ -94,8 +89,6 @@ def trajectory(reference: Reference, sample_rate_hz: float = 40000.0,
 
     Parameters
     ----------
-    reference : Reference
-    sample_rate_hz : float
     watch : callable, optional
         Called now and then, with the part that is done, while a file is read; may raise.
 

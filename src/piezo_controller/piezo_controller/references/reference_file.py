@@ -38,8 +38,6 @@ def read_samples(path: str, sample_rate_hz: float, longest_s: float,
     ----------
     path : str
         CSV with the columns ``time_s,displacement_um``.
-    sample_rate_hz : float
-    longest_s : float
     watch : callable, optional
         Called now and then with the part that is read; may raise.
 

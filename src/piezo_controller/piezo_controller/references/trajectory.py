@@ -64,7 +64,6 @@ class JoinedTrajectory(Trajectory):
 
     Parameters
     ----------
-    parts : list of Trajectory
     durations : list of int
         Samples of each; the last goes on.
     transition : int
@@ -107,10 +106,6 @@ class KeptTrajectory(Trajectory):
     """A trajectory whose last blocks are kept: what is asked for again is not computed again.
 
     It may be asked from several threads.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
     """
 
     def __init__(self, trajectory: Trajectory) -> None:

@@ -19,7 +19,6 @@ def triangle_wave(angle_rad: FloatArray, frequency_hz: float) -> FloatArray:
     ----------
     angle_rad : ndarray
         The wave rises through zero at 0.
-    frequency_hz : float
 
     Returns
     -------

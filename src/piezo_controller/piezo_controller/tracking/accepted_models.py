@@ -48,7 +48,6 @@ def gross_difference(present: StageModel, following: StageModel) -> str:
     ----------
     present : StageModel
         With which runs are played, and which they have found to be the stage's.
-    following : StageModel
     """
     before, after = ([("gain", "um/V", _gain_um_per_v(model)), *(
         ("mode", "Hz", frequency / (2.0 * np.pi))
@@ -79,7 +78,6 @@ class AcceptedModels:
 
         Parameters
         ----------
-        model, extended : ModelText
         check : callable
             Makes the feedback for the extended model, and refuses what is not stable.
         go_over : callable
@@ -123,7 +121,6 @@ class AcceptedModels:
 
         Parameters
         ----------
-        model : ModelText
         read : callable
             Returns the text of a file.
 

@@ -76,13 +76,7 @@ class FeedbackSettings:
 
 
 class Feedbacks:
-    """Makes the feedback of a run; a design for the same model is made once.
-
-    Parameters
-    ----------
-    settings : FeedbackSettings
-    stage : StageClock
-    """
+    """Makes the feedback of a run; a design for the same model is made once."""
 
     def __init__(self, settings: FeedbackSettings, stage: StageClock) -> None:
         self._settings, self._stage = settings, stage
@@ -95,8 +89,6 @@ class Feedbacks:
 
         Parameters
         ----------
-        mode : str
-        model : StageModel
         model_sha256 : str
             Hash of the model's file.
         plan : TrackingPlan
@@ -144,7 +136,6 @@ class Feedbacks:
         ----------
         mode : str
             ``open_loop``, ``pid`` or ``pi``.
-        model : StageModel
         model_sha256 : str
             Hash of the model's file.
         """
@@ -169,7 +160,6 @@ class Feedbacks:
 
         Parameters
         ----------
-        model : StageModel
         model_sha256 : str
             Hash of the model's file.
         present : StageModel

@@ -35,8 +35,6 @@ def foreseen_share(period_um: FloatArray, sample_period_s: float,
     ----------
     period_um : ndarray, shape (m,)
         One period of the reference.
-    sample_period_s : float
-    sensitivity : callable
 
     Returns
     -------

@@ -35,17 +35,11 @@ def play_run(run: TrackingRun, plan: FeedforwardPlan,
 
     Parameters
     ----------
-    run : TrackingRun
     plan : FeedforwardPlan
         That of the run.
     exchange : callable
         Plays voltages, shape (n,), and returns the displacements measured at their start: that
         of a stage's backend.
-    samples_per_tick : int
-
-    Returns
-    -------
-    PlayedRun
     """
     ticks = -(-run.total_samples // samples_per_tick)
     planned_v = plan.voltage_v(0, ticks * samples_per_tick).reshape(ticks, samples_per_tick)
@@ -70,10 +64,6 @@ def play_law(run: TrackingRun, law: RunningLaw, plan: FeedforwardPlan,
         At its beginning.
     plan, exchange
         See `play_run`.
-
-    Returns
-    -------
-    PlayedRun
     """
     at_once = law.samples_at_once
     parts = -(-run.total_samples // at_once)

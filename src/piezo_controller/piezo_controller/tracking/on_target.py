@@ -14,10 +14,6 @@ class OnTarget:
 
     What it tells does not depend on how the samples are divided into blocks.
 
-    Parameters
-    ----------
-    tolerance_um : float
-
     Attributes
     ----------
     since_sample : int or None

@@ -19,7 +19,6 @@ def check_pace(tick_s: float, max_missed: int, check: Callable[[], None] = lambd
 
     Parameters
     ----------
-    tick_s : float
     max_missed : int
         More answers missed in a row stop the stage.
     check : callable

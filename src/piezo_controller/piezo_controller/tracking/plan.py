@@ -81,10 +81,6 @@ class TrackingPlan(Protocol):
     def expected_um(self, first_sample: int, count: int) -> FloatArray:
         """Return the displacements to expect of some samples.
 
-        Parameters
-        ----------
-        first_sample, count : int
-
         Returns
         -------
         ndarray, shape (count,)
@@ -92,12 +88,7 @@ class TrackingPlan(Protocol):
         """
 
     def travel_um(self, samples: int) -> float:
-        """Return the peak-to-peak displacement of the first samples of the reference (um).
-
-        Parameters
-        ----------
-        samples : int
-        """
+        """Return the peak-to-peak displacement of the first samples of the reference (um)."""
 
     def continuation(self) -> Callable[[], FloatArray | None] | None:
         """Return what gives the voltages behind `once_voltage_v`; None unless `streamed`.

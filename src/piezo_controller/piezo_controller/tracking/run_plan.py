@@ -48,20 +48,13 @@ def plan_references(mode: str, references: Sequence[Reference], durations_s: Seq
     ----------
     mode : str
         Of `plan_mode`.
-    references : list of Reference
     durations_s : list of float
         Of each; a transition begins where the one before has ended, and is part of the next.
-    model : StageModel
-    stage : StageClock
     inversion : str
         Empty for the exact inverse of one period where there is one; a method of
         `preview_inverse` for an online inverse.
     watch : callable, optional
         Called now and then with the part of the planning that is done; may raise.
-
-    Returns
-    -------
-    FeedforwardPlan or StreamPlan
 
     Raises
     ------
@@ -98,7 +91,6 @@ def plan_topic(mode: str, references: Sequence[Reference], run_samples: int, mod
     ----------
     mode, references, model, stage, inversion
         See `plan_references`.
-    run_samples : int
     live : LiveReference or None
         What was published so far.
 
@@ -126,13 +118,10 @@ def plan_learning(reference: Reference, run_samples: int, model: StageModel,
 
     Parameters
     ----------
-    reference : Reference
     run_samples : int
         How long to play the best; whole ticks.
-    model : StageModel
     controller : FeedbackController
         That acts meanwhile.
-    stage : StageClock
     iterations : int
         At most.
     correction_um : (P,) array, optional

@@ -166,9 +166,6 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
 
     Parameters
     ----------
-    request : TrackRequest
-    stage : StageClock
-    feedbacks : Feedbacks
     steps : Steps
         Is told of the planning and of the design.
     writable : callable
@@ -230,9 +227,6 @@ def prepare_learning(request: TrackRequest, model: StageModel, stage: StageClock
     ----------
     request : TrackRequest
         Of one reference, without an inversion.
-    model : StageModel
-    stage : StageClock
-    feedbacks : Feedbacks
     writable : callable
         Returns the path under which a file may be written; raises ValueError if none may.
 

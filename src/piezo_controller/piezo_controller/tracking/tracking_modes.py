@@ -65,17 +65,10 @@ def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageCl
         One of `MODES`. ``pid`` and ``pi`` hold the voltage of the reference's mean and leave all
         else to the feedback. ``composite_single_rate`` updates the feedforward once a tick, as
         often as the feedback. ``learning`` begins with the feedforward.
-    reference : Reference
-    model : piezo_models.cascade.StageModel
-    stage : StageClock
     duration_s : float
         How long the periodic part is to be played (s).
     watch : callable, optional
         Called now and then with the part that is done; may raise.
-
-    Returns
-    -------
-    FeedforwardPlan
 
     Raises
     ------

@@ -64,7 +64,6 @@ def adequacy_of(
 
     Parameters
     ----------
-    model : StageModel
     recordings : dict of str to Recording or FrequencyResponse
         Conditioned and without gaps, by the names of `COMPONENTS`; further ones of the same are
         numbered: creep, creep 2. Any others are not looked at.
@@ -113,8 +112,6 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
 
     Parameters
     ----------
-    component : str
-    model : StageModel
     location : ResidualLocation
         Of what it leaves.
     path : str
@@ -123,10 +120,6 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
         All that was given.
     estimate : Estimate, optional
         Of the component.
-
-    Returns
-    -------
-    str
     """
     steps = []
     if component == "hysteresis":

@@ -46,7 +46,6 @@ class ComponentResidual:
 
     Parameters
     ----------
-    path : str
     time_s, voltage_v, measured_um, residual_um : ndarray, shape (N,)
         Of a frequency response, the time is none: it is the number of the frequency, and what is
         measured is its magnitude at the travel of the model.
@@ -97,15 +96,10 @@ def component_residual(
     ----------
     component : str
         creep, dynamics or hysteresis.
-    model : StageModel
     data : Recording or FrequencyResponse
         That the component was estimated from.
     delay_s : float
         Of the rows of the recording, beside the model.
-
-    Returns
-    -------
-    ComponentResidual
 
     Raises
     ------

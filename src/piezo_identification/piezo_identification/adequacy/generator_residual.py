@@ -28,8 +28,6 @@ def left_of_generator(
         Continuous, without direct feedthrough.
     held : HeldInput
         Levels as sampled, N of them.
-    delay_s : float
-    edges : GeneratorEdges
     measured_um : ndarray, shape (K,)
         Of the last K samples.
     beside : ndarray, shape (N, M)

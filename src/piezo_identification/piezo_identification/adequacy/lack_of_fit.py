@@ -61,7 +61,6 @@ class LackOfFit:
         Of the same samples: of the mean period where the voltage repeats itself.
     systematic_rms_um : float
         What noise does not explain; the largest among the means of different lengths.
-    tolerance_um : float
     significant : bool
         Noise alone would hardly leave as much.
     noise_from : str
@@ -106,14 +105,6 @@ def lack_of_fit(residual: ComponentResidual) -> LackOfFit:
     noise is that of rests, or of the highest frequencies, taken for white. Means over more and more
     samples are tested, in which slow errors stand out of the noise: F is their mean square over
     that of the noise.
-
-    Parameters
-    ----------
-    residual : ComponentResidual
-
-    Returns
-    -------
-    LackOfFit
     """
     values_um = np.where(residual.good, residual.residual_um, 0.0)
     period = residual.period or values_um.size

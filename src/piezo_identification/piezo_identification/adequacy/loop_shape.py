@@ -93,7 +93,6 @@ class Loops:
 
     Parameters
     ----------
-    path : str
     voltage_v, output_um : ndarray, shape (N,)
     points : ndarray of int
         Samples at which the voltage reverses, with the first and the last one.
@@ -124,8 +123,6 @@ def refuse_impossible_loops(
     ----------
     recording : Recording
         Of the hysteresis; nothing is refused of one that is too fast to be static.
-    creep : CreepDynamics
-    dynamics : ElectricVibrationDynamics
     delay_s : float
         Of the measurement.
 

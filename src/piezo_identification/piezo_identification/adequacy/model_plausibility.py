@@ -47,13 +47,8 @@ def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[
 
     Parameters
     ----------
-    model : StageModel
     recordings : dict of str to Recording or FrequencyResponse
         It was made from, by the name of the experiment.
-
-    Returns
-    -------
-    list of str
     """
     told, dynamics = [], model.dynamics
     slow_s = WAVEFORM.slow_branch_s

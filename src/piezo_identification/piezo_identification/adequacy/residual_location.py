@@ -44,13 +44,8 @@ def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLo
 
     Parameters
     ----------
-    residual : ComponentResidual
     fit : LackOfFit
         Of this residual.
-
-    Returns
-    -------
-    ResidualLocation
     """
     values_um = fit.sequence_um
     band_hz = _band(detrend(values_um, type="constant"), residual.sample_period_s)

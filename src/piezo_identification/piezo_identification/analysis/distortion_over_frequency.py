@@ -29,10 +29,6 @@ FEWEST_LEFT_OUT = 3
 def distortion_bands(found: NonlinearDistortion) -> list[NonlinearDistortion]:
     """Cut what was found into bands of frequency that are about equally wide as logarithms.
 
-    Parameters
-    ----------
-    found : NonlinearDistortion
-
     Returns
     -------
     list of NonlinearDistortion
@@ -53,10 +49,6 @@ def distortion_bands(found: NonlinearDistortion) -> list[NonlinearDistortion]:
 def distortion_rows(found: NonlinearDistortion) -> list[tuple[str, ...]]:
     """Return the table over frequency: its heads, then a row for each band and one for all.
 
-    Parameters
-    ----------
-    found : NonlinearDistortion
-
     Returns
     -------
     list of tuple of str
@@ -69,13 +61,7 @@ def distortion_rows(found: NonlinearDistortion) -> list[tuple[str, ...]]:
 
 
 def draw_distortion(axes: Axes, found: NonlinearDistortion) -> None:
-    """Draw answer, noise, even and odd distortion line by line.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-    found : NonlinearDistortion
-    """
+    """Draw answer, noise, even and odd distortion line by line."""
     noise_nm = 1e3 * found.noise_um / np.sqrt(found.periods)
     axes.loglog(found.frequency_hz, noise_nm, color=GREY, linewidth=1.0, zorder=1,
                 label=f"noise of the mean of {found.periods} periods")

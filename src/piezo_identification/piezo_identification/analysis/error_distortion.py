@@ -98,7 +98,6 @@ def error_distortion(part: SimulatedRecording, residual_um: FloatArray) -> Error
 
     Parameters
     ----------
-    part : SimulatedRecording
     residual_um : ndarray, shape (N,)
         Measured minus simulated.
 
@@ -120,7 +119,6 @@ def excluded_by_distortion(parts: Sequence[SimulatedRecording],
 
     Parameters
     ----------
-    parts : sequence of SimulatedRecording
     kinds : sequence of type
         Effects.
 

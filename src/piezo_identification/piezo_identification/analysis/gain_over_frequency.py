@@ -21,10 +21,8 @@ def gain_of(input: FloatArray, output: FloatArray, sample_period_s: float,
     Parameters
     ----------
     input, output : ndarray, shape (N,)
-    sample_period_s : float
     segment : int, optional
         Samples of each spectrum that is averaged; a quarter of all, up to `LINES`, by default.
-
     least_power : float
         Part of the largest power of the input from which on a line counts as excited.
 

@@ -131,13 +131,8 @@ def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
     ----------
     voltage_v, displacement_um : ndarray, shape (P, N)
         Periods of the multisine, without the one in which the stage settles.
-    sample_period_s : float
     driving : ndarray, shape (P, N), optional
         What a linear cause would pass on, distortion and all; the voltage by default.
-
-    Returns
-    -------
-    NonlinearDistortion
 
     Raises
     ------
@@ -215,7 +210,6 @@ def distortion_of_signal(voltage_v: FloatArray, signal_um: FloatArray, sample_pe
     ----------
     voltage_v, signal_um : ndarray, shape (N,)
         Of which the first period settles.
-    sample_period_s : float
     driving : ndarray, shape (N,), optional
         What a linear cause would pass on; the voltage by default.
 

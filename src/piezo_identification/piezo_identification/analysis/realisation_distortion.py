@@ -61,11 +61,6 @@ def realisation_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
     ----------
     voltage_v, displacement_um : ndarray, shape (R, N)
         A settled period of each realisation.
-    sample_period_s : float
-
-    Returns
-    -------
-    RealisationDistortion
 
     Raises
     ------

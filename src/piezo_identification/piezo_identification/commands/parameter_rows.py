@@ -16,10 +16,6 @@ DIGITS = 5
 def parameter_rows(identified: IdentifiedModel) -> list[tuple[str, str]]:
     """Return name and value of each linear parameter, in the order of the signal path.
 
-    Parameters
-    ----------
-    identified : IdentifiedModel
-
     Returns
     -------
     list of (str, str)
@@ -63,13 +59,8 @@ def with_deviation(value: float, deviation: float | None) -> str:
 
     Parameters
     ----------
-    value : float
     deviation : float or None
         None, 0 or not finite where it is not known.
-
-    Returns
-    -------
-    str
     """
     if deviation is None or not np.isfinite(deviation) or deviation <= 0.0:
         return f"{value:.{DIGITS}g}"

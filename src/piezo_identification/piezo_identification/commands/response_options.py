@@ -28,10 +28,6 @@ def hold_s_of(options: argparse.Namespace) -> float:
     options : argparse.Namespace
         Of a parser with `add_response_options`.
 
-    Returns
-    -------
-    float
-
     Raises
     ------
     ValueError

@@ -60,13 +60,7 @@ def with_ramps(experiment: Experiment, rest_v: float, ramp_v_per_s: float) -> Fl
 
 
 def sweep(limits: StageLimits, sample_period_s: float) -> Experiment:
-    """Return slow ways over the whole range, which leave one known state behind.
-
-    Parameters
-    ----------
-    limits : StageLimits
-    sample_period_s : float
-    """
+    """Return slow ways over the whole range, which leave one known state behind."""
     samples = round(SWEEP_ARC_S / sample_period_s)
     once = np.concatenate([arc(0.0, 1.0, samples), arc(1.0, 0.0, samples)])
     return Experiment("sweep", limits.voltage_min_v + limits.span_v * once, sample_period_s,

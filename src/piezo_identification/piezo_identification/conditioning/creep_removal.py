@@ -14,7 +14,6 @@ def remove_creep(signal: FloatArray, creep: CreepDynamics, sample_period_s: floa
     Parameters
     ----------
     signal : ndarray, shape (N,)
-    creep : CreepDynamics
     sample_period_s : float
         Short beside the creep; the signal is taken for linear between samples (bilinear rule).
 
@@ -80,7 +79,6 @@ def input_of_creep(
     signal : ndarray, shape (N,)
     rates, gains : ndarray, shape (P,)
         Of creep 1 + sum g p / (s + p): rates p in rad/s, and gains g, none of them negative.
-    sample_period_s : float
     unanswered : ndarray, shape (P,)
         Part m of a step of the input by which each is still behind in the signal of that sample.
 

@@ -60,10 +60,6 @@ def with_outliers_marked(recording: Recording) -> Recording:
 def good_samples(recording: Recording) -> NDArray[np.bool_]:
     """Mark the samples that are not outliers.
 
-    Parameters
-    ----------
-    recording : Recording
-
     Returns
     -------
     (N,) array of bool
@@ -98,7 +94,6 @@ def outlier_text(path: object, wrong: NDArray[np.bool_], time_s: FloatArray) -> 
 
     Parameters
     ----------
-    path : str
     wrong : (N,) array of bool
     time_s : (N,) array
 

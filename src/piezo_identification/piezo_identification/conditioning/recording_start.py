@@ -91,22 +91,12 @@ def first_run_length(voltage_v: FloatArray) -> int:
 
 
 def without_first(recording: Recording, samples: int) -> Recording:
-    """Return the recording without its first samples.
-
-    Parameters
-    ----------
-    recording : Recording
-    samples : int
-    """
+    """Return the recording without its first samples."""
     return recording.select(np.arange(recording.voltage_v.size) >= samples)
 
 
 def motion_um_per_s(recording: Recording) -> float:
     """Return the velocity in which a recording begins while its voltage rests; 0 for none shown.
-
-    Parameters
-    ----------
-    recording : Recording
 
     Returns
     -------

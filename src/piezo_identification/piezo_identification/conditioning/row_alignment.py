@@ -60,7 +60,6 @@ class RowDelay:
         changes: the habit of the logger, which was taken out of the recording.
     delay_s : float
         Of the displacement that is left, beside the dynamics of the model and its delay.
-    standard_deviation_s : float
     sample_period_s : float
         Of the recording.
     """
@@ -125,32 +124,13 @@ def rows_read_at_start(recording: Recording, read_at_samples: float) -> Recordin
 
 
 def read_as(recording: Recording, read_at_samples: float) -> float:
-    """Return when rows are read by a logger of this habit; means of samples are read as they are.
-
-    Parameters
-    ----------
-    recording : Recording
-    read_at_samples : float
-
-    Returns
-    -------
-    float
-    """
+    """Return when a logger of this habit reads rows; means of samples are read as they are."""
     is_means = read_at_samples != 0.0 and samples_per_mean(played(recording)) > 1
     return 0.0 if is_means else read_at_samples
 
 
 def is_point_by_point(recording: Recording) -> bool:
-    """Tell whether rows are points of a static loop: slow, and most of them steps of the voltage.
-
-    Parameters
-    ----------
-    recording : Recording
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether rows are points of a static loop: slow, most of them steps of the voltage."""
     part = played(recording)
     steps_v = np.abs(np.diff(part.voltage_v))
     is_step = steps_v > POINT_STEP * np.ptp(part.voltage_v)
@@ -165,10 +145,6 @@ def reading_at_jumps(recording: Recording) -> float | None:
     from before the jump if it is read with its voltage. It holds that from after the jump if it is
     read at the end of its hold, or if the voltage was measured together with the displacement.
     Jumps count whose voltage is held for a row before and a row after them.
-
-    Parameters
-    ----------
-    recording : Recording
 
     Returns
     -------
@@ -235,7 +211,6 @@ def remaining_delay(
     Parameters
     ----------
     measured_um, simulated_um : ndarray, shape (N,)
-    sample_period_s : float
     nuisance : ndarray, shape (N, K)
         What else the difference may hold, such as an offset.
     kept : ndarray of bool, shape (N,), optional

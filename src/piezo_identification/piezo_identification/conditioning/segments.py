@@ -55,14 +55,6 @@ def played_segments(recordings: Recordings) -> list[Recording]:
 
     What the stage did in a gap is not known, so each stretch begins with an unknown past.
 
-    Parameters
-    ----------
-    recordings : Recording or sequence of Recording
-
-    Returns
-    -------
-    list of Recording
-
     Raises
     ------
     ValueError

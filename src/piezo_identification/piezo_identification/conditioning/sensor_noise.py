@@ -51,13 +51,8 @@ def sensor_noise_um(displacement_um: FloatArray, voltage_v: FloatArray, residual
     Parameters
     ----------
     displacement_um, voltage_v, residual_um : (N,) array
-    sample_period_s : float
     period : int or None
         Samples after which the voltage repeats, as `repeated_period` finds it.
-
-    Returns
-    -------
-    float
     """
     found = [
         noise_floor_um(residual_um, sample_period_s),
@@ -73,10 +68,6 @@ def repeated_period(voltage_v: FloatArray) -> int | None:
     Parameters
     ----------
     voltage_v : (N,) array
-
-    Returns
-    -------
-    int or None
     """
     # Each model that is compared asks again for the same voltages.
     digest = blake2b(np.ascontiguousarray(voltage_v, dtype=float).tobytes()).digest()
@@ -111,11 +102,6 @@ def noise_floor_um(residual_um: FloatArray, sample_period_s: float) -> float:
     Parameters
     ----------
     residual_um : (N,) array
-    sample_period_s : float
-
-    Returns
-    -------
-    float
     """
     segment = int(min(SETTINGS.segment, residual_um.size))
     frequency_hz, density = welch(residual_um, 1.0 / sample_period_s, nperseg=segment,
@@ -135,10 +121,6 @@ def noise_from_rest_um(displacement_um: FloatArray, voltage_v: FloatArray,
     displacement_um, voltage_v : (N,) array
     fewest : int
         Samples of a rest that counts.
-
-    Returns
-    -------
-    float or None
     """
     edges = np.flatnonzero(np.diff(voltage_v, prepend=np.nan, append=np.nan) != 0.0)
     spreads = []

@@ -31,10 +31,6 @@ def moves_against(
     displacement_um, reference : (N,) array
     free : (N, k) array, optional
         Nuisance regressors, which are removed from both; by default the mean.
-
-    Returns
-    -------
-    bool
     """
     free = np.ones((reference.size, 1)) if free is None else free
     both = np.column_stack([displacement_um, reference])

@@ -59,14 +59,6 @@ def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
 
     It is tau + sum 2 d / w over the modes, less the same sum over the antiresonances. Of modes
     beside each other, each delays its part of the displacement only.
-
-    Parameters
-    ----------
-    dynamics : ElectricVibrationDynamics
-
-    Returns
-    -------
-    float
     """
     def sum_of_modes(frequencies: Sequence[float], dampings: Sequence[float]) -> float:
         return sum(2.0 * d / w for w, d in zip(frequencies, dampings, strict=True))
@@ -92,15 +84,6 @@ def held_delay_s(dynamics: ElectricVibrationDynamics, sample_period_s: float) ->
     Of H(z) = C (zI - A)^-1 B + D, with the hold, it is -H'(1) periods. Half a period is added to
     `low_frequency_delay_s` where the dynamics are slow beside the period; where they are fast, the
     delay is a whole period.
-
-    Parameters
-    ----------
-    dynamics : ElectricVibrationDynamics
-    sample_period_s : float
-
-    Returns
-    -------
-    float
     """
     system = zoh(dynamics.state_space(), sample_period_s)
     away = np.eye(system.nstates) - system.A
@@ -115,13 +98,8 @@ def slow_dynamics(
 
     Parameters
     ----------
-    dynamics : ElectricVibrationDynamics
     effects : sequence of Effect
         Of them, modes beside those of the dynamics are taken, unless their part is small.
-
-    Returns
-    -------
-    SlowDynamics
     """
     own = {each.name: getattr(dynamics, each.name) for each in fields(ElectricVibrationDynamics)}
     return SlowDynamics(
@@ -133,13 +111,8 @@ def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect])
 
     Parameters
     ----------
-    dynamics : ElectricVibrationDynamics
     effects : sequence of Effect
         Delays, lags of the amplifier or the sensor, and modes too small to wait for.
-
-    Returns
-    -------
-    float
     """
     in_series_s = low_frequency_delay_s(dynamics) - dynamics.time_constant_s
     delay_s = 0.0
@@ -158,16 +131,7 @@ def _has_to_settle(effect: Effect) -> TypeGuard[VibrationMode]:
 
 
 def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
-    """Return the time after which the response to a step has decayed to its end value.
-
-    Parameters
-    ----------
-    dynamics : ElectricVibrationDynamics
-
-    Returns
-    -------
-    float
-    """
+    """Return the time after which the response to a step has decayed to its end value."""
     if dynamics.is_static:
         return 0.0
     slowest_rad_per_s = -dynamics.state_space().poles().real.max()
@@ -179,13 +143,8 @@ def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray) -> in
 
     Parameters
     ----------
-    dynamics : ElectricVibrationDynamics
     time_s : (N,) array
         Since the start.
-
-    Returns
-    -------
-    int
     """
     settled = int(np.searchsorted(time_s, settling_time_s(dynamics)))
     return min(settled, int(MOST_OF_RECORDING * time_s.size))

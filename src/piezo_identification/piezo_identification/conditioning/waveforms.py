@@ -133,10 +133,6 @@ def turning_points(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.intp
     voltage_v : ndarray, shape (N,)
     threshold_v : float
         A way back shorter than this is no reversal.
-
-    Returns
-    -------
-    ndarray of int
     """
     moves = np.flatnonzero(np.diff(voltage_v)) + 1
     points, extreme, direction = [0], 0, 0

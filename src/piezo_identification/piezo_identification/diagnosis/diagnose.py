@@ -173,8 +173,6 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
 
     Parameters
     ----------
-    model : StageModel
-    recordings : list of Recording
     holdout : Recording, optional
         On which the errors before and after are measured; by default they are measured on the
         stretches of the recordings that were not fitted.
@@ -187,10 +185,6 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
         the recordings of the identification tell.
     noise : KnownNoise, optional
         What the model file tells of the noise; the recordings at hand tell the rest.
-
-    Returns
-    -------
-    Diagnosis
 
     Raises
     ------
@@ -228,10 +222,8 @@ def refuse_known_holdout(holdout: Recording | None, recordings: Sequence[Recordi
 
     Parameters
     ----------
-    holdout : Recording or None
     recordings : sequence of Recording
         That are diagnosed.
-    identified_from : IdentificationRecordings or None
 
     Raises
     ------
@@ -263,16 +255,6 @@ def condition(model: StageModel, recordings: Sequence[Recording],
               holdout: Recording | None) -> Conditioned:
     """Give the recordings the sign and the rows of the model, and mark their outliers.
 
-    Parameters
-    ----------
-    model : StageModel
-    recordings : sequence of Recording
-    holdout : Recording or None
-
-    Returns
-    -------
-    Conditioned
-
     Raises
     ------
     ValueError
@@ -296,14 +278,8 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
 
     Parameters
     ----------
-    model : StageModel
     recordings : sequence of Recording
         With the sign of the model, and their outliers marked.
-    progress : callable or None
-
-    Returns
-    -------
-    Selection
     """
     simulated = [simulate_recordings(model, recordings)]
     if any(part.past_v for part in simulated[0].simulated):
@@ -330,9 +306,6 @@ def decide(selection: Selection, validation: Validation,
 
     Parameters
     ----------
-    selection : Selection
-    validation : Validation
-    competition : Competition
     noise : KnownNoise
         What remains is held to the least of it.
 
@@ -390,11 +363,6 @@ def _names(fit: Fit) -> list[str]:
 def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
     """Ask how much of what is left any learner could predict, where it is more than noise.
 
-    Parameters
-    ----------
-    selection : Selection
-    decision : Decision
-
     Returns
     -------
     Ceiling or None
@@ -410,21 +378,7 @@ def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
 
 def tell(model: StageModel, given: Conditioned, selection: Selection, validation: Validation,
          decision: Decision, predictable: "Ceiling | None") -> Diagnosis:
-    """Put the verdict together with its numbers and reasons.
-
-    Parameters
-    ----------
-    model : StageModel
-    given : Conditioned
-    selection : Selection
-    validation : Validation
-    decision : Decision
-    predictable : Ceiling or None
-
-    Returns
-    -------
-    Diagnosis
-    """
+    """Put the verdict together with its numbers and reasons."""
     regression, fit, outliers = selection.regression, decision.fit, decision.outliers
     effects = with_stand_ins(
         [entry | {"came": decision.came} for entry in effect_entries(regression, fit)],

@@ -124,13 +124,7 @@ class Verdict:
 
 
 def write_verdict(path: Path, verdict: Verdict) -> None:
-    """Write a verdict to its file, `verdict.json`.
-
-    Parameters
-    ----------
-    path : Path
-    verdict : Verdict
-    """
+    """Write a verdict to its file, `verdict.json`."""
     path.write_text(
         json.dumps(verdict.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
@@ -141,7 +135,6 @@ def save_extended_model(path: Path, identified: IdentifiedModel, verdict: Verdic
 
     Parameters
     ----------
-    path : Path
     identified, verdict, data
         Of `extended_model`.
     """
@@ -154,8 +147,6 @@ def extended_model(identified: IdentifiedModel, verdict: Verdict,
 
     Parameters
     ----------
-    identified : IdentifiedModel
-    verdict : Verdict
     data : sequence of path-like or Recording
         What was diagnosed.
 

@@ -26,16 +26,7 @@ def text_of_verdict(verdict: "Verdict") -> str:
 
 
 def summary_of_verdict(verdict: "Verdict") -> SummaryTable:
-    """Return the table of a verdict: errors on held-out data, and the effects with parameters.
-
-    Parameters
-    ----------
-    verdict : Verdict
-
-    Returns
-    -------
-    SummaryTable
-    """
+    """Return the table of a verdict: errors on held-out data, and the effects with parameters."""
     rows: list[tuple[Cell, ...]] = []
     for when, errors in (("before", verdict.before), ("after", verdict.after)):
         rows += [(f"RMS error, {when}", 1e3 * errors["rms_um"], None, "nm"),
@@ -66,16 +57,7 @@ def _effect_rows(entry: dict[str, Any]) -> Iterator[tuple[Cell, ...]]:
 
 
 def draw_verdict(verdict: "Verdict") -> "Figure":
-    """Draw the error before and after beside the noise, and what each effect reduces it by.
-
-    Parameters
-    ----------
-    verdict : Verdict
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw the error before and after beside the noise, and what each effect reduces it by."""
     from piezo_common.picture_style import BLACK, BLUE, GREY, ORANGE, WIDE_IN, label, new_figure
 
     figure = new_figure(3.0, WIDE_IN)

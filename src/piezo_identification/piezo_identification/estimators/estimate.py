@@ -120,7 +120,6 @@ class Estimate:
         Of every physical parameter, under the names and in the shapes of the model's fields. They
         follow from the sensitivities at the optimum and the variance of the residual, which holds
         where the residual is white.
-    order : int
     trials : tuple of OrderTrial
         Every order that was fitted.
     order_given : bool
@@ -186,20 +185,13 @@ def order_trial(
 
     Parameters
     ----------
-    order : int
     residual : ndarray, shape (N,)
         Of equal variance.
-    parameters : int
-    refusal : str
     signal : ndarray, optional
         What was fitted, in the unit of the residual: an exact one leaves only rounding, which
         is no reason for more parameters.
     independent : float, optional
         How many of the errors are independent; by default all.
-
-    Returns
-    -------
-    OrderTrial
     """
     mean_square = np.mean(residual**2)
     least = 0.0 if signal is None else finest_power(signal)
@@ -279,10 +271,6 @@ def are_equal(
     covariance : ndarray, shape (P, P)
     one, other : int
         Their places.
-
-    Returns
-    -------
-    bool
     """
     variance = covariance[one, one] + covariance[other, other] - 2.0 * covariance[one, other]
     difference = abs(vector[one] - vector[other])
@@ -341,7 +329,6 @@ def untold_parameters(
 
     Parameters
     ----------
-    model : StageModel
     standard_deviations : dict of str to dict
         Of its creep and its dynamics, under the names and in the shapes of their fields.
 

@@ -37,10 +37,6 @@ PHASES = 0
 def diagnostic_block(limits: StageLimits) -> FloatArray:
     """Return one block of the waveform, from the lowest voltage back to it, at the sample clock.
 
-    Parameters
-    ----------
-    limits : StageLimits
-
     Returns
     -------
     ndarray, shape (N,)

@@ -24,8 +24,6 @@ def excited_lines(highest_line: int, random: np.random.Generator, group: int = G
 
     Parameters
     ----------
-    highest_line : int
-    random : numpy.random.Generator
     group : int
         Odd lines in a row.
 
@@ -46,10 +44,8 @@ def random_phase_multisine(lines: IntArray, samples: int,
 
     Parameters
     ----------
-    lines : ndarray of int
     samples : int
         N.
-    random : numpy.random.Generator
     """
     best = np.zeros(samples)
     least = np.inf
@@ -71,10 +67,8 @@ def distortion_period(limits: StageLimits, swing: float, period_s: float,
 
     Parameters
     ----------
-    limits : StageLimits
     swing : float
         Largest way from the middle over the voltage range; less where the slew limit asks for it.
-    period_s, highest_hz : float
 
     Raises
     ------

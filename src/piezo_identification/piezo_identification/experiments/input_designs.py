@@ -23,7 +23,6 @@ def stair_amplitudes(level_count: int, highest_v: float, below_the_top: float = 
     ----------
     level_count : int
         L.
-    highest_v : float
     below_the_top : float
         Part of a step by which each stays lower; 0.5 for (3.6).
 
@@ -44,7 +43,6 @@ def stair_harmonics(
     time_s : ndarray, shape (N,)
     amplitudes_v : ndarray, shape (L,)
         Begun again after L periods.
-    harmonic_period_s : float
 
     Returns
     -------
@@ -64,7 +62,6 @@ def stair_sample_times(
     Parameters
     ----------
     amplitudes_v : ndarray, shape (L,)
-    harmonic_period_s : float
     voltages_v : ndarray
         Increasing, above zero: multiples of the step for (4.10); middles of the steps for
         (3.9)-(3.10), whose amplitudes are middles too.

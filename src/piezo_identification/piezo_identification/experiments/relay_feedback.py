@@ -93,13 +93,8 @@ def relay(limits: StageLimits, oscillation_s: float = 0.5) -> RelayExperiment:
 
     Parameters
     ----------
-    limits : StageLimits
     oscillation_s : float
         For which the relay acts.
-
-    Returns
-    -------
-    RelayExperiment
 
     Raises
     ------
@@ -138,10 +133,6 @@ class RelayRun:
 
     The relay switches where the mean displacement of a tick passes the middle of the slow cycle,
     with as much hysteresis as keeps the noise from switching it.
-
-    Parameters
-    ----------
-    experiment : RelayExperiment
     """
 
     def __init__(self, experiment: RelayExperiment) -> None:
@@ -266,13 +257,8 @@ def relay_oscillation(recording: Recording, experiment: RelayExperiment) -> Rela
 
     Parameters
     ----------
-    recording : Recording
     experiment : RelayExperiment
         Which was recorded.
-
-    Returns
-    -------
-    RelayOscillation
 
     Raises
     ------

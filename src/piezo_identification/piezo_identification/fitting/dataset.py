@@ -112,7 +112,6 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
 
     Parameters
     ----------
-    model : StageModel
     recordings : sequence of Recording
         With the sign of the model, and their outliers marked.
     past_v : (float, float) or (), optional
@@ -123,10 +122,6 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
     undivided : int
         So many recordings, the first ones, have `SplitSettings.most_rows` each; the others share
         them, as all do by default.
-
-    Returns
-    -------
-    Dataset
 
     Raises
     ------
@@ -153,10 +148,6 @@ def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Rec
         See `simulate_recordings`.
     undivided : int
         See `simulate_recordings`.
-
-    Returns
-    -------
-    Dataset
     """
     simulated, model = tuple(simulated), simulated[0].model
     rows, stretch, for_estimation = _split(simulated, undivided)

@@ -47,17 +47,12 @@ def fit_effects(regression: Regression, effects: Sequence[Effect],
 
     Parameters
     ----------
-    regression : Regression
     effects : sequence of piezo_models.effects.effect.Effect
         To begin from.
     fixed : sequence of piezo_models.effects.effect.Effect
         Kept as they are, before the others.
     quick : bool
         Fit with few evaluations of quick simulations; see `SimulatedRecording.simulate`.
-
-    Returns
-    -------
-    Fit
     """
     guesses = [fitted_values(effect, regression.dataset.extent) for effect in effects]
     sizes = np.cumsum([0, *(values.size for values, _, _ in guesses)])
@@ -91,7 +86,6 @@ def fit_one_more(regression: Regression, kind: type[Effect], effects: tuple[Effe
 
     Parameters
     ----------
-    regression : Regression
     kind : type
         Of the effect.
     effects : tuple of piezo_models.effects.effect.Effect

@@ -159,7 +159,6 @@ def decay_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp], sizes:
 
     Parameters
     ----------
-    part : SimulatedRecording
     rows : array of int
         Samples.
     sizes : (1 + creep pairs or more,) array
@@ -182,13 +181,8 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
 
     Parameters
     ----------
-    model : StageModel
     changes : (n,) array
         In widths, in the order of `free_sensitivities`; none of them for no change.
-
-    Returns
-    -------
-    StageModel
     """
     if not changes.size:
         return model
@@ -265,13 +259,8 @@ def physical_deviations(model: StageModel, covariance: FloatArray) -> dict[str, 
 
     Parameters
     ----------
-    model : StageModel
     covariance : (n, n) array
         Of the changes of creep and dynamics, in widths; infinite variances are unknown.
-
-    Returns
-    -------
-    dict of str to dict
     """
     physical = _physical(model)
     free = physical > 0.0

@@ -97,16 +97,10 @@ def simulated_by(dataset: Dataset, model: StageModel, new_count: int,
 
     Parameters
     ----------
-    dataset : Dataset
-    model : StageModel
     new_count : int
         Recordings, the first ones, that effects which came later are in.
     later : frozenset of str
         Their names.
-
-    Returns
-    -------
-    Dataset
     """
     simulated = side_by_side(lambda part: part.with_model(model), dataset.simulated)
     return replace(dataset, model=model, simulated=tuple(
@@ -144,7 +138,6 @@ class JointErrors:
         that only held-out rows show would be anything otherwise.
     new_count : int
         See `simulated_by`.
-    effects : sequence of piezo_models.effects.effect.Effect
     later : frozenset of str
         Names of those that came later.
     held : sequence of piezo_models.effects.effect.Effect

@@ -216,10 +216,6 @@ class JointProblem:
         held : sequence of piezo_models.effects.effect.Effect
             Others that stay as they are, behind those. The fit then takes one step alone, with the
             derivatives of the fit from which it begins: enough to tell which of them may lead.
-
-        Returns
-        -------
-        JointFit
         """
         goes_on_in = None if begun is None else begun.problem
         if goes_on_in is not None and goes_on_in is not self:

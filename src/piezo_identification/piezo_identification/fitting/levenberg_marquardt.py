@@ -66,16 +66,10 @@ def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: fl
 
     Parameters
     ----------
-    objective : Objective
     vector : (n,) array
         To begin from; within the bounds.
-    steps : int
     worthwhile : float
         What a step has to promise.
-
-    Returns
-    -------
-    Descent
     """
     value, gain, damping = objective.value(vector), np.inf, 0.0
     for _ in range(steps):

@@ -151,7 +151,6 @@ def expected_widths(effects: Sequence[Effect], extent: Extent | None = None) -> 
 
     Parameters
     ----------
-    effects : sequence of piezo_models.effects.effect.Effect
     extent : Extent, optional
         Of the recordings, which bound the numbers.
 

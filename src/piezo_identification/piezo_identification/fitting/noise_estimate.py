@@ -41,15 +41,9 @@ def estimate_noise(dataset: Dataset, effects: Sequence[Effect] = (),
 
     Parameters
     ----------
-    dataset : Dataset
-    effects : sequence of piezo_models.effects.effect.Effect
     before : NoiseEstimate, optional
         An earlier estimate, whose outliers do not bend the residual; by default only samples that
         were marked as outliers are left out.
-
-    Returns
-    -------
-    NoiseEstimate
     """
     residuals = [residual_um(dataset, index, effects, before)
                  for index in range(len(dataset.simulated))]
@@ -75,10 +69,8 @@ def residual_um(dataset: Dataset, index: int, effects: Sequence[Effect] = (),
 
     Parameters
     ----------
-    dataset : Dataset
     index : int
         Of the recording.
-    effects : sequence of piezo_models.effects.effect.Effect
     noise : NoiseEstimate, optional
         Its outliers are not fitted; by default only those that were marked are not.
     """

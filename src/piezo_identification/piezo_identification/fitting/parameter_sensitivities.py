@@ -55,7 +55,6 @@ def parameter_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) ->
 
     Parameters
     ----------
-    part : SimulatedRecording
     rows : array of int
         Samples.
 
@@ -88,13 +87,8 @@ def perturbed(model: StageModel, changes: FloatArray) -> StageModel:
 
     Parameters
     ----------
-    model : StageModel
     changes : (n,) array
         In prior widths, in the order of `parameter_sensitivities`.
-
-    Returns
-    -------
-    StageModel
     """
     changes = _width_map(model) @ changes
     used = 0

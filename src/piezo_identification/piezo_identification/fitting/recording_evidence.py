@@ -15,17 +15,7 @@ from piezo_models.effects import Effect, Evidence
 
 
 def recording_evidence(regression: Regression, effects: Sequence[Effect] = ()) -> list[Evidence]:
-    """Return what each recording shows beside the model with some effects.
-
-    Parameters
-    ----------
-    regression : Regression
-    effects : sequence of piezo_models.effects.effect.Effect
-
-    Returns
-    -------
-    list of Evidence
-    """
+    """Return what each recording shows beside the model with some effects."""
     return [_of_recording(regression, index, mask, effects)
             for index, mask in enumerate(regression.dataset.masks())]
 
@@ -58,7 +48,6 @@ def _projections(
         At the rows, over the tolerance.
     prior : (p, m) array
     rows : (n,) array of int
-    tolerance_um : float
     difference_um : (N,) array
         Measured minus simulated.
 

@@ -130,15 +130,10 @@ class Regression:
 
         Parameters
         ----------
-        effects : sequence of piezo_models.effects.effect.Effect
         covariance : (p, p) array, optional
             Of the fitted values of the effects, where they were fitted.
         quick : sequence of piezo_models.effects.effect.Effect
             See `SimulatedRecording.simulate`.
-
-        Returns
-        -------
-        Fit
         """
         difference, (q, r) = self.difference(effects, quick), self._factors
         coefficients = np.linalg.lstsq(r, q.T @ self._padded(difference), rcond=1e-12)[0]
@@ -183,14 +178,8 @@ def regression_beside(dataset: Dataset, noise: NoiseEstimate,
 
     Parameters
     ----------
-    dataset : Dataset
-    noise : NoiseEstimate
     effects : sequence of piezo_models.effects.effect.Effect
         The more they explain, the less the model's parameters may change.
-
-    Returns
-    -------
-    Regression
     """
     tolerance_um = dataset.of_each([
         np.hypot(noise_um, SETTINGS.model_tolerance * np.ptp(part.measured_um))

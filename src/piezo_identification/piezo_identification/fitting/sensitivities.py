@@ -21,11 +21,6 @@ def sensitivity_systems(
 
     The derivative of a factor of the transfer function by one of its parameters, over the factor.
 
-    Parameters
-    ----------
-    creep : CreepDynamics
-    dynamics : ElectricVibrationDynamics
-
     Returns
     -------
     list of control.StateSpace
@@ -72,7 +67,6 @@ def factor_surfaces(
     ----------
     size : int
         Cells along each threshold.
-    middle_knots, span_knots : int
 
     Returns
     -------

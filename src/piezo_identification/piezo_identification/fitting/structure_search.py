@@ -113,7 +113,6 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
 
     Parameters
     ----------
-    problem : WholeModel
     given : StageModel
         That was identified step by step.
     delay_s : float or None
@@ -160,7 +159,6 @@ def searched(problem: WholeModel, best: WholeFit,
 
     Parameters
     ----------
-    problem : WholeModel
     best : WholeFit
         Of this problem.
     report, is_asked_for : callable
@@ -216,16 +214,6 @@ def starts(problem: WholeModel, given: StageModel,
     That is the given model, and the modes that ring alone with a lag on either side of the
     hysteresis: a search without the hysteresis takes what its loops do for dynamics, from which no
     step by step leads back.
-
-    Parameters
-    ----------
-    problem : WholeModel
-    given : StageModel
-    delay_s : float or None
-
-    Yields
-    ------
-    Structure
     """
     yield Structure("everything together", given, delay_s)
     ringing = [effect for effect in given.effects
@@ -342,17 +330,7 @@ def _highest_rad_per_s(problem: WholeModel) -> float:
 
 
 def structures(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
-    """Yield the structures that differ from a fitted one by one part.
-
-    Parameters
-    ----------
-    problem : WholeModel
-    fit : WholeFit
-
-    Yields
-    ------
-    Structure
-    """
+    """Yield the structures that differ from a fitted one by one part."""
     yield from _with_less(fit)
     for structure in _elsewhere(fit):
         yield replace(structure, is_far=True)

@@ -148,7 +148,6 @@ class WholeModel:
 
     Parameters
     ----------
-    model : StageModel
     recordings : sequence of Recording
         With the sign of the model, and their outliers marked.
     read_late_s : sequence of float
@@ -215,10 +214,6 @@ class WholeModel:
             At most; 0 for the model as it is.
         density_changes : (n,) array, optional
             Of the hysteresis that was given, of an earlier fit; by default none.
-
-        Returns
-        -------
-        WholeFit
         """
         effects = tuple(effect for effect in model.effects if type(effect) is not Delay)
         shift_s = 0.0

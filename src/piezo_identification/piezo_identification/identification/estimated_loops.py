@@ -36,12 +36,6 @@ def estimate_loops(
 ) -> tuple[DensityEstimate, FirstRise | None, Mapping[str, Data]]:
     """Estimate the density, and the first-cycle remanence where a recording shows it.
 
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-    linear : LinearDynamics
-    options : DensityOptions
-
     Returns
     -------
     DensityEstimate

@@ -19,7 +19,6 @@ class FittedModel:
 
     Parameters
     ----------
-    model : StageModel
     uncertainties : dict of str to dict
         Standard deviations of creep and dynamics, as far as they were estimated.
     visited : ndarray of bool, shape (n, n)

@@ -34,9 +34,7 @@ def given_data(
 
     Parameters
     ----------
-    creep, hysteresis : Recording or sequence of Recording, optional
     dynamics : Recording, sequence of Recording or FrequencyResponse, optional
-    validation : Recording, optional
 
     Returns
     -------
@@ -84,7 +82,6 @@ def conditioned_data(given: Mapping[str, Data], tell: Callable[[str], object],
 
     Parameters
     ----------
-    given : dict of str to Recording or FrequencyResponse
     tell : callable
         Called with text on the outliers.
     read_at_samples : float
@@ -96,10 +93,6 @@ def conditioned_data(given: Mapping[str, Data], tell: Callable[[str], object],
 
 def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
     """Cut recordings at their gaps.
-
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
 
     Returns
     -------
@@ -126,13 +119,8 @@ def with_marked_outliers(
 
     Parameters
     ----------
-    given : dict of str to Recording or FrequencyResponse
     tell : callable
         Called with a sentence for each recording that has outliers.
-
-    Returns
-    -------
-    dict of str to Recording or FrequencyResponse
     """
     marked: dict[str, Data] = {}
     for name, data in given.items():
@@ -152,10 +140,6 @@ def rising_with_voltage(recordings: Mapping[str, Data]) -> dict[str, Any]:
     ----------
     recordings : dict of str to Recording or FrequencyResponse
         With marked outliers.
-
-    Returns
-    -------
-    dict of str to Recording or FrequencyResponse
     """
     slowest = slowest_recording(recordings)
     if slowest is None or not displacement_falls(slowest):
@@ -180,13 +164,8 @@ def aligned(
 
     Parameters
     ----------
-    recordings : dict of str to Recording or FrequencyResponse
     read_at_samples : float or dict of str to float
         When rows are read, in sample periods after their voltage; of all, or by name.
-
-    Returns
-    -------
-    dict of str to Recording or FrequencyResponse
     """
     read_at = read_at_samples if isinstance(read_at_samples, Mapping) else dict.fromkeys(
         recordings, read_at_samples)

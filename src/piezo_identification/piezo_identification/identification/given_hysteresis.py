@@ -53,7 +53,6 @@ def estimate_hysteresis_of(
         Without gaps.
     linear : LinearDynamics
         Creep and dynamics, which are removed.
-    options : DensityOptions
 
     Returns
     -------

@@ -126,10 +126,6 @@ def identify(
         row's voltage changes: 0 for the start of the hold, 1 for its end. Beyond that, rows that
         are read late are found from the dynamics; what is late behind them is the stage's delay.
 
-    Returns
-    -------
-    IdentifiedModel
-
     Raises
     ------
     ValueError
@@ -218,10 +214,8 @@ def tell_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
 
     Parameters
     ----------
-    recordings : dict of str to Recording or FrequencyResponse
     cycled : dict of str to Recording or FrequencyResponse
         As of a stage that was cycled before; those that began so are the ones given.
-    linear : LinearDynamics
     first_rise : FirstRise or None
         That the recordings of the hysteresis showed.
     tell : callable
@@ -272,16 +266,10 @@ def identified_model(
 
     Parameters
     ----------
-    fitted : FittedModel
     errors : dict
         By the names under which the model file keeps them.
     given : dict of str to Recording or FrequencyResponse
         As read from their files.
-    rows : dict of str to RowDelay
-
-    Returns
-    -------
-    IdentifiedModel
     """
     hysteresis = fitted.model.hysteresis
     return IdentifiedModel(

@@ -64,8 +64,6 @@ class LinearDynamics:
 
     Parameters
     ----------
-    creep : CreepDynamics
-    dynamics : ElectricVibrationDynamics
     delay_s : float
         Of the stage, beside the dynamics.
     effects : tuple of Effect
@@ -198,10 +196,6 @@ def estimate_linear_dynamics(
     begin : callable
         Called with (stage, fraction of this work) before each.
 
-    Returns
-    -------
-    LinearDynamics
-
     Raises
     ------
     ValueError
@@ -247,8 +241,6 @@ def creep_of(
 
     Parameters
     ----------
-    recordings : sequence of Recording
-    found : LinearDynamics
     is_dynamics_known : bool
         Whether `found` holds the dynamics already.
     pair_count : int, optional
@@ -296,11 +288,6 @@ def loop_readings(hysteresis: Sequence[Recording], found: LinearDynamics) -> set
     rest. Jumps and points are not asked while there are no dynamics: a model without them answers
     at once, and would be the same at both ends of the hold.
 
-    Parameters
-    ----------
-    hysteresis : sequence of Recording
-    found : LinearDynamics
-
     Returns
     -------
     set of float
@@ -320,8 +307,6 @@ def aligned_density(
 
     Parameters
     ----------
-    hysteresis : sequence of Recording
-    found : LinearDynamics
     before : DensityEstimate, optional
         Beside other dynamics, whose weights are taken; by default they are chosen.
 

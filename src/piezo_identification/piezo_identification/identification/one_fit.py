@@ -217,7 +217,6 @@ def reliable(uncertainties: Mapping[str, Any],
 
     Parameters
     ----------
-    uncertainties : dict of str to dict
     adequacy : dict of str to dict
         Of the model file.
     """

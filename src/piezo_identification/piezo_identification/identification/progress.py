@@ -39,7 +39,6 @@ class Stages:
 
         Parameters
         ----------
-        stage : str
         fraction : float
             Of the whole work, done so far.
         """

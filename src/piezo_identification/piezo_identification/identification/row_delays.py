@@ -34,11 +34,6 @@ def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> di
     They are read as those of the dynamics, but for creep and loops, which may be of another logger.
     Creep is read as its estimate was, loops at the one of `loop_readings` that explains them best.
 
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-    linear : LinearDynamics
-
     Returns
     -------
     dict of str to float
@@ -64,7 +59,6 @@ def validation_as_read(
 
     Parameters
     ----------
-    model : StageModel
     said, recordings : dict of str to Recording or FrequencyResponse
         As they were given, and aligned.
     read_at : dict of str to float
@@ -89,7 +83,6 @@ def delays_of_rows_s(
 
     Parameters
     ----------
-    recordings : dict of str to Recording or FrequencyResponse
     read_at : dict of str to float
         Of `found_readings`.
 
@@ -111,14 +104,12 @@ def row_delays(
 
     Parameters
     ----------
-    model : StageModel
     recordings : dict of str to Recording or FrequencyResponse
         Aligned.
     found : dict of str to float
         Of `found_readings`.
     read_at_samples : float
         What was said of them before.
-    linear : LinearDynamics
 
     Returns
     -------

@@ -81,15 +81,10 @@ def changed_parameters(model: StageModel, recording: Recording,
 
     Parameters
     ----------
-    model : StageModel
     recording : Recording
         Of the time after the change, with the voltages before it.
     progress : callable
         Called with the fraction that is done; what it raises ends the work.
-
-    Returns
-    -------
-    ChangedParameters
 
     Raises
     ------
@@ -127,16 +122,7 @@ def changed_parameters(model: StageModel, recording: Recording,
 
 
 def parameter_groups(model: StageModel) -> dict[str, tuple[str, ...]]:
-    """Return the parameters that one cause moves together, by the cause's part of the model.
-
-    Parameters
-    ----------
-    model : StageModel
-
-    Returns
-    -------
-    dict of str to tuple of str
-    """
+    """Return the parameters that one cause moves together, by the cause's part of the model."""
     groups: dict[str, tuple[str, ...]] = {"gain": ("gain_um_per_v",)}
     if model.dynamics.time_constant_s > 0.0:
         groups["lag"] = ("time_constant_s",)

@@ -44,11 +44,6 @@ def threshold_of(mean_run: float, allowance: float) -> float:
     ----------
     mean_run : float
         Values between false alarms in the mean.
-    allowance : float
-
-    Returns
-    -------
-    float
 
     Raises
     ------

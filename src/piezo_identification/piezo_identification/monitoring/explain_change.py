@@ -55,10 +55,6 @@ def explain_change(model: str | Path, recording: str | Path, directory: str | Pa
     usual_rms_um : float
         Residual of the model before the change.
 
-    Returns
-    -------
-    ChangeExplanation
-
     Raises
     ------
     ValueError
@@ -99,7 +95,6 @@ class Explainer:
         Of the time after the change.
     directory : Path
         Gets all files; made if it is missing.
-    usual_rms_um : float
 
     Raises
     ------

@@ -122,9 +122,6 @@ class ModelMonitor:
 
     Parameters
     ----------
-    model : StageModel
-    sample_period_s : float
-    settings : MonitorSettings, optional
     memory : StageMemory, optional
         Past of the stage before the first sample; by default it rested at 0 V.
 
@@ -177,10 +174,6 @@ class ModelMonitor:
         ----------
         voltage_v, displacement_um : ndarray, shape (N,)
             Of any number; they follow the ones before without a gap.
-
-        Returns
-        -------
-        list of Suspicion
         """
         self._waiting_v.append(np.array(voltage_v, dtype=float))
         self._waiting_um.append(np.array(displacement_um, dtype=float))
@@ -325,7 +318,6 @@ def band_powers(residual_um: FloatArray, sample_period_s: float) -> FloatArray:
     Parameters
     ----------
     residual_um : ndarray, shape (N,)
-    sample_period_s : float
 
     Returns
     -------

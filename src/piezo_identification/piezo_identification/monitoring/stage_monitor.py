@@ -44,9 +44,6 @@ class StageMonitor:
 
     Parameters
     ----------
-    model : StageModel
-    sample_rate_hz : float
-    settings : MonitorSettings, optional
     kept_s : float
         How much of the past is kept for a diagnosis (s).
     rest_voltage_v : float

@@ -83,10 +83,6 @@ def outside_identified(
         From the first sample that counts in the memory of the hysteresis.
     past_v : tuple of float
         Voltages before.
-
-    Returns
-    -------
-    OutsideIdentified
     """
     hysteresis = identified.model.hysteresis
     voltage_v = np.asarray(voltage_v, dtype=float)
@@ -109,7 +105,6 @@ def everett_variance_um2(hysteresis: PreisachModel, visited: BoolArray) -> Float
 
     Parameters
     ----------
-    hysteresis : PreisachModel
     visited : ndarray of bool, shape (L, L)
         Cells that the recordings determine.
 

@@ -88,15 +88,6 @@ def predict(model: StageModel, recording: Recording) -> Prediction:
     measured displacement is changed where it moves against the model. Outliers are left out: those
     that stand out of the displacement, and those that stand out of what the model leaves.
 
-    Parameters
-    ----------
-    model : StageModel
-    recording : Recording
-
-    Returns
-    -------
-    Prediction
-
     Raises
     ------
     ValueError

@@ -22,7 +22,6 @@ def unseen_errors(model: StageModel, recordings: Recordings) -> dict[str, float]
 
     Parameters
     ----------
-    model : StageModel
     recordings : Recording or sequence of Recording
         Each without gaps.
 
@@ -42,10 +41,6 @@ def errors_of(predictions: Sequence[Prediction]) -> dict[str, float]:
     ----------
     predictions : sequence of Prediction
         Of stretches of one experiment, the offset of each of which is its own.
-
-    Returns
-    -------
-    dict of str to float
     """
     errors = {"e_y_percent": _joint_e_y_percent(predictions, [each.good for each in predictions])}
     slow = [slow_branches(each.time_s, each.voltage_v) for each in predictions]

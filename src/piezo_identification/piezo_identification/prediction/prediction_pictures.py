@@ -25,13 +25,8 @@ def displacement_figure(prediction: Prediction,
 
     Parameters
     ----------
-    prediction : Prediction
     deviation_um : ndarray, shape (N,), optional
         Standard deviation of the simulated displacement, drawn twice to both sides if it is not 0.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))

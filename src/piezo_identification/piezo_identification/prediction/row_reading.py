@@ -22,11 +22,6 @@ def read_as_identified(identified: IdentifiedModel,
     A model file tells when the logger of its recordings read their rows. A further recording may be
     of the same logger or of another one: its rows are aligned if the model explains them better so.
 
-    Parameters
-    ----------
-    identified : IdentifiedModel
-    recording : Recording
-
     Returns
     -------
     recording : Recording
@@ -54,7 +49,6 @@ def all_as_identified(
     ----------
     model : IdentifiedModel or StageModel
         A bare stage model knows of no rows: those of the recordings remain as they are.
-    recordings : iterable of Recording
     said_at_samples : float
         When their rows are read, in sample periods after their voltage; 0 where nobody said it.
 
@@ -113,8 +107,6 @@ def read_as_explained(
 
     Parameters
     ----------
-    model : StageModel
-    recording : Recording
     read_at_samples : sequence of float
         Instants, in sample periods after the voltage of a row changed; 0, and what jumps tell, are
         always tried.
@@ -148,13 +140,8 @@ def rows_sentence(path: object, read_at_samples: float) -> str:
 
     Parameters
     ----------
-    path : object
     read_at_samples : float
         Of `read_as_identified`.
-
-    Returns
-    -------
-    str
     """
     if read_at_samples == 0.0:
         return ""

@@ -197,10 +197,6 @@ def check_recording(recording: Recording) -> RecordingCheck:
     ----------
     recording : Recording
         Of any origin; ramps before and after a waveform are left out.
-
-    Returns
-    -------
-    RecordingCheck
     """
     playing = recording.playing | recording.tracking
     # As identify does: a table of another program does not say which rows lead to a square wave.
@@ -217,7 +213,6 @@ def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, period_s: float
     displacement_um, voltage_v : ndarray, shape (N,)
     period_s : float
         Of the samples.
-    waveform : Waveform
 
     Returns
     -------
@@ -262,8 +257,6 @@ def start_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Wavef
     Parameters
     ----------
     displacement_um, voltage_v : ndarray, shape (N,)
-    waveform : Waveform
-    noise_um : float
     period_s : float
         Of the samples.
 

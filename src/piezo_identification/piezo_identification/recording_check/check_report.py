@@ -16,13 +16,8 @@ def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[
 
     Parameters
     ----------
-    check : RecordingCheck
     fit_for : dict of str to Suitability
         By experiment.
-
-    Returns
-    -------
-    list of str
     """
     lines = [f"{name:{WIDTH}}{value}" for name, value in measured_rows(check)]
     lines.append("")
@@ -33,10 +28,6 @@ def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[
 
 def measured_rows(check: RecordingCheck) -> list[tuple[str, str]]:
     """Return what was measured of a recording, each with its name.
-
-    Parameters
-    ----------
-    check : RecordingCheck
 
     Returns
     -------

@@ -100,10 +100,6 @@ class Suitability:
 def suitability(check: RecordingCheck) -> dict[str, Suitability]:
     """Say for each experiment whether a recording can stand for it.
 
-    Parameters
-    ----------
-    check : RecordingCheck
-
     Returns
     -------
     dict of str to Suitability
@@ -121,10 +117,6 @@ def suitability_for(check: RecordingCheck, experiment: str) -> Suitability:
         Only what this experiment asks for is measured.
     experiment : str
         One of `EXPERIMENTS`.
-
-    Returns
-    -------
-    Suitability
     """
     hindrance = _for_nothing(check)
     if hindrance:
@@ -342,10 +334,6 @@ def rows_per_ringing(response: FloatArray) -> float:
     ----------
     response : ndarray, shape (M,)
         Of `jump_response`.
-
-    Returns
-    -------
-    float
     """
     changes = np.diff(response[1:])
     if changes.size < 4:

@@ -132,10 +132,6 @@ def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
     voltage_v : ndarray, shape (N,)
     period_s : float
         Of the samples.
-
-    Returns
-    -------
-    Waveform
     """
     none = np.empty(0, dtype=np.intp)
     swing_v = float(np.ptp(voltage_v))

@@ -18,10 +18,6 @@ def check_page(checks: Sequence[tuple[str, RecordingCheck, dict[str, Suitability
     ----------
     checks : sequence of (str, RecordingCheck, dict of str to Suitability)
         Title of the recording, what was measured of it, and which experiments it can stand for.
-
-    Returns
-    -------
-    str
     """
     count = len(checks)
     title = (checks[0][0] + ": " + suitability_sentence(checks[0][2])) if count == 1 else (

@@ -30,13 +30,7 @@ DOTS_PER_INCH = 110.0
 
 
 def draw_check(path: Path, check: RecordingCheck) -> None:
-    """Draw a check as a PNG; see `check_figure`.
-
-    Parameters
-    ----------
-    path : Path
-    check : RecordingCheck
-    """
+    """Draw a check as a PNG; see `check_figure`."""
     path.write_bytes(to_png(check_figure(check), DOTS_PER_INCH))
 
 
@@ -48,14 +42,6 @@ def check_figure(check: RecordingCheck) -> Figure:
     visited part of the Preisach plane. Broadband voltages show the gain over frequency and which
     part of the displacement goes with the voltage, a constant voltage the spectrum of the noise.
     Of a tracking run the reference is drawn over the displacement, and the error below.
-
-    Parameters
-    ----------
-    check : RecordingCheck
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     tracked = bool(np.isfinite(check.reference_um).any())
     heights = (2, 1, 1, 3) if tracked else (2, 1, 3)

@@ -28,8 +28,6 @@ class ComponentEvidence:
     ----------
     name : str
         Of the recording: creep, dynamics, hysteresis, or numbered.
-    residual : ComponentResidual
-    fit : LackOfFit
     """
 
     name: str
@@ -75,7 +73,6 @@ def component_evidence(identified: IdentifiedModel, given: Mapping[str, Data],
 
     Parameters
     ----------
-    identified : IdentifiedModel
     given : dict of str to Recording or FrequencyResponse
         Of `given_data`.
     read_at_samples : float

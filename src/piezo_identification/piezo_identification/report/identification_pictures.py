@@ -33,12 +33,7 @@ FIT_HEIGHT_IN = 6.4
 
 
 def component_pictures(evidence: ComponentEvidence) -> Iterator[Picture]:
-    """Yield the fit of a component beside its recording, and what is left over time and frequency.
-
-    Parameters
-    ----------
-    evidence : ComponentEvidence
-    """
+    """Yield the fit of a component beside its recording, and its residual over time, frequency."""
     name = evidence.name
     if evidence.is_response:
         yield pictured(f"Fit of the {name}", _response(evidence), "Measured frequency response at "
@@ -149,8 +144,6 @@ def draw_density(axes: Axes, hysteresis: PreisachModel, visited: BoolArray | Non
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
-    hysteresis : PreisachModel
     visited : ndarray of bool, shape (L, L), optional
     """
     levels_v = hysteresis.levels_v

@@ -33,17 +33,12 @@ def identification_page(identified: IdentifiedModel, given: Mapping[str, Data], 
 
     Parameters
     ----------
-    identified : IdentifiedModel
     given : dict of str to Recording or FrequencyResponse
         Of `given_data`, the validation among them if there is one.
     model : Path
         File of the model.
     read_at_samples : float
         As `identify` was told.
-
-    Returns
-    -------
-    str
     """
     evidence = component_evidence(identified, given, read_at_samples)
     validation = [data for name, data in given.items() if name == "validation"]

@@ -27,10 +27,6 @@ NAMES = {
 def parameter_table(identified: IdentifiedModel) -> list[tuple[str, ...]]:
     """Return the parameters of creep, dynamics and effects with what is known of them.
 
-    Parameters
-    ----------
-    identified : IdentifiedModel
-
     Returns
     -------
     list of tuple of str
@@ -85,7 +81,6 @@ def number_rows(name: str, values: Any, deviations: Any,
 
     Parameters
     ----------
-    name : str
     values, deviations : float or sequence of float
         The deviations may be None where they are not known.
     unit : str

@@ -37,7 +37,6 @@ def response_deviations(
 
     Parameters
     ----------
-    identified : IdentifiedModel
     frequency_hz : ndarray, shape (F,)
 
     Returns
@@ -80,8 +79,6 @@ def measured_response(
 
     Parameters
     ----------
-    model : StageModel
-    residual : ComponentResidual
     fit : LackOfFit
         Of that residual.
 
@@ -131,8 +128,6 @@ def draw_bode(gain: Axes, phase: Axes, identified: IdentifiedModel, frequency_hz
 
     Parameters
     ----------
-    gain, phase : matplotlib.axes.Axes
-    identified : IdentifiedModel
     frequency_hz : ndarray, shape (F,)
     measured : tuple of ndarray, optional
         Of `measured_response`.
@@ -167,7 +162,6 @@ def shown_frequencies(identified: IdentifiedModel, sample_period_s: float | None
 
     Parameters
     ----------
-    identified : IdentifiedModel
     sample_period_s : float or None
         Of the fast recording: no higher than half its rate.
     measured_hz : ndarray, optional

@@ -50,8 +50,6 @@ def draw_measured(axes: Axes, view: WaveformView, measured: FloatArray,
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
-    view : WaveformView
     measured, modelled : ndarray, shape (N,)
         Of the recording.
     y : str
@@ -71,8 +69,6 @@ def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
-    view : WaveformView
     difference_um : ndarray, shape (N,)
     noise_um : float, optional
         Standard deviation of a single sample; in a mean period there is less of it.
@@ -106,7 +102,6 @@ def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
     voltage_v, measured, modelled : ndarray, shape (N,)
     y : str
         Label.
@@ -125,7 +120,6 @@ def draw_loop_difference(axes: Axes, voltage_v: FloatArray, difference_um: Float
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
     voltage_v, difference_um : ndarray, shape (N,)
     noise_um : float, optional
         Standard deviation of a sample.
@@ -148,7 +142,6 @@ def draw_creep(above: Axes, below: Axes, steps: NDArray[np.intp], voltage_v: Flo
     steps : ndarray of int
         One or more.
     voltage_v, measured_um, modelled_um : ndarray, shape (N,)
-    sample_period_s : float
     """
     since_s, (measured, modelled), count = mean_hold(
         steps, voltage_v, (measured_um, modelled_um), sample_period_s)
@@ -179,9 +172,7 @@ def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
     voltage_v, measured_um : ndarray, shape (N,)
-    sample_period_s : float
     modelled_um : ndarray, shape (N,), optional
         Of a model under the same voltage.
     """
@@ -203,9 +194,7 @@ def draw_coherence(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray,
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
     voltage_v, measured_um : ndarray, shape (N,)
-    sample_period_s : float
     """
     frequency_hz, _, coherence = gain_of(voltage_v, measured_um, sample_period_s)
     axes.semilogx(frequency_hz, coherence, color=BLUE, linewidth=1.0)
@@ -222,7 +211,6 @@ def smoothed(frequency_hz: FloatArray, power: FloatArray,
     ----------
     frequency_hz, power : ndarray, shape (F,)
         Without zero frequency.
-    cells : int
 
     Returns
     -------
@@ -246,9 +234,7 @@ def draw_residual_spectrum(axes: Axes, residual_um: FloatArray, measured_um: Flo
 
     Parameters
     ----------
-    axes : matplotlib.axes.Axes
     residual_um, measured_um : ndarray, shape (N,)
-    sample_period_s : float
     noise_um : float or None
         Standard deviation of a single sample.
     """

@@ -23,17 +23,12 @@ def simulation_page(prediction: Prediction, origin: Sequence[str], told: Sequenc
 
     Parameters
     ----------
-    prediction : Prediction
     origin : sequence of str
         Files of model and recording.
     told : sequence of str
         What the command told: of the start, of outliers, of what the model was not identified on.
     deviation_um : ndarray, shape (N,), optional
         Standard deviation of the simulated displacement.
-
-    Returns
-    -------
-    str
     """
     noise_um = noise_of(prediction)
     left_um = left_of(prediction)[prediction.good]
@@ -75,14 +70,8 @@ def displacement_figure(prediction: Prediction, deviation_um: FloatArray | None 
 
     Parameters
     ----------
-    prediction : Prediction
     deviation_um : ndarray, shape (N,), optional
         Standard deviation of the simulated displacement, drawn twice to both sides if it is not 0.
-    noise_um : float, optional
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
     figure = new_figure(5.0, WIDE_IN)
@@ -95,16 +84,7 @@ def displacement_figure(prediction: Prediction, deviation_um: FloatArray | None 
 
 
 def loops_figure(prediction: Prediction) -> Figure:
-    """Draw measured and simulated displacement over the voltage, of the mean period if there is.
-
-    Parameters
-    ----------
-    prediction : Prediction
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Draw measured and simulated displacement over the voltage, of the mean period if there is."""
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
     figure = new_figure(5.0, WIDE_IN)
     axes = figure.subplots()
@@ -124,7 +104,6 @@ def prediction_pictures(prediction: Prediction,
 
     Parameters
     ----------
-    prediction : Prediction
     deviation_um : ndarray, shape (N,), optional
     """
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))

@@ -37,7 +37,6 @@ class WaveformView:
         sample.
     samples : int
         Of a period, or of all.
-    sample_period_s : float
     jumps : ndarray of int
         Samples at which the voltage takes another level.
     """
@@ -111,13 +110,8 @@ def view_of(voltage_v: FloatArray, sample_period_s: float,
     ----------
     voltage_v : ndarray, shape (N,)
         Without gaps.
-    sample_period_s : float
     waveform : Waveform, optional
         Of the voltage; found from it by default.
-
-    Returns
-    -------
-    WaveformView
     """
     waveform = waveform or waveform_of(voltage_v, sample_period_s)
     first, samples = _period(waveform)
@@ -165,7 +159,6 @@ def mean_hold(steps: NDArray[np.intp], voltage_v: FloatArray, signals: Sequence[
         Samples at which the voltage takes another level.
     voltage_v : ndarray, shape (N,)
     signals : sequence of ndarray, shape (N,)
-    sample_period_s : float
 
     Returns
     -------

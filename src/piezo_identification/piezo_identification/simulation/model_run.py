@@ -64,11 +64,6 @@ SETTINGS = PastSearchSettings()
 def conditioned(model: StageModel, recording: Recording) -> tuple[Recording, bool]:
     """Return the recording with the sign of the model and its outliers marked.
 
-    Parameters
-    ----------
-    model : StageModel
-    recording : Recording
-
     Returns
     -------
     recording : Recording
@@ -94,12 +89,6 @@ def starting_past_v(model: StageModel, recording: Recording,
     turning points of any past show. They count where they explain more than a past without them,
     which comes from negative saturation.
 
-    Parameters
-    ----------
-    model : StageModel
-    recording : Recording
-    settings : PastSearchSettings
-
     Returns
     -------
     (float, float) or ()
@@ -116,11 +105,6 @@ def starting_past_v(model: StageModel, recording: Recording,
 
 class ModelRun:
     """A recording, and what a model makes of it after different pasts.
-
-    Parameters
-    ----------
-    model : StageModel
-    recording : Recording
 
     Attributes
     ----------
@@ -186,12 +170,7 @@ class ModelRun:
                            | (self._before_v >= hysteresis.voltage_max_v - near_v)))
 
     def fitted_past_v(self, settings: PastSearchSettings = SETTINGS) -> tuple[float, float]:
-        """Find the highest and then the lowest voltage before the first sample that explain most.
-
-        Parameters
-        ----------
-        settings : PastSearchSettings
-        """
+        """Find the highest and then the lowest earlier voltage that explain most."""
         hysteresis, first_v = self.model.hysteresis, self._before_v[0]
         bounds_v = np.array([[first_v, max(first_v, hysteresis.voltage_max_v)],
                              [min(first_v, hysteresis.voltage_min_v), first_v]])

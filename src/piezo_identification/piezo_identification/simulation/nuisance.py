@@ -14,7 +14,6 @@ def nuisance_regressors(part: SimulatedRecording, rows: NDArray[np.intp]) -> Flo
 
     Parameters
     ----------
-    part : SimulatedRecording
     rows : array of int
         Samples.
 
@@ -31,7 +30,6 @@ def nuisance_signal(part: SimulatedRecording, sizes: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    part : SimulatedRecording
     sizes : (1 + creep pairs,) array
     """
     summed = np.zeros(part.time_s.size)

@@ -81,7 +81,6 @@ def respond(
         Continuous.
     input_um : (N parts,) array
         Each held for a part of a sample period.
-    sample_period_s : float
     samples : int
         As in `leading_lags`.
     delay_s : float
@@ -111,7 +110,6 @@ def respond_each(
         Continuous.
     inputs_um : iterable of (N parts,) array
         Each held for a part of a sample period.
-    sample_period_s : float
     samples : int
         As in `leading_lags`.
     delay_s : float
@@ -166,7 +164,6 @@ def delayed_zoh(
     ----------
     system : control.StateSpace
         Continuous.
-    sample_period_s, delay_s : float
 
     Returns
     -------

@@ -64,7 +64,6 @@ class SimulatedRecording:
 
     Parameters
     ----------
-    model : StageModel
     recording : Recording
         With the sign of the model, and its outliers marked.
     past_v : (float, float) or (), optional
@@ -147,7 +146,6 @@ class SimulatedRecording:
 
         Parameters
         ----------
-        effects : sequence of piezo_models.effects.effect.Effect
         quick : sequence of piezo_models.effects.effect.Effect
             Those among them that may act on the sampled displacement where they are linear. That
             is a little less exact than a system in series with the others, and much faster.

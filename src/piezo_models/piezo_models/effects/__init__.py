@@ -71,10 +71,6 @@ __all__ = [
 def known_effects() -> dict[str, type[Effect]]:
     """Return every effect by its name, those of other packages after those of this one.
 
-    Returns
-    -------
-    dict of str to type
-
     Raises
     ------
     ValueError

@@ -70,16 +70,7 @@ class AmplifierLag(Effect):
 
 
 def lag_behind_hysteresis(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Return effects with the amplifier's lag behind the hysteresis, where a sine sees it as well.
-
-    Parameters
-    ----------
-    effects : iterable of Effect
-
-    Returns
-    -------
-    tuple of Effect
-    """
+    """Return effects with the amplifier's lag behind the hysteresis, where a sine sees it, too."""
     return tuple(SensorLag(effect.time_constant_s) if isinstance(effect, AmplifierLag) else effect
                  for effect in effects)
 
@@ -92,13 +83,8 @@ def parts_of_rows(effects: Iterable[Effect], sample_period_s: float,
     ----------
     effects : iterable of Effect
         On the voltage.
-    sample_period_s : float
     samples_per_mean : int
         Rows that are means of several samples stay whole.
-
-    Returns
-    -------
-    int
     """
     moves = any(SHORTEST < effect.time_constant_s / sample_period_s < LONGEST
                 for effect in effects if isinstance(effect, AmplifierLag))

@@ -33,13 +33,8 @@ def slope_of_force(force: float, direction: float, half_range: float, linear: fl
         Over the stiffness of the linear spring, as displacement in um.
     direction : float
         Its sign is that of the motion.
-    half_range : float
     linear, stiffness, beta, gamma, exponent : float
         Of `piezo_models.effects.hysteretic_spring.HystereticSpring`.
-
-    Returns
-    -------
-    float
     """
     size = min(abs(force) / half_range, FARTHEST)
     part = size if exponent == 1.0 else size**exponent
@@ -63,7 +58,6 @@ def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float
         Of the range in um.
     parts : (6,) array
         linear, viscous, stiffness, beta, gamma, exponent.
-    damping_ratio : float
     step_rad : float
         Radians by which the mode turns in a step.
     substeps : int

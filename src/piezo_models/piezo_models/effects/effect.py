@@ -36,12 +36,10 @@ def parameter(unit: str, scale: str = "linear", low: float = -np.inf, high: floa
 
     Parameters
     ----------
-    unit : str
     scale : str
         In which it is fitted: "linear", "logarithm" for one that is positive, or "fixed".
     low, high : float
         Bounds.
-    default : float or tuple, optional
     """
     return dataclasses.field(
         default=default,
@@ -110,10 +108,8 @@ class Evidence:
 
         Parameters
         ----------
-        candidates : list
         contributions : callable
             Gives the contributions, shape (N, n), of a candidate.
-        count : int
 
         Returns
         -------
@@ -205,7 +201,6 @@ class Effect(ABC):
         ----------
         signal : (N,) array
             Voltage in V or displacement in um, at its `place`.
-        sample_period_s : float
         rest : float, optional
             Level at which the signal has rested before; its first value by default.
 
@@ -242,12 +237,7 @@ class Effect(ABC):
         return self.apply(whole, sample_period_s)[whole.size - signal.size :], whole
 
     def acts_at_once(self, sample_period_s: float) -> bool:
-        """Tell whether every sample depends on itself and on its time alone.
-
-        Parameters
-        ----------
-        sample_period_s : float
-        """
+        """Tell whether every sample depends on itself and on its time alone."""
         del sample_period_s
         return not self.remembers
 
@@ -258,7 +248,6 @@ class Effect(ABC):
         ----------
         wanted : (N,) array
             One period.
-        sample_period_s : float
 
         Returns
         -------
@@ -332,48 +321,22 @@ class Effect(ABC):
         ----------
         other : type
             Another effect.
-
-        Returns
-        -------
-        bool
         """
         return other.name in cls.indistinguishable_from or cls.name in other.indistinguishable_from
 
     @classmethod
     @abstractmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Guess effects to begin a fit from by a recording; none if nothing hints at one.
-
-        Parameters
-        ----------
-        evidence : Evidence
-
-        Returns
-        -------
-        list of Effect
-        """
+        """Guess effects to begin a fit from by a recording; none if nothing hints at one."""
 
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Tell why a recording cannot show the effect; None if it can.
-
-        Parameters
-        ----------
-        evidence : Evidence
-
-        Returns
-        -------
-        str or None
-        """
+        """Tell why a recording cannot show the effect; None if it can."""
         return None
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
         """Bound what the parameters can physically be in recordings that go so far.
-
-        Parameters
-        ----------
-        extent : Extent
 
         Returns
         -------
@@ -405,10 +368,6 @@ class Effect(ABC):
 
         A model that was identified with the effect in the stage has the given one.
 
-        Parameters
-        ----------
-        hysteresis : PreisachModel
-
         Returns
         -------
         PreisachModel or None
@@ -417,16 +376,7 @@ class Effect(ABC):
         return None
 
     def impossible(self, extent: Extent) -> str | None:
-        """Tell why no stage can have the effect with these parameters; None if one can.
-
-        Parameters
-        ----------
-        extent : Extent
-
-        Returns
-        -------
-        str or None
-        """
+        """Tell why no stage can have the effect with these parameters; None if one can."""
         return None
 
     def parameters(self) -> dict[str, Any]:
@@ -458,7 +408,6 @@ def fitted_values(effect: Effect, extent: Extent | None = None,
 
     Parameters
     ----------
-    effect : Effect
     extent : Extent, optional
         Of the recordings, which bound the parameters by `Effect.bounds`.
 

@@ -25,7 +25,6 @@ class EffectOfTime(Effect):
         ----------
         signal : ndarray, shape (N,)
             Displacement in um.
-        sample_period_s : float
         first : int
             Number of samples before the part.
 

@@ -24,7 +24,6 @@ def filtered(numerator: Sequence[float], denominator: Sequence[float], signal: F
         Of the powers of s, the highest first.
     signal : (N,) array
         Taken as straight between samples.
-    sample_period_s : float
     rest : float, optional
         Level at which the signal has rested before; its first value by default.
 
@@ -126,7 +125,6 @@ def unfiltered_period(numerator: Sequence[float], denominator: Sequence[float],
     numerator, denominator : sequence of float
         As in `filtered`.
     period : (N,) array
-    sample_period_s : float
 
     Returns
     -------
@@ -148,7 +146,6 @@ def slowed(numerator: Sequence[float], denominator: Sequence[float],
     ----------
     numerator, denominator : sequence of float
         As in `filtered`.
-    factor : float
 
     Returns
     -------

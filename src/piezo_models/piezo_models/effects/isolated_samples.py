@@ -123,10 +123,6 @@ def typical_answer_per_v(signal: FloatArray, voltage_v: FloatArray) -> float:
     Parameters
     ----------
     signal, voltage_v : (N,) array
-
-    Returns
-    -------
-    float
     """
     span_v = typical_range(voltage_v)
     most = ANSWERED * typical_range(signal) / max(span_v, 1e-300)

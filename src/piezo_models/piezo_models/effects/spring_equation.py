@@ -37,7 +37,6 @@ def straight_beyond(parts: ArrayLike, half_range_um: float) -> tuple[float, floa
     ----------
     parts : (4,) sequence of float
         Force at the end of the range, as displacement in um, of the powers one to four.
-    half_range_um : float
 
     Returns
     -------
@@ -211,7 +210,6 @@ def balance(
         Of the range.
     frequency_rad_per_s, damping_ratio : float
         w and zeta; with w = 0, the spring acts at once.
-    sample_period_s : float
     rest_um : float
         x before the first sample.
 

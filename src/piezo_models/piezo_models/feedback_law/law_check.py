@@ -29,8 +29,6 @@ def check_law(law: FeedbackLaw, samples_per_tick: int, lead_ticks: int = 0) -> N
 
     Parameters
     ----------
-    law : FeedbackLaw
-    samples_per_tick : int
     lead_ticks : int
         Ticks that are written ahead of what is measured.
 

@@ -141,7 +141,6 @@ def through_inverse(wanted_um: float, planned_v: FloatArray, rounding_um: float,
         To be added.
     planned_v : ndarray, shape (k,)
         Without the feedback.
-    rounding_um : float
     range_um : tuple of float
         Of the hysteresis' output.
     range_v : tuple of float

@@ -17,7 +17,6 @@ class RunningInverse:
 
     Parameters
     ----------
-    inverse : InverseHysteresis
     rest_voltage_v : float
         Where the run begins, reached from negative saturation (V).
     """

@@ -37,8 +37,6 @@ class RunningLaw:
 
     Parameters
     ----------
-    law : FeedbackLaw
-    samples_per_tick : int
     rest_voltage_v : float
         Where the run begins, reached from negative saturation (V).
     largest_step_v : float

@@ -65,10 +65,6 @@ class HystereticCreep:
         settled : bool
             True: the stage has rested at the last voltage until the creep was over. False: the
             relaxing states are zero.
-
-        Returns
-        -------
-        HystereticCreepMemory
         """
         extremes = np.asarray(extremes_v, dtype=float)
         half_widths = np.array(self.half_widths_v)
@@ -91,7 +87,6 @@ class HystereticCreep:
         ----------
         voltage_v : (N,) array_like
             Each held for a sample period.
-        sample_period_s : float
         memory : HystereticCreepMemory
             Continued, and updated in place.
 

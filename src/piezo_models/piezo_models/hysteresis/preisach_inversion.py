@@ -107,7 +107,6 @@ def _along_rise(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
         Remembered maximum and its output, which wipe the minimum out.
     rounding_um : float
         No flat stretch is crossed for a rest within it.
-    grid, table : tuple
 
     Returns
     -------
@@ -239,12 +238,8 @@ def invert_while_room(target_um: FloatArray, voltage_v: FloatArray, n: int, roun
     Parameters
     ----------
     target_um, voltage_v : (N,) array
-    n : int
-    rounding_um : float
     extremes, outputs : array
         Of the memory; changed in place.
-    top : int
-    grid, table : tuple
 
     Returns
     -------
@@ -300,8 +295,6 @@ def invert(target_um: FloatArray, rounding_um: float, extremes: FloatArray,
         No flat stretch is crossed for a rest within it.
     extremes, outputs : array
         Of the memory; changed in place, and left for longer ones where they are full.
-    top : int
-    grid, table : tuple
 
     Returns
     -------

@@ -60,7 +60,6 @@ def between(near: FloatArray, far: FloatArray, part: float, level: int) -> float
         The function over the levels of the other voltage, um, at the two levels of the one.
     part : float
         Of the way from `near` to `far`.
-    level : int
 
     Returns
     -------
@@ -95,7 +94,6 @@ def everett_values(alpha_v: FloatArray, beta_v: FloatArray, grid: Grid,
     ----------
     alpha_v, beta_v : (N,) array
         Within the grid.
-    grid, table : tuple
 
     Returns
     -------
@@ -157,7 +155,6 @@ def _along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: floa
         Minimum, in cells, and its output.
     limit_v : float
         Remembered maximum, which wipes the minimum out.
-    grid, table : tuple
 
     Returns
     -------
@@ -238,11 +235,8 @@ def simulate_while_room(voltage_v: FloatArray, output_um: FloatArray, n: int,
     Parameters
     ----------
     voltage_v, output_um : (N,) array
-    n : int
     extremes, outputs : array
         Of the memory; changed in place.
-    top : int
-    grid, table : tuple
 
     Returns
     -------
@@ -287,8 +281,6 @@ def simulate(voltage_v: FloatArray, extremes: FloatArray, outputs: FloatArray, t
     voltage_v : (N,) array
     extremes, outputs : array
         Of the memory; changed in place, and left for longer ones where they are full.
-    top : int
-    grid, table : tuple
 
     Returns
     -------

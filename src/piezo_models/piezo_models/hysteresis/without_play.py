@@ -22,7 +22,6 @@ def without_play(hysteresis: PreisachModel, width_um: float) -> PreisachModel:
 
     Parameters
     ----------
-    hysteresis : PreisachModel
     width_um : float
         Of the play.
 

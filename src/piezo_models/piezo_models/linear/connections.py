@@ -23,30 +23,12 @@ def matrices_of(system: control.StateSpace) -> Matrices:
 
 
 def in_series(systems: Iterable[Matrices]) -> Matrices:
-    """Return the series connection, the first system first; of none, what passes its input on.
-
-    Parameters
-    ----------
-    systems : iterable of tuple of array
-
-    Returns
-    -------
-    tuple of array
-    """
+    """Return the series connection, the first system first; of none, what passes its input on."""
     return reduce(_followed_by, systems, _passing_on())
 
 
 def in_parallel(systems: Sequence[Matrices]) -> Matrices:
-    """Return the parallel connection of at least one system: the sum of their outputs.
-
-    Parameters
-    ----------
-    systems : sequence of tuple of array
-
-    Returns
-    -------
-    tuple of array
-    """
+    """Return the parallel connection of at least one system: the sum of their outputs."""
     return reduce(_beside, systems)
 
 

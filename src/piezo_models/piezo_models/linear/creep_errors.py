@@ -35,13 +35,8 @@ def with_creep_errors(creep: CreepDynamics, errors: np.ndarray) -> CreepDynamics
 
     Parameters
     ----------
-    creep : CreepDynamics
     errors : ndarray, shape (2 P,)
         Of the pairs' rates, then of their sizes.
-
-    Returns
-    -------
-    CreepDynamics
     """
     changes = np.exp(creep_error_map(creep) @ errors)
     by_pole, by_zero = np.split(changes, 2)

@@ -232,7 +232,6 @@ def zoh(system: control.StateSpace, sample_period_s: float) -> control.StateSpac
     ----------
     system : control.StateSpace
         Continuous; its states are kept.
-    sample_period_s : float
 
     Returns
     -------
@@ -262,8 +261,6 @@ def zoh_response(system: control.StateSpace, frequency_hz: ArrayLike,
     ----------
     system : control.StateSpace
         Continuous, one input and one output.
-    frequency_hz : array_like
-    sample_period_s : float
 
     Returns
     -------
@@ -294,7 +291,6 @@ def equilibrium_state(system: control.StateSpace, held_input: float = 1.0) -> Fl
     ----------
     system : control.StateSpace
         Continuous and stable.
-    held_input : float
 
     Returns
     -------

@@ -17,7 +17,6 @@ def lift(a: FloatArray, b: FloatArray, c: FloatArray, samples_per_tick: int,
     ----------
     a, b, c : ndarray, shape (n, n), (n, 1), (1, n)
         Strictly proper, at the sample clock's period.
-    samples_per_tick, delay_ticks : int
 
     Returns
     -------

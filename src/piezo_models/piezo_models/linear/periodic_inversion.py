@@ -45,7 +45,6 @@ def invert_linear_periodic(reference_um: ArrayLike, system: control.StateSpace,
         One period.
     system : control.StateSpace
         Continuous, one input and one output.
-    sample_period_s : float
     dc_gain : float, optional
         Gain for the mean of the reference, where the creep is not over; that of the system by
         default.

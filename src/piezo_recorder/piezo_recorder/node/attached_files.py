@@ -15,10 +15,6 @@ MOST_BYTES = 64_000_000
 def read_attachments(request: StartRecording.Request) -> tuple[dict[str, bytes], list[str], str]:
     """Read what is to be kept inside a recording.
 
-    Parameters
-    ----------
-    request : StartRecording.Request
-
     Returns
     -------
     contents : dict of str to bytes

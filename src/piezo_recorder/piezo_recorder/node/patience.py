@@ -28,10 +28,6 @@ class Patience:
         ----------
         state : object
             What changes while there is progress.
-
-        Returns
-        -------
-        bool
         """
         now_s = self._clock()
         if state != self._state:

@@ -16,9 +16,6 @@ def create_waiting_service(
 
     Parameters
     ----------
-    node : rclpy.node.Node
-    service_type : type
-    name : str
     callback : coroutine function
         Takes request and response, returns the response.
     """

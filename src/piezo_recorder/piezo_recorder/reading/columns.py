@@ -62,10 +62,6 @@ def parse_columns(options: Sequence[str] | None) -> ColumnsDocument:
         Such as ``time=t[ms]``, ``voltage=Vpiezo[V]``, ``displacement=pos[nm]``, ``rate=10[kHz]``,
         ``recording=run[2]``; or the path of one YAML file. A number before the unit multiplies.
 
-    Returns
-    -------
-    ColumnsDocument
-
     Raises
     ------
     RecordingError
@@ -124,10 +120,6 @@ def columns_for(path: Path, said: ColumnsDocument = GUESSED) -> ColumnsDocument:
         ``columns.yaml``.
     said : ColumnsDocument
         What it says comes first.
-
-    Returns
-    -------
-    ColumnsDocument
     """
     for beside in (path.with_name(path.stem + SUFFIX), path.with_name(FOLDER_FILE)):
         if beside.is_file() and beside != path:

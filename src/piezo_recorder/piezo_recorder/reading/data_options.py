@@ -19,13 +19,8 @@ def read_all_given(path: str | PathLike[str], options: argparse.Namespace) -> li
 
     Parameters
     ----------
-    path : path-like
     options : argparse.Namespace
         Of a parser with `add_columns_option`.
-
-    Returns
-    -------
-    list of Recording
 
     Raises
     ------

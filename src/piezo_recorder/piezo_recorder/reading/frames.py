@@ -21,10 +21,6 @@ UNITS = {"time_s": "s", "voltage_v": "V", "displacement_um": "um"}
 def to_frame(recording: Recording) -> "pandas.DataFrame":
     """Return the samples of a recording as a frame.
 
-    Parameters
-    ----------
-    recording : Recording
-
     Returns
     -------
     pandas.DataFrame
@@ -51,10 +47,6 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
 
 def to_xarray(recording: Recording) -> "xarray.Dataset":
     """Return the samples of a recording as a dataset over time, with units.
-
-    Parameters
-    ----------
-    recording : Recording
 
     Returns
     -------

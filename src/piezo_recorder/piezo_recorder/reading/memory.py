@@ -34,12 +34,6 @@ def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Data
     Parameters
     ----------
     data : mapping of str to array_like, shape (N,), pandas.DataFrame or xarray.Dataset
-    columns : ColumnsDocument
-    name : str
-
-    Returns
-    -------
-    Recording
 
     Raises
     ------
@@ -67,10 +61,6 @@ def recordings_in(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Dat
         What is known of the columns, such as by `piezo_recorder.reading.columns.parse_columns`.
     name : str
         Stands for the path of a file, in messages too.
-
-    Returns
-    -------
-    list of Recording
 
     Raises
     ------

@@ -62,10 +62,6 @@ USUAL = UsualStage()
 def implausible(recording: Recording) -> list[str]:
     """Say what no usual stage does.
 
-    Parameters
-    ----------
-    recording : Recording
-
     Returns
     -------
     list of str

@@ -113,10 +113,6 @@ def origin_of(data: Any) -> dict[str, str]:
     Parameters
     ----------
     data : path-like, Recording, or anything else with a `path`
-
-    Returns
-    -------
-    dict of str to str
     """
     path = getattr(data, "path", data)
     return {"path": str(path), "sha256": getattr(data, "sha256", "") or sha256_of(path)}

@@ -36,16 +36,7 @@ def text_of(recording: "Recording") -> str:
 
 
 def summary_of(recording: "Recording") -> SummaryTable:
-    """Return the table of a recording: extent, clock, ranges, and what is wrong with it.
-
-    Parameters
-    ----------
-    recording : Recording
-
-    Returns
-    -------
-    SummaryTable
-    """
+    """Return the table of a recording: extent, clock, ranges, and what is wrong with it."""
     periods_s = np.unique(recording.sample_periods_s)
     duration_s = float(recording.time_s[-1] + recording.sample_periods_s[-1])
     rows: list[tuple[str | float | None, ...]] = [
@@ -91,14 +82,6 @@ def draw_recording(recording: "Recording") -> "Figure":
 
     Where the voltage goes up and down so often that the whole is a solid block, a few periods
     from the middle are drawn beside it, and the loop is that of these periods.
-
-    Parameters
-    ----------
-    recording : Recording
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     from piezo_common.picture_style import WIDE_IN, label, new_figure
 

@@ -16,10 +16,6 @@ GAPS_STATUS = 1
 def report(recording: Recording) -> list[str]:
     """Say what is in a recording, and what is not.
 
-    Parameters
-    ----------
-    recording : Recording
-
     Returns
     -------
     lines : list of str

@@ -43,7 +43,6 @@ def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
         Text of any delimiter, .mat, HDF5, .npz, .npy, TDMS, Parquet or Arrow.
     columns : ColumnsDocument
         What is known of the columns; `columns_for` adds what a YAML file beside the data says.
-    progress : callable
 
     Returns
     -------
@@ -70,11 +69,6 @@ def recordings_of(tables: Sequence[Table], said: ColumnsDocument) -> list[Record
     ----------
     tables : sequence of Table
         The groups of a file, then the whole of it; at least one.
-    said : ColumnsDocument
-
-    Returns
-    -------
-    list of Recording
 
     Raises
     ------

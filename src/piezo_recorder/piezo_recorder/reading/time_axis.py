@@ -130,10 +130,6 @@ def time_axis(time_s: FloatArray, place: Callable[[int], str], label: str) -> Ti
     label : str
         Of the column of time.
 
-    Returns
-    -------
-    TimeAxis
-
     Raises
     ------
     RecordingError

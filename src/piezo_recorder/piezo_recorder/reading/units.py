@@ -57,10 +57,6 @@ def is_unit(text: str) -> bool:
 def name_and_unit(label: str) -> tuple[str, str]:
     """Split the label of a column, such as ``Time [s]``, ``t/ms``, ``U (V)`` or ``pos_nm``.
 
-    Parameters
-    ----------
-    label : str
-
     Returns
     -------
     name, unit : str
@@ -82,10 +78,6 @@ def name_and_unit(label: str) -> tuple[str, str]:
 
 def factor_and_unit(text: str) -> tuple[float, str]:
     """Split what a user wrote in brackets: ``nm``, ``20V``, or ``2.5um/V`` for a sensor in volts.
-
-    Parameters
-    ----------
-    text : str
 
     Returns
     -------

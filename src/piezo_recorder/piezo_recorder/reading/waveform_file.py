@@ -14,10 +14,6 @@ UNEVEN = 1e-3
 def read_waveform(path: Path) -> tuple[FloatArray, float]:
     """Read the columns ``time_s`` and ``voltage_v`` of a CSV file.
 
-    Parameters
-    ----------
-    path : Path
-
     Returns
     -------
     voltage_v : ndarray, shape (N,)

@@ -28,11 +28,6 @@ def write_csv(recording: Recording, path: Path) -> None:
 
     Numbers are written so that they are read back to the last bit; times to 12 digits.
 
-    Parameters
-    ----------
-    recording : Recording
-    path : Path
-
     Raises
     ------
     FileExistsError

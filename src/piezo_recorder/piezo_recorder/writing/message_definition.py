@@ -54,10 +54,6 @@ def installed_definition(type_name: str) -> MessageDefinition:
     type_name : str
         For instance ``std_msgs/msg/Header``.
 
-    Returns
-    -------
-    MessageDefinition
-
     Raises
     ------
     ValueError

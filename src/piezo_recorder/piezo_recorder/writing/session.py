@@ -19,7 +19,6 @@ class RecordingSession:
 
     Parameters
     ----------
-    writer : RecordingWriter
     definitions : dict of str to MessageDefinition
         By topic.
     sample_rate_hz : float

@@ -89,7 +89,6 @@ class RecordingWriter:
         ----------
         topic : str
             Full name.
-        definition : MessageDefinition
         quality_profiles : sequence of dict
             What its publishers offer, see `quality_profiles.offered_profile`: a replay offers
             the same.
@@ -118,7 +117,6 @@ class RecordingWriter:
         ----------
         name : str
             For instance ``model.json``.
-        content : bytes
         """
         media_type = mimetypes.guess_type(name)[0] or "text/plain"
         now_ns = time.time_ns()

@@ -48,12 +48,7 @@ class CallFailed(ValueError):
 
 
 class Refused(CallFailed):
-    """A response says that the service did not do what it was asked to.
-
-    Parameters
-    ----------
-    response : message
-    """
+    """A response says that the service did not do what it was asked to."""
 
     def __init__(self, response: Message) -> None:
         super().__init__(response.message)
@@ -85,10 +80,6 @@ class Cancelled(Exception):
 def may_be_repeated(request: Message) -> bool:
     """Tell whether a request may be sent again where no answer came; give it a number if need be.
 
-    Parameters
-    ----------
-    request : message
-
     Returns
     -------
     repeatable : bool
@@ -104,10 +95,6 @@ def number_request(request: Message) -> bool:
     """Give a request a number of its own, if it can bear one and has none.
 
     The server answers a number once: such a request may be sent again.
-
-    Parameters
-    ----------
-    request : message
 
     Returns
     -------
@@ -132,7 +119,6 @@ def call_service(node: Node, client: Client, request: Message, timeout_s: float 
         That asks; it logs for whom it waits.
     client : rclpy.client.Client
         Of this node.
-    request : message
     timeout_s : float
         For the response.
     appearance_s : float
@@ -162,14 +148,7 @@ def call_service(node: Node, client: Client, request: Message, timeout_s: float 
 
 
 class ActionCaller:
-    """Send goals to one action and wait for them.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    action_type : type
-    name : str
-    """
+    """Send goals to one action and wait for them."""
 
     def __init__(self, node: Node, action_type: MessageType, name: str) -> None:
         self._node = node
@@ -182,7 +161,6 @@ class ActionCaller:
 
         Parameters
         ----------
-        goal : message
         on_feedback : callable, optional
             Called with each feedback message, in the executor's thread; what it raises cancels
             the goal, and is raised here unless the work is cancelled anyway.

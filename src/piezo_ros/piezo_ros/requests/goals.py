@@ -33,8 +33,6 @@ class Progress:
 
     Parameters
     ----------
-    goal_handle : rclpy.action.server.ServerGoalHandle
-    feedback_type : type
     client : Presence
         Of the node that asked.
     why_ending : callable
@@ -97,10 +95,6 @@ class GoalServers(ManagedEntity):
     A goal that comes while another runs, or while the node is not active, is rejected, and the
     log says why; one that asks for what cannot be done is aborted with a message. The goal's
     field ``client`` names the node that asks: once that is gone the goal is cancelled.
-
-    Parameters
-    ----------
-    node : rclpy.lifecycle.LifecycleNode
     """
 
     def __init__(self, node: LifecycleNode) -> None:
@@ -126,8 +120,6 @@ class GoalServers(ManagedEntity):
 
         Parameters
         ----------
-        action_type : type
-        name : str
         work : callable
             ``work(goal, result, progress)`` fills in the result. A ValueError aborts the
             goal with its text as the message; ``Cancelled`` cancels it.

@@ -29,7 +29,6 @@ class DescribedStage:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     on_change : callable, optional
         Takes each `StageDescription` as it comes.
 

@@ -30,7 +30,6 @@ class RunRecording:
 
     Parameters
     ----------
-    path : str
     recorder : Presence
         Of the node that records.
     unrecorded : bool
@@ -102,12 +101,7 @@ class RunRecording:
 
 
 class RecorderNews:
-    """What the recorder of a node's namespace tells of one recording after the other.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    """
+    """What the recorder of a node's namespace tells of one recording after the other."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -152,12 +146,7 @@ class Attachment:
 
 
 class RecorderCaller:
-    """Have runs recorded, one at a time.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    """
+    """Have runs recorded, one at a time."""
 
     def __init__(self, node: Node) -> None:
         self._node, self._news = node, RecorderNews(node)
@@ -177,10 +166,6 @@ class RecorderCaller:
             What is to be kept inside the recording, by name.
         unrecorded : bool
             Whether the run may go on once its recording has ended.
-
-        Returns
-        -------
-        RunRecording
 
         Raises
         ------

@@ -36,10 +36,6 @@ LAST_BLOCK_S = 1.0
 class StageTracker:
     """Run the stage's feedforward and feedback, one run at a time.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-
     Attributes
     ----------
     last_sample : int

@@ -16,12 +16,7 @@ POLL_S = 0.05
 
 
 class StageWatch:
-    """What the stage of a node's namespace tells of itself during one run after the other.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    """
+    """What the stage of a node's namespace tells of itself during one run after the other."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -48,12 +43,7 @@ class StageWatch:
         return self._stopped
 
     def why_ended(self) -> str:
-        """Say why a run ended before its time; wait for the stage's word if need be.
-
-        Returns
-        -------
-        str
-        """
+        """Say why a run ended before its time; wait for the stage's word if need be."""
         self._news.clear()
         deadline_s = time.monotonic() + NEWS_TIMEOUT_S
         while not (self._stopped or self.gone or time.monotonic() > deadline_s):

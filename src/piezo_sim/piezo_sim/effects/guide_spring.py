@@ -61,13 +61,7 @@ class GuideSpring:
 
 
 class GuideRunner:
-    """A swinging guide with what its cube takes, and the speed of that over the frequency.
-
-    Parameters
-    ----------
-    spring : GuideSpring
-    surroundings : Surroundings
-    """
+    """A swinging guide with what its cube takes, and the speed of that over the frequency."""
 
     def __init__(self, spring: GuideSpring, surroundings: Surroundings) -> None:
         turned_rad = spring.frequency_rad_per_s * surroundings.sample_period_s

@@ -24,13 +24,7 @@ F = TypeVar("F", bound=Fault)
 
 
 class FaultWindow(ABC, Generic[F]):
-    """A fault from ``begin_s`` to ``end_s`` of stage time; a runner's base.
-
-    Parameters
-    ----------
-    effect : Fault
-    surroundings : Surroundings
-    """
+    """A fault from ``begin_s`` to ``end_s`` of stage time; a runner's base."""
 
     def __init__(self, effect: F, surroundings: Surroundings) -> None:
         self.effect = effect

@@ -67,8 +67,6 @@ class NidaqmxStage:
 
     Parameters
     ----------
-    calibration : Calibration
-    settings : BackendSettings
     driver : namespace, optional
         By default what `load_driver` returns.
 

@@ -116,7 +116,6 @@ class PiController:
 
     Parameters
     ----------
-    settings : PiSettings
     library : namespace, optional
         By default what `load_library` returns.
     """

@@ -39,15 +39,6 @@ class BackendSettings:
 def create_backend(name: str, settings: BackendSettings) -> StageBackend:
     """Make the backend that an entry point of the group ``piezo_stage_driver.backends`` names.
 
-    Parameters
-    ----------
-    name : str
-    settings : BackendSettings
-
-    Returns
-    -------
-    StageBackend
-
     Raises
     ------
     ValueError

@@ -83,8 +83,6 @@ class StoredWaveformStage:
 
     Parameters
     ----------
-    instrument : WaveformInstrument
-    settings : BackendSettings
     longest_program_samples : int
         Of the longest waveform with its ramps; rounded down to whole ticks.
     transfer_s : float
@@ -253,7 +251,6 @@ def settings_of(backend: str, kind: type[Settings], settings: BackendSettings) -
         Its name.
     kind : type
         Of the document.
-    settings : BackendSettings
 
     Raises
     ------

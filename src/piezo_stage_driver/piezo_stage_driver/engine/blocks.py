@@ -74,7 +74,6 @@ class BlockCollector:
         Parameters
         ----------
         voltage_v, displacement_um : ndarray, shape (n,)
-        flags : int
         ends : bool
             Whether what follows belongs into another block.
         feedback_v : float, optional

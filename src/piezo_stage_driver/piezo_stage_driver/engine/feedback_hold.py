@@ -27,7 +27,6 @@ class FeedbackHold:
         that asks for an answer.
     lead_ticks : int
         How much later the blocks come because the hardware is written ahead.
-    limits : FeedbackLimits, optional
 
     Attributes
     ----------

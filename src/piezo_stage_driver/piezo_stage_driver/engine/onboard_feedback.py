@@ -14,13 +14,6 @@ from piezo_stage_driver.safety.limits import FeedbackLimits
 class CheckedLaw:
     """A law that this stage may evaluate.
 
-    Parameters
-    ----------
-    law : FeedbackLaw
-    samples_per_tick, lead_ticks : int
-    rest_voltage_v : float
-    limits : FeedbackLimits
-
     Raises
     ------
     FeedbackLawError
@@ -48,12 +41,10 @@ class OnboardFeedback:
 
     Parameters
     ----------
-    checked : CheckedLaw
     first_tick : int
         In which tracking began.
     lead_ticks : int
         How much later a tick is measured because the hardware is written ahead.
-    limits : FeedbackLimits
 
     Attributes
     ----------

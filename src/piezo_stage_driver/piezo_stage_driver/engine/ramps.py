@@ -10,13 +10,7 @@ from piezo_stage_driver.engine.ticks import Ticks
 
 
 class Ramps:
-    """Make ramps of one rate.
-
-    Parameters
-    ----------
-    rate_v_per_s : float
-    ticks : Ticks
-    """
+    """Make ramps of one rate."""
 
     def __init__(self, rate_v_per_s: float, ticks: Ticks):
         self._rate_v_per_s, self._ticks = rate_v_per_s, ticks
@@ -36,8 +30,6 @@ class Ramps:
 
         Parameters
         ----------
-        name : str
-        start_v, end_v : float
         pending : int
             Samples of the clock that an interrupted program left half collected; at least one
             sample completes them.

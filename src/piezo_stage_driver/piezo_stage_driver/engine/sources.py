@@ -177,7 +177,6 @@ class FadeOver:
 
     Parameters
     ----------
-    old, new : Source
     samples : int
         Of the way.
     """

@@ -48,12 +48,6 @@ class StageCommands:
 
     Parameters
     ----------
-    engine : StageEngine
-    limits : VoltageLimits
-    ticks : Ticks
-    ramps : Ramps
-    latch : StopLatch
-    guards : GuardSet
     feedback_limits : FeedbackLimits, optional
         What one answer may ask for.
     """
@@ -77,7 +71,6 @@ class StageCommands:
         voltage_v : ndarray, shape (n,)
         sample_period_s : float
             Whole multiple of the clock's period, at most 1 s.
-        repeats : int
         hold_at_end : bool
             Stay at the last voltage instead of returning to rest.
         client : str
@@ -172,7 +165,6 @@ class StageCommands:
 
         Parameters
         ----------
-        law : CheckedLaw
         feedforward_id : int
             Of the feedforward that it goes with; 0 for whatever is loaded.
 
@@ -210,10 +202,6 @@ class StageCommands:
 
         The law acts from the next tick on, in the state that gives what the one before gave. The
         voltage that is planned goes over within `FADE_S`.
-
-        Parameters
-        ----------
-        replacement : Replacement
 
         Returns
         -------

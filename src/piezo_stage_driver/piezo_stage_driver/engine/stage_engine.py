@@ -40,12 +40,8 @@ class StageEngine:
 
     Parameters
     ----------
-    backend : StageBackend
-    limits : VoltageLimits
-    rest_voltage_v : float
     ramp_rate_v_per_s : float
         Rate of every approach and return (V/s).
-    samples_per_tick : int
     max_missed_feedback : int
         More answers missed in a row stop the stage.
     longest_stretch_samples : int
@@ -195,7 +191,6 @@ class StageEngine:
 
         Parameters
         ----------
-        program : Program
         client : str
             Who asks; told to others who are refused meanwhile.
         feedback : FeedbackHold or OnboardFeedback, optional
@@ -229,7 +224,6 @@ class StageEngine:
 
         Parameters
         ----------
-        source : Source
         samples : int
             Of the way from one to the other.
         """

@@ -9,13 +9,7 @@ LONGEST_SAMPLE_PERIOD_S = 1.0
 
 
 class Ticks:
-    """Samples and ticks of a clock.
-
-    Parameters
-    ----------
-    sample_rate_hz : float
-    samples_per_tick : int
-    """
+    """Samples and ticks of a clock."""
 
     def __init__(self, sample_rate_hz: float, samples_per_tick: int):
         self.sample_period_s = 1.0 / sample_rate_hz

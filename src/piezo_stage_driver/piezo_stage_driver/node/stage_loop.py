@@ -23,10 +23,8 @@ class StageLoop:
 
     Parameters
     ----------
-    supervisor : StageSupervisor
     backend : StageBackend
         That the supervisor drives.
-    settings : StageSettings
     publish : callable
         Takes each `Block`.
     tell_stop, settle : callable

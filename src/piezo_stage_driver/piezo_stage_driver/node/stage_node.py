@@ -216,11 +216,6 @@ def run_stage(create_node: Callable[[], StageNode], args: list[str] | None = Non
     No reader keeps the ticks of a paced stage waiting. In lockstep they wait for their readers
     anyhow, and a thread that delivers would cost time in every tick. Of all nodes it is the last
     that the kernel ends when memory runs out.
-
-    Parameters
-    ----------
-    create_node : callable
-    args : list of str, optional
     """
     if not arguments_set("timing", "lockstep", sys.argv if args is None else args):
         deliver_in_background()

@@ -28,11 +28,6 @@ LONGEST_HOLD_BACK_S = 30.0
 class StageOutputs:
     """Publishers of the samples, the description, the joint state, the clock and the diagnostics.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    settings : StageSettings
-
     Attributes
     ----------
     epoch_ns : int
@@ -75,7 +70,6 @@ class StageOutputs:
 
         Parameters
         ----------
-        block : Block
         next_sample : int
             Of the clock, about to be played.
         idle : bool
@@ -145,7 +139,6 @@ class StageOutputs:
             Of ``DiagnosticStatus``.
         message : str
             One line.
-        values : dict
         """
         self._diagnostics.publish(diagnostic(
             self._node, "stage", level, message, values, self._settings.joint_name))

@@ -19,9 +19,6 @@ class StageReports:
 
     Parameters
     ----------
-    node : rclpy.node.Node
-    outputs : StageOutputs
-    latch : StopLatch
     loop : callable
         Returns the `StageLoop` of the stage that is configured, or None.
 

@@ -29,12 +29,7 @@ DESCRIBED = (
 
 
 class StageSettings:
-    """Declare the parameters of a node; an attribute holds each value under the same name.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    """
+    """Declare the parameters of a node; an attribute holds each value under the same name."""
 
     sample_rate_hz: float
     minimum_voltage_v: float

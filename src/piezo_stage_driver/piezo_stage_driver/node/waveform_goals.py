@@ -25,7 +25,6 @@ class WaveformGoal:
 
     Parameters
     ----------
-    handle : rclpy.action.server.ServerGoalHandle
     answer : callable
         ``answer(goal, result)``, from any thread.
     """
@@ -77,7 +76,6 @@ class WaveformGoals:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     submit : callable
         Takes a ``safety.commands.Command``.
     """

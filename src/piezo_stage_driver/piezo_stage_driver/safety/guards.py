@@ -155,10 +155,6 @@ class SensorNoise:
     """Object to a reading whose noise is far above normal.
 
     It is estimated from fourth differences, to which the stage's own motion is smooth.
-
-    Parameters
-    ----------
-    largest_rms_um : float
     """
 
     WEIGHTS = np.array([1.0, -4.0, 6.0, -4.0, 1.0])

@@ -19,10 +19,6 @@ class LawGuard:
 
     Before anything is fed back the stage moves by its feedforward, which tells its gain. A law
     that was designed for another gain is stopped before it acts.
-
-    Parameters
-    ----------
-    law : FeedbackLaw
     """
 
     def __init__(self, law: FeedbackLaw) -> None:

@@ -22,7 +22,6 @@ def hold_within(wanted_v: FloatArray, previous_v: float, minimum_v: float, maxim
     wanted_v : ndarray, shape (n,)
     previous_v : float
         Voltage before the first sample.
-    minimum_v, maximum_v : float
     step_v : float
         Largest change from sample to sample.
 

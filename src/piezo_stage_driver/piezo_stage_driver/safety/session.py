@@ -19,7 +19,6 @@ class BackendSession:
 
     Parameters
     ----------
-    backend : StageBackend
     clock : callable
         Returns the time (s).
     """

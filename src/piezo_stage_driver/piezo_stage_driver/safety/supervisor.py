@@ -54,7 +54,6 @@ class StageSupervisor:
 
     Parameters
     ----------
-    backend : StageBackend
     create_engine : callable
         Takes a backend and a StopLatch; returns a StageEngine.
     latch : StopLatch, optional
@@ -179,7 +178,6 @@ class StageSupervisor:
 
         Parameters
         ----------
-        cause : str
         at_rest : bool
             Whether the backend's own way has brought the amplifier to rest.
         """
@@ -220,8 +218,6 @@ class StageSupervisor:
 
         Parameters
         ----------
-        tick : int
-        voltage_v : float
         run : int
             Number of the run that the answer is for; 0 where it bears none.
         alone : callable

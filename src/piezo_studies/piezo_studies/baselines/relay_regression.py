@@ -81,10 +81,6 @@ def accumulate(voltage_v, output_um, levels_v, samples=None):
     levels_v : ndarray, shape (L + 1,)
     samples : ndarray of int, optional
         Increasing indices of the samples to use; all by default. The relays follow every voltage.
-
-    Returns
-    -------
-    NormalEquations
     """
     size = levels_v.size - 1
     equations = NormalEquations(size * (size + 1) // 2)
@@ -111,10 +107,6 @@ def excitation_rank(voltage_v, levels_v):
     voltage_v : ndarray, shape (N,)
         The samples used, from negative saturation.
     levels_v : ndarray, shape (L + 1,)
-
-    Returns
-    -------
-    int
     """
     different = set()
     on = np.zeros((levels_v.size - 1) * levels_v.size // 2, dtype=bool)

@@ -55,10 +55,6 @@ class TruncatedSvd:
             y_1.
         fixed_rank : bool
             Keep the rank, as the thesis does; otherwise it grows where the row is a new direction.
-
-        Returns
-        -------
-        TruncatedSvd
         """
         along = self.vectors.T @ row
         across = row - self.vectors @ along
@@ -89,10 +85,6 @@ def truncated_svd(equations, ratio=1e-3, rank=None):
         Singular values at or below this part of the largest are dropped.
     rank : int, optional
         Number of singular values to keep, in place of the ratio.
-
-    Returns
-    -------
-    TruncatedSvd
 
     Raises
     ------
@@ -145,10 +137,6 @@ def density_of_weights(method, weights_um, voltage_v, levels_v, offset_um=0.0, *
     offset_um : float
     **results
         Further fields of `DensityEstimate`.
-
-    Returns
-    -------
-    DensityEstimate
     """
     size = levels_v.size - 1
     area_v2 = (levels_v[1] - levels_v[0]) ** 2 * (np.ones((size, size)) - 0.5 * np.eye(size))

@@ -70,17 +70,12 @@ def watch(model: StageModel, change: str, seed: int, duration_s: float = 0.0) ->
 
     Parameters
     ----------
-    model : StageModel
     change : str
         Of `CHANGES`; empty for none.
     seed : int
         Of the sensor's noise.
     duration_s : float
         0 for as long as the change is looked for.
-
-    Returns
-    -------
-    Watched
     """
     duration_s = duration_s or CHANGE_S + AFTER_S
     plant = read_plant()
@@ -99,12 +94,7 @@ def watch(model: StageModel, change: str, seed: int, duration_s: float = 0.0) ->
 
 
 def table(runs: list[Watched]) -> str:
-    """Return the rows of runs as Markdown.
-
-    Parameters
-    ----------
-    runs : list of Watched
-    """
+    """Return the rows of runs as Markdown."""
     rows = ["| change after 30 s | found after | by | false alarms |", "|---|---|---|---|"]
     for run in runs:
         found = run.found if run.change else []

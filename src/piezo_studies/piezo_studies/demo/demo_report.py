@@ -60,10 +60,6 @@ def draw_runs(errors, model, recordings, tracks, directory):
     tracks : sequence of path-like
     directory : path-like
         Where the model and the recordings are.
-
-    Returns
-    -------
-    DrawnRuns
     """
     runs = [read_tracked_run(track) for track in tracks]
     read = dict(zip(SHOWN_EXPERIMENTS, map(read_recording, recordings), strict=True))

@@ -42,10 +42,6 @@ def draw_models(model, extended_model, validation):
     model, extended_model : path-like
     validation : path-like
         Recording on which they are compared.
-
-    Returns
-    -------
-    tuple of Picture
     """
     return drawn_models(load_model(model).model, load_model(extended_model).model,
                         read_recording(validation))

@@ -30,10 +30,6 @@ def draw_model_errors(before, after, sample_period_s):
     ----------
     before, after : piezo_identification.prediction.Prediction
     sample_period_s : float
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     def density(prediction):
         frequency_hz, power = welch(
@@ -57,10 +53,6 @@ def draw_responses(before, after, sample_period_s):
     ----------
     before, after : piezo_models.cascade.StageModel
     sample_period_s : float
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure, axes = _compared(*(
         (RESPONSE_HZ, np.abs(zoh_response(model.linear(), RESPONSE_HZ, sample_period_s)))
@@ -78,10 +70,6 @@ def draw_tracking_errors(before, after):
     ----------
     before, after : dict of float to TrackedRun
         By frequency in Hz.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure = new_figure(1.2 + 1.5 * len(after))
     rows = figure.subplots(len(after), 1, squeeze=False)[:, 0]

@@ -29,10 +29,6 @@ def draw_loops(prediction):
     ----------
     prediction : piezo_identification.prediction.Prediction
         Of the validation recording; the slow part, with which it begins, is drawn.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     end = _end_of_slow_part(prediction)
     slow = slice(0, end, max(1, end // DRAWN_POINTS))
@@ -56,10 +52,6 @@ def draw_creep(prediction):
     ----------
     prediction : piezo_identification.prediction.Prediction
         Of the creep recording.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     step = int(np.argmax(np.abs(np.diff(prediction.voltage_v)))) + 1
     since_s = prediction.time_s[step:] - prediction.time_s[step]
@@ -91,10 +83,6 @@ def draw_frequency_response(dynamics, sample_period_s, measured):
         The model is drawn as sampled with this period.
     measured : tuple of ndarray
         Frequency (Hz) and complex response.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     frequency_hz = np.geomspace(*RESPONSE_HZ, 600)
     response = zoh_response(dynamics, frequency_hz, sample_period_s)
@@ -123,10 +111,6 @@ def draw_step_response(prediction, period_s):
         Of the dynamics recording.
     period_s : float
         Of the square wave.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     steps = np.flatnonzero(np.diff(prediction.voltage_v)) + 1
     middle = steps[steps.size // 2]
@@ -151,10 +135,6 @@ def draw_density(hysteresis):
     Parameters
     ----------
     hysteresis : PreisachModel
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     levels_v = hysteresis.levels_v
     density = np.ma.array(hysteresis.density_um_per_v2,

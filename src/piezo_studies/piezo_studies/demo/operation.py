@@ -123,10 +123,6 @@ def monitor_a_change(session, change_s, model, directory):
     directory : Path
         Gets the recordings.
 
-    Returns
-    -------
-    Monitored
-
     Raises
     ------
     RuntimeError
@@ -157,10 +153,6 @@ def decide_a_cause(session, plant, model, directory):
     model : path-like
     directory : Path
         Gets plant file, recordings and the diagnosis.
-
-    Returns
-    -------
-    Decided
     """
     directory.mkdir(parents=True, exist_ok=True)
     session.start_stage(write_plant(with_sensor_lag(plant, LAG_S), directory / "plant.yaml"))

@@ -67,10 +67,6 @@ def read_tracked_run(path):
     path : path-like
         The rosbag2 directory.
 
-    Returns
-    -------
-    TrackedRun
-
     Raises
     ------
     ValueError

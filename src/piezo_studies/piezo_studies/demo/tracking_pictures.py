@@ -33,10 +33,6 @@ def draw_errors(entries, entries_after=()):
         Of `summary.summarise_run`.
     entries_after : list of dict, optional
         The same with an extended model, of which composite is shown.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure = new_figure(4.2)
     axes = figure.subplots()
@@ -76,10 +72,6 @@ def draw_tracking(runs):
     ----------
     runs : dict of str to TrackedRun
         By mode.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     shown, time_ms = _last_periods(next(iter(runs.values())))
     figure = new_figure(2.4 + 1.3 * len(runs))
@@ -109,10 +101,6 @@ def draw_voltages(feedforward_v, feedback_v, run):
     feedforward_v, feedback_v : ndarray, shape (N,)
     run : TrackedRun
         Gives the time.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     shown, time_ms = _last_periods(run)
     figure = new_figure(4.4)
@@ -132,10 +120,6 @@ def draw_spectra(feedforward_v, feedback_v, sample_rate_hz):
     ----------
     feedforward_v, feedback_v : ndarray, shape (N,)
     sample_rate_hz : float
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure = new_figure(3.6)
     axes = figure.subplots()

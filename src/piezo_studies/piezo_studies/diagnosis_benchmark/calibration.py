@@ -112,10 +112,6 @@ def reliability(probabilities, true, bins=BINS):
     probabilities : (n,) array of float
     true : (n,) array of bool
     bins : int
-
-    Returns
-    -------
-    Reliability
     """
     edges = np.linspace(0.0, 1.0, bins + 1)
     number = np.minimum((np.asarray(probabilities) * bins).astype(int), bins - 1)
@@ -168,10 +164,6 @@ def tempered(probabilities, temperature):
     ----------
     probabilities : dict of str to float
     temperature : float
-
-    Returns
-    -------
-    dict of str to float
     """
     powers = {label: max(share, LEAST_PROBABILITY) ** (1.0 / temperature)
               for label, share in probabilities.items()}
@@ -210,9 +202,5 @@ def calibrate(results, strict=False):
         As `run_case` returns them.
     strict : bool
         See `is_true`.
-
-    Returns
-    -------
-    Reliability
     """
     return reliability(*first_statements(results, strict))

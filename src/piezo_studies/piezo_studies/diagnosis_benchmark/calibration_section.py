@@ -14,10 +14,6 @@ def section(document):
     ----------
     document : dict
         Content of `table.json`.
-
-    Returns
-    -------
-    str
     """
     calibration, intervals = document["calibration"], document["coverage"]
     kind = "that were there all along" if document["all_along"] else "of all kinds"

@@ -74,10 +74,6 @@ def draw_cases(count, seed):
     Parameters
     ----------
     count, seed : int
-
-    Returns
-    -------
-    list of Case
     """
     random = np.random.default_rng([seed, *b"cases"])
     clean, outside, pairs = (
@@ -110,10 +106,6 @@ def draw_cases_all_along(count, seed):
     Parameters
     ----------
     count, seed : int
-
-    Returns
-    -------
-    list of Case
     """
     random = np.random.default_rng([seed, *b"all along"])
     causes = _in_turn([name for name in CAUSES if name not in LATER_ONLY], count, random)

@@ -259,7 +259,6 @@ def respond(
 
     Parameters
     ----------
-    plant : PlantConfig
     voltage_v : ndarray, shape (N,)
         Each held for a sample of the record.
     surroundings : Surroundings

@@ -28,10 +28,6 @@ def nearest_parameters(effect, without_um, added_um, sample_period_s, regression
     sample_period_s : float
     regression : Regression
         Whose rows, weights and regressors count: of one recording of these samples.
-
-    Returns
-    -------
-    dict of str to float
     """
     rows, = regression.dataset.rows
     values, low, high = fitted_values(effect, regression.dataset.extent)

@@ -48,10 +48,6 @@ def refused(case, error):
     ----------
     case : Case
     error : Exception
-
-    Returns
-    -------
-    dict
     """
     return {"number": case.number, "plant": case.plant, "kind": case.kind,
             "causes": list(case.causes), "verdict": "refused", "error": str(error)}
@@ -95,10 +91,6 @@ def summary(results):
     ----------
     results : list of dict
         As `run_case` returns them.
-
-    Returns
-    -------
-    dict
     """
     came_to = {group: Counter() for group in ("clear", "weak", "clean", "outside")}
     confusion, ratios = {}, []

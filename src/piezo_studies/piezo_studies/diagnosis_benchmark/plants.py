@@ -17,10 +17,6 @@ def draw_plant(seed):
     Parameters
     ----------
     seed : sequence of int
-
-    Returns
-    -------
-    PlantConfig
     """
     random = np.random.default_rng([*seed, *b"plant"])
     plant = read_plant()

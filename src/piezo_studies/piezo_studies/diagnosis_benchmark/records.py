@@ -127,10 +127,6 @@ def record(plant, experiment, seed):
     experiment : piezo_identification.experiments.catalogue.Experiment
     seed : int
         Of everything random in the plant.
-
-    Returns
-    -------
-    Recording
     """
     voltage_v, flags = commanded(experiment)
     measured_um = respond(
@@ -153,10 +149,6 @@ def play_proposed(plant, experiment, seed):
     experiment : piezo_identification.experiments.catalogue.Experiment
     seed : int
         Of everything random in the plant.
-
-    Returns
-    -------
-    Recording
     """
     clock_hz = STAGE_LIMITS.sample_rate_hz
     held = round(experiment.sample_period_s * clock_hz)
@@ -177,10 +169,6 @@ def player_of_proposals(plant, seed):
     plant : PlantConfig
     seed : int
         Of everything random in the recording before; each further one has the next.
-
-    Returns
-    -------
-    callable
     """
     seeds = itertools.count(seed + 1)
     return lambda proposal, progress: play_proposed(plant, proposal.experiment, next(seeds))

@@ -41,10 +41,6 @@ def run_suite(client, count, seed, progress=None, all_along=False, experiments=0
         Only so many of the cases are run, in the order in which they are drawn; by default all.
     kept : KeptResults, optional
         Where every result is kept at once, and from which the run goes on; by default nowhere.
-
-    Returns
-    -------
-    dict
     """
     cases = (draw_cases_all_along if all_along else draw_cases)(count, seed)[:first]
     there = {} if kept is None else kept.results()

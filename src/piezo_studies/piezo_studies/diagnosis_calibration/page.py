@@ -23,10 +23,6 @@ def section(seed, results):
     seed : int
     results : list of dict
         As `run_small_case` returns them.
-
-    Returns
-    -------
-    str
     """
     reliability, intervals = figures(results)
     lines = [

@@ -19,10 +19,6 @@ def kept_results(path):
     ----------
     path : Path
         One JSON document a line.
-
-    Returns
-    -------
-    dict of int to dict or None
     """
     if not path.exists():
         return {}

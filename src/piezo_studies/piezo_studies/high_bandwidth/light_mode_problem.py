@@ -69,11 +69,8 @@ def light_mode_problem(model: StageModel, weights: SampleRateWeights,
     ----------
     model : piezo_models.cascade.StageModel
         With a light mode that has no antiresonance.
-    weights : SampleRateWeights
-    clock_period_s : float
     delay_ticks : int
         See `design_plant`.
-    clock_period_s : float
 
     Returns
     -------

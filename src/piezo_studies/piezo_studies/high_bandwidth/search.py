@@ -49,14 +49,7 @@ REDRAWN = 0.3
 
 
 class Search:
-    """Tune controllers of fixed order over the stages of a model.
-
-    Parameters
-    ----------
-    model : piezo_models.cascade.StageModel
-    demands : Demands
-    clock_period_s : float
-    """
+    """Tune controllers of fixed order over the stages of a model."""
 
     def __init__(self, model: StageModel, demands: Demands,
                  clock_period_s: float = 25e-6) -> None:
@@ -82,7 +75,6 @@ class Search:
 
         Parameters
         ----------
-        seed : int
         starts, trials : int
             Drawn; and made from the best of them.
         tell : callable

@@ -60,9 +60,6 @@ def design_by(method: str, model: StageModel, demands: Demands, clock_period_s: 
 
     Parameters
     ----------
-    method : str
-    model : piezo_models.cascade.StageModel
-    demands : Demands
     clock_period_s, effort, seed, delay_ticks
         See `design_at_sample_rate`.
 

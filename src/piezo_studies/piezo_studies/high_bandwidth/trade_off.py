@@ -60,7 +60,6 @@ def compare(model: StageModel, take: Callable[[Compared], None], kept: Path,
 
     Parameters
     ----------
-    model : piezo_models.cascade.StageModel
     take : callable
         Is given every design.
     kept : pathlib.Path

@@ -62,13 +62,10 @@ class Figure:
 
     Parameters
     ----------
-    data, quantity, fitted_on, tested_on, unit : str
     note : float
         The figure in the note.
     bound : float
         What ours should not exceed.
-    ours : float
-    remark : str
     """
 
     data: str
@@ -93,10 +90,7 @@ class Ringing:
 
     Parameters
     ----------
-    response : JumpResponse
     modelled_um : ndarray, shape (N,)
-    dynamics : ElectricVibrationDynamics
-    standard_deviations : dict
     """
 
     response: JumpResponse

@@ -46,14 +46,12 @@ class Finding:
 
     Parameters
     ----------
-    data, poor_model, verdict, held_out : str
     effects : tuple of str
         The strongest first.
     before_percent, after_percent : float
         Relative error e_y of the poor model, and extended by the effects.
     refitted_percent : float or None
         The same of a model that is fitted without the restriction of the poor one.
-    left : str
     """
 
     data: str
@@ -86,10 +84,6 @@ def findings(directory):
     Parameters
     ----------
     directory : path-like
-
-    Yields
-    ------
-    Finding
     """
     yield cantilever_without_vibration(directory)
     yield nanopositioner_without_creep(directory)
@@ -146,10 +140,6 @@ def symmetric(hysteresis):
     Parameters
     ----------
     hysteresis : PreisachModel
-
-    Returns
-    -------
-    PreisachModel
     """
     density, reversible = hysteresis.density_um_per_v2, hysteresis.reversible_um_per_v
     return replace(

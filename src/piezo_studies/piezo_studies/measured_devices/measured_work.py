@@ -81,10 +81,6 @@ def table(figures):
     Parameters
     ----------
     figures : list of Figure
-
-    Returns
-    -------
-    str
     """
     head = ("set", "fitted on", "tested on", "error", "in the note", "ours", "at most", "")
     rows = [head] + [

@@ -45,13 +45,7 @@ MV_PER_UM = 1e3
 
 @dataclass(frozen=True, eq=False)
 class Benchmark:
-    """What came of an oscillator.
-
-    Parameters
-    ----------
-    figures : list of Figure
-    finding : Finding
-    """
+    """What came of an oscillator."""
 
     figures: list[Figure]
     finding: Finding
@@ -64,10 +58,6 @@ def circuit(directory: Path) -> Benchmark:
     ----------
     directory : path-like
         Of the measured data.
-
-    Returns
-    -------
-    Benchmark
     """
     multisine, arrow = (read_recording(Path(directory) / name) for name in (CIRCUIT, ARROW))
     sample = np.arange(multisine.voltage_v.size)
@@ -97,10 +87,6 @@ def bouc_wen(directory: Path) -> Benchmark:
     ----------
     directory : path-like
         Of the measured data.
-
-    Returns
-    -------
-    Benchmark
     """
     train, multisine, sweep = (
         read_recording(Path(directory) / name)

@@ -61,14 +61,6 @@ def in_own_process(stage: str, seed: int, folder: Path, is_diagnosed: bool,
     ----------
     stage : str
         Of `MAKES`.
-    seed : int
-    folder : Path
-    is_diagnosed : bool
-    cpu_minutes : int
-
-    Returns
-    -------
-    Outcome
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / OUTCOME).unlink(missing_ok=True)

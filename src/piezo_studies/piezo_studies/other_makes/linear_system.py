@@ -96,10 +96,6 @@ def coupled_flexures(mass: FloatArray, damping: FloatArray, stiffness: FloatArra
         How the force acts on the bodies, and how the sensor reads them.
     direct : float
         Part of the gain that follows at once.
-
-    Returns
-    -------
-    LinearSystem
     """
     bodies = len(mass)
     a = np.block([[np.zeros((bodies, bodies)), np.eye(bodies)],
@@ -124,10 +120,6 @@ def spectrum(share_of: Callable[[FloatArray], FloatArray], fastest_s: float,
         Share of the relaxations per unit of the natural logarithm of their time constants (s).
     fastest_s, slowest_s : float
         Time constants between which they lie.
-
-    Returns
-    -------
-    LinearSystem
     """
     count = round(RATES_PER_DECADE * np.log10(slowest_s / fastest_s)) + 1
     times_s = np.geomspace(fastest_s, slowest_s, count)
@@ -206,7 +198,6 @@ def held_response(system: LinearSystem, voltage_v: FloatArray, knots: FloatArray
 
     Parameters
     ----------
-    system : LinearSystem
     voltage_v : ndarray, shape (N,)
     knots : ndarray, shape (K,)
     state : ndarray of complex, shape (P,)
@@ -230,7 +221,6 @@ def straight_response(system: LinearSystem, input_um: FloatArray, knots: FloatAr
 
     Parameters
     ----------
-    system : LinearSystem
     input_um : ndarray, shape (N, K)
         It may jump from the last knot of a row to the first of the next one.
     knots : ndarray, shape (K,)

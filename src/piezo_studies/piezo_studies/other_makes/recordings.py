@@ -71,8 +71,6 @@ def record(make: Make, folder: Path, seed: int) -> None:
 
     Parameters
     ----------
-    make : Make
-    folder : Path
     seed : int
         Of the noise.
     """
@@ -97,9 +95,6 @@ def recorded(make: Make, experiment: Experiment, seed: int,
 
     Parameters
     ----------
-    make : Make
-    experiment : Experiment
-    seed : int
     approach_s : float
         Time at the beginning of the waveform that does not count.
 

@@ -57,7 +57,6 @@ class Stage:
         ----------
         past : list of HeldVoltage
             What was played before, on a stage that was never cycled and comes from rest at 0 V.
-        played : HeldVoltage
 
         Returns
         -------

@@ -109,10 +109,6 @@ def run(folder: Path, is_diagnosed: bool) -> Outcome:
         Of `recordings.record`; the model and the diagnosis are written there.
     is_diagnosed : bool
         Diagnose the mixed motion with the model, and hold the fast one out.
-
-    Returns
-    -------
-    Outcome
     """
     model = folder / MODEL
     model.unlink(missing_ok=True)
@@ -167,13 +163,8 @@ def intervals(identified: IdentifiedModel, true: dict[str, list[float]]) -> list
 
     Parameters
     ----------
-    identified : IdentifiedModel
     true : dict of str to list of float
         As in `makes.Make`.
-
-    Returns
-    -------
-    list of Interval
     """
     modes = modes_of(identified)
     found = []

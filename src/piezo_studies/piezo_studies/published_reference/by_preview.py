@@ -80,10 +80,6 @@ def compare(model: StageModel, seed: int = 11, duration_s: float = DURATION_S) -
         Of the reference.
     duration_s : float
         Of the part that counts.
-
-    Returns
-    -------
-    list of Followed
     """
     reference = trajectory(Reference(
         "random", (BAND_HZ,), (AMPLITUDE_UM,), (), CENTRE_UM, seed=seed))

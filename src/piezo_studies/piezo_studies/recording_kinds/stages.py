@@ -40,7 +40,6 @@ def displacement_um(stage: Stage, voltage_v: FloatArray, period_s: float) -> Flo
 
     Parameters
     ----------
-    stage : Stage
     voltage_v : ndarray, shape (N,)
     period_s : float
         Of the rows.

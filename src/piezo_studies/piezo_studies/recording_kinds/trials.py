@@ -86,10 +86,6 @@ def trials(stages: tuple[str, ...] = tuple(STAGES)) -> Iterator[Trial]:
     ----------
     stages : tuple of str
         Of `STAGES`.
-
-    Yields
-    ------
-    Trial
     """
     usual = {name: next(iter(kinds)) for name, kinds in KINDS.items()}
     for stage in stages:
@@ -112,13 +108,8 @@ def run(trial: Trial, folder: Path) -> Outcome:
 
     Parameters
     ----------
-    trial : Trial
     folder : Path
         For recordings and models; recordings that it holds are taken as they are.
-
-    Returns
-    -------
-    Outcome
     """
     model = folder / "model.json"
     model.unlink(missing_ok=True)
@@ -169,14 +160,8 @@ def recorded(stage: str, name: str, played: Played, variant: str, folder: Path) 
         Of `STAGES`.
     name : str
         Of the file.
-    played : Played
     variant : str
         Of `VARIANTS`, without the last.
-    folder : Path
-
-    Returns
-    -------
-    Path
     """
     path = folder / f"{stage} {name} {variant}.csv".replace(" ", "_")
     if path.exists():

@@ -22,12 +22,7 @@ SECTION = "4.6.2"
 
 
 def study():
-    """Compute the gain and mode that the frequency response shows, beside the true ones.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the gain and mode that the frequency response shows, beside the true ones."""
     plant = known_plant()
     time_s = np.arange(round(DURATION_S * CLOCK_HZ)) / CLOCK_HZ
     swing_v = 0.5 * HIGHEST_V

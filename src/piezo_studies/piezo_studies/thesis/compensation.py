@@ -29,12 +29,7 @@ SECTION = "2.3.3"
 
 
 def study():
-    """Compute the RMS tracking errors.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the RMS tracking errors."""
     time_s = np.arange(0.0, DURATION_S, SAMPLE_PERIOD_S)
     reference_um = 20.0 * (1.0 - np.cos(2.0 * np.pi * time_s))
     voltage_v = estimated_model().invert(reference_um)

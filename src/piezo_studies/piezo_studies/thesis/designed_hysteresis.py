@@ -31,12 +31,7 @@ SECTION = "3.4.1"
 
 
 def study():
-    """Compute the rank, condition, drift and the error of the fit.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the rank, condition, drift and the error of the fit."""
     step_v = HIGHEST_V / LEVELS
     levels_v = np.linspace(0.0, HIGHEST_V, LEVELS + 1)
     amplitudes_v = stair_amplitudes(LEVELS, HIGHEST_V, below_the_top=0.5)

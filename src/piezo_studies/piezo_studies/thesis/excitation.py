@@ -18,12 +18,7 @@ SECTION = "A.2"
 
 
 def study():
-    """Rank of the regression under three inputs.
-
-    Returns
-    -------
-    Study
-    """
+    """Rank of the regression under three inputs."""
     levels_v = np.linspace(0.0, HIGHEST_V, LEVELS + 1)
     amplitudes_v = stair_amplitudes(LEVELS, HIGHEST_V)
     sampled_s = stair_sample_times(amplitudes_v, HARMONIC_PERIOD_S, levels_v[1:])

@@ -38,12 +38,7 @@ SETTLING = "settling_to_5_percent_s"
 
 
 def study():
-    """Design figures, and the sensitivities.
-
-    Returns
-    -------
-    Study
-    """
+    """Design figures, and the sensitivities."""
     model = identified_stage()
     ultimate_hz = 1 / ultimate_point_by_relay(model, 1, CLOCK_PERIOD_S).period_s
     rules = choose_rates(ultimate_hz, 1 / CLOCK_PERIOD_S, 50e-6, 40)

@@ -41,12 +41,7 @@ def identified_stage():
 
 
 def study():
-    """List the identified parameters beside those of the thesis.
-
-    Returns
-    -------
-    Study
-    """
+    """List the identified parameters beside those of the thesis."""
     model = identified_stage()
     creep, dynamics = model.creep, model.dynamics
     poles = np.array(creep.poles_rad_per_s)

@@ -26,12 +26,7 @@ FALLING_BANDWIDTH_HZ = 1000.0
 
 
 def study():
-    """Compute the errors and displacement with the inverse and without.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the errors and displacement with the inverse and without."""
     rows, figure = [], new_figure(3.8)
     axes = figure.subplots(2, 2)
     for place, (frequency_hz, amplitude_um, clock_hz, *thesis) in zip(

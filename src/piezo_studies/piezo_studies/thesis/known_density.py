@@ -30,12 +30,7 @@ SECTION = "4.6.2"
 
 
 def study():
-    """Compute the density errors by least squares and by the smoothed fit.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the density errors by least squares and by the smoothed fit."""
     plant = known_plant()
     levels_v = np.linspace(0.0, HIGHEST_V, LEVELS + 1)
     time_s = np.arange(round(LEVELS * HARMONIC_PERIOD_S / SAMPLE_PERIOD_S) + 1) * SAMPLE_PERIOD_S

@@ -27,12 +27,7 @@ def square_wave(period_s, sample_period_s, periods):
 
 
 def study():
-    """Compute the errors of the parameters, root mean squares over the draws of the noise.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the errors of the parameters, root mean squares over the draws of the noise."""
     draws = np.array([errors_percent(seed) for seed in range(DRAWS)])
     slow, fast, armax, time_constant, frequency, damping = np.sqrt(np.mean(draws**2, axis=0))
     least = [f"no unbiased estimate of this record comes below {bound:.2g} % (Cramer-Rao)"

@@ -33,10 +33,6 @@ def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1
     clock_hz : float
     seed : int
         Of the sensor's noise.
-
-    Returns
-    -------
-    Recording
     """
     stage = SimulatedStage(seed=seed, sample_rate_hz=clock_hz)
     stage.open()
@@ -69,10 +65,6 @@ def record_model(name, model, voltage_v, sample_period_s, noise_um, seed=1):
     voltage_v : ndarray, shape (N,)
     sample_period_s, noise_um : float
     seed : int
-
-    Returns
-    -------
-    Recording
     """
     linear = zoh(model.linear(), sample_period_s)
     displacement_um, _ = continue_linear(

@@ -55,12 +55,7 @@ class LearnedRun:
 
 
 def study():
-    """Learn every sine with several wrong models; return the median errors.
-
-    Returns
-    -------
-    Study
-    """
+    """Learn every sine with several wrong models; return the median errors."""
     rows = []
     for section, frequency_hz, amplitude_um, thesis in CASES:
         runs = [learn(frequency_hz, amplitude_um, seed) for seed in range(SEEDS)]
@@ -84,10 +79,6 @@ def learn(frequency_hz, amplitude_um, seed, part=MODEL_ERROR):
         Of the model's errors and of the stage.
     part : float
         By which the model's parameters are wrong.
-
-    Returns
-    -------
-    LearnedRun
     """
     model = wrong_model(part, seed)
     controller = design_integral_feedback(model)

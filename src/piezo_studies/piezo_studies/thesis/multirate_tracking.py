@@ -30,12 +30,7 @@ HIGHEST_FEEDBACK_HZ = 200.0
 
 
 def study():
-    """Compute the errors, transients, spectra; and what one rate for both branches does.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the errors, transients, spectra; and what one rate for both branches does."""
     rows, transients, spectra = [], new_figure(3.0), new_figure(3.0)
     for place, spectrum, (frequency_hz, amplitude_um, thesis) in zip(
             transients.subplots(1, 2), spectra.subplots(1, 2), SINES, strict=True):

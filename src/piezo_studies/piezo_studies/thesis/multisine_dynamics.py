@@ -35,12 +35,7 @@ def multisine_v():
 
 
 def study():
-    """Compute the parameters by output error and by ARMAX, and the error of the simulation.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the parameters by output error and by ARMAX, and the error of the simulation."""
     stage = identified_stage()
     record = record_stage("multisine", multisine_v())
     dynamics = estimate_dynamics_multisine(

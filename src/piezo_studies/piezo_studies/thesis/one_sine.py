@@ -91,12 +91,7 @@ def one_sine():
 
 
 def study():
-    """Compute the errors of the three estimates, and the rank.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the errors of the three estimates, and the rank."""
     data = one_sine()
     decomposition = truncated_svd(data.equations, rank=RANK)
     values = decomposition.all_singular_values

@@ -33,10 +33,6 @@ def page(rows):
     Parameters
     ----------
     rows : list of Row
-
-    Returns
-    -------
-    str
     """
     pictures = "\n\n".join(
         f"**Fig. {figure}.** {caption}\n\n"

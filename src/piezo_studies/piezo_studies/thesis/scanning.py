@@ -33,12 +33,7 @@ FIRST_MODE_HZ = 453.5
 
 
 def study():
-    """Track the sines of Tables 3.1 and 3.2.
-
-    Returns
-    -------
-    Study
-    """
+    """Track the sines of Tables 3.1 and 3.2."""
     report = controller("pi", FAST).report
     rows = [
         Row("3.4.3", "ultimate gain, corrected for the hysteresis", 1.65,

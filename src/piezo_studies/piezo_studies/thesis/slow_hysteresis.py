@@ -66,12 +66,7 @@ def identified_hysteresis():
 
 
 def study():
-    """Compute the singular values, and how the identified hysteresis does at 1 Hz.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the singular values, and how the identified hysteresis does at 1 Hz."""
     estimate, voltage_v, output_um = identified_hysteresis()
     values = estimate.singular_values
     nonzero = values[values > 1e-9 * values[0]]

@@ -26,12 +26,7 @@ THESIS_PERCENT = {"feedforward": (6.08, None), "PID (2.31) as printed": (0.15, 3
 
 
 def study():
-    """Compute the tracking errors, and the PID.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the tracking errors, and the PID."""
     report = controller("pid", FAST).report
     rows = [
         Row("2.4.2", "ultimate gain by relay", 2.62, report["ultimate_gain_v_per_um"], "V/um",

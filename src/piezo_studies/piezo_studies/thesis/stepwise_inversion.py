@@ -23,12 +23,7 @@ CENTRE_UM, AMPLITUDE_UM = 30.0, 40.0
 
 
 def study():
-    """Compute the errors of the hysteresis' output, and the time that both inverses take.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the errors of the hysteresis' output, and the time that both inverses take."""
     hysteresis = wrong_model(0.0, 0).hysteresis
     angle = 2.0 * np.pi * np.arange(SAMPLES_PER_PERIOD * PERIODS) / SAMPLES_PER_PERIOD
     wanted_um = CENTRE_UM + AMPLITUDE_UM / 2 * np.sin(angle)

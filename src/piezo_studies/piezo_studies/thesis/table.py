@@ -13,10 +13,8 @@ class Row:
     ----------
     section : str
         Of the thesis.
-    quantity : str
     thesis : float or None
         None where the thesis gives no figure, and ours stands for itself.
-    ours : float
     unit : str
         "1" for plain numbers.
     remark : str
@@ -51,7 +49,6 @@ class Study:
 
     Parameters
     ----------
-    rows : list of Row
     pictures : dict of str to matplotlib.figure.Figure
         By the number of the thesis' figure that they answer, such as "2.2".
     """

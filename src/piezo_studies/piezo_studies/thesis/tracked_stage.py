@@ -109,10 +109,6 @@ def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURA
         Whether the feedback passes the inverse hysteresis.
     onboard : bool
         Whether the stage evaluates the feedback by itself, designed for that.
-
-    Returns
-    -------
-    Tracked
     """
     clock = StageClock(samples_per_tick=samples_per_tick)
     reference = Reference("harmonic", (frequency_hz,), (amplitude_um,), (), CENTRE_UM)

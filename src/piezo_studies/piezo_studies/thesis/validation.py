@@ -55,12 +55,7 @@ def inputs():
 
 
 def study():
-    """Compute the relative errors e_y of Table 4.1, by the sensor.
-
-    Returns
-    -------
-    Study
-    """
+    """Compute the relative errors e_y of Table 4.1, by the sensor."""
     model = identified_stage()
     rows, loops = [], {}
     for seed, (name, thesis, voltage_v, clock_hz) in enumerate(inputs(), start=11):

@@ -19,10 +19,6 @@ def wrong_model(part, seed):
     part : float
         By which each parameter is wrong; but not the voltage limits.
     seed : int
-
-    Returns
-    -------
-    StageModel
     """
     generator = np.random.default_rng(seed)
 

@@ -38,10 +38,8 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
     ----------
     model : piezo_models.cascade.StageModel
         With a mode, and no antiresonance.
-    demands : Demands, optional
     method : str
         `METHOD`. `FORMER_METHOD` leads to the same with a warning.
-    clock_period_s : float
     model_sha256 : str
         Hash of the model's file, kept with the controller.
     effort : float
@@ -93,16 +91,10 @@ def measured_design(controller: control.StateSpace, model: StageModel, demands: 
 
     Parameters
     ----------
-    controller : control.StateSpace
-    model : piezo_models.cascade.StageModel
-    demands : Demands
     loops : PerturbedLoops
         Of these.
-    method : str
     own : dict
         What the report holds of this method alone.
-    model_sha256 : str
-    delay_ticks : int
 
     Returns
     -------

@@ -56,7 +56,6 @@ def lower_largest(linearise: Callable[[FloatArray], Linearised], numbers: FloatA
 
     Parameters
     ----------
-    linearise : callable
     numbers : ndarray, shape (n,)
         Where to begin; allowed.
     low, high : ndarray, shape (n,)

@@ -96,8 +96,6 @@ class PerturbedLoops:
     ----------
     model : piezo_models.cascade.StageModel
         With at least one mode.
-    errors : ModelErrors
-    clock_period_s : float
     disturbance_hz : sequence of float
         At which the attenuation is asked for.
     disturbance_tolerance : float

@@ -44,15 +44,7 @@ DECIBELS = 20 / np.log(10)
 
 
 class LoopProblem:
-    """Demands and bounds of all loops, in dB, with their derivatives by a controller's numbers.
-
-    Parameters
-    ----------
-    loops : PerturbedLoops
-    demands : Demands
-    structure : FixedOrder
-    first_mode_hz, gain_um_per_v : float
-    """
+    """Demands and bounds of all loops, in dB, with their derivatives by a controller's numbers."""
 
     def __init__(self, loops: PerturbedLoops, demands: Demands, structure: FixedOrder,
                  first_mode_hz: float, gain_um_per_v: float) -> None:
@@ -149,11 +141,8 @@ class TunedFamily:
 
     Parameters
     ----------
-    model : piezo_models.cascade.StageModel
-    structure : FixedOrder
     start : ndarray
         Where the tuning begins; with less gain where that is not stable.
-    clock_period_s : float
 
     Attributes
     ----------
@@ -242,14 +231,7 @@ RESONANCES = (((1.1605, 0.098294), (1.0003, 0.0066513)), ((0.97958, 0.13056), (1
 
 
 def tuned_family(model: StageModel, demands: Demands, clock_period_s: float) -> TunedFamily:
-    """Return the family of controllers with a resonance at each disturbance.
-
-    Parameters
-    ----------
-    model : piezo_models.cascade.StageModel
-    demands : Demands
-    clock_period_s : float
-    """
+    """Return the family of controllers with a resonance at each disturbance."""
     unit = model.dynamics.mode_frequencies_rad_per_s[light_mode(model)]
     resonances = [(2 * np.pi * hz / unit, *resonance) for hz, resonance in zip(
         demands.disturbance_hz, cycle(RESONANCES), strict=False)]

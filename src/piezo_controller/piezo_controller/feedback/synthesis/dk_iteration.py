@@ -72,11 +72,6 @@ def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False, slac
         Whether the scalings depend on frequency; they add to the controller's order.
     slack : float
         Given up at the end, see `synthesise`.
-    iterations : int
-
-    Returns
-    -------
-    RobustSynthesis
 
     Raises
     ------
@@ -156,7 +151,6 @@ def constant_scaling(responses: ComplexArray, scalars: int) -> FloatArray:
     Parameters
     ----------
     responses : ndarray of complex, shape (F, outputs, inputs)
-    scalars : int
 
     Returns
     -------
@@ -182,8 +176,6 @@ def fit_scaling(frequency_hz: FloatArray, magnitude: FloatArray, importance: Flo
     Parameters
     ----------
     frequency_hz, magnitude, importance : ndarray, shape (F,)
-    tick_s : float
-    order : int
 
     Returns
     -------
@@ -218,13 +210,8 @@ def scale(plant: control.StateSpace,
 
     Parameters
     ----------
-    plant : control.StateSpace
     scalings : sequence of float or control.StateSpace
         One for each scalar uncertainty; a system with a stable inverse.
-
-    Returns
-    -------
-    control.StateSpace
     """
     systems = [scaling if isinstance(scaling, control.StateSpace)
                else control.ss([], [], [], [[scaling]], plant.dt) for scaling in scalings]

@@ -19,7 +19,6 @@ def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
 
     Parameters
     ----------
-    model : piezo_models.cascade.StageModel
     tick_s, clock_period_s : float
         Periods of the feedback and of the sample clock (s); the one a multiple of the other.
     at_once : bool
@@ -73,7 +72,6 @@ def generalised_plant(plant: control.StateSpace, hysteresis_gain_um_per_v: float
     ----------
     plant, hysteresis_gain_um_per_v
         From `design_plant`.
-    weights : DesignWeights
 
     Returns
     -------

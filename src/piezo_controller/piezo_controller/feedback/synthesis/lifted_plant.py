@@ -17,7 +17,6 @@ def lift(system: control.StateSpace, samples_per_tick: int,
     ----------
     system : control.StateSpace
         Strictly proper, one input, one output, at the sample clock's period.
-    samples_per_tick : int
     delay_ticks : int
         1 where somebody answers by a message, 0 where the stage evaluates the feedback by itself.
 

@@ -20,7 +20,6 @@ def structured_singular_values(responses: ComplexArray,
     Parameters
     ----------
     responses : ndarray of complex, shape (F, outputs, inputs)
-    scalars : int
 
     Returns
     -------

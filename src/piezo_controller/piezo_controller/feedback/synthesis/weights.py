@@ -113,10 +113,6 @@ def load_weights(path: str | Path = DEFAULT_WEIGHTS) -> DesignWeights:
     path : path-like
         YAML, or the name of weights that come with the package: ``default`` or ``thesis``.
 
-    Returns
-    -------
-    DesignWeights
-
     Raises
     ------
     WeightsError

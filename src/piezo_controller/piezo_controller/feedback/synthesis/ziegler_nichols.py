@@ -47,9 +47,6 @@ def ultimate_point_by_relay(model: StageModel, samples_per_tick: int, clock_peri
 
     Parameters
     ----------
-    model : piezo_models.cascade.StageModel
-    samples_per_tick : int
-    clock_period_s : float
     swing : float
         Of the relay, as part of the model's range.
 
@@ -108,10 +105,6 @@ def ultimate_point_by_response(plant: control.StateSpace,
     largest_gain_um_per_v : float
         Delta_max of (3.16).
 
-    Returns
-    -------
-    UltimatePoint
-
     Raises
     ------
     NoOscillation
@@ -134,11 +127,6 @@ def pid(ultimate: UltimatePoint, tick_s: float) -> control.StateSpace:
 
     It is 0.6 Ku (1 + 2 / (Tu s) + Tu s / 8), (2.31), with a lag on the derivative.
 
-    Parameters
-    ----------
-    ultimate : UltimatePoint
-    tick_s : float
-
     Returns
     -------
     control.StateSpace
@@ -154,11 +142,6 @@ def pid(ultimate: UltimatePoint, tick_s: float) -> control.StateSpace:
 
 def proportional_integral(ultimate: UltimatePoint, tick_s: float) -> control.StateSpace:
     """Make a PI, discrete by Tustin's rule: 0.6 Ku (1 + 2 / (Tu s)), (3.20).
-
-    Parameters
-    ----------
-    ultimate : UltimatePoint
-    tick_s : float
 
     Returns
     -------

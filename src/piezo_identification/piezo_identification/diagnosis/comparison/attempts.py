@@ -55,9 +55,6 @@ def try_each(regression: Regression, kinds: Sequence[type[Effect]], current: Fit
 
     Parameters
     ----------
-    regression : Regression
-    kinds : sequence of type
-    current : Fit
     report : callable
         Called with (name of the effect, fraction).
 

@@ -76,15 +76,10 @@ def is_convincing(regression: Regression, start: Fit, before: Fit, after: Fit) -
 
     Parameters
     ----------
-    regression : Regression
     start : Fit
         Without any effect.
     before, after : Fit
         The smaller and the larger set.
-
-    Returns
-    -------
-    bool
     """
     least = max(CRITERIA.noticeable, CRITERIA.beside * np.sqrt(mean_square(regression, start)))
     square_before, square_after = (mean_square(regression, fit) for fit in (before, after))
@@ -105,14 +100,8 @@ def is_indistinguishable(regression: Regression, best: Fit, other: Fit,
 
     Parameters
     ----------
-    regression : Regression
-    best, other : Fit
     told_apart : float
         Standard deviations by which the best set must be better.
-
-    Returns
-    -------
-    bool
     """
     return bool(distance(regression, other, best) < _left(regression, best)
                 or significance(regression, other, best) < told_apart)

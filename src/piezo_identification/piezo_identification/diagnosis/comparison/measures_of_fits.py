@@ -23,11 +23,6 @@ def significance(regression: Regression, before: Fit, after: Fit) -> float:
     The prediction by which they differ is correlated with what the first left. The products
     are summed up within each stretch, so that errors that are alike for long count as one.
 
-    Parameters
-    ----------
-    regression : Regression
-    before, after : Fit
-
     Returns
     -------
     float
@@ -49,7 +44,6 @@ def visible_part(regression: Regression, before: Fit, after: Fit) -> float:
 
     Parameters
     ----------
-    regression : Regression
     before, after : Fit
         Without and with the effects.
 
@@ -69,13 +63,8 @@ def contribution_rms(regression: Regression, before: Fit, after: Fit) -> float:
 
     Parameters
     ----------
-    regression : Regression
     before, after : Fit
         Without and with the effects.
-
-    Returns
-    -------
-    float
     """
     squares, count = 0.0, 0
     for mask in regression.dataset.masks():

@@ -95,13 +95,8 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
 
     Parameters
     ----------
-    regression : Regression
     progress : callable, optional
         Called with (what is done, fraction).
-
-    Returns
-    -------
-    Selection
     """
     kinds = [kind for kind in known_effects().values() if kind is not Outliers]
     excluded = excluded_by_distortion(regression.dataset.simulated, kinds)

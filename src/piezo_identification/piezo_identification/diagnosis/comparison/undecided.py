@@ -44,7 +44,6 @@ def like_the_best(regression: Regression, fits: Sequence[Fit]) -> dict[str, str]
 
     Parameters
     ----------
-    regression : Regression
     fits : sequence of Fit
         The best first.
 

@@ -40,7 +40,6 @@ class Validation:
 
     Parameters
     ----------
-    regression : Regression
     holdout : Recording or None
         With the sign of the model, and its outliers marked.
     reference : Validation, optional
@@ -78,10 +77,6 @@ class Validation:
 
     def accepted(self, fit: Fit) -> tuple[Fit, dict[str, str]]:
         """Remove the effects that no stage can have, or that make the error larger.
-
-        Parameters
-        ----------
-        fit : Fit
 
         Returns
         -------

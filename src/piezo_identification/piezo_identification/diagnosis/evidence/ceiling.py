@@ -109,15 +109,6 @@ def ceiling(regression: Regression, fit: Fit) -> Ceiling:
 
     Ridge regression and gradient-boosted trees behind it learn from the stretches that fits may
     use, and predict those held out. A prediction that does not beat chance counts as none.
-
-    Parameters
-    ----------
-    regression : Regression
-    fit : Fit
-
-    Returns
-    -------
-    Ceiling
     """
     held_out = regression.validation
     noise_um = regression.dataset.of_each(regression.noise.noise_um)[held_out]

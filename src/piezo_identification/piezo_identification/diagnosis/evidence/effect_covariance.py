@@ -84,11 +84,6 @@ def with_model_errors(regression: Regression, fit: Fit) -> Fit:
 def derivatives(regression: Regression, fit: Fit) -> FloatArray:
     """Return the derivatives of the difference by the fitted values, as the regressors leave them.
 
-    Parameters
-    ----------
-    regression : Regression
-    fit : Fit
-
     Returns
     -------
     (n + p, m) array
@@ -116,12 +111,7 @@ def _moved(fit: Fit, number: int, index: int, value: float) -> list[Effect]:
 
 
 def drawn_errors_um(dataset: Dataset) -> Iterator[FloatArray]:
-    """Yield what drawn errors of the density add to the rows, each (r,).
-
-    Parameters
-    ----------
-    dataset : Dataset
-    """
+    """Yield what drawn errors of the density add to the rows, each (r,)."""
     linear, hysteresis = dataset.model.linear(), dataset.model.hysteresis
     given_um = [part.hysteresis_output_um(hysteresis) for part in dataset.simulated]
     for erring in _erring(hysteresis):

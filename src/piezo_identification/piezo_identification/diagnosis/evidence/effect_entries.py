@@ -19,11 +19,6 @@ from piezo_models.effects import Effect
 def effect_entries(regression: Regression, fit: Fit) -> list[dict[str, Any]]:
     """Return the entry of each effect of a fit, in their order.
 
-    Parameters
-    ----------
-    regression : Regression
-    fit : Fit
-
     Returns
     -------
     list of dict

@@ -25,7 +25,6 @@ class FoundOutliers:
 
     Parameters
     ----------
-    count : int
     share : float
         Of the samples.
     size_um : float
@@ -58,13 +57,8 @@ def found_outliers(regression: Regression,
 
     Parameters
     ----------
-    regression : Regression
     effects : sequence of piezo_models.effects.effect.Effect
         That are named. Beside steps of the sensor, a reading of the next step is no outlier.
-
-    Returns
-    -------
-    FoundOutliers or None
     """
     least_um = max((NEXT_STEP * effect.step_um for effect in effects
                     if isinstance(effect, SensorSteps)), default=0.0)

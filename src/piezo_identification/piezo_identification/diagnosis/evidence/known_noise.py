@@ -80,12 +80,7 @@ class KnownNoise:
 
 
 def noise_of_model(identified: IdentifiedModel) -> KnownNoise:
-    """Return the noise that a model file tells of its recordings.
-
-    Parameters
-    ----------
-    identified : IdentifiedModel
-    """
+    """Return the noise that a model file tells of its recordings."""
     adequacy, periods_s = identified.adequacy, identified.sample_periods_s
     return KnownNoise(
         tuple(NoiseSource(part["noise_rms_um"], periods_s[name], f"the model file for {name}")
@@ -104,12 +99,7 @@ def noise_of_residuals(regression: Regression) -> list[NoiseSource]:
 
 
 def noise_sources(recordings: Sequence[Recording]) -> list[NoiseSource]:
-    """Return the noise that each of some recordings shows without any model.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-    """
+    """Return the noise that each of some recordings shows without any model."""
     found = []
     for recording in recordings:
         part = played(recording)

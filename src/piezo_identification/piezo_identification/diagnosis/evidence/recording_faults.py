@@ -93,11 +93,6 @@ def without_faults(model: StageModel,
                    recording: Recording) -> tuple[Recording, list[RecordingFault]]:
     """Return a recording with the sign and the rows of the model and its outliers marked.
 
-    Parameters
-    ----------
-    model : StageModel
-    recording : Recording
-
     Returns
     -------
     recording : Recording

@@ -19,17 +19,7 @@ MOST_OF_IT = 0.1, 0.9
 
 
 def describe_residual(regression: Regression, fit: Fit) -> str:
-    """Describe what the effects of a fit leave, in one sentence for each recording.
-
-    Parameters
-    ----------
-    regression : Regression
-    fit : Fit
-
-    Returns
-    -------
-    str
-    """
+    """Describe what the effects of a fit leave, in one sentence for each recording."""
     return " ".join(_sentence(regression, fit, index)
                     for index in range(len(regression.dataset.simulated)))
 

@@ -79,11 +79,6 @@ def whiteness(residual_um: FloatArray, most_lags: int = SETTINGS.most_lags) -> C
     Parameters
     ----------
     residual_um : (N,) array
-    most_lags : int
-
-    Returns
-    -------
-    CorrelationTest
     """
     residual = residual_um - residual_um.mean()
     lags = np.arange(1, min(most_lags, residual.size // 4) + 1)
@@ -101,11 +96,6 @@ def input_correlation(residual_um: FloatArray, input: FloatArray,
     Parameters
     ----------
     residual_um, input : (N,) array
-    most_lags : int
-
-    Returns
-    -------
-    CorrelationTest
     """
     white_input, coefficients = _whitened(input - input.mean())
     residual = np.convolve(residual_um - residual_um.mean(), coefficients, mode="valid")
@@ -138,7 +128,6 @@ def spectrum(signal_um: FloatArray, sample_period_s: float) -> tuple[FloatArray,
     Parameters
     ----------
     signal_um : (N,) array
-    sample_period_s : float
 
     Returns
     -------
@@ -183,11 +172,6 @@ def error_response(residual_um: FloatArray, displacement_um: FloatArray,
     ----------
     residual_um, displacement_um : (N,) array
         Measured minus simulated, and simulated.
-    sample_period_s : float
-
-    Returns
-    -------
-    ErrorResponse
     """
     segment = _segment(displacement_um.size)
     options = {"fs": 1.0 / sample_period_s, "nperseg": segment, "detrend": "linear"}
@@ -231,13 +215,8 @@ def dependence(residual_um: FloatArray, values: FloatArray, quantity: str,
     Parameters
     ----------
     residual_um, values : (N,) array
-    quantity : str
     bins : int
         Of equally many samples each.
-
-    Returns
-    -------
-    Dependence
     """
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
     index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(0, edges.size - 2))

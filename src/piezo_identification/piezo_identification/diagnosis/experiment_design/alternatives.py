@@ -142,10 +142,6 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
         Those of the identification, conditioned as for a diagnosis.
     others : iterable of tuples of Effect
         Sets that were alternatives before.
-
-    Returns
-    -------
-    Alternatives
     """
     dataset, found = regression.dataset, effects_of(verdict)
     sets: dict[str, Effects] = {_name(found): found}
@@ -206,10 +202,6 @@ def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
         By the names of their effects.
     own : int
         Effects of the model itself, with which those of every fit begin.
-
-    Returns
-    -------
-    dict of str to JointFit
     """
     def is_another(fit: JointFit) -> bool:
         whole = fit.regression.difference(fit.effects)
@@ -331,7 +323,6 @@ def sensitivities(simulate: Callable[..., FloatArray],
     ----------
     simulate : callable
         Given effects: an array of shape (N,).
-    effects : tuple of Effect
 
     Returns
     -------

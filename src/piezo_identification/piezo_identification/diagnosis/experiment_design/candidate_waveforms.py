@@ -149,14 +149,8 @@ def waveform(limits: StageLimits, longest_s: float, point: Point) -> Experiment:
 
     Parameters
     ----------
-    limits : StageLimits
     longest_s : float
         That it may last.
-    point : Point
-
-    Returns
-    -------
-    Experiment
     """
     family = point.family
     clock_s = 1.0 / limits.sample_rate_hz

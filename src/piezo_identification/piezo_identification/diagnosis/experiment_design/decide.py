@@ -67,7 +67,6 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
 
     Parameters
     ----------
-    model : StageModel
     recordings : sequence of Recording
         So far.
     play : callable
@@ -75,7 +74,6 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
         the stage and returns the recording.
     budget : int
         Recordings that may be made.
-    limits : StageLimits
     longest_s : float
         That each may last.
     holdout, progress, identified_from, stated, noise

@@ -42,15 +42,8 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     ----------
     model : StageModel
         That was diagnosed.
-    recordings : sequence of Recording
-    holdout : Recording or None
     diagnosis : Diagnosis
         Of these recordings.
-    alternatives : Alternatives
-
-    Returns
-    -------
-    Diagnosis
     """
     best = alternatives.alternatives[0]
     names = tuple(sorted(effect.name for effect in best.effects))

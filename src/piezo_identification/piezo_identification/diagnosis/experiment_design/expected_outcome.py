@@ -62,18 +62,7 @@ class ExpectedOutcome:
 
 def expected_outcome(alternatives: Alternatives, experiment: Experiment,
                      limits: StageLimits) -> ExpectedOutcome:
-    """Simulate a waveform with each alternative, and compare them.
-
-    Parameters
-    ----------
-    alternatives : Alternatives
-    experiment : Experiment
-    limits : StageLimits
-
-    Returns
-    -------
-    ExpectedOutcome
-    """
+    """Simulate a waveform with each alternative, and compare them."""
     known, count = alternatives.alternatives, len(alternatives.alternatives)
     problem, unplayed = alternatives.problem, _unplayed(experiment, limits)
     dataset = simulate_recordings(

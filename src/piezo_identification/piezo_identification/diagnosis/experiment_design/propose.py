@@ -108,10 +108,6 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
         Content of `verdict.json`.
     identified_from : IdentificationRecordings, optional
         What is at hand of the recordings that the model was identified from; by default nothing.
-
-    Returns
-    -------
-    Alternatives
     """
     given = condition(model, recordings, None)
     first = first_regression(simulate_recordings(model, given.recordings))
@@ -127,7 +123,6 @@ def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = 
 
     Parameters
     ----------
-    alternatives : Alternatives
     limits : StageLimits
         Within which the waveform must stay; the model's voltage range is kept to as well.
     longest_s : float
@@ -172,7 +167,6 @@ def save_proposal(proposal: Proposal, directory: Path) -> tuple[Path, Path]:
 
     Parameters
     ----------
-    proposal : Proposal
     directory : Path
         Made if it is missing.
 

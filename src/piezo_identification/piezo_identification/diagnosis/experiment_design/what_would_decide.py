@@ -54,7 +54,6 @@ def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecor
 
     Parameters
     ----------
-    diagnosis : Diagnosis
     identified_from : IdentificationRecordings
         With which it was made.
     progress : callable
@@ -78,10 +77,6 @@ def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecor
 
 def recorded_limits(dataset: Dataset) -> StageLimits:
     """Return what a stage allows as far as its model and recordings tell.
-
-    Parameters
-    ----------
-    dataset : Dataset
 
     Returns
     -------

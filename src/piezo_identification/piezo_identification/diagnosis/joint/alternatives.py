@@ -115,17 +115,7 @@ class Alternative:
 
 
 def settled(problem: JointProblem, progress: Progress) -> JointFit:
-    """Fit the model without more effects until no step is worthwhile.
-
-    Parameters
-    ----------
-    problem : JointProblem
-    progress : callable
-
-    Returns
-    -------
-    JointFit
-    """
+    """Fit the model without more effects until no step is worthwhile."""
     progress("all recordings together: no effect", 0.0)
     fit = problem.fit(problem.own)
     for turn in range(1, FITS.turns):
@@ -143,7 +133,6 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
 
     Parameters
     ----------
-    problem : JointProblem
     none : JointFit
         Without more effects; see `settled`.
     since : sequence of sequences of Effect
@@ -186,11 +175,6 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
 def converged(problem: JointProblem, alternatives: Sequence[Alternative]) -> list[Alternative]:
     """Fit on every alternative that may still become the most probable.
 
-    Parameters
-    ----------
-    problem : JointProblem
-    alternatives : sequence of Alternative
-
     Returns
     -------
     list of Alternative
@@ -219,15 +203,6 @@ def asked_when(problem: JointProblem, alternatives: Sequence[Alternative]) -> li
     """Add the alternative that is believed as it would be all along, where it came since.
 
     Only beside each other do the two tell when the effects came.
-
-    Parameters
-    ----------
-    problem : JointProblem
-    alternatives : sequence of Alternative
-
-    Returns
-    -------
-    list of Alternative
     """
     best = most_probable(problem, alternatives)
     is_known = any(each.names == best.names and not each.since for each in alternatives)
@@ -281,11 +256,6 @@ def most_probable(problem: JointProblem, alternatives: Sequence[Alternative]) ->
 def times_of_coming(problem: JointProblem,
                     alternatives: Sequence[Alternative]) -> dict[tuple[str, ...], str]:
     """Tell for each set of effects when it came, as far as the recordings tell.
-
-    Parameters
-    ----------
-    problem : JointProblem
-    alternatives : sequence of Alternative
 
     Returns
     -------

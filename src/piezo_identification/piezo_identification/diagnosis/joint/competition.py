@@ -105,7 +105,6 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
 
     Parameters
     ----------
-    model : StageModel
     new, old : sequence of Recording
         To be diagnosed, and of the identification; with the sign of the model, and their outliers
         marked.
@@ -116,10 +115,6 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
         the recordings of the identification tell.
     progress : callable
         Called with (what is done, fraction).
-
-    Returns
-    -------
-    Competition
     """
     if not old or is_noise(selection.regression, selection.start):
         return Competition(_of_new_recordings(selection, stated or 0.0), stated=stated or 0.0)
@@ -164,11 +159,6 @@ def led_by_the_most_probable(selection: Selection, competition: Competition) -> 
     ----------
     selection : Selection
         Of effects that explain the new recordings alone.
-    competition : Competition
-
-    Returns
-    -------
-    Selection
     """
     if competition.best is not None and not competition.best.since:
         return selection
@@ -289,7 +279,6 @@ def beside_alternative(selection: Selection, competition: Competition,
     ----------
     selection : Selection
         Of effects beside the model as it was given.
-    competition : Competition
     alternative : Alternative
         Its best.
 

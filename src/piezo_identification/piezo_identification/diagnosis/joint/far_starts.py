@@ -38,17 +38,12 @@ def from_afar(problem: JointProblem, beside: JointFit, guesses: Sequence[Effect]
 
     Parameters
     ----------
-    problem : JointProblem
     beside : JointFit
         Of the model and what it has beside the effect.
     guesses : sequence of piezo_models.effects.effect.Effect
         Of the effect; the fit as it is began from the first.
     nearby : JointFit
         As it is.
-
-    Returns
-    -------
-    JointFit
     """
     held = _held(problem, beside, guesses[1:])
     if held is not None and may_lead(held, nearby):

@@ -73,7 +73,6 @@ def find_identification_recordings(
 
     Parameters
     ----------
-    identified : IdentifiedModel
     model_path : path-like
         Of its file.
     read_file : callable
@@ -82,10 +81,6 @@ def find_identification_recordings(
         Files that are recordings of the identification, wherever they are now.
     others : sequence of path-like
         Files that are diagnosed, or held out: they are left out here.
-
-    Returns
-    -------
-    IdentificationRecordings
 
     Raises
     ------
@@ -135,11 +130,6 @@ def old_recordings(model: StageModel, known: IdentificationRecordings) -> list[R
     """Return the recordings of the identification that can be asked, conditioned like the new ones.
 
     Of long ones the beginning is asked: whatever it is, a simulation begins there.
-
-    Parameters
-    ----------
-    model : StageModel
-    known : IdentificationRecordings
 
     Returns
     -------

@@ -111,10 +111,6 @@ def penalty_of(held_out: Sequence[HeldOut], effective: ArrayLike, covariance: Fl
     recurrence_count : int
         Further numbers, which each recording of the identification has of its own; the recordings
         determine them, and each costs the most.
-
-    Returns
-    -------
-    float
     """
     counted = float(np.sum(np.minimum(np.asarray(effective), SETTINGS.most_effective)))
     rows = float(sum(part.left_um.size for part in held_out))
@@ -128,7 +124,6 @@ def logarithms_of_evidence(alternatives: Sequence[Evidence], effective: ArrayLik
 
     Parameters
     ----------
-    alternatives : sequence of Evidence
     effective : (R,) array
         Independent samples of each recording.
     least_um : (R,) array
@@ -200,10 +195,6 @@ def gain_of_noise(squares: FloatArray, samples: FloatArray, passing: FloatArray,
         Independent samples of each recording.
     passing, wrong : (R,) array
         Mean squares that pass for noise, and that the model is known to be wrong by, in um^2.
-
-    Returns
-    -------
-    float
     """
     sizes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     may_be = passing + wrong * np.exp(2.0 * SETTINGS.carried_over * sizes)[:, None]

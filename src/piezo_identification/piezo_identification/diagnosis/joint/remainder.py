@@ -51,10 +51,6 @@ def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], 
     finds_nothing : bool
         No effect is named. Components that the identification called inadequate then excuse
         nothing: what remains must pass the identification's own tolerance.
-
-    Returns
-    -------
-    HeldToNoise
     """
     contradicts = finds_nothing and bool(known.inadequate)
     tolerance = ADEQUACY.tolerance if contradicts else FIT.model_tolerance

@@ -21,10 +21,6 @@ def many_page(results: Sequence[dict[str, Any]], origin: Sequence[str]) -> str:
         Of `diagnose_row`.
     origin : sequence of str
         Where they came from.
-
-    Returns
-    -------
-    str
     """
     verdicts = [result for result in results if "verdict" in result]
     counts = Counter(result["verdict"]["verdict"] for result in verdicts)

@@ -78,10 +78,6 @@ def read_table(table: Path, output: Path) -> list[DiagnosisRow]:
     output : Path
         In which each row gets a folder.
 
-    Returns
-    -------
-    list of DiagnosisRow
-
     Raises
     ------
     ValueError
@@ -132,10 +128,6 @@ def _row(table: Path, number: int, entry: dict[str, str | None], output: Path) -
 def diagnose_row(row: DiagnosisRow) -> dict[str, Any]:
     """Diagnose a row unless its results are there already; bad input is told, not raised.
 
-    Parameters
-    ----------
-    row : DiagnosisRow
-
     Returns
     -------
     dict
@@ -175,7 +167,6 @@ def diagnose_rows(client: "Client", rows: Sequence[DiagnosisRow],
     ----------
     client : distributed.Client
         Its workers see the same files at the same paths.
-    rows : sequence of DiagnosisRow
     progress : callable
         Called with how many are done.
 
@@ -230,10 +221,6 @@ def cluster_client(scheduler: str | None) -> "Client":
     ----------
     scheduler : str or None
         Address, as tcp://host:8786.
-
-    Returns
-    -------
-    distributed.Client
 
     Raises
     ------

@@ -49,14 +49,8 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
         Plays and records an experiment.
     budget : int
         Recordings that may be made.
-    limits : StageLimits
     longest_s : float
         That each may last.
-
-    Returns
-    -------
-    DiagnosisResults
-    list of DecisionStep
 
     Raises
     ------
@@ -89,16 +83,7 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
 
 
 def decision_sentence(steps: Sequence[DecisionStep]) -> str:
-    """Tell what experiments have decided, and how surely.
-
-    Parameters
-    ----------
-    steps : sequence of DecisionStep
-
-    Returns
-    -------
-    str
-    """
+    """Tell what experiments have decided, and how surely."""
     last, played = steps[-1], len(steps) - 1
     after = f"after {played} experiment{'s' * (played != 1)}"
     told = [f"{name} has probability {share:.3f}"

@@ -58,14 +58,9 @@ def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: Fl
 
     Parameters
     ----------
-    part : SimulatedRecording
     before_um, after_um : (N,) array
     noise_um : float
         Standard deviation of the sensor's noise.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure = new_figure(5.5, WIDE_IN)
     whole = slice(part.begin, None)
@@ -103,7 +98,6 @@ def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: Floa
 
     Parameters
     ----------
-    part : SimulatedRecording
     before_um, after_um : ndarray, shape (N,)
         Residuals.
     noise_um : float
@@ -151,15 +145,10 @@ def draw_over_voltage(part: SimulatedRecording, before_um: FloatArray, after_um:
 
     Parameters
     ----------
-    part : SimulatedRecording
     before_um, after_um : ndarray, shape (N,)
         Residuals.
     noise_um : float
         Standard deviation of the sensor's noise.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
@@ -182,15 +171,10 @@ def draw_error_response(part: SimulatedRecording, before_um: FloatArray, after_u
 
     Parameters
     ----------
-    part : SimulatedRecording
     before_um, after_um : ndarray, shape (N,)
         Residuals.
     noise_um : float
         Standard deviation of the sensor's noise.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()

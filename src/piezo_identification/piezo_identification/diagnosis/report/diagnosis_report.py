@@ -90,7 +90,6 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
 
     Parameters
     ----------
-    diagnosis : Diagnosis
     origin : sequence of (str, str)
         What the page is to tell of when, and from which files: name and text.
     """

@@ -17,13 +17,8 @@ def distortion_sections(part: SimulatedRecording, before_um: FloatArray,
 
     Parameters
     ----------
-    part : SimulatedRecording
     before_um, after_um : ndarray, shape (N,)
         Residual of the model as given and as extended.
-
-    Returns
-    -------
-    list of Section
     """
     before, after = (error_distortion(part, residual) for residual in (before_um, after_um))
     if before is None or after is None:

@@ -111,8 +111,6 @@ def diagnose_files(
 
     Parameters
     ----------
-    model : path-like
-    recordings : sequence of path-like
     holdout : path-like or None
         Recording on which the errors are measured.
     directory : path-like
@@ -124,10 +122,6 @@ def diagnose_files(
     identified_from : sequence of path-like
         The recordings that the model was identified from, where they are not at the paths that
         the model file names.
-
-    Returns
-    -------
-    DiagnosisResults
 
     Raises
     ------
@@ -165,10 +159,6 @@ def read_given(
     model, recordings, holdout, directory, read_file, identified_from
         Of `diagnose_files`.
 
-    Returns
-    -------
-    GivenFiles
-
     Raises
     ------
     ValueError
@@ -200,15 +190,10 @@ def write_results(given: GivenFiles, diagnosis: Diagnosis,
 
     Parameters
     ----------
-    given : GivenFiles
     diagnosis : Diagnosis
         Of its recordings.
     proposal : Proposal, optional
         Where several explanations remain.
-
-    Returns
-    -------
-    DiagnosisResults
     """
     directory, identified = given.directory, given.identified
     if proposal is not None:
@@ -235,10 +220,6 @@ def write_results(given: GivenFiles, diagnosis: Diagnosis,
 
 def stated_error(identified: IdentifiedModel) -> float | None:
     """Return by how much a model is known to be wrong: what its worst component leaves of its data.
-
-    Parameters
-    ----------
-    identified : IdentifiedModel
 
     Returns
     -------

@@ -39,7 +39,6 @@ def fit_each_candidate(problem: ResponseProblem, current: ResponseFit) -> list[R
 
     Parameters
     ----------
-    problem : ResponseProblem
     current : ResponseFit
         With the effects found.
 

@@ -97,13 +97,8 @@ def diagnose_response(model: StageModel, measured: FrequencyResponse) -> Respons
 
     Parameters
     ----------
-    model : StageModel
     measured : FrequencyResponse
         A hold in it is removed.
-
-    Returns
-    -------
-    ResponseDiagnosis
 
     Raises
     ------
@@ -134,16 +129,7 @@ def moves_against(model: StageModel, measured: FrequencyResponse) -> bool:
 
 
 def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
-    """Add one linear effect after another while the gain on held-out frequencies is convincing.
-
-    Parameters
-    ----------
-    problem : ResponseProblem
-
-    Returns
-    -------
-    ResponseSelection
-    """
+    """Add one linear effect after another while the gain on held-out frequencies is convincing."""
     start = current = problem.fit_dynamics(problem.as_given())
     found = [start]
     effects: list[dict[str, Any]] = []

@@ -73,7 +73,6 @@ class ResponseProblem:
 
     Parameters
     ----------
-    model : StageModel
     measured : FrequencyResponse
         Without a hold, and with the sign of the model.
 
@@ -216,7 +215,6 @@ def full_response(model: StageModel, frequency_hz: FloatArray) -> ComplexArray:
 
     Parameters
     ----------
-    model : StageModel
     frequency_hz : (N,) array
 
     Returns

@@ -38,15 +38,10 @@ def diagnose_response_file(
 
     Parameters
     ----------
-    model, response : path-like
     directory : path-like
         Made if it is missing.
     hold_s : float
         Sample period of a hold in the response, in s; see `FrequencyResponse`.
-
-    Returns
-    -------
-    ResponseDiagnosis
 
     Raises
     ------

@@ -79,10 +79,6 @@ def fit_armax(
         What else the output may hold: constants and exponentials in time, which a filter leaves
         what they are; by default a constant.
 
-    Returns
-    -------
-    Armax
-
     Raises
     ------
     ValueError

@@ -42,7 +42,6 @@ def estimate_dynamics_armax(
     ----------
     recording : Recording
         At the full sample clock.
-    creep : CreepDynamics
     hysteresis : PreisachModel, optional
         Needed unless the voltage is a square wave.
     orders : (int, int, int), optional
@@ -105,10 +104,8 @@ def dynamics_of_armax(
 
     Parameters
     ----------
-    armax : Armax
     input : ndarray, shape (N,)
         Of the record.
-    sample_period_s : float
     mode_count : int
         Of the poles, the one lag and the modes that add most to the output are kept.
 

@@ -92,7 +92,6 @@ def estimate_slow_creep(
 
     Parameters
     ----------
-    recordings : Recording or sequence of Recording
     dynamics : ElectricVibrationDynamics, optional
         If known: their ringing after each jump is left out.
     pair_count : int, optional

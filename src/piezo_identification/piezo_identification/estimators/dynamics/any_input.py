@@ -73,7 +73,6 @@ def estimate_dynamics_any(
     recordings : sequence of Recording
         Without gaps, at the full sample clock and of one sample period. Each has an offset and an
         initial creep of its own.
-    creep : CreepDynamics
     hysteresis : PreisachModel, optional
         If known, over the voltages of the recordings. By default that of the recordings, which is
         estimated together with the dynamics; of two levels, an offset and a gain.

@@ -53,7 +53,6 @@ class FastCreep:
 
     Parameters
     ----------
-    model : CreepDynamics
     deviations : dict
         Standard deviations of its poles and zeros; the poles are given, not fitted.
     """
@@ -74,7 +73,6 @@ def fit_beside_fast_creep(
         Makes the record with a given creep removed.
     creep : CreepDynamics
         That is known.
-    mode_count : int, optional
     delay : float, optional
         See `output_error.fit_output_error`.
 
@@ -103,13 +101,8 @@ def fast_creep(
 
     Parameters
     ----------
-    record_without : callable
     creep : CreepDynamics
         See `fit_beside_fast_creep`.
-
-    Returns
-    -------
-    FastCreep or None
     """
     first = best_free_fit(record_without(creep))
     record = record_without(creep).thinned(ROWS_OF_SEARCH)
@@ -141,7 +134,6 @@ def sought_rates(record: FastRecord, free: FreeFit, creep: CreepDynamics) -> Flo
 
     Parameters
     ----------
-    record : FastRecord
     free : FreeFit
         Of it.
     creep : CreepDynamics

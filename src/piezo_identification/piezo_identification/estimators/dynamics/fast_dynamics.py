@@ -41,7 +41,6 @@ class ModeOrder:
         Between them.
     beside : int
         Modes that add a part of the displacement of their own.
-    sensor_lags : int
     is_coupled : bool
         Whether the modes beside have parts that follow their velocities, too: with no mode in
         series, these are all proper dynamics behind a lag.
@@ -96,7 +95,6 @@ class FastDynamics:
     ----------
     dynamics : ElectricVibrationDynamics
         Lag, modes in series and antiresonances.
-    beside : tuple of VibrationMode
     sensor_lag_s : float
         0 for none.
     delay_s : float
@@ -173,8 +171,6 @@ def fast_dynamics_of(vector: FloatArray, order: ModeOrder, delay_s: float = 0.0)
     Parameters
     ----------
     vector : ndarray, shape (P,)
-    order : ModeOrder
-    delay_s : float
 
     Returns
     -------
@@ -216,7 +212,6 @@ def split_deviations(
     Parameters
     ----------
     deviations : ndarray, shape (P,)
-    order : ModeOrder
 
     Returns
     -------
@@ -252,7 +247,6 @@ def with_lags_apart(vector: FloatArray, order: ModeOrder) -> FloatArray:
     Parameters
     ----------
     vector : ndarray, shape (P,)
-    order : ModeOrder
 
     Returns
     -------
@@ -279,7 +273,6 @@ def poles_and_residues(
     ----------
     vectors : ndarray, shape (B, P)
         Several vectors of `FastDynamics.vector`.
-    order : ModeOrder
 
     Returns
     -------

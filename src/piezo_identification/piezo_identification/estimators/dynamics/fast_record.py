@@ -63,7 +63,6 @@ class FastFit:
 
     Parameters
     ----------
-    order : ModeOrder
     vector : ndarray, shape (P,)
         Of `fast_dynamics.FastDynamics`.
     delay : float
@@ -139,7 +138,6 @@ class FastRecord:
 
     Parameters
     ----------
-    input : HeldInput or SpectralInput
     kept : ndarray of int, shape (N,)
         Samples, or rows of lines, that are fitted. Of an input that is not periodic, none of the
         last two.

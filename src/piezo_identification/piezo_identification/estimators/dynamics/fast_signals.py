@@ -48,7 +48,6 @@ class FastSignals:
         The longest stretch of them.
     begins : tuple of int
         First sample of each recording.
-    sample_period_s : float
     path : str
         Of the first recording.
     early : ndarray, shape (N,), optional
@@ -100,10 +99,6 @@ def joined_signals(
     creep : CreepDynamics
         Is removed.
 
-    Returns
-    -------
-    FastSignals
-
     Raises
     ------
     ValueError
@@ -140,15 +135,10 @@ def fit_signals(
 
     Parameters
     ----------
-    signals : FastSignals
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
     delay : float, optional
         Of the rows, in sample periods; by default it is estimated beside.
-
-    Returns
-    -------
-    Estimate
     """
     return fit_output_error(signals.record(), mode_count, delay)
 
@@ -177,10 +167,8 @@ def through_hysteresis(
 
     Parameters
     ----------
-    recording : Recording
     part : Recording
         What plays in it.
-    hysteresis : PreisachModel
 
     Returns
     -------
@@ -217,7 +205,6 @@ def poles_of_lines(signals: FastSignals, order: int) -> ComplexArray:
 
     Parameters
     ----------
-    signals : FastSignals
     order : int
         Number of poles.
 

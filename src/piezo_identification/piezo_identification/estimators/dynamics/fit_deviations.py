@@ -29,7 +29,6 @@ def fit_covariance(fit: FastFit, linear_parameters: int) -> FloatArray:
 
     Parameters
     ----------
-    fit : FastFit
     linear_parameters : int
         That were fitted beside.
 
@@ -114,15 +113,10 @@ def delay_deviation(fit: FastFit, without: FastFit | None, variance: float) -> f
 
     Parameters
     ----------
-    fit : FastFit
     without : FastFit or None
         The same order, fitted with no delay; None where that was not asked.
     variance : float
         Of the delay, from the covariance.
-
-    Returns
-    -------
-    float
     """
     deviation = float(np.sqrt(variance))
     if without is None or without.cost <= FAR_MORE * fit.cost:

@@ -79,13 +79,8 @@ def moved_edges(held: HeldInput, earlier: FloatArray) -> HeldInput:
 
     Parameters
     ----------
-    held : HeldInput
     earlier : ndarray, shape (N,)
         Part of a sample period by which each comes earlier; 0 where there is none.
-
-    Returns
-    -------
-    HeldInput
     """
     early = np.zeros_like(held.samples) if held.early is None else held.early
     return replace(held, early=np.clip(early + earlier, 0.0, 1.0))
@@ -99,7 +94,6 @@ def edge_responses(
 
     Parameters
     ----------
-    held : HeldInput
     directions : ndarray, shape (N, K)
         Parts of a sample period by which each edge comes earlier, in each direction.
     poles, residues : ndarray of complex, shape (n,)

@@ -41,7 +41,6 @@ class JumpResponse:
 
     Parameters
     ----------
-    sample_period_s : float
     jump : int
         Sample from which the new voltage is applied.
     voltage_v, displacement_um : ndarray, shape (N,)
@@ -85,13 +84,8 @@ def jump_response(recording: Recording, duration_s: float = 0.05) -> JumpRespons
 
     Parameters
     ----------
-    recording : Recording
     duration_s : float
         Time after the jump.
-
-    Returns
-    -------
-    JumpResponse
 
     Raises
     ------
@@ -127,7 +121,6 @@ def estimate_jump_dynamics(response: JumpResponse, mode_count: int | None = None
 
     Parameters
     ----------
-    response : JumpResponse
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
 

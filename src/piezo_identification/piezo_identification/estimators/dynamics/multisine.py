@@ -36,7 +36,6 @@ def estimate_dynamics_multisine(
         negative saturation.
     hysteresis : PreisachModel
         Covers the voltages of the recording.
-    creep : CreepDynamics
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
     delay : float, optional
@@ -61,16 +60,6 @@ def hysteresis_and_displacement(
     recording: Recording, hysteresis: PreisachModel, creep: CreepDynamics,
 ) -> FastSignals:
     """Input and output of the electric and vibration dynamics in a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-    hysteresis : PreisachModel
-    creep : CreepDynamics
-
-    Returns
-    -------
-    FastSignals
 
     Raises
     ------

@@ -97,7 +97,6 @@ def fit_output_error(
 
     Parameters
     ----------
-    record : FastRecord
     mode_count : int, optional
         Number of modes, one after the other and without antiresonances; by default as many of
         both as the criterion justifies.

@@ -47,15 +47,6 @@ def free_fits(record: FastRecord, most_modes: int) -> Iterator[FreeFit]:
     None leaves more than the one before: it begins from it with a further mode, from the poles
     that the record suggests, and from drawn ones. A record is searched once, however often this is
     asked.
-
-    Parameters
-    ----------
-    record : FastRecord
-    most_modes : int
-
-    Yields
-    ------
-    FreeFit
     """
     found = _FOUND.setdefault(record, _Found())
     for count in range(most_modes + 1):
@@ -99,7 +90,6 @@ def vector_of_poles(poles: ComplexArray, mode_count: int) -> FloatArray:
     ----------
     poles : ndarray of complex, shape (1 + 2 modes,)
         See `dynamics_of_poles`.
-    mode_count : int
 
     Returns
     -------
@@ -118,10 +108,6 @@ def dynamics_of_poles(poles: ComplexArray) -> ElectricVibrationDynamics:
     poles : ndarray of complex, shape (1 + 2 modes,)
         In rad/s, closed under conjugation. Unstable ones are taken for their stable mirror image;
         real ones beyond the electric lag pair up to overdamped modes.
-
-    Returns
-    -------
-    ElectricVibrationDynamics
     """
     mode_count = (poles.size - 1) // 2
     # What noise made unstable starts as its stable mirror image.
@@ -157,13 +143,8 @@ def residual_peaks(record: FastRecord, free: FreeFit) -> list[float]:
 
     Parameters
     ----------
-    record : FastRecord
     free : FreeFit
         Its residual is taken in every row: rows far between show a frequency as another one.
-
-    Returns
-    -------
-    list of float
     """
     whole = record.every_row
     residual = free.residual if whole is None else whole.free(free.vector, free.delay).residual

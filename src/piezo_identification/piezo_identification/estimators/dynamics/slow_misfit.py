@@ -33,10 +33,6 @@ def beside_slow_misfit(record: FastRecord) -> FastRecord:
     It needs to where its loops are far slower than what rings, and free poles take pairs, which
     neither a lag nor creep has, to follow them. Cosines up to there then take what is slow.
 
-    Parameters
-    ----------
-    record : FastRecord
-
     Returns
     -------
     FastRecord

@@ -40,7 +40,6 @@ def estimate_dynamics(
     ----------
     recording : Recording
         Of the dynamics experiment, at the full sample clock.
-    creep : CreepDynamics
     mode_count : int, optional
         Number of vibration modes, one after the other and without antiresonances; by default as
         many of both, and of modes beside them, as the Bayesian information criterion justifies.
@@ -64,15 +63,6 @@ def estimate_dynamics(
 
 def mean_period(recording: Recording, creep: CreepDynamics) -> FastRecord:
     """Return the mean period of a square wave with the creep removed.
-
-    Parameters
-    ----------
-    recording : Recording
-    creep : CreepDynamics
-
-    Returns
-    -------
-    FastRecord
 
     Raises
     ------
@@ -129,7 +119,6 @@ def free_decay_poles(decay: FloatArray, sample_period_s: float, order: int) -> C
     Parameters
     ----------
     decay : ndarray, shape (N,)
-    sample_period_s : float
     order : int
         Number of poles.
 

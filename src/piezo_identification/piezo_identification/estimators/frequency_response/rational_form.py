@@ -38,10 +38,8 @@ class RationalForm:
 
     Parameters
     ----------
-    creep_pairs, modes : int
     antiresonances : int
         None beside modes that are side by side.
-    is_beside : bool
     """
 
     creep_pairs: int

@@ -98,10 +98,6 @@ def read_frequency_response(path: str | Path) -> FrequencyResponse:
     path : path-like
         Or the text file of another program; see `read_response_table`.
 
-    Returns
-    -------
-    FrequencyResponse
-
     Raises
     ------
     ValueError

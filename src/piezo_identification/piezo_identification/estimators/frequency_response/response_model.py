@@ -21,9 +21,6 @@ class ResponseModel:
     ----------
     gain : float
         Between creep and modes, in the unit of the measured response.
-    delay_s : float
-    creep : CreepDynamics
-    dynamics : ElectricVibrationDynamics
     beside : tuple of VibrationMode
         Modes that add a part of their own, which puts zeros anywhere in the plane.
     """
@@ -72,7 +69,6 @@ class ResponseOrder:
         open.
     is_coupled : bool
         Whether a mode beside others has a part that follows its velocity.
-    has_lag, has_delay : bool
     """
 
     creep_pairs: int | None

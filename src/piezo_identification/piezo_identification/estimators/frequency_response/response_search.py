@@ -68,7 +68,6 @@ class ResponseFit:
 
     Parameters
     ----------
-    form : RationalForm
     vector : ndarray, shape (P,)
     free : ndarray of bool, shape (P,)
         Numbers that were fitted; the others are zero.

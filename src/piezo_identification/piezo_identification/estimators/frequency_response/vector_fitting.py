@@ -20,8 +20,6 @@ def vector_fit(
     frequency_rad_per_s : ndarray, shape (N,)
         Positive.
     gain : ndarray of complex, shape (N,)
-    pole_count : int
-    iterations : int
     weight : float or ndarray, shape (N,)
         Of each frequency's error.
 

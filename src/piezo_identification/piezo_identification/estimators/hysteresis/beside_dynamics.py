@@ -59,7 +59,6 @@ class BesideDynamics:
     ----------
     hysteresis : PreisachModel
         Over the voltages of the recordings.
-    dynamics : ElectricVibrationDynamics
     delay_s : float
         Beside them.
     past : str
@@ -87,10 +86,6 @@ def hysteresis_beside_dynamics(recordings: Sequence[FastLoops]) -> BesideDynamic
     ----------
     recordings : sequence of FastLoops
         Of one sample period.
-
-    Returns
-    -------
-    BesideDynamics
     """
     period_s = recordings[0].sample_period_s
     regressions = [LoopRegression(recordings, past) for past in PASTS]
@@ -114,8 +109,6 @@ class _Point:
     ----------
     vector : ndarray, shape (P,)
         Logarithms of those of the dynamics, then the delay in sample periods.
-    modes : int
-    sample_period_s : float
     """
 
     vector: FloatArray

@@ -22,7 +22,6 @@ class DensityEstimate:
 
     Parameters
     ----------
-    method : str
     levels_v : ndarray, shape (n + 1,)
         Edges of the cells.
     density_um_per_v2 : ndarray, shape (n, n)

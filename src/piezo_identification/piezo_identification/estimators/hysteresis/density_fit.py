@@ -45,10 +45,6 @@ def estimate_hysteresis(
 ) -> PreisachModel:
     """Estimate the hysteresis: the model of `estimate_density`, which describes the parameters.
 
-    Returns
-    -------
-    PreisachModel
-
     Raises
     ------
     ValueError
@@ -78,8 +74,6 @@ def estimate_density(
         Of the hysteresis experiment, or any other. For the start see `everett_regression`; after a
         gap a recording starts anew, and several recordings share all but offset and initial creep.
         Samples that are marked as outliers are neither fitted nor held out.
-    creep : CreepDynamics
-    dynamics : ElectricVibrationDynamics
     level_count : int, optional
         Number of levels L above level 0; by default `most_levels`, or as many as the voltage
         passes by.
@@ -89,11 +83,6 @@ def estimate_density(
         Of `smoothed_density`; chosen on branches held out by default.
     delay_s : float
         Of the measurement, beside the dynamics.
-    most_levels : int
-
-    Returns
-    -------
-    DensityEstimate
 
     Raises
     ------
@@ -121,11 +110,6 @@ def estimate_density(
 
 def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
     """Count the equal steps of voltage that the recordings do not jump over.
-
-    Parameters
-    ----------
-    parts : sequence of Recording
-    range_v : float
 
     Returns
     -------
@@ -160,8 +144,6 @@ def hysteresis_output_um(
 
     Parameters
     ----------
-    recording : Recording
-    creep : CreepDynamics
     dynamics : ElectricVibrationDynamics
         Inverted at low frequency, (4.18) and (4.19), where the voltage is slow beside it.
     delay_s : float

@@ -26,12 +26,6 @@ def follows_fast(
     Parameters
     ----------
     voltage_v : ndarray, shape (N,)
-    dynamics : ElectricVibrationDynamics
-    sample_period_s : float
-
-    Returns
-    -------
-    bool
     """
     if dynamics.is_static:
         return False
@@ -57,8 +51,6 @@ def remove_dynamics(
     ----------
     displacement_um, voltage_v : ndarray, shape (N,)
         Each displacement is measured before its voltage acts.
-    dynamics : ElectricVibrationDynamics
-    sample_period_s : float
     delay_s : float
         Further delay of the displacement.
 
@@ -89,9 +81,7 @@ def held_response(
 
     Parameters
     ----------
-    dynamics : ElectricVibrationDynamics
     frequency_hz : ndarray, shape (N,)
-    sample_period_s : float
     delay_s : float
         Further delay of the samples.
 

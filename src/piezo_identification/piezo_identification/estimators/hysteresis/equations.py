@@ -51,7 +51,6 @@ class Penalties:
 
     Parameters
     ----------
-    smoothing, translation : float
     is_reversible : bool
         The density has a reversible part beside it.
     """
@@ -172,10 +171,6 @@ def equations_of_folds(
         For every segment the number of the fold of each of its samples to fit; one by default.
     about : ndarray, optional
         See `Equations`.
-
-    Returns
-    -------
-    list of Equations
 
     Raises
     ------

@@ -62,10 +62,6 @@ def everett_regression(
         Uniform and increasing.
     samples : ndarray of int, optional
         Increasing indices of the voltages whose rows are wanted; all by default.
-
-    Returns
-    -------
-    EverettRegression
     """
     samples = np.arange(len(voltage_v)) if samples is None else samples
     size = levels_v.size - 1

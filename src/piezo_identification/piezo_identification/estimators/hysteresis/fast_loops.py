@@ -65,7 +65,6 @@ class FastLoops:
         Columns whose coefficients are free, such as an offset.
     first_kept : int
         Sample from which on the past counts for no more than these columns.
-    sample_period_s : float
     """
 
     voltage_v: FloatArray
@@ -159,7 +158,6 @@ class LoopRegression:
 
         Parameters
         ----------
-        fit : LoopFit
         changes : callable
             Derivatives of the response by the parameters, shape (P, F), at frequencies (Hz).
 

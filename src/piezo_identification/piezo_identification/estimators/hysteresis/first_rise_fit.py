@@ -150,16 +150,10 @@ def without_first_rise(
     ----------
     recording : Recording
         That begins with the first rise.
-    first_rise : FirstRise
-    creep : CreepDynamics
     dynamics : ElectricVibrationDynamics
         What follows the hysteresis.
     highest_v : float, optional
         Voltage up to which the stage had risen before; by default as far as the recording shows.
-
-    Returns
-    -------
-    Recording
     """
     part = played(recording)
     shown_v = highest_before(recording)

@@ -14,10 +14,6 @@ from piezo_identification.estimators.hysteresis.everett_regression import densit
 def bounded_operator(size: int) -> csr_array:
     """Return the operator of what must not be negative: densities and reversible parts.
 
-    Parameters
-    ----------
-    size : int
-
     Returns
     -------
     csr_array, shape (n (n + 1) / 2 + n, n (n + 1) / 2 + n)
@@ -29,10 +25,6 @@ def bounded_operator(size: int) -> csr_array:
 
 def curvature_operator(size: int) -> csr_array:
     """Second differences of the densities of the cells along both thresholds.
-
-    Parameters
-    ----------
-    size : int
 
     Returns
     -------
@@ -57,10 +49,6 @@ def reversible_differences(size: int, order: int) -> csr_array:
 
     The trace lets the parts be zero where the voltage tells nothing of them.
 
-    Parameters
-    ----------
-    size, order : int
-
     Returns
     -------
     csr_array, shape (2 n - order, n (n + 1) / 2 + n)
@@ -74,10 +62,6 @@ def reversible_differences(size: int, order: int) -> csr_array:
 
 def translation_operator(size: int) -> csr_array:
     """First differences of the densities of the cells along the diagonal.
-
-    Parameters
-    ----------
-    size : int
 
     Returns
     -------

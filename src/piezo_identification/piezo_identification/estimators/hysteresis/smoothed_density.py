@@ -86,10 +86,6 @@ def smoothed_density(
         elsewhere, where the curvature alone would go on straight. By default 0 where every cell is
         visited or the smoothing is given, and chosen like the smoothing elsewhere.
 
-    Returns
-    -------
-    DensityEstimate
-
     Raises
     ------
     ValueError
@@ -125,7 +121,6 @@ def density_of_segments(
     segments : sequence of HysteresisSegment
         Each has an offset of its own; that of the model is the first one of a known past.
     levels_v : ndarray, shape (n + 1,)
-    level_count : int, optional
     smoothing_weight, translation_weight : float, optional
         As of `smoothed_density`.
     is_line : bool

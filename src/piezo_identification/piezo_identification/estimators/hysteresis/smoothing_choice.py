@@ -47,7 +47,6 @@ class PenaltyChoice:
 
     Parameters
     ----------
-    penalties : Penalties
     without_translation : Penalties
         Those to take where the density's change along the diagonal is not to be charged.
     forces : ndarray
@@ -70,14 +69,6 @@ def branch_folds(segments: Sequence[HysteresisSegment]) -> list[NDArray[np.intp]
 
     Whole branches between reversals are held out, as samples beside each other tell the same. Where
     there are few, they are cut into pieces.
-
-    Parameters
-    ----------
-    segments : sequence of HysteresisSegment
-
-    Returns
-    -------
-    list of ndarray of int
     """
     branches = [_branches(segment) for segment in segments]
     count = sum(len(np.unique(each)) for each in branches)
@@ -114,16 +105,11 @@ def choose_penalties(
 
     Parameters
     ----------
-    segments : sequence of HysteresisSegment
     levels_v : ndarray, shape (n + 1,)
     translation : float, optional
         Weight of the change along the diagonal; by default chosen too.
     about : ndarray, optional
         See `Equations`.
-
-    Returns
-    -------
-    PenaltyChoice
     """
     trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments), about))
     penalties = free = trials.best(
@@ -151,18 +137,12 @@ def refine_smoothing(
 
     Parameters
     ----------
-    segments : sequence of HysteresisSegment
     levels_v : ndarray, shape (n + 1,)
         Of the finer grid.
-    choice : PenaltyChoice
     forces : ndarray
         Of the bounds on the finer grid, about.
     about : ndarray, optional
         See `Equations`; on the finer grid.
-
-    Returns
-    -------
-    PenaltyChoice
     """
     trials = _Trials(
         equations_of_folds(segments, levels_v, branch_folds(segments), about), forces)

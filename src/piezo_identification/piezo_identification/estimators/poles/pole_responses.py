@@ -36,7 +36,6 @@ class HeldInput:
     Parameters
     ----------
     samples : ndarray, shape (N,)
-    sample_period_s : float
     is_periodic : bool
         The samples are one period of what has gone on for ever; otherwise the first of them was
         held for ever before, and the last one will be.
@@ -67,10 +66,6 @@ class HeldInput:
             negative, the output is read later than the input changes.
         rows : ndarray of int, shape (K,), optional
             Output samples that are wanted, ascending; by default all.
-
-        Returns
-        -------
-        PoleResponses
         """
         scaled = poles * self.sample_period_s
         ahead = int(np.floor(-delay))

@@ -45,13 +45,8 @@ class SpectralLines:
         Parameters
         ----------
         samples : ndarray, shape (N,)
-        stretches : tuple of slice
         most : int
             Lines of all stretches together, about.
-
-        Returns
-        -------
-        SpectralLines
         """
         chosen = []
         for stretch in stretches:
@@ -99,7 +94,6 @@ class SpectralInput:
     Parameters
     ----------
     samples : ndarray, shape (N,)
-    sample_period_s : float
     phases : ndarray, shape (K,)
         Of the lines, in rad a sample.
     lines : ndarray of complex, shape (K,)
@@ -156,10 +150,6 @@ class SpectralInput:
             In sample periods, as for a `pole_responses.HeldInput`.
         rows : ndarray of int, optional
             Of the 2 K rows those that are wanted; by default all.
-
-        Returns
-        -------
-        PoleResponses
         """
         at, mirrored = (self._at_lines(poles, delay, sign) for sign in (1.0, -1.0))
         values = []

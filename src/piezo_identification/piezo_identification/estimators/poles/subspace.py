@@ -42,10 +42,6 @@ def identify_subspace(
     past : int, optional
         Length of the autoregression.
 
-    Returns
-    -------
-    Innovations
-
     Raises
     ------
     ValueError

@@ -50,7 +50,6 @@ def expectation(findings: Findings, limits: StageLimits,
 
     Parameters
     ----------
-    findings : Findings
     limits : StageLimits
         Of `fitted_limits`.
     parameters : dict of str to dict

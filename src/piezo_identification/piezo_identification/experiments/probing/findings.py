@@ -110,15 +110,12 @@ class Findings:
 
     Parameters
     ----------
-    rest : Rest
     step_v : float
         The step at which all else was measured, signed.
     gain_um_per_v : float
         Of the first rise to it, signed.
     signal_to_noise : float
         Of the repeated step over the noise of one sample.
-    response : StepResponse
-    creep : Creep
     """
 
     rest: Rest
@@ -189,7 +186,6 @@ def measure_response(displacement_um: FloatArray, rises: Sequence[int], dwell: i
         Samples from one change of the voltage to the next.
     rest : Rest
         Whose noise there is.
-    sample_period_s : float
     """
     up_um = np.mean([displacement_um[n:n + dwell] for n in rises], axis=0)
     down_um = np.mean([displacement_um[n + dwell:n + 2 * dwell] for n in rises], axis=0)

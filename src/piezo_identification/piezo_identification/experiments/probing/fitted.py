@@ -78,11 +78,6 @@ RELAY_S, RELAY_SETTLINGS = 0.5, 100.0
 def fitted_limits(findings: Findings, limits: StageLimits) -> StageLimits:
     """Narrow the voltage range to what stays within the range of the sensor.
 
-    Parameters
-    ----------
-    findings : Findings
-    limits : StageLimits
-
     Raises
     ------
     ValueError
@@ -111,7 +106,6 @@ def fitted_parameters(findings: Findings, limits: StageLimits) -> dict[str, dict
 
     Parameters
     ----------
-    findings : Findings
     limits : StageLimits
         Of `fitted_limits`.
 

@@ -88,10 +88,6 @@ class Probe:
 
     Every step begins and ends at the rest voltage.
 
-    Parameters
-    ----------
-    limits : StageLimits
-
     Attributes
     ----------
     step : Experiment or None
@@ -116,10 +112,6 @@ class Probe:
 
     def take(self, recording: Recording) -> None:
         """Take what was recorded of the present step, and decide on the next.
-
-        Parameters
-        ----------
-        recording : Recording
 
         Raises
         ------

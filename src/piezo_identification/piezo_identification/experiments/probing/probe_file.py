@@ -158,12 +158,7 @@ class ProbeDocument(Document):
         "What to expect of a model; null where an older suite wrote the file.", default=None)
 
     def fitted(self, name: str) -> dict[str, Any]:
-        """Return the parameters of an experiment; empty where the probe fits none.
-
-        Parameters
-        ----------
-        name : str
-        """
+        """Return the parameters of an experiment; empty where the probe fits none."""
         part = getattr(self.experiments, name, None)
         return part.model_dump() if isinstance(part, Part) else {}
 
@@ -190,11 +185,6 @@ class ProbeDocument(Document):
 
 def probe_document(findings: Findings, limits: StageLimits) -> ProbeDocument:
     """Fit the experiments to what was found.
-
-    Parameters
-    ----------
-    findings : Findings
-    limits : StageLimits
 
     Raises
     ------
@@ -259,12 +249,7 @@ def load_probe(path: str | Path) -> ProbeDocument:
 
 
 def probe_summary(document: ProbeDocument) -> str:
-    """Tell people what was found and what follows, one line each.
-
-    Parameters
-    ----------
-    document : ProbeDocument
-    """
+    """Tell people what was found and what follows, one line each."""
     stage, experiments = document.stage, document.experiments
     modes = ", ".join(f"{mode.frequency_hz:.4g} Hz (damping {mode.damping_ratio:.2g})"
                       for mode in stage.modes) or "none seen"

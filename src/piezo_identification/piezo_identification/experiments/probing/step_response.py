@@ -39,7 +39,6 @@ class StepResponse:
         Amplitude of each at the step, over the height of the step.
     final_share : float
         Constant part, 1 without creep.
-    sample_period_s : float
     """
 
     poles_rad_per_s: ComplexArray
@@ -92,11 +91,6 @@ def step_response(response: FloatArray, noise: float, sample_period_s: float) ->
         From the step on, 0 before it and about 1 at the end.
     noise : float
         Standard deviation of each sample of it.
-    sample_period_s : float
-
-    Returns
-    -------
-    StepResponse
     """
     response = np.asarray(response, dtype=float)
     begin = _first_motion(response, noise)

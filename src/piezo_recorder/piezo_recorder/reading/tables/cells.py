@@ -30,16 +30,11 @@ def kind_of(cell: str, decimal: str, grouped: bool = False) -> str:
 
     Parameters
     ----------
-    cell : str
     decimal : str
         Decimal mark of the file, ``.`` or ``,``.
     grouped : bool
         Whether one mark before three digits is one of thousands, as in 1,570. In a file that
         does not show its decimal mark elsewhere, it may be the decimal mark.
-
-    Returns
-    -------
-    str
     """
     if cell.lower() in MISSING:
         return "empty"

@@ -37,10 +37,8 @@ def read_text_table(path: Path, needed: Needed, progress: Progress) -> Table:
 
     Parameters
     ----------
-    path : Path
     needed : callable
         Called with the table without rows.
-    progress : callable
 
     Returns
     -------

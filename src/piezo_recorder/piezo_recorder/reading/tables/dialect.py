@@ -101,7 +101,6 @@ def dialect_of(lines: Sequence[str],
 
     Parameters
     ----------
-    lines : sequence of str
     delimiters : sequence of (str or None)
         Those that may stand between cells; all that are known by default.
 

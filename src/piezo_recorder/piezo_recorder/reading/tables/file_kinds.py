@@ -43,10 +43,8 @@ def read_tables(path: Path, needed: Needed, progress: Progress) -> list[Table]:
 
     Parameters
     ----------
-    path : Path
     needed : callable
         Tells which columns of a table must be there in every row.
-    progress : callable
 
     Returns
     -------

@@ -15,12 +15,6 @@ MOST_LINES = 40
 def footer_lines(path: Path, encoding: str, dialect: Dialect) -> list[str]:
     """Return the lines at the end of a file that begin with a text where rows do not.
 
-    Parameters
-    ----------
-    path : Path
-    encoding : str
-    dialect : Dialect
-
     Returns
     -------
     list of str

@@ -17,13 +17,8 @@ def library(module: str, path: Path) -> Any:
 
     Parameters
     ----------
-    module : str
     path : Path
         The file, for the message.
-
-    Returns
-    -------
-    module
 
     Raises
     ------

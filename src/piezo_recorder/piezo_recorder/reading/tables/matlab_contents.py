@@ -21,7 +21,6 @@ def numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
 
     Parameters
     ----------
-    name : str
     value : object
         As `scipy.io.loadmat` returns it, squeezed, and structures as objects.
 
@@ -85,10 +84,6 @@ def told_apart(paths: list[str]) -> list[str]:
     ----------
     paths : list of str
         Such as ``"Model Root"/"Sensor"/"In1"``.
-
-    Returns
-    -------
-    list of str
     """
     words = [[_printable(word) for word in path.strip('"').split('"/"')] for path in paths]
     if len(words) == 1:

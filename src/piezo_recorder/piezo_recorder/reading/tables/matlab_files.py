@@ -36,10 +36,6 @@ def is_version_4(head: bytes) -> bool:
     ----------
     head : bytes
         The first hundred bytes of the file.
-
-    Returns
-    -------
-    bool
     """
     if len(head) < 20:
         return False
@@ -55,15 +51,6 @@ def is_version_4(head: bytes) -> bool:
 
 def read_matlab(path: Path, progress: Progress) -> list[Table]:
     """Read the variables of a MATLAB file of version 4 to 7; a structure is a group.
-
-    Parameters
-    ----------
-    path : Path
-    progress : callable
-
-    Returns
-    -------
-    list of Table
 
     Raises
     ------

@@ -90,7 +90,6 @@ def array_columns(name: str, values: Any) -> dict[str, np.ndarray]:
     ----------
     name : str
         A two-dimensional array has columns NAME.1, NAME.2, ...; a structured one NAME.FIELD.
-    values : array-like
 
     Returns
     -------
