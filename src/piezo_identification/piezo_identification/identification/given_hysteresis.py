@@ -43,7 +43,7 @@ CHOSEN_BY_DATA = DensityOptions()
 
 def estimate_hysteresis_of(
     recordings: Mapping[str, Data], linear: LinearDynamics,
-    options: DensityOptions = CHOSEN_BY_DATA,
+    options: DensityOptions = CHOSEN_BY_DATA, near: DensityEstimate | None = None,
 ) -> DensityEstimate:
     """Estimate the hysteresis from its recordings, or else from all others.
 
@@ -53,6 +53,8 @@ def estimate_hysteresis_of(
         Without gaps.
     linear : LinearDynamics
         Creep and dynamics, which are removed.
+    near : DensityEstimate, optional
+        From the same recordings, where creep and dynamics are nearly the same.
 
     Returns
     -------
@@ -68,7 +70,7 @@ def estimate_hysteresis_of(
         shown, linear.creep, linear.slow_dynamics, options.grid,
         **({} if options.grid is None else {"cells_per_level": 1}),
         smoothing_weight=options.smoothing_weight, translation_weight=options.translation_weight,
-        delay_s=linear.slow_delay_s)
+        delay_s=linear.slow_delay_s, near=near)
 
 
 def _line_of_response(measured: FrequencyResponse, linear: LinearDynamics) -> DensityEstimate:

@@ -159,7 +159,7 @@ def identify(
         fitted = fitted_model(linear, estimate, first_rise)
         fitted, read_at = fitted_together(
             fitted, said, read_at,
-            partial(_loops_beside, cycled, linear, density) if of_kind(said, "hysteresis")
+            partial(_loops_beside, cycled, linear, density, estimate) if of_kind(said, "hysteresis")
             and linear.estimates and not first_rise else None, order, stages.part(0.75, 0.2), tell)
         tell_effects(fitted, tell)
         recordings, read_at = validation_as_read(
@@ -180,12 +180,13 @@ def identify(
 
 
 def _loops_beside(recordings: Mapping[str, Data], linear: LinearDynamics, density: DensityOptions,
-                  model: StageModel) -> DensityEstimate:
+                  near: DensityEstimate, model: StageModel) -> DensityEstimate:
     """Estimate the hysteresis beside the creep and the dynamics of a fitted model."""
     delay_s = sum(effect.delay_s for effect in model.effects if type(effect) is Delay)
     return estimate_hysteresis_of(recordings, replace(
         linear, creep=model.creep, dynamics=model.dynamics, delay_s=delay_s,
-        effects=tuple(effect for effect in model.effects if type(effect) is not Delay)), density)
+        effects=tuple(effect for effect in model.effects if type(effect) is not Delay)),
+        density, near)
 
 
 def tell_estimates(linear: LinearDynamics, density: DensityEstimate,

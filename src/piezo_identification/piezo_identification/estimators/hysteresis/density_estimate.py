@@ -41,6 +41,8 @@ class DensityEstimate:
         On the diagonal, alpha = beta; for the smoothed method.
     translation_weight : float
         For the smoothed method.
+    is_about_plays : bool
+        The density is smoothed about a sum of plays.
     """
 
     method: str
@@ -53,6 +55,7 @@ class DensityEstimate:
     smoothing_weight: float | None = None
     reversible_um_per_v: FloatArray | None = None
     translation_weight: float = 0.0
+    is_about_plays: bool = False
 
     @property
     def is_line(self) -> bool:
@@ -80,7 +83,8 @@ class DensityEstimate:
         """One line for people: method, grid, rank, and what was not visited."""
         if self.is_line:
             return f"{self.method}: {self.reversible_um_per_v[0]:.6g} um/V"
-        words = [f"{self.method}, {len(self.visited)} x {len(self.visited)} cells"]
+        method = f"{self.method}, about a sum of plays" if self.is_about_plays else self.method
+        words = [f"{method}, {len(self.visited)} x {len(self.visited)} cells"]
         if self.rank is not None:
             words.append(
                 f"rank {self.rank} of {self.singular_values.size}, "

@@ -59,7 +59,7 @@ def estimate_density(
     recording: Recordings, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
     level_count: int | None = None, cells_per_level: int = 2,
     smoothing_weight: float | None = None, translation_weight: float | None = None,
-    delay_s: float = 0.0, most_levels: int = LEVELS,
+    delay_s: float = 0.0, most_levels: int = LEVELS, near: DensityEstimate | None = None,
 ) -> DensityEstimate:
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
@@ -83,6 +83,9 @@ def estimate_density(
         Of `smoothed_density`; chosen on branches held out by default.
     delay_s : float
         Of the measurement, beside the dynamics.
+    near : DensityEstimate, optional
+        From the same recordings beside nearly the same dynamics: the weights are sought from its
+        own.
 
     Raises
     ------
@@ -105,7 +108,7 @@ def estimate_density(
         level_count = max(min(passed, most_levels), FEWEST_LEVELS)
     edges_v = np.linspace(lowest_v, highest_v, level_count * cells_per_level + 1)
     return density_of_segments(
-        segments, edges_v, level_count, smoothing_weight, translation_weight, is_line)
+        segments, edges_v, level_count, smoothing_weight, translation_weight, is_line, near)
 
 
 def levels_passed(parts: Sequence[Recording], range_v: float) -> int:

@@ -112,7 +112,7 @@ its diagonal does nearly what such a part does, and smoothing moves one into the
 def density_of_segments(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, level_count: int | None = None,
     smoothing_weight: float | None = None, translation_weight: float | None = None,
-    is_line: bool = False,
+    is_line: bool = False, near: DensityEstimate | None = None,
 ) -> DensityEstimate:
     """Estimate the density as `smoothed_density` does, from several segments of one stage.
 
@@ -125,6 +125,8 @@ def density_of_segments(
         As of `smoothed_density`.
     is_line : bool
         The voltage shows no more than a line.
+    near : DensityEstimate, optional
+        From nearly the same segments: the choice of the weights begins with its own.
 
     Returns
     -------
@@ -144,7 +146,7 @@ def density_of_segments(
         penalties = Penalties(0.0)
     elif smoothing_weight is None:
         choice, plays, segments, parts = _choice_for(
-            segments, levels_v, translation_weight, whole_plane)
+            segments, levels_v, translation_weight, near)
         if plays is not None and size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT:
             # What is smooth needs fewer cells.
             levels_v, size, parts = levels_v[::2], size // 2, 2 * parts
@@ -195,10 +197,10 @@ def density_of_segments(
         reversible = _added(reversible[cell], of_plays[1], of_cells[1][cell])
     cell = np.arange(parts * size) * level_count // (parts * size)
     return DensityEstimate(
-        "smoothed non-negative least squares" + (", about a sum of plays" if plays else ""),
+        "smoothed non-negative least squares",
         levels_v, np.maximum(density, 0.0), offset_um, np.tril(seen[np.ix_(cell, cell)]),
         smoothing_weight=penalties.smoothing, reversible_um_per_v=np.maximum(reversible, 0.0),
-        translation_weight=penalties.translation,
+        translation_weight=penalties.translation, is_about_plays=plays is not None,
     )
 
 
@@ -218,7 +220,7 @@ def _added(more: FloatArray, of_plays: FloatArray, of_cells: FloatArray) -> Floa
 
 def _choice_for(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None,
-    whole_plane: bool,
+    near: DensityEstimate | None,
 ) -> tuple[PenaltyChoice, PlaySum | None, Sequence[HysteresisSegment], int]:
     """Choose the weights, and whether the density is smoothed about a sum of plays.
 
@@ -227,20 +229,25 @@ def _choice_for(
     """
     size = levels_v.size - 1
     coarse_v = np.linspace(levels_v[0], levels_v[-1], min(size, CELLS_FOR_THE_WEIGHT) + 1)
-    choice = choose_penalties(segments, coarse_v, translation)
-    plays = None if choice.is_enough else fit_plays(segments, levels_v)
-    parts = 1
-    if plays is not None:
-        parts = _parts_for(segments, levels_v, plays)
-        relieved = [replace(segment, output_um=segment.output_um - _output_um(
-            segment, levels_v, plays, parts)) for segment in segments]
-        beside = choose_penalties(
-            relieved, coarse_v, translation, plays.unknowns(coarse_v.size - 1))
-        if LEAST_GAIN * beside.misfit < choice.misfit:
-            choice, segments = beside, relieved
-        else:
-            plays, parts = None, 1
-    return choice, plays, segments, parts
+    first = None
+    if near is not None and near.smoothing_weight:
+        first = Penalties(near.smoothing_weight, near.translation_weight)
+    choice = None
+    if first is None or not near.is_about_plays:
+        choice = choose_penalties(segments, coarse_v, translation, near=first)
+        if first is not None or choice.is_enough:
+            return choice, None, segments, 1
+    plays = fit_plays(segments, levels_v)
+    if plays is None:
+        return choice or choose_penalties(segments, coarse_v, translation), None, segments, 1
+    parts = _parts_for(segments, levels_v, plays)
+    relieved = [replace(segment, output_um=segment.output_um - _output_um(
+        segment, levels_v, plays, parts)) for segment in segments]
+    beside = choose_penalties(
+        relieved, coarse_v, translation, plays.unknowns(coarse_v.size - 1), first)
+    if choice is None or LEAST_GAIN * beside.misfit < choice.misfit:
+        return beside, plays, relieved, parts
+    return choice, None, segments, 1
 
 
 def _parts_for(segments: Sequence[HysteresisSegment], levels_v: FloatArray,

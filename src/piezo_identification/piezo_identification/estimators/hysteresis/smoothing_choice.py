@@ -94,7 +94,7 @@ def _branches(segment: HysteresisSegment) -> NDArray[np.intp]:
 
 def choose_penalties(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None = None,
-    about: FloatArray | None = None,
+    about: FloatArray | None = None, near: Penalties | None = None,
 ) -> PenaltyChoice:
     """Choose the weights that predict branches held out as well as any.
 
@@ -110,11 +110,17 @@ def choose_penalties(
         Weight of the change along the diagonal; by default chosen too.
     about : ndarray, optional
         See `Equations`.
+    near : Penalties, optional
+        Chosen from nearly the same segments: the smoothing is sought from there.
     """
     trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments), about))
-    penalties = free = trials.best(
-        Penalties(weight, translation or 0.0) for weight in SMOOTHING_WEIGHTS)
-    if translation is None:
+    if near is not None:
+        penalties = trials.best_near(near)
+        free = trials.best_near(replace(near, translation=translation or 0.0))
+    else:
+        penalties = free = trials.best(
+            Penalties(weight, translation or 0.0) for weight in SMOOTHING_WEIGHTS)
+    if translation is None and near is None:
         penalties = trials.best(
             replace(penalties, translation=weight)
             for weight in (0.0, *reversed(TRANSLATION_WEIGHTS)))
@@ -131,9 +137,7 @@ def refine_smoothing(
 ) -> PenaltyChoice:
     """Go on from weights that were chosen on few cells to a smoothing for more of them.
 
-    What few cells cannot follow hides from them how much the density may bend. From the chosen
-    smoothing on, weaker ones are tried as long as they predict the branches held out better; if the
-    first does not, stronger ones are.
+    What few cells cannot follow hides from them how much the density may bend.
 
     Parameters
     ----------
@@ -146,17 +150,7 @@ def refine_smoothing(
     """
     trials = _Trials(
         equations_of_folds(segments, levels_v, branch_folds(segments), about), forces)
-    first = SMOOTHING_WEIGHTS.index(choice.penalties.smoothing)
-    tried = [choice.penalties]
-    for weights in (SMOOTHING_WEIGHTS[first + 1 :], SMOOTHING_WEIGHTS[:first][::-1]):
-        for weight in weights:
-            least = min(trials.misfits(each).sum() for each in tried)
-            tried.append(replace(choice.penalties, smoothing=weight))
-            if trials.misfits(tried[-1]).sum() >= least:
-                break
-        if len(tried) > 2:
-            break
-    penalties = trials.best(sorted(tried, key=lambda each: -each.smoothing))
+    penalties = trials.best_near(choice.penalties)
     return replace(choice, penalties=penalties, forces=trials.forces(penalties))
 
 
@@ -199,6 +193,24 @@ class _Trials:
                 break
         least = listed[int(np.argmin(misfits))]
         return next(each for each in listed if self._as_well(self.misfits(each), least))
+
+    def best_near(self, penalties: Penalties) -> Penalties:
+        """Return the best smoothing that is reached from a given one.
+
+        Weaker ones are tried as long as they predict the branches held out better; if the first
+        does not, stronger ones are.
+        """
+        first = SMOOTHING_WEIGHTS.index(penalties.smoothing)
+        tried = [penalties]
+        for weights in (SMOOTHING_WEIGHTS[first + 1 :], SMOOTHING_WEIGHTS[:first][::-1]):
+            for weight in weights:
+                least = min(self.misfits(each).sum() for each in tried)
+                tried.append(replace(penalties, smoothing=weight))
+                if self.misfits(tried[-1]).sum() >= least:
+                    break
+            if len(tried) > 2:
+                break
+        return self.best(sorted(tried, key=lambda each: -each.smoothing))
 
     def forces(self, penalties: Penalties) -> FloatArray:
         """Return the forces of the bounds with all samples."""
