@@ -202,6 +202,7 @@ class StageModel:
         applied_v = self.amplified(
             np.repeat(np.asarray(voltage_v, dtype=float), parts), part_s, memory)
         hysteresis = self.hysteresis.simulate(applied_v, memory.hysteresis)
+        hysteresis += self.hysteresis.line_beyond_um(applied_v)
         if self.hysteretic_creep is not None:
             if memory.hysteretic_creep is None:
                 raise ValueError("the memory has no part for the hysteretic creep; "

@@ -241,6 +241,7 @@ class ModelRun:
         model.hysteresis.simulate([*past_v, *self._before_v], memory)
         extremes_v = memory.extremes_v[: memory.top + 1].copy()
         hysteresis_um = model.hysteresis.simulate(self._voltage_v, memory)
+        hysteresis_um += model.hysteresis.line_beyond_um(self._voltage_v)
         parts = self._voltage_v.size // part.time_s.size
         if model.hysteretic_creep is not None:
             hysteresis_um += model.hysteretic_creep.simulate(

@@ -162,8 +162,8 @@ class SimulatedRecording:
             if effect.place == "modes" or effect.place == "linear" and effect not in quick
         )
         behind = tuple(
-            effect for stage in (effects, self.model.effects)
-            for place in ("displacement", "sensor") for effect in stage if effect.place == place
+            effect for place in ("displacement", "sensor")
+            for effect in (*self.model.effects, *effects) if effect.place == place
         )
         lags, others = leading_lags(behind, self.samples_per_mean)
         quick = tuple(effect for effect in quick if effect.place == "linear")
@@ -257,7 +257,7 @@ class SimulatedRecording:
         """Return the output of a stage that was cycled, from the first sample of the recording."""
         memory = hysteresis.memory()
         hysteresis.simulate(self.past_v, memory)
-        return hysteresis.simulate(amplified_v, memory)
+        return hysteresis.simulate(amplified_v, memory) + hysteresis.line_beyond_um(amplified_v)
 
     def _with_creep(self, hysteresis_um: FloatArray, amplified_v: FloatArray) -> FloatArray:
         """Input of the linear part: the output of the hysteresis with its creep."""

@@ -104,6 +104,13 @@ def test_another_model_is_simulated_as_if_the_recording_had_been_read_for_it(
     np.testing.assert_array_equal(moved.drive_um, anew.drive_um)
 
 
+def test_new_effects_follow_those_of_the_model_as_in_the_extended_model(recording, plant):
+    curved, lagging = sensor(0.3), Backlash(0.05)
+    beside = recording.with_model(replace(plant, effects=(lagging,))).simulate((curved,))
+    extended = recording.with_model(replace(plant, effects=(lagging, curved))).simulate()
+    np.testing.assert_array_equal(beside, extended)
+
+
 def test_how_far_a_stage_had_risen_is_not_sought_for_every_model(plant, play, monkeypatch):
     """The search simulates the recording some eight times, and a fit changes its model often."""
     rising = replace(plant, first_rise=FirstRise((0.0, 60.0), (0.0, 2.0)))

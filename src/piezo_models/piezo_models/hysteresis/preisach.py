@@ -250,6 +250,18 @@ class PreisachModel:
         )
         return output
 
+    def line_beyond_um(self, voltage_v: FloatArray) -> FloatArray:
+        """Return what a line adds to its output beyond the voltage range, zero for a hysteresis.
+
+        Simulations add it, as a line that was identified on a small range goes on. `simulate` and
+        `invert` do not: a stage is not driven beyond the voltages that its model was identified on.
+        """
+        if self.density_um_per_v2.any():
+            return np.zeros(voltage_v.shape)
+        low_um_per_v, high_um_per_v = self.reversible_um_per_v[[0, -1]]
+        return np.asarray(low_um_per_v * np.minimum(voltage_v - self.voltage_min_v, 0.0)
+                          + high_um_per_v * np.maximum(voltage_v - self.voltage_max_v, 0.0))
+
     def invert(self, hysteresis_um: ArrayLike,
                memory: PreisachMemory | None = None) -> FloatArray:
         """Return the voltages whose hysteresis output is the given sequence: the exact inverse.

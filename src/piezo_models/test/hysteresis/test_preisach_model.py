@@ -106,6 +106,14 @@ def test_negative_density_is_simulated_too():
     np.testing.assert_allclose(model.simulate(voltage), regression + 1.0, atol=1e-12)
 
 
+def test_a_line_goes_on_beyond_the_range_and_a_hysteresis_saturates(uneven_model):
+    line = PreisachModel(-1.0, 2.0, np.zeros((1, 1)), 0.5, np.array([3.0]))
+    voltage_v = np.array([0.0, 5.0, 1.0, -4.0, 2.0])
+    np.testing.assert_allclose(line.simulate(voltage_v) + line.line_beyond_um(voltage_v),
+                               0.5 + 3.0 * (voltage_v + 1.0), atol=1e-12)
+    assert not uneven_model.line_beyond_um(np.array([-1e3, 1e3])).any()
+
+
 def test_voltages_beyond_the_range_saturate_the_relays(uneven_model):
     low, high = uneven_model.output_range_um
     assert uneven_model.simulate([500.0, -500.0, 120.0, -20.0]).tolist() == [high, low, high, low]

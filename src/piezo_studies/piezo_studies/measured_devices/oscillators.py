@@ -36,9 +36,6 @@ BOUC_WEN, BOUC_WEN_MULTISINE, BOUC_WEN_SWEEP = (
 FITTED_PART = 0.7
 """Of the multisines; the rest is predicted."""
 
-REACH = 3.0
-"""Times the voltages of the fit up to which a line is told."""
-
 MV_PER_UM = 1e3
 """The files hold 1 V of the circuit as 1 um."""
 
@@ -120,9 +117,8 @@ def _line_and_mode(recording: Recording) -> tuple[StageModel, float]:
     unit = StageModel(line, CreepDynamics(), found.dynamics, effects=found.all_effects)
     gain = np.polyfit(
         unit.simulate(aligned.voltage_v, aligned.sample_period_s), aligned.displacement_um, 1)[0]
-    # A further recording may go farther: a line goes on.
-    wide = PreisachModel(REACH * low_v, REACH * high_v, np.zeros((1, 1)), 0.0, np.array([gain]))
-    return (StageModel(wide, CreepDynamics(), found.dynamics, effects=found.all_effects),
+    line = PreisachModel(low_v, high_v, np.zeros((1, 1)), 0.0, np.array([gain]))
+    return (StageModel(line, CreepDynamics(), found.dynamics, effects=found.all_effects),
             found.read_at_samples)
 
 
