@@ -18,11 +18,11 @@ from rclpy.experimental import EventsExecutor
 from std_srvs.srv import Trigger
 
 from piezo_client import client as client_module
-from piezo_client.client import Client, ServiceFailed
+from piezo_client.client import Client, GoalFailed, ServiceFailed
 from piezo_ros import deadlines
 from piezo_ros.deadlines import seconds_since, set_deadline, why_too_late
 from piezo_ros.late_responses import create_late_service
-from piezo_ros.requests import calls
+from piezo_ros.requests import calls, servers
 from piezo_ros.requests.calls import ActionCaller, CallFailed, call_service, number_request
 from piezo_ros.requests.servers import Waiting, server_of
 from piezo_ros.stage_runs import described_stage
@@ -230,6 +230,72 @@ def talkative_action(spinning):
                     target=work, args=(handle,)).start(),
                 cancel_callback=lambda handle: CancelResponse.ACCEPT)
     return cancelled
+
+
+@pytest.fixture
+def deaf_action(spinning, monkeypatch):
+    """A server that goes on when its goal is cancelled, until it is allowed to end."""
+    monkeypatch.setattr(servers, "WORD_AFTER_S", 0.2)
+    server, may_end = spinning("server"), threading.Event()
+
+    def end(handle):
+        handle.canceled()
+        return PlayWaveform.Result(message="cancelled", last_sample=7)
+
+    def work(handle):
+        may_end.wait(TIMEOUT_S)
+        handle.execute(end)
+
+    server.make(ActionServer, server.node, PlayWaveform, "play_waveform", end,
+                handle_accepted_callback=lambda handle: threading.Thread(
+                    target=work, args=(handle,)).start(),
+                cancel_callback=lambda handle: CancelResponse.ACCEPT)
+    yield may_end
+    may_end.set()
+
+
+class Words(list):
+    """What a node logs; the first word lets something happen."""
+
+    def __init__(self, node, may_end, monkeypatch):
+        super().__init__()
+        self._may_end = may_end
+        monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(
+            warning=self.say, error=self.say))
+
+    def say(self, text):
+        self.append(text)
+        self._may_end.set()
+
+
+def test_node_that_waits_for_a_cancelled_goal_says_for_whom(spinning, deaf_action, monkeypatch):
+    asking = spinning("asking")
+    caller = asking.make(ActionCaller, asking.node, PlayWaveform, "play_waveform")
+    words = Words(asking.node, deaf_action, monkeypatch)
+    assert caller.run(PlayWaveform.Goal(), cancelled=lambda: True).last_sample == 7
+    assert "/server has not answered play_waveform for" in words[0]
+
+
+def test_client_that_waits_for_a_cancelled_goal_says_for_whom(
+        deaf_action, namespace, monkeypatch):
+    with Client(namespace, "asking") as client:
+        words = Words(client.node, deaf_action, monkeypatch)
+        with pytest.raises(GoalFailed, match="cancelled"):
+            client.goal("play_waveform", cancel_after_s=0.0)
+    assert "/server has not answered play_waveform for" in words[0]
+
+
+def test_client_that_gives_a_cancelled_goal_up_says_so(deaf_action, namespace, monkeypatch):
+    monkeypatch.setattr(client_module, "CANCEL_TIMEOUT_S", 0.5)
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with Client(namespace, "asking") as client:
+        words = Words(client.node, threading.Event(), monkeypatch)
+        with pytest.raises(KeyboardInterrupt):
+            client.goal("play_waveform", why_stop=interrupt)
+    assert "/server has not ended the goal within 0.5 s" in words[-1]
 
 
 def refuse(feedback):
